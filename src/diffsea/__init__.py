@@ -1,0 +1,1 @@
+"""Differentiable simulation, identification and diagnosis of surface vessels."""
