@@ -1,0 +1,270 @@
+"""Mappings: how the columns of a foreign file become channels in SI units and radians.
+
+A mapping is a TOML file, one per data set, so that nobody edits data in order to read it:
+
+    format = 1
+    [file]
+    delimiter = "whitespace"    # default ","
+    header_lines = 4            # lines before the first row of numbers
+    encoding = "cp1252"         # default UTF-8
+    decimal = ","               # default "."
+    columns = ["time", "yaw"]   # names, where the file has none
+    time_step = 0.1             # s, where the file has no time column
+    [columns]
+    t = { column = "time", unit = "ms" }
+    psi = { column = "yaw", unit = "deg" }
+    u = "surge"
+
+A channel is `sign * (scale * number + offset)` in the stated unit, then converted to SI:
+an offset of 5 with the unit `deg` turns the heading by five degrees.
+"""
+
+import dataclasses
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..errors import UserError
+
+
+# unit -> (dimension, factor to SI). Revolutions stay revolutions: propellers are ordered
+# in rev/s, and nobody's yaw rate is.
+UNITS: dict[str, tuple[str, float]] = {
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+    "min": ("time", 60.0),
+    "h": ("time", 3600.0),
+    "m": ("length", 1.0),
+    "mm": ("length", 1e-3),
+    "cm": ("length", 1e-2),
+    "km": ("length", 1e3),
+    "ft": ("length", 0.3048),
+    "nmi": ("length", 1852.0),
+    "rad": ("angle", 1.0),
+    "deg": ("angle", math.pi / 180.0),
+    "rad/s": ("angular rate", 1.0),
+    "deg/s": ("angular rate", math.pi / 180.0),
+    "deg/min": ("angular rate", math.pi / 10800.0),
+    "m/s": ("speed", 1.0),
+    "km/h": ("speed", 1.0 / 3.6),
+    "kn": ("speed", 1852.0 / 3600.0),
+    "ft/s": ("speed", 0.3048),
+    "N": ("force", 1.0),
+    "kN": ("force", 1e3),
+    "kgf": ("force", 9.80665),
+    "lbf": ("force", 4.4482216152605),
+    "rev/s": ("revolutions", 1.0),
+    "Hz": ("revolutions", 1.0),
+    "rps": ("revolutions", 1.0),
+    "rpm": ("revolutions", 1.0 / 60.0),
+    "%": ("ratio", 0.01),
+    "1": ("ratio", 1.0),
+}
+
+# The dimension of every channel; actuator channels may have any.
+CHANNEL_DIMENSIONS = {
+    "t": "time",
+    "x": "length",
+    "y": "length",
+    "psi": "angle",
+    "u": "speed",
+    "v": "speed",
+    "r": "angular rate",
+    "wind_speed": "speed",
+    "wind_direction": "angle",
+    "phi": "angle",
+    "p": "angular rate",
+}
+ACTUATOR_PREFIXES = ("cmd_", "exec_")
+
+_FILE_KEYS = ("delimiter", "header_lines", "encoding", "decimal", "columns", "time_step")
+_COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset")
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Where one channel comes from: `sign * (scale * number + offset)` in `unit`."""
+
+    column: str
+    unit: str | None = None  # None: SI already
+    sign: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0  # in `unit`
+
+    @property
+    def gain(self) -> float:
+        """SI value per number in the file."""
+        return self.sign * self.scale * self._factor
+
+    @property
+    def shift(self) -> float:
+        """What is added after the gain, in SI."""
+        return self.sign * self.offset * self._factor
+
+    @property
+    def _factor(self) -> float:
+        return 1.0 if self.unit is None else UNITS[self.unit][1]
+
+
+@dataclasses.dataclass(frozen=True)
+class Mapping:
+    """How to read one data set. `name` is the file the mapping came from."""
+
+    channels: dict[str, Column]
+    name: str = "mapping"
+    delimiter: str = ","
+    header_lines: int | None = None  # None: the line of names, if the file has one
+    encoding: str = "utf-8-sig"  # UTF-8 with or without a byte-order mark
+    decimal: str = "."
+    columns: tuple[str, ...] | None = None
+    time_step: float | None = None  # s
+
+
+def is_channel(name: str) -> bool:
+    """Whether `name` is a column of the native recording format."""
+    return name in CHANNEL_DIMENSIONS or any(
+        name.startswith(prefix) and len(name) > len(prefix) for prefix in ACTUATOR_PREFIXES
+    )
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A clause such as ` (did you mean 'yaw'?)`, empty where nothing is near."""
+    spelled = {other.lower(): other for other in known}
+    match = difflib.get_close_matches(name.lower(), spelled, n=1, cutoff=0.5)
+    return f" (did you mean {spelled[match[0]]!r}?)" if match else ""
+
+
+def read_mapping(path: str | Path) -> Mapping:
+    """Read a mapping file.
+
+    Raises `UserError` for a missing or broken file, an unknown key, channel or unit, a
+    unit that does not fit the channel, and for a mapping that yields no time.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"cannot read the mapping {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"the mapping {path} is not UTF-8 text: {error.reason}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"the mapping {path} is not valid TOML: {error}") from error
+    _check_keys(table, ("format", "file", "columns"), path, "")
+    if table.get("format", 1) != 1:
+        raise UserError(f"{path}: format = {table['format']!r} is unknown; this reads format 1")
+    file = _table(table, "file", path)
+    _check_keys(file, _FILE_KEYS, path, "[file] ")
+    channels = {
+        channel: _column(channel, entry, path)
+        for channel, entry in _table(table, "columns", path).items()
+    }
+    return Mapping(channels=channels, name=path.name, **_file_settings(file, channels, path))
+
+
+def _table(parent: dict, key: str, path: Path) -> dict:
+    table = parent.get(key, {})
+    if not isinstance(table, dict):
+        raise UserError(f"{path}: {key} must be a table, written [{key}]")
+    return table
+
+
+def _check_keys(table: dict, known: tuple[str, ...], path: Path, where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise UserError(
+                f"{path}: {where}unknown key {key!r}{nearest(key, known)}; known keys are "
+                + ", ".join(known)
+            )
+
+
+def _file_settings(file: dict, channels: dict[str, Column], path: Path) -> dict:
+    """The checked keyword arguments of `Mapping` that stand under [file]."""
+    settings = dict(file)
+    step = settings.get("time_step")
+    if step is not None:
+        if "t" in channels:
+            raise UserError(f"{path}: give either time_step or a column for t, not both")
+        settings["time_step"] = _number(step, path, "[file] time_step")
+        if settings["time_step"] <= 0:
+            raise UserError(f"{path}: [file] time_step must be above zero seconds, got {step}")
+    elif "t" not in channels:
+        raise UserError(
+            f"{path}: no channel t; name the time column under [columns], or give "
+            "[file] time_step in seconds"
+        )
+    lines = settings.get("header_lines")
+    if lines is not None and (not isinstance(lines, int) or lines < 0):
+        raise UserError(f"{path}: [file] header_lines must be a whole number, got {lines!r}")
+    for key in ("delimiter", "encoding", "decimal"):
+        if key in settings and not (isinstance(settings[key], str) and settings[key]):
+            raise UserError(f"{path}: [file] {key} must be text, got {settings[key]!r}")
+    if "columns" in settings:
+        settings["columns"] = _names(settings["columns"], path)
+    return settings
+
+
+def _names(names: object, path: Path) -> tuple[str, ...]:
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"{path}: [file] columns must be a list of names")
+    for name in names:
+        if names.count(name) > 1:
+            raise UserError(f"{path}: [file] columns has the name {name!r} twice")
+    return tuple(names)
+
+
+def _column(channel: str, entry: object, path: Path) -> Column:
+    where = f"[columns] {channel}"
+    if not is_channel(channel):
+        known = (*CHANNEL_DIMENSIONS, "cmd_<actuator>", "exec_<actuator>")
+        raise UserError(
+            f"{path}: {where} is no channel{nearest(channel, CHANNEL_DIMENSIONS)}; channels "
+            "are " + ", ".join(known)
+        )
+    if isinstance(entry, str):
+        return Column(entry)
+    if not isinstance(entry, dict) or not isinstance(entry.get("column"), str):
+        raise UserError(
+            f"{path}: {where} must be a column's name or a table such as "
+            '{ column = "yaw", unit = "deg" }'
+        )
+    _check_keys(entry, _COLUMN_KEYS, path, where + ": ")
+    numbers = {
+        key: _number(entry[key], path, f"{where}: {key}")
+        for key in ("sign", "scale", "offset")
+        if key in entry
+    }
+    if numbers.get("sign", 1.0) not in (1.0, -1.0):
+        raise UserError(f"{path}: {where}: sign must be 1 or -1; use scale for other factors")
+    return Column(entry["column"], unit=_unit(channel, entry.get("unit"), path), **numbers)
+
+
+def _unit(channel: str, unit: object, path: Path) -> str | None:
+    if unit is None:
+        return None
+    if unit not in UNITS:
+        raise UserError(
+            f"{path}: [columns] {channel}: unknown unit {unit!r}{nearest(str(unit), UNITS)}; "
+            "known units are " + ", ".join(UNITS)
+        )
+    dimension = CHANNEL_DIMENSIONS.get(channel)
+    if dimension not in (None, UNITS[unit][0]):
+        fitting = ", ".join(name for name, (kind, _) in UNITS.items() if kind == dimension)
+        raise UserError(
+            f"{path}: [columns] {channel}: {unit!r} is not a unit of {dimension}; use one of "
+            + fitting
+        )
+    return unit
+
+
+def _number(value: object, path: Path, where: str) -> float:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not math.isfinite(value)
+    ):
+        raise UserError(f"{path}: {where} must be a finite number, got {value!r}")
+    return float(value)

@@ -1,0 +1,379 @@
+"""Recordings in and out: CSV and Parquet files, native or through a mapping.
+
+Everything that leaves this module is in SI units and radians and NED axes as far as the
+file's labels are right; whether they are is for the audit to find out.
+"""
+
+import hashlib
+import os
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ..errors import UserError
+from ..types import MOTION_CHANNELS, Trajectory
+from .mappings import CHANNEL_DIMENSIONS, Column, Mapping, is_channel, nearest, read_mapping
+
+
+EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
+PARQUET_SUFFIXES = (".parquet", ".pq")
+
+# The first words of the provenance notes that the audit looks for.
+REPEATED_TIMES = "dropped rows whose time stamp repeats the row before"
+EMPTY_ROWS = "dropped empty rows"
+
+
+def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None) -> Trajectory:
+    """Read one run from a CSV or Parquet file.
+
+    Without a mapping the file must have the native columns (`t`, `x`, `psi`, `cmd_...`).
+    Time keeps its zero, heading is unwrapped, empty cells of motion channels become NaN,
+    and a command holds through empty cells. Rows without any value and rows that repeat a
+    time stamp are dropped; the provenance says how many.
+
+    Raises `UserError` naming file, line and column for anything that cannot be read as a
+    recording: no time, no motion, cells that are no numbers, time that runs backwards.
+    """
+    path = Path(path)
+    if isinstance(mapping, str | Path):
+        mapping = read_mapping(mapping)
+    _check_file(path)
+    table, first_line = _read_table(path, mapping)
+    channels = _channels(table, mapping, path)
+    values = {
+        name: _numbers(table[column.column], path, first_line) * column.gain + column.shift
+        for name, column in channels.items()
+    }
+    if mapping is not None and mapping.time_step is not None:
+        values["t"] = np.arange(len(table)) * mapping.time_step
+    notes = [f"read {path.name}, sha256 {_digest(path)}"]
+    if mapping is not None:
+        notes.append(f"through mapping {mapping.name}")
+    used = {column.column for column in channels.values()}
+    unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
+    if unused:
+        notes.append("columns not used: " + ", ".join(unused))
+    return _assemble(values, path, first_line, notes)
+
+
+def write_recording(trajectory: Trajectory, path: str | Path) -> None:
+    """Write the valid rows of a run with native columns at full precision.
+
+    The suffix chooses CSV or Parquet. The file appears whole or not at all: it is written
+    beside its destination and renamed. Channels without any value are left out.
+
+    Raises `UserError` for a suffix that is neither, or a folder that cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".csv", *PARQUET_SUFFIXES):
+        raise UserError(f"cannot write {path}: the name must end in .csv or .parquet")
+    table = _native_table(trajectory)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        os.close(handle)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from error
+    try:
+        if path.suffix.lower() == ".csv":
+            table.to_csv(temporary, index=False)
+        else:
+            table.to_parquet(temporary, index=False)
+        os.chmod(temporary, 0o644)  # mkstemp makes files that only their owner can read
+        os.replace(temporary, path)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def _native_table(trajectory: Trajectory) -> pd.DataFrame:
+    columns = {name: getattr(trajectory, name) for name in MOTION_CHANNELS}
+    columns |= {f"cmd_{name}": series for name, series in trajectory.commanded.items()}
+    columns |= {f"exec_{name}": series for name, series in trajectory.executed.items()}
+    columns |= trajectory.extra
+    valid = np.asarray(trajectory.valid, dtype=bool)
+    kept = {"t": np.asarray(trajectory.t)[valid]}
+    for name, series in columns.items():
+        values = np.asarray(series)[valid]
+        if np.any(np.isfinite(values)):
+            kept[name] = values
+    return pd.DataFrame(kept)
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; name a CSV or Parquet file in it")
+    if not path.exists():
+        siblings = [item.name for item in path.parent.glob("*")] if path.parent.is_dir() else []
+        raise UserError(f"there is no recording {path}{nearest(path.name, siblings)}")
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            start = file.read(4096)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    if size == 0:
+        raise UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
+    if path.suffix.lower() not in PARQUET_SUFFIXES and b"\x00" in start:
+        raise UserError(
+            f"{path} is not text, so it cannot be read as CSV; export it as CSV (UTF-8) or "
+            "Parquet"
+        )
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
+    """The table as it stands, and the number that its first row has in messages."""
+    if path.suffix.lower() in PARQUET_SUFFIXES:
+        try:
+            table = pd.read_parquet(path)
+        except Exception as error:  # pyarrow raises many kinds for a broken file
+            raise UserError(f"{path} cannot be read as Parquet: {error}") from error
+        return table.rename(columns=str), 1
+    mapping = Mapping(channels={}) if mapping is None else mapping
+    names, skipped = _header(path, mapping)
+    return _read_csv(path, mapping, names, skipped), skipped + 1
+
+
+def _header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
+    """Column names, and how many lines stand before the first row of numbers.
+
+    Where the file names its columns, the line that holds most of the wanted names is
+    taken: units often stand on a line of their own, before or after.
+    """
+    if mapping.columns is not None:
+        return list(mapping.columns), mapping.header_lines or 0
+    count = 1 if mapping.header_lines is None else mapping.header_lines
+    lines = [_split(line, mapping) for line in _first_lines(path, mapping, count + 1)]
+    wanted = {column.column for column in mapping.channels.values()} or CHANNEL_DIMENSIONS
+    hits = [sum(name in wanted for name in names) for names in lines]
+    best = max(range(len(lines)), key=lambda index: hits[index])
+    if hits[best] == 0:
+        best = max(0, min(count, len(lines)) - 1)
+    names = lines[best]
+    repeated = [name for name in names if name in wanted and names.count(name) > 1]
+    if repeated:
+        raise UserError(
+            f"{path}, line {best + 1}: the column {repeated[0]!r} appears twice; rename one, "
+            "or list all names under [file] columns of a mapping"
+        )
+    return names, max(count, best + 1)
+
+
+def _first_lines(path: Path, mapping: Mapping, count: int) -> list[str]:
+    try:
+        with path.open(encoding=mapping.encoding) as file:
+            return [line for _, line in zip(range(count), file, strict=False)]
+    except UnicodeDecodeError as error:
+        raise _encoding_error(path, mapping, error) from error
+    except LookupError as error:
+        raise UserError(
+            f"{mapping.name}: [file] encoding = {mapping.encoding!r} is not known; use for "
+            "instance 'utf-8' or 'cp1252'"
+        ) from error
+
+
+def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> UserError:
+    name = mapping.encoding.removesuffix("-sig")
+    return UserError(
+        f"{path} is not {name} text (byte {error.start}: {error.reason}); say which with "
+        "[file] encoding of a mapping, often 'cp1252'"
+    )
+
+
+def _split(line: str, mapping: Mapping) -> list[str]:
+    separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
+    return [name.strip().strip('"').strip() for name in line.split(separator)]
+
+
+def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> pd.DataFrame:
+    """Read the rows below the header under unique labels, then put the names back."""
+    labels = [
+        name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)
+    ]
+    try:
+        with warnings.catch_warnings():
+            # A delimiter at the end of every line is common and harmless.
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            return pd.read_csv(
+                path,
+                sep=r"\s+" if mapping.delimiter == "whitespace" else mapping.delimiter,
+                skiprows=skipped,
+                header=None,
+                names=labels,
+                index_col=False,
+                decimal=mapping.decimal,
+                encoding=mapping.encoding,
+                skip_blank_lines=False,
+                skipinitialspace=True,
+                float_precision="round_trip",
+            )
+    except UnicodeDecodeError as error:
+        raise _encoding_error(path, mapping, error) from error
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise UserError(
+            f"{path} cannot be read as a table: {str(error).strip()}; check the delimiter "
+            f"({mapping.delimiter!r}) and the number of header lines ({skipped})"
+        ) from error
+
+
+def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[str, Column]:
+    """Which column every channel comes from, checked against what the file has."""
+    present = ", ".join(str(name) for name in table.columns)
+    if mapping is None:
+        channels = {name: Column(name) for name in table.columns if is_channel(name)}
+        if "t" not in channels:
+            raise UserError(
+                f"{path} has no column 't' with time in seconds; it has {present}. Rename it, "
+                "or write a mapping that says which columns are which and in which unit"
+            )
+    else:
+        channels = mapping.channels
+        for channel, column in channels.items():
+            if column.column not in table.columns:
+                raise UserError(
+                    f"{path} has no column {column.column!r}, which {mapping.name} maps to "
+                    f"{channel}{nearest(column.column, map(str, table.columns))}; it has "
+                    f"{present}"
+                )
+    if not any(name in channels for name in MOTION_CHANNELS):
+        raise UserError(
+            f"{path} has no motion channel ({', '.join(MOTION_CHANNELS)}); it has {present}. "
+            "Write a mapping that says which columns are which"
+        )
+    return channels
+
+
+def _numbers(column: pd.Series, path: Path, first_line: int) -> np.ndarray:
+    """The column as floats, empty cells as NaN; raises on text and infinities."""
+    if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
+        values = column.to_numpy(dtype=float, na_value=np.nan)
+    else:
+        values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+        bad = np.flatnonzero(np.isnan(values) & ~column.isna().to_numpy())
+        if bad.size:
+            cell = column.iloc[bad[0]]
+            hint = (
+                '; if the decimal sign is a comma, say so with [file] decimal = ","'
+                if isinstance(cell, str) and cell.replace(",", "", 1).lstrip("-").isdigit()
+                else "; leave the cell empty where a sample is missing"
+            )
+            raise UserError(
+                f"{path}, line {bad[0] + first_line}, column {column.name!r}: {cell!r} is not "
+                f"a number ({bad.size} such cells){hint}"
+            )
+    infinite = np.flatnonzero(np.isinf(values))
+    if infinite.size:
+        raise UserError(
+            f"{path}, line {infinite[0] + first_line}, column {column.name!r}: the value is "
+            "infinite; leave the cell empty where a sample is missing"
+        )
+    return values
+
+
+def _assemble(
+    values: dict[str, np.ndarray], path: Path, first_line: int, notes: list[str]
+) -> Trajectory:
+    """Drop rows that say nothing, check the clock, and build the record."""
+    time = values.pop("t")
+    lines = np.arange(time.size) + first_line
+    empty = np.all([np.isnan(series) for series in values.values()], axis=0)
+    # Rows that hold nothing but a counted time stamp are padding too, but a file's own time
+    # stamp is a statement that a sample is missing, so such a row stays.
+    dropped = empty & np.isnan(time)
+    if np.any(dropped):
+        notes.append(f"{EMPTY_ROWS}: {np.sum(dropped)}, first in line {lines[dropped][0]}")
+    _check_clock(time[~dropped], lines[~dropped], path)
+    keep = ~dropped
+    keep[np.flatnonzero(~dropped)[1:]] = np.diff(time[~dropped]) > 0
+    repeated = ~keep & ~dropped
+    if np.any(repeated):
+        notes.append(
+            f"{REPEATED_TIMES}: {np.sum(repeated)} of {np.sum(~dropped)}, first at "
+            f"t = {time[repeated][0]:g} s in line {lines[repeated][0]}"
+        )
+    if np.sum(keep) < 2:
+        raise UserError(
+            f"{path} has {np.sum(keep)} usable row(s); a recording needs at least two"
+        )
+    values = {name: series[keep] for name, series in values.items()}
+    if not any(np.any(np.isfinite(values[name])) for name in MOTION_CHANNELS if name in values):
+        raise UserError(f"{path} has no finite value in any motion channel")
+    return _trajectory(time[keep], values, path.name, notes)
+
+
+def _check_clock(time: np.ndarray, lines: np.ndarray, path: Path) -> None:
+    missing = np.flatnonzero(np.isnan(time))
+    if missing.size:
+        raise UserError(
+            f"{path}, line {lines[missing[0]]}: the time is missing in a row that has data "
+            f"({missing.size} such rows); fill it in, delete the row, or give [file] time_step "
+            "in a mapping if the samples are equally spaced"
+        )
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if backwards.size:
+        at = backwards[0]
+        raise UserError(
+            f"{path}, line {lines[at + 1]}: time runs backwards, from {time[at]:.10g} s to "
+            f"{time[at + 1]:.10g} s; sort the rows, or split the file if two runs were joined"
+        )
+
+
+def _trajectory(
+    time: np.ndarray, values: dict[str, np.ndarray], name: str, notes: list[str]
+) -> Trajectory:
+    missing = np.full(time.shape, np.nan)
+    motion = {channel: values.get(channel, missing) for channel in MOTION_CHANNELS}
+    motion["psi"] = unwrap(motion["psi"])
+    actuation = {"cmd_": {}, "exec_": {}}
+    for channel, series in values.items():
+        for prefix, group in actuation.items():
+            if channel.startswith(prefix):
+                group[channel.removeprefix(prefix)] = _held(channel, series, time, notes)
+    actuation = {
+        prefix: {key: series for key, series in group.items() if np.any(np.isfinite(series))}
+        for prefix, group in actuation.items()
+    }
+    return Trajectory(
+        t=time,
+        **motion,
+        commanded=actuation["cmd_"],
+        executed=actuation["exec_"],
+        extra={key: values[key] for key in EXTRA_CHANNELS if key in values},
+        valid=np.ones(time.shape, dtype=bool),
+        name=name,
+        provenance=tuple(notes),
+    )
+
+
+def _held(channel: str, series: np.ndarray, time: np.ndarray, notes: list[str]) -> np.ndarray:
+    """The series with empty cells taking the value before; leading ones stay NaN."""
+    finite = np.isfinite(series)
+    if np.all(finite):
+        return series
+    if not np.any(finite):
+        notes.append(f"{channel} has no value and is left out")
+        return series
+    source = np.maximum.accumulate(np.where(finite, np.arange(series.size), -1))
+    leading = source < 0
+    if np.any(leading):
+        notes.append(f"{channel} is unknown before t = {time[finite][0]:g} s")
+    filled = np.sum(~finite & ~leading)
+    if filled:
+        notes.append(f"{channel}: {filled} empty cells hold the value before")
+    return np.where(leading, np.nan, series[source])
+
+
+def unwrap(angle: np.ndarray) -> np.ndarray:
+    """The angle (rad) without jumps of a turn, continued through missing samples."""
+    finite = np.isfinite(angle)
+    continuous = np.array(angle, dtype=float)
+    continuous[finite] = np.unwrap(continuous[finite])
+    return continuous
