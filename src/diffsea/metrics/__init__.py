@@ -1,0 +1,14 @@
+"""Numbers of the standard trials, from simulated and measured runs alike."""
+
+from diffsea.metrics.crossings import Crossing as Crossing
+from diffsea.metrics.crossings import Curve as Curve
+from diffsea.metrics.crossings import Extremum as Extremum
+from diffsea.metrics.crossings import crossing_time as crossing_time
+from diffsea.metrics.crossings import curve as curve
+from diffsea.metrics.crossings import first_crossing as first_crossing
+from diffsea.metrics.crossings import highest as highest
+from diffsea.metrics.crossings import slopes as slopes
+from diffsea.metrics.crossings import value_at as value_at
+from diffsea.metrics.trials import stopping_metrics as stopping_metrics
+from diffsea.metrics.trials import turning_metrics as turning_metrics
+from diffsea.metrics.trials import zigzag_metrics as zigzag_metrics

@@ -1,0 +1,279 @@
+"""Where a sampled curve crosses a level or turns back, to the interpolated instant.
+
+A number read off at the nearest sample jumps when a parameter moves, so it has no useful
+derivative. Here a curve is the cubic Hermite interpolant of its samples and their time
+derivatives. A crossing is bracketed by samples and solved with every derivative stopped;
+one last Newton step with the derivatives on then carries the implicit-function derivative
+
+    dt = -(dvalue - dlevel) / rate
+
+exactly, in forward and reverse mode, because at the solution the step has length zero.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from diffsea.types import Scalar
+
+
+# Halves the bracket to below one unit in the last place even if Newton never helps.
+_ITERATIONS = 55
+
+
+class Curve(eqx.Module):
+    """Samples of one channel with time derivatives; times never decrease.
+
+    A repeated time stamp marks a switching event: the value is continuous there and the
+    empty interval is never used. Build it with `curve` when some rows do not count.
+    """
+
+    t: Float[Array, "time"]  # s
+    value: Float[Array, "time"]
+    rate: Float[Array, "time"]  # 1/s times the unit of `value`
+
+
+class Crossing(NamedTuple):
+    """An instant (s) and whether there is one; `time` is finite either way.
+
+    Computing on a finite stand-in and masking at the end keeps NaN out of derivatives.
+    """
+
+    time: Float[Array, ""]
+    found: Bool[Array, ""]
+
+
+class Extremum(NamedTuple):
+    """Where a curve turns back: instant (s), value there, and whether there is one."""
+
+    time: Float[Array, ""]
+    value: Float[Array, ""]
+    found: Bool[Array, ""]
+
+
+def valid_rows(valid: Bool[Array, "time"]) -> Int[Array, "time"]:
+    """Indices that bring the valid rows to the front and repeat the last one after them.
+
+    Gathering with them keeps the fixed length: the spare rows become empty intervals.
+    """
+    order = jnp.argsort(~valid, stable=True)
+    last = jnp.maximum(jnp.sum(valid) - 1, 0)
+    return order[jnp.minimum(jnp.arange(valid.shape[0]), last)]
+
+
+def curve(
+    t: Float[Array, "time"],
+    value: Float[Array, "time"],
+    rate: Float[Array, "time"],
+    valid: Bool[Array, "time"],
+) -> Curve:
+    """The curve through the valid rows of a channel."""
+    rows = valid_rows(valid)
+    return Curve(t[rows], value[rows], rate[rows])
+
+
+def known(value: Scalar, found: Bool[Array, ""]) -> Float[Array, ""]:
+    """The value where it was found, else NaN with derivative zero."""
+    return jnp.where(found, value, jnp.nan)
+
+
+def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
+    """Interpolated value at a time (s), differentiable in it; held before and after."""
+    time = jnp.clip(time, curve.t[0], curve.t[-1])
+    i = jnp.searchsorted(curve.t, jax.lax.stop_gradient(time), side="right") - 1
+    piece = _piece(curve, jnp.clip(i, 0, curve.t.shape[0] - 2))
+    return _hermite(piece, (time - piece.t) / piece.step)
+
+
+def first_crossing(
+    curve: Curve,
+    level: Scalar,
+    direction: int,
+    after: Scalar = -jnp.inf,
+    before: Scalar = jnp.inf,
+) -> Crossing:
+    """First time that a curve passes a level between two times.
+
+    **Arguments:** `level` in the unit of the curve; `direction` +1 upwards, -1 downwards,
+    0 either; `after`, `before` (s) only choose the crossing and carry no derivative.
+
+    Starting exactly on the level is not a crossing of it. Two crossings between the same
+    two samples cancel out and are not seen.
+    """
+    fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
+    pieces = _pieces(fixed)
+    left, right = (_position(pieces, time) for time in bounds)
+    low, high = (_exact(pieces, s) - jax.lax.stop_gradient(level) for s in (left, right))
+    upwards = (low < 0) & (high >= 0)
+    downwards = (low > 0) & (high <= 0)
+    hits = {1: upwards, -1: downwards, 0: upwards | downwards}[direction] & (right > left)
+    i = jnp.argmax(hits)
+    found = hits[i]
+    piece = _piece(curve, i)
+    s = _bisected_newton(jax.lax.stop_gradient((piece, level)), left[i], right[i])
+    # An empty interval is crossed only when rounding differs between its two rows.
+    s = jnp.where(piece.proper, s, 0.0)
+    s = s - _implicit(_hermite(piece, s) - level, _hermite_rate(piece, s), found)
+    return Crossing(jnp.where(found, piece.t + s * piece.step, fixed.t[-1]), found)
+
+
+def crossing_time(
+    curve: Curve, level: Scalar, direction: int = 0, after: Scalar = -jnp.inf
+) -> Float[Array, ""]:
+    """`first_crossing` as a time (s), NaN with derivative zero where there is none."""
+    return known(*first_crossing(curve, level, direction, after))
+
+
+def highest(
+    curve: Curve, sense: Scalar, after: Scalar = -jnp.inf, before: Scalar = jnp.inf
+) -> Extremum:
+    """Highest turning point between two times; the lowest where `sense` is -1.
+
+    A turning point is where the derivative of the Hermite cubic, a quadratic, vanishes:
+    a closed form in every interval. There is none if the curve is still beyond it at the
+    end of the window, for then it has not turned back. The bounds (s) carry no derivative.
+    """
+    fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
+    upright = Curve(fixed.t, fixed.value * sense, fixed.rate * sense)
+    pieces = _pieces(upright)
+    s = _maximum(pieces)
+    time = pieces.t + s * pieces.step
+    # The margin is for a turning point on a sample, which rounding may put in neither.
+    usable = pieces.proper & (jnp.abs(s - 0.5) <= 0.5 + 1e-6)
+    usable = usable & (time >= bounds[0]) & (time <= bounds[1])
+    height = jnp.where(usable, _hermite(pieces, jnp.where(usable, s, 0.0)), -jnp.inf)
+    i = jnp.argmax(height)
+    found = usable[i] & (height[i] >= value_at(upright, bounds[1]))
+    piece = _piece(curve, i)
+    s = jnp.where(found, s[i], 0.0)
+    s = s - _implicit(_hermite_rate(piece, s), _hermite_curvature(piece, s), found)
+    return Extremum(piece.t + s * piece.step, _hermite(piece, s), found)
+
+
+def slopes(t: Float[Array, "time"], value: Float[Array, "time"]) -> Float[Array, "time"]:
+    """Time derivatives by three-point differences on uneven samples.
+
+    At the ends, and on both sides of a repeated time stamp, where the derivative may jump,
+    the parabola is taken from one side.
+    """
+    step, rise = jnp.diff(t), jnp.diff(value)
+    secant = jnp.where(step > 0, rise / jnp.where(step > 0, step, 1.0), 0.0)
+    none = jnp.zeros_like(step[:1])
+    before, after = (jnp.concatenate(p) for p in ((none, step), (step, none)))
+    left, right = (jnp.concatenate(p) for p in ((none, secant), (secant, none)))
+    inside = (before > 0) & (after > 0)
+    width = jnp.where(inside, before + after, 1.0)
+    central = (after * left + before * right) / width
+    # On a parabola the mean of the derivatives at two ends is the secant between them.
+    last = jnp.where(jnp.roll(inside, 1), 2 * left - jnp.roll(central, 1), left)
+    first = jnp.where(jnp.roll(inside, -1), 2 * right - jnp.roll(central, -1), right)
+    return jnp.where(inside, central, jnp.where(before > 0, last, first))
+
+
+class _Piece(NamedTuple):
+    """Intervals between samples. `step` is 1 where an interval is empty, so that neither
+    a value nor a derivative divides by zero; `proper` says which are not."""
+
+    t: Array
+    step: Array  # s
+    start: Array
+    end: Array
+    start_slope: Array  # per unit of s = (t - t_i) / step
+    end_slope: Array
+    proper: Array
+
+
+def _pieces(curve: Curve) -> _Piece:
+    return _between(
+        (curve.t[:-1], curve.value[:-1], curve.rate[:-1]),
+        (curve.t[1:], curve.value[1:], curve.rate[1:]),
+    )
+
+
+def _piece(curve: Curve, i: Int[Array, ""]) -> _Piece:
+    return _between(
+        (curve.t[i], curve.value[i], curve.rate[i]),
+        (curve.t[i + 1], curve.value[i + 1], curve.rate[i + 1]),
+    )
+
+
+def _position(p: _Piece, time: Scalar) -> Array:
+    """Where a time lies in each interval, from 0 to 1; an empty one is before or after."""
+    inside = jnp.clip((time - p.t) / p.step, 0.0, 1.0)
+    return jnp.where(p.proper, inside, jnp.where(time > p.t, 1.0, 0.0))
+
+
+def _exact(p: _Piece, s: Array) -> Array:
+    # The cubic rounds at s = 1: neighbours would disagree there and both miss the level.
+    return jnp.where(s == 0, p.start, jnp.where(s == 1, p.end, _hermite(p, s)))
+
+
+def _between(left: tuple[Array, ...], right: tuple[Array, ...]) -> _Piece:
+    (t0, value0, rate0), (t1, value1, rate1) = left, right
+    proper = t1 > t0
+    step = jnp.where(proper, t1 - t0, 1.0)
+    return _Piece(t0, step, value0, value1, rate0 * step, rate1 * step, proper)
+
+
+def _cubic(p: _Piece) -> tuple[Array, Array, Array, Array]:
+    rise = p.end - p.start
+    square = 3 * rise - 2 * p.start_slope - p.end_slope
+    return p.start, p.start_slope, square, p.start_slope + p.end_slope - 2 * rise
+
+
+def _hermite(p: _Piece, s: Array) -> Array:
+    c0, c1, c2, c3 = _cubic(p)
+    return c0 + s * (c1 + s * (c2 + s * c3))
+
+
+def _hermite_rate(p: _Piece, s: Array) -> Array:
+    _, c1, c2, c3 = _cubic(p)
+    return c1 + s * (2 * c2 + s * 3 * c3)
+
+
+def _hermite_curvature(p: _Piece, s: Array) -> Array:
+    _, _, c2, c3 = _cubic(p)
+    return 2 * c2 + s * 6 * c3
+
+
+def _implicit(residual: Array, slope: Array, found: Array) -> Array:
+    # A tangent crossing has slope zero and no derivative: the step is dropped there, since
+    # an infinite one would turn into NaN in whatever else depends on the same arrays.
+    slope = jax.lax.stop_gradient(slope)
+    usable = found & (jnp.abs(slope) > 1e-14)
+    return jnp.where(usable, residual / jnp.where(usable, slope, 1.0), 0.0)
+
+
+def _bisected_newton(problem: tuple[_Piece, Scalar], left: Array, right: Array) -> Array:
+    """Root of the cubic minus the level in a bracket: Newton, halving where it leaves."""
+    piece, level = problem
+    sign = jnp.sign(_hermite(piece, right) - _hermite(piece, left))
+
+    def narrow(_, carry):
+        low, high, s = carry
+        excess = _hermite(piece, s) - level
+        below = sign * excess < 0
+        low, high = jnp.where(below, s, low), jnp.where(below, high, s)
+        slope = _hermite_rate(piece, s)
+        newton = s - excess / jnp.where(slope == 0, 1.0, slope)
+        inside = (newton > low) & (newton < high) & (slope != 0)
+        return low, high, jnp.where(inside, newton, 0.5 * (low + high))
+
+    start = (left, right, 0.5 * (left + right))
+    return jax.lax.fori_loop(0, _ITERATIONS, narrow, start)[2]
+
+
+def _maximum(p: _Piece) -> Array:
+    """Position s of the cubic's local maximum, outside [0, 1] where it has none."""
+    _, c, b, a = _cubic(p)
+    # p'(s) = 3a s^2 + 2b s + c; the root with p'' < 0, each in the form that does not cancel.
+    discriminant = b * b - 3 * a * c
+    root = jnp.sqrt(jnp.maximum(discriminant, 0.0))
+    shallow = jnp.where(a == 0, 1.0, 3 * a)
+    steep = jnp.where(root - b == 0, 1.0, root - b)
+    s = jnp.where(b > 0, -(b + root) / shallow, c / steep)
+    exists = (discriminant > 0) & jnp.where(b > 0, a != 0, root - b != 0)
+    return jnp.where(exists, s, -1.0)

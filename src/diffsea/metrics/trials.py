@@ -1,0 +1,280 @@
+"""Numbers of the standard trials: turning circle, zig-zag and stopping.
+
+Every function takes one trajectory, reads each number off at an interpolated instant and
+can be differentiated, in both modes, with respect to the trajectory and the times of the
+orders; under `vmap` it works on a batch. Definitions follow IMO MSC.137(76) and
+MSC/Circ.1053. A number that the run does not contain is NaN with derivative zero.
+
+The axes are those of the approach: distances are along the original heading and, for a
+turn, towards the side that the vessel turns to. Angles are positive that way too.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from diffsea.kinematics import to_body, to_earth
+from diffsea.metrics.circles import fitted_radius
+from diffsea.metrics.crossings import (
+    Crossing,
+    Curve,
+    first_crossing,
+    highest,
+    known,
+    slopes,
+    valid_rows,
+    value_at,
+)
+from diffsea.types import Scalar, Trajectory
+
+
+APPROACH_SECONDS = 10.0
+# IMO MSC.137(76) section 5.3.2: the initial turning ability is judged at this change.
+INITIAL_TURN = math.radians(10)
+# A zig-zag that reverses at 10 deg reverses at 10 deg give or take a sample.
+_REVERSAL_MARGIN = math.radians(1)
+
+
+def turning_metrics(
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    side: Scalar,
+    psi0: Scalar | None = None,
+    approach_seconds: float = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Turning circle after one order that is held to the end of the record.
+
+    **Arguments:** `execute_time` (s) of the order; `side` +1 to starboard, -1 to port;
+    `psi0` (rad) the original heading, that at the execute if absent.
+
+    **Returns:** `advance`, `transfer` at 90 deg and `tactical_diameter` at 180 deg change
+    of heading (m); the largest `max_advance` and `max_transfer` (m); `time_to_90` and
+    `time_to_180` (s); `steady_turning_diameter` (m), `steady_yaw_rate` (rad/s) and
+    `final_speed` (m/s) of the steady part; `speed_loss`, the fraction of the approach speed
+    lost by then; `peak_yaw_rate` (rad/s) and `approach_speed` (m/s).
+
+    The steady part is what follows 360 deg, or in a shorter record the last 180 deg but
+    nothing before 180 deg; it needs 270 deg in all.
+    """
+    run = _referred(trajectory, execute_time, side, psi0)
+    turn, start = run.heading, execute_time
+    to_90, to_180, to_270 = (
+        first_crossing(turn, angle, +1, after=start)
+        for angle in (math.pi / 2, math.pi, 1.5 * math.pi)
+    )
+    foremost = highest(run.along, 1.0, after=start, before=_until(to_180))
+    outermost = highest(run.across, 1.0, after=start, before=_until(to_270))
+    approach = _approach_speed(run, start, approach_seconds)
+    steady = _steady_turn(run)
+    return {
+        "advance": known(value_at(run.along, to_90.time), to_90.found),
+        "transfer": known(value_at(run.across, to_90.time), to_90.found),
+        "tactical_diameter": known(value_at(run.across, to_180.time), to_180.found),
+        "max_advance": known(foremost.value, foremost.found),
+        "max_transfer": known(outermost.value, outermost.found),
+        "time_to_90": known(to_90.time - start, to_90.found),
+        "time_to_180": known(to_180.time - start, to_180.found),
+        **steady,
+        "speed_loss": known(1 - steady["final_speed"] / _nonzero(approach), approach > 0),
+        "peak_yaw_rate": _peak_yaw_rate(run, start),
+        "approach_speed": approach,
+    }
+
+
+def zigzag_metrics(
+    trajectory: Trajectory,
+    switch_times: Float[Array, "switch"],
+    psi0: Scalar | None = None,
+    side: Scalar = 1.0,
+    approach_seconds: float = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Zig-zag with its orders at the switch times.
+
+    **Arguments:** `switch_times` (s) the first execute and then every reversal, NaN for
+    one that did not happen; `psi0` (rad) the original heading, that at the first execute if
+    absent; `side` of the first order, +1 starboard, -1 port.
+
+    **Returns:** `overshoot_k` (rad), how far the heading goes beyond the heading at
+    reversal k before it turns back, and `time_to_check_yaw_k` (s) until then;
+    `initial_turning_distance` (m) made good along the original course, and
+    `initial_turning_time` (s), until the heading has changed by 10 deg under the first
+    order; `reach_time` (s) from the execute until the heading is the original one again;
+    `period` (s) between reversals 1 and 3; `peak_yaw_rate` (rad/s) either way;
+    `approach_speed` (m/s).
+    """
+    times, happened = _finite(switch_times)
+    start, first = times[0], times[1]
+    run = _referred(trajectory, start, side, psi0)
+    turned = first_crossing(run.heading, INITIAL_TURN, +1, after=start)
+    under_order = ~happened[1] | (
+        value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN
+    )
+    turned = Crossing(turned.time, turned.found & under_order)
+    back = first_crossing(run.heading, 0.0, -1, after=first)
+    return {
+        **_overshoots(run, times, happened),
+        "initial_turning_distance": known(value_at(run.along, turned.time), turned.found),
+        "initial_turning_time": known(turned.time - start, turned.found),
+        "reach_time": known(back.time - start, back.found & happened[1]),
+        "period": _period(times, happened),
+        "peak_yaw_rate": _peak_yaw_rate(run, start),
+        "approach_speed": _approach_speed(run, start, approach_seconds),
+    }
+
+
+def stopping_metrics(
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    psi0: Scalar | None = None,
+    approach_seconds: float = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Stopping trial: from the order until the surge velocity passes zero.
+
+    **Returns:** `track_reach` (m) along the path; `head_reach` (m) along the original
+    heading; `lateral_deviation` (m), positive to starboard; `stopping_time` (s);
+    `heading_change` (rad) until then; `approach_speed` (m/s).
+    """
+    run = _referred(trajectory, execute_time, 1.0, psi0)
+    stop = first_crossing(run.surge, 0.0, -1, after=execute_time)
+    travelled = value_at(run.path, stop.time) - value_at(run.path, execute_time)
+    return {
+        "track_reach": known(travelled, stop.found),
+        "head_reach": known(value_at(run.along, stop.time), stop.found),
+        "lateral_deviation": known(value_at(run.across, stop.time), stop.found),
+        "stopping_time": known(stop.time - execute_time, stop.found),
+        "heading_change": known(value_at(run.heading, stop.time), stop.found),
+        "approach_speed": _approach_speed(run, execute_time, approach_seconds),
+    }
+
+
+class _Run(NamedTuple):
+    """A trajectory referred to the position and heading at the execute."""
+
+    heading: Curve  # rad, change towards the side
+    along: Curve  # m, in the direction of the original heading
+    across: Curve  # m, towards the side
+    surge: Curve  # m/s
+    path: Curve  # m travelled
+    yaw: Curve  # rad/s, towards the side
+    counts: Bool[Array, "time"]
+
+
+def _referred(
+    trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None
+) -> _Run:
+    valid = jnp.asarray(trajectory.valid)
+    rows = valid_rows(valid)
+    t, x, y, psi, u, v, r = (
+        jnp.asarray(getattr(trajectory, name))[rows]
+        for name in ("t", "x", "y", "psi", "u", "v", "r")
+    )
+    heading = Curve(t, psi, r)
+    psi0 = value_at(heading, execute_time) if psi0 is None else psi0
+    north, east = to_earth(u, v, psi)
+    x0 = value_at(Curve(t, x, north), execute_time)
+    y0 = value_at(Curve(t, y, east), execute_time)
+    along, across = to_body(x - x0, y - y0, psi0)
+    ahead, abeam = to_body(north, east, psi0)
+    return _Run(
+        heading=Curve(t, side * (psi - psi0), side * r),
+        along=Curve(t, along, ahead),
+        across=Curve(t, side * across, side * abeam),
+        surge=Curve(t, u, slopes(t, u)),
+        path=_path(t, u, v),
+        yaw=Curve(t, side * r, side * slopes(t, r)),
+        counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
+    )
+
+
+def _path(t: Float[Array, "time"], u: Float[Array, "time"], v: Float[Array, "time"]) -> Curve:
+    """Distance travelled: the exact integral of the Hermite interpolant of the speed."""
+    square = u**2 + v**2
+    # The root has an infinite derivative at rest.
+    speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    step, slope = jnp.diff(t), slopes(t, speed)
+    part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
+    return Curve(t, jnp.concatenate([jnp.zeros_like(t[:1]), jnp.cumsum(part)]), speed)
+
+
+def _approach_speed(run: _Run, execute_time: Scalar, seconds: float) -> Float[Array, ""]:
+    """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
+    begin = jnp.maximum(execute_time - seconds, run.path.t[0])
+    duration = execute_time - begin
+    some = duration > 0
+    travelled = value_at(run.path, execute_time) - value_at(run.path, begin)
+    speed = Curve(run.path.t, run.path.rate, slopes(run.path.t, run.path.rate))
+    return jnp.where(
+        some, travelled / jnp.where(some, duration, 1.0), value_at(speed, execute_time)
+    )
+
+
+def _peak_yaw_rate(run: _Run, execute_time: Scalar) -> Float[Array, ""]:
+    """Largest yaw rate (rad/s) to either side after the execute."""
+    within = run.counts & (run.yaw.t >= execute_time)
+    sampled = jnp.max(jnp.where(within, jnp.abs(run.yaw.value), -jnp.inf))
+    peaks = [(sense, highest(run.yaw, sense, after=execute_time)) for sense in (1.0, -1.0)]
+    between = [jnp.where(p.found, sense * p.value, -jnp.inf) for sense, p in peaks]
+    return jnp.maximum(sampled, jnp.maximum(*between))
+
+
+def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
+    turn = jax.lax.stop_gradient(run.heading)
+    total = turn.value[-1]
+    begin = first_crossing(turn, jnp.clip(total - math.pi, math.pi, 2 * math.pi), +1)
+    enough = begin.found & (total >= 1.5 * math.pi)
+    chosen = run.counts & (turn.t >= begin.time) & enough
+    radius, round_ = fitted_radius(run.along.value, run.across.value, chosen)
+    duration = jnp.where(enough, turn.t[-1] - begin.time, 1.0)
+    turned, travelled = (
+        (curve.value[-1] - value_at(curve, begin.time)) / duration
+        for curve in (run.heading, run.path)
+    )
+    return {
+        "steady_turning_diameter": known(2 * radius, enough & round_),
+        "steady_yaw_rate": known(turned, enough),
+        "final_speed": known(travelled, enough),
+    }
+
+
+def _overshoots(
+    run: _Run, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
+) -> dict[str, Float[Array, ""]]:
+    numbers = {}
+    for k in range(1, times.shape[0]):
+        sense = 1.0 if k % 2 else -1.0
+        follows = k + 1 < times.shape[0]
+        end = jnp.where(happened[k + 1], times[k + 1], jnp.inf) if follows else jnp.inf
+        peak = highest(run.heading, sense, after=times[k], before=end)
+        found = peak.found & happened[k]
+        beyond = sense * (peak.value - value_at(run.heading, times[k]))
+        numbers[f"overshoot_{k}"] = known(beyond, found)
+        numbers[f"time_to_check_yaw_{k}"] = known(peak.time - times[k], found)
+    return numbers
+
+
+def _period(times: Float[Array, "switch"], happened: Bool[Array, "switch"]) -> Float[Array, ""]:
+    if times.shape[0] < 4:
+        return jnp.full((), jnp.nan)
+    return known(times[3] - times[1], happened[1] & happened[3])
+
+
+def _finite(
+    switch_times: Float[Array, "switch"],
+) -> tuple[Float[Array, "switch"], Bool[Array, "switch"]]:
+    """The times with zero for those that did not happen, and at least two of them."""
+    times = jnp.atleast_1d(jnp.asarray(switch_times))
+    missing = max(0, 2 - times.shape[0])
+    times = jnp.concatenate([times, jnp.full((missing,), jnp.nan, times.dtype)])
+    happened = jnp.isfinite(times)
+    return jnp.where(happened, times, 0.0), happened
+
+
+def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
+    return jnp.where(value > 0, value, 1.0)
+
+
+def _until(crossing: Crossing) -> Float[Array, ""]:
+    return jnp.where(crossing.found, crossing.time, jnp.inf)

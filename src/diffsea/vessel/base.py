@@ -1,0 +1,199 @@
+"""The interfaces of forces and actuators, and the vessel that sums them.
+
+`Vessel.acceleration` is the textbook's `M nu_r_dot = sum(tau)` (Fossen 2021, chapter 6),
+with the Coriolis terms among the named forces, so that a plot, a report or a diagnosis can
+ask where a motion comes from.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diffsea.kinematics import through_water, to_body, to_earth
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.sensors import Sensors
+
+
+class Force(eqx.Module):
+    """A generalised force in body axes about the midship origin."""
+
+    X: Scalar = 0.0  # N, forward
+    Y: Scalar = 0.0  # N, to starboard
+    N: Scalar = 0.0  # N m, turning the bow to starboard
+
+    def __add__(self, other: "Force") -> "Force":
+        return Force(self.X + other.X, self.Y + other.Y, self.N + other.N)
+
+    @property
+    def stacked(self) -> Float[Array, "3"]:
+        """Surge force (N), sway force (N) and yaw moment (N m) as one array."""
+        return jnp.stack([jnp.asarray(part, float) for part in (self.X, self.Y, self.N)])
+
+
+class Jet(eqx.Module):
+    """What a rudder needs to know of the propeller ahead of it."""
+
+    inflow: Scalar  # m/s, axial velocity into the propeller disc
+    loading: Scalar  # m^2/s^2, 8 K_T n^2 D^2 / pi
+    diameter: Scalar  # m
+
+
+class AbstractForce(eqx.Module):
+    """A generalised force on the hull that depends on motion, environment and time."""
+
+    @abc.abstractmethod
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        """The force at this instant; `state` is over ground, `t` is the run's clock in s."""
+
+
+class AbstractActuator(eqx.Module):
+    """Something that is commanded: its channels, how they respond, and the force they make.
+
+    A channel is one commanded number; `servos` gives each channel's response from order to
+    executed value. `force` turns executed values into a force.
+    """
+
+    servos: eqx.AbstractVar[dict[str, "eqx.Module"]]
+
+    @abc.abstractmethod
+    def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
+        """Force of the executed channels; `water` has velocities through the water (m/s)."""
+
+    @abc.abstractmethod
+    def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
+        """The slipstream it makes for a rudder behind it, or None."""
+
+
+class RigidBody(eqx.Module):
+    """Mass properties and main dimensions."""
+
+    mass: Scalar  # kg
+    I_z: Scalar  # kg m^2, about the centre of gravity
+    x_G: Scalar = 0.0  # m, centre of gravity forward of amidships
+    length: Scalar = 1.0  # m, L_pp
+    beam: Scalar = 1.0  # m
+    draught: Scalar = 1.0  # m
+    water_density: Scalar = 1025.0  # kg/m^3
+
+    def coriolis(self, water: State) -> Force:
+        """Coriolis and centripetal force of the rigid body (Fossen 2021, eq. 3.63)."""
+        u, v, r, m = water.u, water.v, water.r, self.mass
+        return Force(m * r * (v + self.x_G * r), -m * u * r, -m * self.x_G * u * r)
+
+
+class AddedMass(eqx.Module):
+    """Added masses of planar motion, with SNAME signs (a negative value adds inertia)."""
+
+    X_udot: Scalar = 0.0  # kg
+    Y_vdot: Scalar = 0.0  # kg
+    Y_rdot: Scalar = 0.0  # kg m
+    N_vdot: Scalar = 0.0  # kg m
+    N_rdot: Scalar = 0.0  # kg m^2
+    coriolis_terms: str = eqx.field(static=True, default="full")
+
+    def coriolis(self, water: State) -> Force:
+        """Coriolis force of the added mass from the same matrix (Fossen 2021, eq. 6.46).
+
+        `coriolis_terms` is "full", "no-munk" where the moment proportional to `u v` is
+        already in the hull's `N_v` (MMG sets), or "none" where the derivatives hold
+        everything (Abkowitz sets).
+        """
+        if self.coriolis_terms == "none":
+            return Force()
+        u, v, r = water.u, water.v, water.r
+        coupling = -0.5 * (self.Y_rdot + self.N_vdot)
+        lateral = -self.Y_vdot * v + coupling * r
+        munk = (self.Y_vdot - self.X_udot) * u * v if self.coriolis_terms == "full" else 0.0
+        return Force(r * lateral, self.X_udot * u * r, munk - coupling * u * r)
+
+
+class Vessel(eqx.Module):
+    """A surface vessel: rigid body, added mass, named forces, actuators and sensors.
+
+    `environment` is where the vessel is unless a run says otherwise.
+    """
+
+    rigid_body: RigidBody
+    added_mass: AddedMass
+    forces: dict[str, AbstractForce]
+    actuators: dict[str, AbstractActuator]
+    environment: Environment = Environment()
+    sensors: Sensors = Sensors()
+    name: str = eqx.field(static=True, default="vessel")
+    source: str = eqx.field(static=True, default="")
+
+    def __check_init__(self):
+        still = State(*(jnp.zeros(()) for _ in range(6)))
+        for name, force in self.forces.items():
+            made = eqx.filter_eval_shape(force, still, Environment(), 0.0)
+            if not isinstance(made, Force):
+                raise TypeError(f"force {name!r} returns {type(made).__name__}, expected Force")
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the command channels, in the order of the actuators."""
+        return tuple(channel for part in self.actuators.values() for channel in part.servos)
+
+    @property
+    def servos(self) -> dict[str, eqx.Module]:
+        """The servo of every channel."""
+        return {c: s for part in self.actuators.values() for c, s in part.servos.items()}
+
+    def mass_matrix(self) -> Float[Array, "3 3"]:
+        """Rigid-body plus added mass about the midship origin (kg, kg m, kg m^2)."""
+        m11, m22, m23, m32, m33 = self._inertia()
+        return jnp.array([[m11, 0.0, 0.0], [0.0, m22, m23], [0.0, m32, m33]])
+
+    def _inertia(self) -> tuple[Scalar, ...]:
+        body, added = self.rigid_body, self.added_mass
+        moment = body.mass * body.x_G
+        return (
+            body.mass - added.X_udot,
+            body.mass - added.Y_vdot,
+            moment - added.Y_rdot,
+            moment - added.N_vdot,
+            body.I_z + moment * body.x_G - added.N_rdot,
+        )
+
+    def breakdown(
+        self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar
+    ) -> dict[str, Force]:
+        """Every force on the vessel by name (N, N m), inertial ones included."""
+        water = through_water(state, environment)
+        jets = {n: part.jet(executed, water) for n, part in self.actuators.items()}
+        jets = {name: jet for name, jet in jets.items() if jet is not None}
+        return {
+            "rigid-body-coriolis": self.rigid_body.coriolis(water),
+            "added-mass-coriolis": self.added_mass.coriolis(water),
+            **{name: force(state, environment, t) for name, force in self.forces.items()},
+            **{n: part.force(executed, water, jets) for n, part in self.actuators.items()},
+        }
+
+    def acceleration(
+        self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Accelerations of `u`, `v` (m/s^2) and `r` (rad/s^2): `M^-1 sum(tau)`.
+
+        The equation holds for velocities through the water; a steady current adds the
+        turning of its own body-axis components (Fossen 2021, eq. 10.137).
+        """
+        forces = self.breakdown(state, executed, environment, t).values()
+        tau = sum(forces, Force())
+        m11, m22, m23, m32, m33 = self._inertia()
+        determinant = m22 * m33 - m23 * m32
+        flow = to_body(environment.current_north, environment.current_east, state.psi)
+        return (
+            tau.X / m11 + state.r * flow[1],
+            (m33 * tau.Y - m23 * tau.N) / determinant - state.r * flow[0],
+            (m22 * tau.N - m32 * tau.Y) / determinant,
+        )
+
+    def rate(
+        self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar
+    ) -> State:
+        """Time derivative of the state."""
+        north, east = to_earth(state.u, state.v, state.psi)
+        u_dot, v_dot, r_dot = self.acceleration(state, executed, environment, t)
+        return State(north, east, state.r, u_dot, v_dot, r_dot)

@@ -1,0 +1,406 @@
+"""Vessels as TOML files: reading with checks, writing back, and the ones that ship.
+
+A `VesselFile` keeps the document beside the vessel, so that what a fit or a diagnosis
+changes is written into the user's own file and everything else stays as it was.
+"""
+
+import copy
+import dataclasses
+import importlib.resources
+import math
+import pathlib
+import tomllib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from diffsea.errors import UserError, nearest
+from diffsea.vessel import actuators as act
+from diffsea.vessel.base import AbstractActuator, AbstractForce, AddedMass, RigidBody, Vessel
+from diffsea.vessel.effects import LATENCY_CHANNELS, default_wind, find_effect
+from diffsea.vessel.hull import (
+    Damping,
+    PrimeDamping,
+    Scaling,
+    is_derivative,
+    is_rudder_derivative,
+)
+from diffsea.vessel.servo import Servo
+
+
+Table = dict[str, Any]
+
+_BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
+_ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "reference_speed")
+_COMMON = ("name", "time_constant", "rate_limit", "delay", "deadband", "sharpness")
+_LOSSES = ("asymmetry", "with_speed", "in_turns")
+_TABLES = ("thruster", "azimuth_thruster", "tunnel_thruster", "propeller", "rudder")
+
+
+@dataclasses.dataclass(frozen=True)
+class VesselFile:
+    """A vessel and the document it was read from."""
+
+    vessel: Vessel
+    document: Table
+    path: str
+
+
+def shipped() -> dict[str, pathlib.Path]:
+    """The vessels that come with the package, by name."""
+    folder = importlib.resources.files("diffsea.vessel") / "data"
+    paths = sorted(pathlib.Path(str(folder)).glob("*.toml"))
+    return {path.stem: path for path in paths}
+
+
+def read_vessel(source: str | pathlib.Path) -> VesselFile:
+    """Read a vessel from a TOML file, or a shipped one by its name.
+
+    Raises:
+        UserError: the file cannot be read, a key or an effect is unknown, a value is not a
+            number or impossible; with the nearest known name or the repair.
+    """
+    path = pathlib.Path(source)
+    if not path.exists() and str(source) in shipped():
+        path = shipped()[str(source)]
+    document = _parse(path)
+    try:
+        return VesselFile(build(document), document, str(source))
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from None
+
+
+def _parse(path: pathlib.Path) -> Table:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; name the vessel's TOML file")
+    if not path.exists():
+        names = ", ".join(shipped())
+        raise UserError(
+            f"{path}: no such vessel file{nearest(path.stem, shipped())}; "
+            f"give the path of a TOML file or one of the shipped vessels: {names}"
+        )
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not a text file; a vessel is a TOML file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def build(document: Table) -> Vessel:
+    """The vessel a document describes, checked. Raises `UserError` as `read_vessel` does."""
+    if document.get("format", 1) != 1:
+        raise UserError(f"format = {document['format']!r}; this version reads format = 1")
+    _known(document, ("format", "name", "source", "hull", "effect", *_TABLES), "the file")
+    hull = document.get("hull")
+    if not isinstance(hull, dict):
+        raise UserError("there is no [hull] table; it holds length, beam, draught, mass, I_z ...")
+    body, added, forces, scaling = _hull(hull)
+    parts: dict[str, AbstractActuator] = {}
+    for kind in _TABLES:
+        for number, table in enumerate(_tables(document, kind), start=1):
+            name = str(table.get("name", kind if number == 1 else f"{kind}{number}"))
+            if name in parts:
+                raise UserError(f"two actuators are called {name!r}; give each its own name")
+            parts[name] = _ACTUATORS[kind](name, table, body, scaling)
+    _check_propellers(parts)
+    vessel = Vessel(
+        body, added, forces, parts,
+        name=str(document.get("name", "vessel")), source=str(document.get("source", "")),
+    )  # fmt: skip
+    for table in _tables(document, "effect"):
+        vessel = _apply_effect(vessel, table)
+    check(vessel)
+    return vessel
+
+
+def check(vessel: Vessel) -> None:
+    """Raise `UserError` where a vessel is impossible."""
+    body = vessel.rigid_body
+    for field in ("mass", "I_z", "length", "beam", "draught", "water_density"):
+        if not float(getattr(body, field)) > 0:
+            raise UserError(f"[hull] {field} = {float(getattr(body, field)):g} must be positive")
+    mass = np.asarray(vessel.mass_matrix(), float)
+    if np.linalg.eigvalsh(0.5 * (mass + mass.T)).min() <= 0:
+        raise UserError(
+            "[hull] the mass matrix (rigid body plus added mass) is not positive definite; "
+            "added masses X_udot, Y_vdot, N_rdot are negative in the SNAME sign convention, "
+            "and Y_rdot, N_vdot, x_G must be small against them"
+        )
+    for channel, servo in vessel.servos.items():
+        _check_servo(channel, servo)
+
+
+def _check_servo(channel: str, servo: Servo) -> None:
+    low, high = servo.lower, servo.upper
+    if low is not None and high is not None and not float(low) < float(high):
+        raise UserError(
+            f"actuator {channel!r}: its lower limit {low:g} is not below its upper limit {high:g}"
+        )
+    for field in ("time_constant", "delay", "deadband"):
+        value = getattr(servo, field)
+        if value is not None and float(value) < 0:
+            raise UserError(f"actuator {channel!r}: {field} = {float(value):g} is negative")
+    if servo.rate_limit is not None and not float(servo.rate_limit) > 0:
+        raise UserError(f"actuator {channel!r}: rate_limit must be positive")
+
+
+def _check_propellers(parts: Mapping[str, AbstractActuator]) -> None:
+    propellers = [name for name, part in parts.items() if isinstance(part, act.Propeller)]
+    for name, part in parts.items():
+        wanted = getattr(part, "propeller", None)
+        if wanted is not None and wanted not in propellers:
+            raise UserError(
+                f"rudder {name!r} stands behind propeller {wanted!r}, which the file does not "
+                f"have; it has: {', '.join(propellers) or 'none'}"
+            )
+
+
+def _known(table: Mapping, keys: tuple[str, ...], where: str) -> None:
+    for key in table:
+        if key not in keys:
+            raise UserError(f"unknown key {key!r} in {where}{nearest(key, keys)}")
+
+
+def _tables(document: Table, kind: str) -> list[Table]:
+    tables = document.get(kind, [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise UserError(f"write [[{kind}]] with double brackets: there can be several")
+    return tables
+
+
+def _number(table: Table, key: str, where: str, default: float | None = None) -> float | None:
+    value = table.get(key, default)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UserError(f"{where}: {key} = {value!r} is not a finite number")
+    return float(value)
+
+
+def _needed(table: Table, key: str, where: str) -> float:
+    value = _number(table, key, where)
+    if value is None:
+        raise UserError(f"{where}: {key} is missing")
+    return value
+
+
+def _hull(
+    hull: Table,
+) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce], Scaling | None]:
+    known = (*_BODY, *_ADDED, *_HULL_WORDS)
+    names = [key for key in hull if is_derivative(key)]
+    suggestions = (*known, "X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
+    for key in hull:
+        if key not in known and key not in names:
+            raise UserError(f"unknown key {key!r} in [hull]{nearest(key, suggestions)}")
+    for key in ("mass", "I_z", "length", "beam", "draught"):
+        _needed(hull, key, "[hull]")
+    numbers = {key: _needed(hull, key, "[hull]") for key in hull if key not in _HULL_WORDS[:2]}
+    body = RigidBody(**{key: numbers[key] for key in _BODY if key in numbers})
+    terms = hull.get("added_mass_coriolis", "full")
+    if terms not in ("full", "no-munk", "none"):
+        raise UserError('[hull] added_mass_coriolis is "full", "no-munk" or "none"')
+    added = AddedMass(
+        **{key: numbers[key] for key in _ADDED if key in numbers}, coriolis_terms=terms
+    )
+    derivatives = {name: numbers[name] for name in names}
+    scaling = _scaling(hull, body, numbers)
+    damping = Damping(derivatives) if scaling is None else PrimeDamping(derivatives, scaling)
+    return body, added, {"damping": damping}, scaling
+
+
+def _scaling(hull: Table, body: RigidBody, numbers: dict[str, float]) -> Scaling | None:
+    kind = hull.get("nondimensional")
+    if kind is None:
+        return None
+    if kind not in ("mmg", "abkowitz"):
+        raise UserError('[hull] nondimensional is "mmg" or "abkowitz"; leave it out for SI units')
+    speed = numbers.get("reference_speed", 0.0)
+    if kind == "abkowitz" and not speed > 0:
+        raise UserError("[hull] an Abkowitz set needs reference_speed (m/s)")
+    return Scaling(kind, body.length, body.draught, body.water_density, speed)
+
+
+def _servo(table: Table, where: str, low: str | None, high: str | None) -> Servo:
+    stages = {key: _number(table, key, where) for key in _COMMON if key != "name"}
+    lower = None if low is None else _number(table, low, where)
+    upper = None if high is None else _number(table, high, where)
+    return Servo(lower=lower, upper=upper, **stages)
+
+
+def _losses(table: Table, where: str) -> act.Losses:
+    return act.Losses(*(_number(table, key, where, 0.0) for key in _LOSSES))
+
+
+def _position(table: Table, where: str) -> dict[str, float]:
+    return {key: _number(table, key, where, 0.0) for key in ("x", "y")}
+
+
+def _thruster(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
+    where = f"[[thruster]] {name!r}"
+    limits = ("max_speed", "min_speed") if "curve" in table else ("max_force", "min_force")
+    _known(table, (*_COMMON, *_LOSSES, "x", "y", "angle", "curve", *limits), where)
+    curve = table.get("curve")
+    if curve is not None:
+        if not isinstance(curve, dict) or set(curve) != {"c", "d"}:
+            raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
+        curve = (_needed(curve, "c", where), _needed(curve, "d", where))
+    servo = _servo(table, where, limits[1], limits[0])
+    angle = _number(table, "angle", where, 0.0)
+    place = _position(table, where)
+    return act.FixedThruster(
+        {name: servo}, **place, angle=angle, curve=curve, losses=_losses(table, where)
+    )
+
+
+def _azimuth(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
+    where = f"[[azimuth_thruster]] {name!r}"
+    angle_keys = ("max_angle", "min_angle", "angle_time_constant", "angle_rate_limit")
+    keys = (*_COMMON, *_LOSSES, "x", "y", "max_force", "min_force", *angle_keys)
+    _known(table, keys, where)
+    force = _servo(table, where, "min_force", "max_force")
+    angle = Servo(
+        lower=_number(table, "min_angle", where),
+        upper=_number(table, "max_angle", where),
+        time_constant=_number(table, "angle_time_constant", where),
+        rate_limit=_number(table, "angle_rate_limit", where),
+        delay=force.delay,
+    )
+    servos = {f"{name}.force": force, f"{name}.angle": angle}
+    return act.AzimuthThruster(servos, **_position(table, where), losses=_losses(table, where))
+
+
+def _tunnel(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
+    where = f"[[tunnel_thruster]] {name!r}"
+    _known(table, (*_COMMON, "x", "max_force", "min_force", "fading_speed"), where)
+    servo = _servo(table, where, "min_force", "max_force")
+    x, fading = _needed(table, "x", where), _number(table, "fading_speed", where)
+    return act.TunnelThruster({name: servo}, x, fading)
+
+
+def _propeller(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
+    where = f"[[propeller]] {name!r}"
+    optional = ("wake_fraction", "wake_decay", "thrust_deduction", "astern_factor")
+    limits = ("max_speed", "min_speed")
+    _known(table, (*_COMMON, *_LOSSES, "x", "y", "diameter", "k_T", *optional, *limits), where)
+    k_T = table.get("k_T")
+    if not isinstance(k_T, list) or len(k_T) != 3:
+        raise UserError(f"{where}: k_T = [k_0, k_1, k_2] of K_T(J) = k_0 + k_1 J + k_2 J^2")
+    numbers = {key: _number(table, key, where) for key in optional if key in table}
+    return act.Propeller(
+        {name: _servo(table, where, "min_speed", "max_speed")},
+        diameter=_needed(table, "diameter", where),
+        k_T=tuple(float(k) for k in k_T),
+        water_density=body.water_density,
+        losses=_losses(table, where),
+        **_position(table, where),
+        **numbers,
+    )
+
+
+def _rudder(
+    name: str, table: Table, body: RigidBody, scaling: Scaling | None
+) -> AbstractActuator:
+    where = f"[[rudder]] {name!r}"
+    limits = ("max_angle", "min_angle")
+    derivatives = {key: _needed(table, key, where) for key in table if is_rudder_derivative(key)}
+    servo = _servo(table, where, "min_angle", "max_angle")
+    if servo.upper is not None and servo.lower is None:
+        servo = dataclasses.replace(servo, lower=-servo.upper)
+    if derivatives:
+        _known(table, (*_COMMON, *limits, *derivatives), where)
+        if scaling is None:
+            raise UserError(f"{where}: rudder derivatives need [hull] nondimensional")
+        return act.DerivativeRudder({name: servo}, derivatives, scaling)
+    numeric = (
+        "y", "lift_slope", "t_R", "a_H", "x_H", "gamma_R_port", "gamma_R_starboard", "l_R",
+        "epsilon", "kappa", "wake_fraction",
+    )  # fmt: skip
+    _known(table, (*_COMMON, *limits, "area", "x", "height", "propeller", *numeric), where)
+    area = _needed(table, "area", where)
+    return act.Rudder(
+        {name: servo},
+        area=area,
+        x=_number(table, "x", where, -0.5 * body.length),
+        height=_number(table, "height", where, math.sqrt(1.6 * area)),
+        water_density=body.water_density,
+        propeller=table.get("propeller"),
+        **{key: _number(table, key, where) for key in numeric if key in table},
+    )
+
+
+_ACTUATORS: dict[str, Callable[..., AbstractActuator]] = {
+    "thruster": _thruster,
+    "azimuth_thruster": _azimuth,
+    "tunnel_thruster": _tunnel,
+    "propeller": _propeller,
+    "rudder": _rudder,
+}
+
+
+def _apply_effect(vessel: Vessel, table: Table) -> Vessel:
+    name = str(table.get("name", ""))
+    if name == "sensor-latency":
+        return _apply_latency(vessel, table)
+    effect = find_effect(name)
+    where = f"[[effect]] {name!r}"
+    wind_keys = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N") if name == "wind" else ()
+    _known(table, ("name", *effect.units, *wind_keys), where)
+    if wind_keys:
+        given = {key: _number(table, key, where) for key in wind_keys if key in table}
+        wind = dataclasses.replace(default_wind(vessel), **given)
+        vessel = dataclasses.replace(vessel, forces=vessel.forces | {"wind": wind})
+    values = {key: _needed(table, key, where) for key in effect.units if key in table}
+    return effect.apply(vessel, np.asarray(effect.coordinates(values)))
+
+
+def _apply_latency(vessel: Vessel, table: Table) -> Vessel:
+    _known(table, ("name", "delay", "channels"), "[[effect]] 'sensor-latency'")
+    delay = _needed(table, "delay", "[[effect]] 'sensor-latency'")
+    channels = table.get("channels", ["x", "y"])
+    groups = [g for g, members in LATENCY_CHANNELS.items() if set(members) & set(channels)]
+    if not groups:
+        raise UserError("[[effect]] 'sensor-latency': channels are among x, y, psi, u, v, r")
+    for group in groups:
+        vessel = find_effect(f"sensor-latency:{group}").apply(vessel, np.array([delay]))
+    return vessel
+
+
+def updated_document(
+    document: Table, values: Mapping[str, float], effects: list[Table]
+) -> Table:
+    """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables."""
+    new = copy.deepcopy(document)
+    for name, value in values.items():
+        if "." in name:
+            _set_actuator(new, name, value)
+        else:
+            new["hull"][name] = float(value)
+    if effects:
+        new["effect"] = [*new.get("effect", []), *effects]
+    return new
+
+
+def _set_actuator(document: Table, name: str, value: float) -> None:
+    actuator, key = name.rsplit(".", 1)
+    for kind in _TABLES:
+        for table in document.get(kind, []):
+            if table.get("name", kind) == actuator:
+                table[key] = float(value)
+                return
+    raise UserError(f"{name!r} cannot be written into the vessel file")
+
+
+def dump(document: Table) -> str:
+    """The document as TOML text."""
+    return tomli_w.dumps(document)
+
+
+
+

@@ -1,0 +1,55 @@
+"""Forces from outside the water's steady flow: wind and an earth-fixed swell force."""
+
+import jax.numpy as jnp
+
+from diffsea.kinematics import through_air, to_body
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import AbstractForce, Force
+
+
+class Wind(AbstractForce):
+    """Wind on the superstructure, quadratic in apparent wind.
+
+    With the air's velocity relative to the vessel (u_a, v_a) and V its size,
+    `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = q A_L L C_N 2 u_a v_a`,
+    q = rho_air / 2: the cos, sin and sin-2-gamma laws of Isherwood-type coefficients
+    (Fossen 2021, eq. 10.23).
+    """
+
+    frontal_area: Scalar  # m^2
+    lateral_area: Scalar  # m^2
+    length: Scalar  # m
+    C_X: Scalar = 0.7
+    C_Y: Scalar = 0.85
+    C_N: Scalar = 0.1
+    air_density: Scalar = 1.225  # kg/m^3
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        u_a, v_a = through_air(state, environment)
+        # The small constant keeps the speed differentiable in a calm at rest.
+        speed = jnp.sqrt(u_a**2 + v_a**2 + 1e-12)
+        q = 0.5 * self.air_density
+        return Force(
+            q * self.frontal_area * self.C_X * speed * u_a,
+            q * self.lateral_area * self.C_Y * speed * v_a,
+            q * self.lateral_area * self.length * self.C_N * 2 * u_a * v_a,
+        )
+
+
+class EarthForce(AbstractForce):
+    """A mean plus a sinusoidal force, fixed in the earth: waves or swell, or a tow.
+
+    Size `bias + amplitude sin(2 pi frequency t + phase)` N towards `direction` rad.
+    """
+
+    bias: Scalar = 0.0  # N
+    amplitude: Scalar = 0.0  # N
+    frequency: Scalar = 0.1  # Hz
+    phase: Scalar = 0.0  # rad
+    direction: Scalar = 0.0  # rad, where it pushes to
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        swing = jnp.sin(2 * jnp.pi * self.frequency * t + self.phase)
+        size = self.bias + self.amplitude * swing
+        X, Y = to_body(size * jnp.cos(self.direction), size * jnp.sin(self.direction), state.psi)
+        return Force(X, Y, 0.0)

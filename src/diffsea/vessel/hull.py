@@ -1,0 +1,189 @@
+"""Hydrodynamic forces on the hull: derivative sets and strip-theory cross-flow drag."""
+
+import re
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from diffsea.kinematics import through_water
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import AbstractForce, Force
+
+
+DERIVATIVE = re.compile(r"([XYN])_(0|[uvr]+)")
+RUDDER_DERIVATIVE = re.compile(r"([XYN])_([uvr]*d[uvrd]*)")
+
+
+def monomial(axis: str, letters: str, values: dict[str, Scalar]) -> Scalar:
+    """What a derivative multiplies: the product of its letters, with a modulus by symmetry.
+
+    A hull that is the same to port and to starboard has Y and N odd in the transverse
+    letters (v, r, d) and drag odd in u. Where the plain product has the wrong parity the
+    first letter is taken in modulus: `Y_vv` is |v| v, `N_vr` |v| r, `X_uu` |u| u, while
+    `Y_ur` is u r, `X_vv` v^2 and `Y_vvv` v^3 (SNAME 1950, Abkowitz 1964).
+    """
+    if letters == "0":
+        return 1.0
+    transverse = sum(letter in "vrd" for letter in letters)
+    even = transverse % 2 == 0
+    wrong = even and transverse > 0 if axis in "YN" else transverse == 0 and len(letters) % 2 == 0
+    first = jnp.abs(values[letters[0]]) if wrong else values[letters[0]]
+    product = first
+    for letter in letters[1:]:
+        product = product * values[letter]
+    return product
+
+
+def polynomial_force(derivatives: dict[str, Scalar], values: dict[str, Scalar]) -> Force:
+    """Sum of derivative times monomial on each axis."""
+    sums = {"X": 0.0, "Y": 0.0, "N": 0.0}
+    for name, coefficient in derivatives.items():
+        axis, letters = name.split("_")
+        sums[axis] = sums[axis] + coefficient * monomial(axis, letters, values)
+    return Force(**sums)
+
+
+class Damping(AbstractForce):
+    """Any subset of dimensional SNAME derivatives: N and N m per unit of motion.
+
+    `tau = sum_k D_k m_k(u_r, v_r, r)` with the monomials of `monomial` (Fossen 2021,
+    section 6.4). `X_u` is negative for drag.
+    """
+
+    derivatives: dict[str, Scalar]
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        water = through_water(state, environment)
+        return polynomial_force(self.derivatives, {"u": water.u, "v": water.v, "r": water.r})
+
+
+class Scaling(eqx.Module):
+    """Reference quantities that make a non-dimensional ("prime") set dimensional.
+
+    Force = 1/2 rho A U^2 sum(D' m'), moment the same times L, velocities divided by U and
+    yaw rate by U / L. A is L T in MMG sets (Yasukawa and Yoshimura 2015, eq. 6), L^2 in
+    Abkowitz sets, whose letter u is the deviation from `reference_speed` (Chislett and
+    Stroem-Tejsen 1965).
+    """
+
+    kind: str = eqx.field(static=True)  # "mmg" or "abkowitz"
+    length: Scalar  # m
+    draught: Scalar  # m
+    water_density: Scalar  # kg/m^3
+    reference_speed: Scalar = 0.0  # m/s
+
+    def force(
+        self, derivatives: dict[str, Scalar], water: State, delta: Scalar = 0.0
+    ) -> Force:
+        """Dimensional force of a prime set at this motion (and rudder angle, rad)."""
+        # The small constant keeps the square root differentiable at rest.
+        speed = jnp.sqrt(water.u**2 + water.v**2 + 1e-12)
+        letters = {
+            "u": (water.u - self.reference_speed) / speed,
+            "v": water.v / speed,
+            "r": water.r * self.length / speed,
+            "d": delta,
+        }
+        prime = polynomial_force(derivatives, letters)
+        width = self.draught if self.kind == "mmg" else self.length
+        unit = 0.5 * self.water_density * self.length * width * speed**2
+        return Force(unit * prime.X, unit * prime.Y, unit * self.length * prime.N)
+
+
+class PrimeDamping(AbstractForce):
+    """A non-dimensional derivative set (MMG or Abkowitz), see `Scaling`."""
+
+    derivatives: dict[str, Scalar]
+    scaling: Scaling
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        return self.scaling.force(self.derivatives, through_water(state, environment))
+
+
+class CrossFlowDrag(AbstractForce):
+    """Drag of the cross-flow along the hull, strip theory with one coefficient.
+
+    `dY = -1/2 rho C_d T |v_r + x r| (v_r + x r) dx` over the length, `dN = x dY`
+    (Faltinsen 1990; Fossen 2021, eq. 6.91). The integral is in closed form.
+    """
+
+    cd: Scalar  # drag coefficient of a section
+    length: Scalar  # m
+    draught: Scalar  # m
+    water_density: Scalar  # kg/m^3
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        water = through_water(state, environment)
+        sway, yaw = _cross_flow_integrals(water.v, water.r, 0.5 * self.length)
+        unit = -0.5 * self.water_density * self.draught * self.cd
+        return Force(0.0, unit * sway, unit * yaw)
+
+
+@jax.custom_jvp
+def _cross_flow_integrals(v: Scalar, r: Scalar, half: Scalar) -> tuple[Scalar, Scalar]:
+    """Integrals of |w| w and x |w| w over [-half, half] with w = v + x r.
+
+    With ends a = v - r half and b = v + r half: (|b|^3 - |a|^3) / (3 r), and so on. Those
+    forms cancel at small r, where the sign of w is the same everywhere and the integrals
+    are polynomials; so both are used, each where it is exact.
+    """
+    reach = jnp.abs(r) * half
+    uniform = jnp.abs(v) >= reach
+    sway_uniform = jnp.sign(v) * (2 * half * v**2 + 2 / 3 * r**2 * half**3)
+    yaw_uniform = jnp.sign(v) * (4 / 3) * v * r * half**3
+    safe = jnp.where(uniform, 1.0, r)
+    a, b = v - safe * half, v + safe * half
+    cubes = (jnp.abs(b) ** 3 - jnp.abs(a) ** 3) / 3
+    fourths = (jnp.abs(b) ** 3 * b - jnp.abs(a) ** 3 * a) / 4
+    sway_split = cubes / safe
+    yaw_split = (fourths - v * cubes) / safe**2
+    return (
+        jnp.where(uniform, sway_uniform, sway_split),
+        jnp.where(uniform, yaw_uniform, yaw_split),
+    )
+
+
+@_cross_flow_integrals.defjvp
+def _cross_flow_integrals_jvp(primals, tangents):
+    """d/dv and d/dr are integrals of 2 |w| and 2 x |w|, smooth where the branches meet."""
+    v, r, half = primals
+    v_dot, r_dot, half_dot = tangents
+    zeroth, first, second = _modulus_moments(v, r, half)
+    a, b = v - r * half, v + r * half
+    out = _cross_flow_integrals(v, r, half)
+    sway_dot = 2 * (zeroth * v_dot + first * r_dot)
+    yaw_dot = 2 * (first * v_dot + second * r_dot)
+    ends = jnp.abs(b) * b + jnp.abs(a) * a, half * (jnp.abs(b) * b - jnp.abs(a) * a)
+    return out, (sway_dot + ends[0] * half_dot, yaw_dot + ends[1] * half_dot)
+
+
+def _modulus_moments(v: Scalar, r: Scalar, half: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Integrals of |w|, x |w| and x^2 |w| over [-half, half] with w = v + x r."""
+    sign = jnp.sign(v)
+    uniform = jnp.abs(v) >= jnp.abs(r) * half
+    # Where w changes sign at x0 = -v / r, twice the part beyond x0 is flipped.
+    safe = jnp.where(uniform, 1.0, r)
+    x0 = jnp.where(uniform, 0.0, -v / safe)
+
+    def antiderivative(x: Scalar, power: int) -> Scalar:
+        return v * x ** (power + 1) / (power + 1) + r * x ** (power + 2) / (power + 2)
+
+    def moment(power: int) -> Scalar:
+        low, high = antiderivative(-half, power), antiderivative(half, power)
+        split = jnp.sign(r) * (high + low - 2 * antiderivative(x0, power))
+        return jnp.where(uniform, sign * (high - low), split)
+
+    return moment(0), moment(1), moment(2)
+
+
+def is_derivative(name: str) -> bool:
+    """Whether `name` is a hull derivative such as `X_u`, `Y_vvr` or `N_0`."""
+    return DERIVATIVE.fullmatch(name) is not None
+
+
+def is_rudder_derivative(name: str) -> bool:
+    """Whether `name` is a derivative with the rudder angle d, such as `N_d` or `Y_vvd`."""
+    return RUDDER_DERIVATIVE.fullmatch(name) is not None
+
+

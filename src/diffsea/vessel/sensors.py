@@ -1,0 +1,59 @@
+"""What is measured, as a function of the state: offsets, biases, latencies, lever arms."""
+
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diffsea.kinematics import to_earth
+from diffsea.types import MOTION_CHANNELS, Scalar, State
+
+
+class Sensors(eqx.Module):
+    """Errors of the sensors; all zero for perfect ones.
+
+    `latency` is how far (s) a channel lags the clock of the commands.
+    """
+
+    heading_offset: Scalar = 0.0  # rad, measured minus true
+    hard_iron_cos: Scalar = 0.0  # rad, compass error A cos(psi) + B sin(psi)
+    hard_iron_sin: Scalar = 0.0
+    gyro_bias: Scalar = 0.0  # rad/s, measured minus true
+    lever_x: Scalar = 0.0  # m, antenna forward of amidships
+    lever_y: Scalar = 0.0  # m, antenna to starboard
+    latency_position: Scalar = 0.0  # s
+    latency_heading: Scalar = 0.0
+    latency_velocity: Scalar = 0.0
+    latency_yaw_rate: Scalar = 0.0
+
+    def measure(self, state: State, rate: State, jerk: State) -> Float[Array, "6"]:
+        """Measured (x, y, psi, u, v, r) of a state.
+
+        `rate` and `jerk` are the first and second time derivatives of the state: a lagging
+        channel is the Taylor polynomial of second order at t - latency, so latencies must
+        be short against the vessel's own response.
+        """
+        late = {
+            "x": self.latency_position,
+            "y": self.latency_position,
+            "psi": self.latency_heading,
+            "u": self.latency_velocity,
+            "v": self.latency_velocity,
+            "r": self.latency_yaw_rate,
+        }
+        past = {
+            c: getattr(state, c) - d * getattr(rate, c) + 0.5 * d**2 * getattr(jerk, c)
+            for c, d in late.items()
+        }
+        lever = to_earth(self.lever_x, self.lever_y, past["psi"])
+        psi = past["psi"] + self.heading_offset
+        psi = psi + self.hard_iron_cos * jnp.cos(psi) + self.hard_iron_sin * jnp.sin(psi)
+        measured = past | {
+            "x": past["x"] + lever[0],
+            "y": past["y"] + lever[1],
+            "psi": psi,
+            "r": past["r"] + self.gyro_bias,
+        }
+        return jnp.stack([measured[channel] for channel in MOTION_CHANNELS])
+
+

@@ -1,0 +1,193 @@
+"""How an actuator channel answers its order: delay, dead band, limits, lag, slew rate.
+
+Orders are constant between samples, so the response within a step is known in closed
+form. A step hands the integrator not samples of it but the quadratic with the same first
+three moments: a Runge-Kutta step of fourth order then stays of fourth order through kinks
+of the response, a time constant far below the step is integrated rightly, and a lag or a
+delay is exactly absent at zero with a derivative that is not.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diffsea.types import Scalar
+
+
+SEGMENTS = 4  # orders that can fall within one step after a delay
+
+
+class OrderHistory(eqx.Module):
+    """Orders of one channel: each value holds from its time until the next."""
+
+    times: Float[Array, "order"]  # s, ascending
+    values: Float[Array, "order"]
+
+    def push(self, t: Scalar, value: Scalar) -> "OrderHistory":
+        """Forget the oldest order and append one at time `t`."""
+        return OrderHistory(
+            jnp.append(self.times[1:], t), jnp.append(self.values[1:], value)
+        )
+
+
+class Response(eqx.Module):
+    """Executed value during one step."""
+
+    start: Scalar  # value of the moment-matched quadratic at the start of the step
+    middle: Scalar
+    end: Scalar
+    final: Scalar  # executed value itself at the end of the step
+
+
+class Servo(eqx.Module):
+    """The chain delay - dead band - limits - lag and slew rate of one channel.
+
+    A stage that is None is not there. `sharpness` smooths the limits: the result stays
+    within `log(2) / sharpness` half-ranges of the hard limit (0.7 % at 100) and is furthest from
+    it where the order equals the limit; None means the hard limit.
+    """
+
+    delay: Scalar | None = None  # s
+    deadband: Scalar | None = None  # unit of the channel, half width
+    lower: Scalar | None = None
+    upper: Scalar | None = None
+    sharpness: Scalar | None = None
+    time_constant: Scalar | None = None  # s
+    rate_limit: Scalar | None = None  # unit of the channel per second
+    bias: Scalar | None = None  # unit of the channel, added to the order
+
+    @property
+    def direct(self) -> bool:
+        """Whether an order is executed within the same instant."""
+        return self.delay is None and self.time_constant is None and self.rate_limit is None
+
+    def target(self, order: Scalar) -> Scalar:
+        """What the channel settles to under a constant order."""
+        value = order if self.bias is None else order + self.bias
+        if self.deadband is not None:
+            value = _dead_band(value, self.deadband)
+        return self._limited(value)
+
+    def _limited(self, value: Scalar) -> Scalar:
+        if self.sharpness is None or self.lower is None or self.upper is None:
+            value = value if self.lower is None else jnp.maximum(value, self.lower)
+            return value if self.upper is None else jnp.minimum(value, self.upper)
+        middle, half = 0.5 * (self.upper + self.lower), 0.5 * (self.upper - self.lower)
+        k, s = self.sharpness, (value - middle) / half
+        soft = (jnp.logaddexp(0.0, k * (s + 1)) - jnp.logaddexp(0.0, k * (s - 1))) / k - 1
+        return middle + half * soft
+
+    def respond(
+        self, executed: Scalar, history: OrderHistory, t: Scalar, dt: Scalar
+    ) -> Response:
+        """Response over [t, t + dt] from `executed` to the orders in `history`."""
+        if self.direct:
+            held = self.target(history.values[-1])
+            return Response(held, held, held, held)
+        breaks, orders = self._segments(history, t, dt)
+        targets = [self.target(order) for order in orders]
+        moments, final = self._moments(executed, targets, breaks, dt)
+        return _quadratic(moments, final)
+
+    def _segments(
+        self, history: OrderHistory, t: Scalar, dt: Scalar
+    ) -> tuple[list[Scalar], list[Scalar]]:
+        """Fractions of the step at which the effective order changes, and the orders."""
+        if self.delay is None:
+            return [0.0, 1.0], [history.values[-1]]
+        # Strictly before: an order that takes effect just now stays a break at fraction
+        # zero, which gives a delay of zero its derivative.
+        first = jnp.sum(history.times < t - self.delay) - 1
+        last = history.times.size - 1
+        index = [jnp.clip(first + k, 0, last) for k in range(SEGMENTS)]
+        length = jnp.where(dt > 0, dt, 1.0)
+        inner = [
+            jnp.where(
+                first + k <= last, _fraction((history.times[i] + self.delay - t) / length), 1.0
+            )
+            for k, i in enumerate(index)
+        ]
+        return [0.0, *inner[1:], 1.0], [history.values[i] for i in index]
+
+    def _moments(
+        self, executed: Scalar, targets: list[Scalar], breaks: list[Scalar], dt: Scalar
+    ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+        """Moments of order 0 to 2 of the response over the unit step, and its end."""
+        total = (0.0, 0.0, 0.0)
+        value = executed
+        length = jnp.where(dt > 0, dt, 1.0)
+        for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
+            span = end - begin
+            error, value = self._decay(value - target, span, length)
+            held = [(end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3)]
+            shifted = (
+                error[0],
+                begin * error[0] + error[1],
+                begin**2 * error[0] + 2 * begin * error[1] + error[2],
+            )
+            total = tuple(m + target * h + s for m, h, s in zip(total, held, shifted, strict=True))
+            value = value + target
+        return total, value
+
+    def _decay(
+        self, error: Scalar, span: Scalar, length: Scalar
+    ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+        """Moments of the deviation from a constant target over `span`, and what is left.
+
+        `de/ds = -sat(e / tau, rho)`: at constant rate while |e| > rho tau, then
+        exponentially. Times are in units of the step.
+        """
+        tau = 0.0 if self.time_constant is None else self.time_constant / length
+        if self.rate_limit is None:
+            exponential, left = _exponential_moments(span, tau)
+            return tuple(error * m for m in exponential), error * left
+        rho = self.rate_limit * length
+        size, sign = jnp.abs(error), jnp.sign(error)
+        slewing = jnp.minimum(jnp.maximum(size - rho * tau, 0.0) / rho, span)
+        ramp = [
+            size * slewing ** (k + 1) / (k + 1) - rho * slewing ** (k + 2) / (k + 2)
+            for k in range(3)
+        ]
+        rest = size - rho * slewing
+        tail, left = _exponential_moments(span - slewing, tau)
+        shifted = (
+            tail[0],
+            slewing * tail[0] + tail[1],
+            slewing**2 * tail[0] + 2 * slewing * tail[1] + tail[2],
+        )
+        moments = tuple(sign * (a + rest * b) for a, b in zip(ramp, shifted, strict=True))
+        return moments, sign * rest * left
+
+
+def _fraction(value: Scalar) -> Scalar:
+    """Clip to [0, 1], passing the derivative on the ends (jnp.clip halves it there)."""
+    return jnp.where(value < 0, 0.0, jnp.where(value > 1, 1.0, value))
+
+
+def _dead_band(value: Scalar, width: Scalar) -> Scalar:
+    """No action within +-width, shifted by it outside."""
+    return jnp.where(jnp.abs(value) > width, value - jnp.sign(value) * width, 0.0)
+
+
+def _exponential_moments(
+    span: Scalar, tau: Scalar
+) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+    """Integrals of s^k exp(-s / tau) over [0, span] for k = 0, 1, 2, and exp(-span / tau).
+
+    From integration by parts, I_k = k tau I_(k-1) - tau span^k exp(-span / tau). Below a
+    thousandth of the span the exponential is zero to rounding, which keeps tau = 0 exact.
+    """
+    slow = tau > 1e-3 * span
+    left = jnp.where(slow, jnp.exp(-span / jnp.where(slow, tau, 1.0)), 0.0)
+    left = jnp.where(span > 0, left, 1.0)
+    zeroth = tau * (1 - left)
+    first = tau * (zeroth - span * left)
+    second = tau * (2 * first - span**2 * left)
+    return (zeroth, first, second), left
+
+
+def _quadratic(moments: tuple[Scalar, Scalar, Scalar], final: Scalar) -> Response:
+    """Nodes of the quadratic with these moments, by shifted Legendre polynomials."""
+    m0, m1, m2 = moments
+    c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
+    return Response(m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2, final)
