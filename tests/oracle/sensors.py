@@ -1,0 +1,126 @@
+"""What a logger would have recorded: sensor effects, rates, noise, resolution, gusts, CSV.
+
+Sensor effects, in this order:
+    lever-arm (x, y)     position of the antenna: p + R(psi) (x, y)
+    sensor-latency       channels (default x, y) show the value at t - delay; empty at first
+    heading-offset       psi + angle;   hard-iron  psi + amplitude sin(psi - phase)
+    gyro-bias            r + bias
+Then noise, quantisation (rounding to multiples of a step) and decimation, per channel.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+
+CHANNELS = ("x", "y", "psi", "u", "v", "r")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One channel: standard deviation, resolution (its unit), a sample every `every` rows."""
+
+    noise: float = 0.0
+    step: float = 0.0
+    every: int = 1
+
+
+def suite(scale: float = 1.0, position_every: int = 1) -> dict[str, Sensor]:
+    """Satellite position and velocity, compass, gyro; `scale` multiplies the noise."""
+    position = Sensor(0.05 * scale, 1e-3, position_every)
+    velocity = Sensor(0.02 * scale, 1e-3, position_every)
+    compass = Sensor(math.radians(0.5) * scale, 1e-4)
+    gyro = Sensor(math.radians(0.2) * scale, 1e-4)
+    return dict(
+        zip(CHANNELS, (position, position, compass, velocity, velocity, gyro), strict=True)
+    )
+
+
+def gust(rng, start, end, std=(0.02, 0.02, 0.01), tau=(5.0, 5.0, 3.0), step=0.1):
+    """Coloured accelerations (m/s^2, rad/s^2): exact Ornstein-Uhlenbeck samples, splined.
+
+    a_{k+1} = a_k exp(-h/tau) + std sqrt(1 - exp(-2 h/tau)) xi, variance std^2, memory tau.
+    """
+    n = int(math.ceil((end - start) / step)) + 4
+    decay = np.exp(-step / np.asarray(tau, float))
+    xi = rng.standard_normal((n, 3)) * np.asarray(std, float)
+    a = np.empty((n, 3))
+    a[0] = xi[0]
+    for k in range(1, n):
+        a[k] = decay * a[k - 1] + np.sqrt(1 - decay**2) * xi[k]
+    return CubicSpline(start - step + step * np.arange(n), a)
+
+
+def true_channels(sim, times) -> dict[str, np.ndarray]:
+    """The recorded channels before noise, with the sensor effects of the simulated model."""
+    t = np.asarray(times, float)
+    effects = sim.model.sensors
+    out = place(sim.at(t), effects)
+    for effect in effects:
+        if effect["name"] == "sensor-latency":
+            late = t - effect["delay"]
+            known = late >= sim.t0 - 1e-9
+            past = place(sim.at(np.maximum(late, sim.t0)), effects)
+            for channel in effect.get("channels", ["x", "y"]):
+                out[channel] = np.where(known, past[channel], np.nan)
+    for effect in effects:
+        if effect["name"] == "heading-offset":
+            out["psi"] = out["psi"] + effect["angle"]
+        elif effect["name"] == "hard-iron":
+            out["psi"] = out["psi"] + effect["amplitude"] * np.sin(out["psi"] - effect["phase"])
+        elif effect["name"] == "gyro-bias":
+            out["r"] = out["r"] + effect["bias"]
+    return out
+
+
+def place(out: dict, effects: list[dict]) -> dict:
+    """Positions moved to the antenna."""
+    for effect in effects:
+        if effect["name"] == "lever-arm":
+            c, s = np.cos(out["psi"]), np.sin(out["psi"])
+            out["x"] = out["x"] + c * effect["x"] - s * effect["y"]
+            out["y"] = out["y"] + s * effect["x"] + c * effect["y"]
+    return out
+
+
+def wrap(angle):
+    """To [-pi, pi)."""
+    return (np.asarray(angle) + math.pi) % (2 * math.pi) - math.pi
+
+
+def record(
+    sim, times, sensors=None, rng=None, wrapped=True, executed=False
+) -> dict[str, np.ndarray]:
+    """t, the channels of `sensors` (default all, exact) and the orders; NaN is missing."""
+    t = np.asarray(times, float)
+    truth = true_channels(sim, t)
+    sensors = dict.fromkeys(CHANNELS, Sensor()) if sensors is None else sensors
+    out = {"t": t}
+    for channel, sensor in sensors.items():
+        value = np.array(truth[channel], float)
+        if sensor.noise:
+            value = value + sensor.noise * rng.standard_normal(len(t))
+        if channel == "psi" and wrapped:
+            value = wrap(value)
+        if sensor.step:
+            value = np.round(value / sensor.step) * sensor.step
+        value[np.arange(len(t)) % sensor.every != 0] = np.nan
+        out[channel] = value
+    prefixes = ("cmd_", "exec_") if executed else ("cmd_",)
+    return out | {k: v for k, v in truth.items() if k.startswith(prefixes)}
+
+
+def write_csv(path, recording: dict[str, np.ndarray]) -> None:
+    """One row per sample; a missing sample is an empty field."""
+    names = list(recording)
+    with Path(path).open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        for row in zip(*recording.values(), strict=True):
+            writer.writerow(["" if math.isnan(v) else f"{v:.10g}" for v in row])
