@@ -174,10 +174,11 @@ def test_current_is_a_moving_frame():
     np.testing.assert_allclose(b["x"] - drift[0] * t, a["x"], atol=1e-9)
     np.testing.assert_allclose(b["y"] - drift[1] * t, a["y"], atol=1e-9)
     np.testing.assert_allclose(b["psi"], a["psi"], atol=1e-9)
-    speed = np.hypot(
-        b["u"] - a["u"], b["v"] - a["v"]
-    )  # same heading: the difference is the current
-    np.testing.assert_allclose(speed, 0.4, atol=1e-9)
+    cos, sin = np.cos(a["psi"]), np.sin(a["psi"])
+    north = [cos * o["u"] - sin * o["v"] for o in (a, b)]
+    east = [sin * o["u"] + cos * o["v"] for o in (a, b)]
+    np.testing.assert_allclose(north[1] - north[0], drift[0], atol=1e-9)
+    np.testing.assert_allclose(east[1] - east[0], drift[1], atol=1e-9)
 
 
 def test_wind_on_the_bow_balances_drag():
@@ -301,6 +302,28 @@ def test_rate_limit_alone_and_with_a_lag():
     np.testing.assert_allclose(both, state, atol=1e-7)
 
 
+def test_delayed_lagging_thrust_moves_a_free_mass():
+    """m u' = 2 F (1 - exp(-s / T)), s = t - t_order - delay, integrated once."""
+    slow = {"thrust-lag": {"time_constant": 0.6}, "thrust-delay": {"delay": 0.35}}
+    sim = simulate(vessel(PAIR), [(0, 0), (1, 4.0)], 5.0, slow)
+    t = np.linspace(0, 5, 51)
+    s = np.maximum(t - 1.35, 0)
+    out = sim.at(t)
+    np.testing.assert_allclose(out["u"], 0.8 * (s - 0.6 * (1 - np.exp(-s / 0.6))), atol=1e-10)
+    np.testing.assert_allclose(out["exec_p"], 4 * (1 - np.exp(-s / 0.6)), atol=1e-12)
+    np.testing.assert_array_equal(out["cmd_s"], np.where(t >= 1, 4.0, 0.0))
+
+
+def test_ends_of_ramps_are_breaks():
+    thruster = Thruster({"name": "a", "delay": 0.5, "rate_limit": 4.0, "time_constant": 0.5})
+    thruster.order(0.0, 0.0)
+    thruster.order(1.0, 10.0)
+    assert thruster.next_break(0.0, 1e-9) == 1.5
+    assert (
+        thruster.next_break(1.5, 1e-9) == 1.5 + 2.0
+    )  # 8 of 10 at 4 a second, 2 = R T by the lag
+
+
 def test_thrust_pushes_at_its_place_within_its_limits():
     data = {"name": "a", "x": -1.0, "y": 0.4, "angle": 0.3, "max_force": 8.0, "min_force": -5.0}
     thruster = Thruster(data)
@@ -401,6 +424,9 @@ def test_zigzag_switches_where_the_closed_form_says():
         sign, q = -sign, -q
         stop = math.log((q / k - r) / (q / k)) / k
         overshoots.append(abs(heading(stop, q)) - target)
+    tenth = trial.metrics["time_to_10_deg"]
+    psi, r = 0.0, 0.0
+    assert heading(tenth, -Q) == pytest.approx(-math.radians(10), abs=1e-11)
     np.testing.assert_allclose(trial.switches, switches, atol=1e-10)
     np.testing.assert_allclose(trial.overshoots, overshoots, atol=1e-11)
 
