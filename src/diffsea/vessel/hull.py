@@ -15,19 +15,25 @@ DERIVATIVE = re.compile(r"([XYN])_(0|[uvr]+)")
 RUDDER_DERIVATIVE = re.compile(r"([XYN])_([uvr]*d[uvrd]*)")
 
 
-def monomial(axis: str, letters: str, values: dict[str, Scalar]) -> Scalar:
+def monomial(
+    axis: str, letters: str, values: dict[str, Scalar], u_is_deviation: bool = False
+) -> Scalar:
     """What a derivative multiplies: the product of its letters, with a modulus by symmetry.
 
     A hull that is the same to port and to starboard has Y and N odd in the transverse
     letters (v, r, d) and drag odd in u. Where the plain product has the wrong parity the
     first letter is taken in modulus: `Y_vv` is |v| v, `N_vr` |v| r, `X_uu` |u| u, while
-    `Y_ur` is u r, `X_vv` v^2 and `Y_vvv` v^3 (SNAME 1950, Abkowitz 1964).
+    `Y_ur` is u r, `X_vv` v^2 and `Y_vvv` v^3 (SNAME 1950, Abkowitz 1964). Where u is the
+    deviation from a reference speed, drag has no symmetry in it and `X_uu` is u^2.
     """
     if letters == "0":
         return 1.0
     transverse = sum(letter in "vrd" for letter in letters)
     even = transverse % 2 == 0
-    wrong = even and transverse > 0 if axis in "YN" else transverse == 0 and len(letters) % 2 == 0
+    if axis in "YN":
+        wrong = even and transverse > 0
+    else:
+        wrong = transverse == 0 and len(letters) % 2 == 0 and not u_is_deviation
     first = jnp.abs(values[letters[0]]) if wrong else values[letters[0]]
     product = first
     for letter in letters[1:]:
@@ -35,12 +41,16 @@ def monomial(axis: str, letters: str, values: dict[str, Scalar]) -> Scalar:
     return product
 
 
-def polynomial_force(derivatives: dict[str, Scalar], values: dict[str, Scalar]) -> Force:
+def polynomial_force(
+    derivatives: dict[str, Scalar], values: dict[str, Scalar], u_is_deviation: bool = False
+) -> Force:
     """Sum of derivative times monomial on each axis."""
     sums = {"X": 0.0, "Y": 0.0, "N": 0.0}
     for name, coefficient in derivatives.items():
         axis, letters = name.split("_")
-        sums[axis] = sums[axis] + coefficient * monomial(axis, letters, values)
+        sums[axis] = sums[axis] + coefficient * monomial(
+            axis, letters, values, u_is_deviation
+        )
     return Force(**sums)
 
 
@@ -85,7 +95,7 @@ class Scaling(eqx.Module):
             "r": water.r * self.length / speed,
             "d": delta,
         }
-        prime = polynomial_force(derivatives, letters)
+        prime = polynomial_force(derivatives, letters, self.kind == "abkowitz")
         width = self.draught if self.kind == "mmg" else self.length
         unit = 0.5 * self.water_density * self.length * width * speed**2
         return Force(unit * prime.X, unit * prime.Y, unit * self.length * prime.N)

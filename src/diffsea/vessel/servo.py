@@ -8,6 +8,7 @@ delay is exactly absent at zero with a derivative that is not.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -84,10 +85,14 @@ class Servo(eqx.Module):
         if self.direct:
             held = self.target(history.values[-1])
             return Response(held, held, held, held)
-        breaks, orders = self._segments(history, t, dt)
+        # A step of no length (an event on the step's boundary) executes nothing.
+        moves = dt > 1e-12
+        length = jnp.where(moves, dt, 1.0)
+        breaks, orders = self._segments(history, t, length)
         targets = [self.target(order) for order in orders]
-        moments, final = self._moments(executed, targets, breaks, dt)
-        return _quadratic(moments, final)
+        moments, final = self._moments(executed, targets, breaks, length)
+        response = _quadratic(moments, final)
+        return jax.tree.map(lambda node: jnp.where(moves, node, executed), response)
 
     def _segments(
         self, history: OrderHistory, t: Scalar, dt: Scalar
@@ -100,10 +105,9 @@ class Servo(eqx.Module):
         first = jnp.sum(history.times < t - self.delay) - 1
         last = history.times.size - 1
         index = [jnp.clip(first + k, 0, last) for k in range(SEGMENTS)]
-        length = jnp.where(dt > 0, dt, 1.0)
         inner = [
             jnp.where(
-                first + k <= last, _fraction((history.times[i] + self.delay - t) / length), 1.0
+                first + k <= last, _fraction((history.times[i] + self.delay - t) / dt), 1.0
             )
             for k, i in enumerate(index)
         ]
@@ -115,10 +119,9 @@ class Servo(eqx.Module):
         """Moments of order 0 to 2 of the response over the unit step, and its end."""
         total = (0.0, 0.0, 0.0)
         value = executed
-        length = jnp.where(dt > 0, dt, 1.0)
         for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
             span = end - begin
-            error, value = self._decay(value - target, span, length)
+            error, value = self._decay(value - target, span, dt)
             held = [(end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3)]
             shifted = (
                 error[0],

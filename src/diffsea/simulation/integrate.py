@@ -1,0 +1,96 @@
+"""One step of a vessel: servos in closed form, motion by a Runge-Kutta step of order four."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.servo import OrderHistory, Response, Servo
+
+
+class Motion(eqx.Module):
+    """Everything that a step carries on: state, executed actuation and pending orders."""
+
+    state: State
+    executed: dict[str, Scalar]
+    histories: dict[str, OrderHistory]
+
+
+def history_length(servo: Servo, step: float, margin: float = 1.5) -> int:
+    """How many orders a channel must remember at a step of `step` s.
+
+    The delay may grow by `margin` (in a fit, say) before the memory falls short; orders
+    at switching events need room of their own.
+    """
+    if servo.delay is None:
+        return 1
+    return math.ceil(margin * float(servo.delay) / step) + 24
+
+
+def at_rest_orders(vessel: Vessel) -> dict[str, Scalar]:
+    """Zero order on every channel."""
+    return {channel: jnp.zeros(()) for channel in vessel.channels}
+
+
+def begin(
+    vessel: Vessel, state: State, orders: dict[str, Scalar], lengths: dict[str, int]
+) -> Motion:
+    """A motion whose actuators have long settled to `orders`.
+
+    `lengths` is the memory of each channel, see `history_length`.
+    """
+    executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
+    histories = {
+        c: OrderHistory(jnp.linspace(-1e9, -1e8, lengths[c]), jnp.full(lengths[c], orders[c]))
+        for c in vessel.channels
+    }
+    return Motion(state, executed, histories)
+
+
+def advance(
+    vessel: Vessel,
+    motion: Motion,
+    orders: dict[str, Scalar],
+    environment: Environment,
+    t: Scalar,
+    dt: Scalar,
+) -> Motion:
+    """The motion `dt` s later, with `orders` holding from `t`."""
+    histories = {c: h.push(t, orders[c]) for c, h in motion.histories.items()}
+    responses = {
+        c: servo.respond(motion.executed[c], histories[c], t, dt)
+        for c, servo in vessel.servos.items()
+    }
+    state = rk4(vessel, motion.state, responses, environment, t, dt)
+    return Motion(state, {c: r.final for c, r in responses.items()}, histories)
+
+
+def rk4(
+    vessel: Vessel,
+    state: State,
+    responses: dict[str, Response],
+    environment: Environment,
+    t: Scalar,
+    dt: Scalar,
+) -> State:
+    """Classical Runge-Kutta step of order four with the servos' response at its nodes."""
+    start = {c: r.start for c, r in responses.items()}
+    middle = {c: r.middle for c, r in responses.items()}
+    end = {c: r.end for c, r in responses.items()}
+
+    def rate(at: State, executed: dict[str, Scalar], fraction: float) -> State:
+        return vessel.rate(at, executed, environment, t + fraction * dt)
+
+    def moved(k: State, fraction: float) -> State:
+        return jax.tree.map(lambda s, d: s + fraction * dt * d, state, k)
+
+    k1 = rate(state, start, 0.0)
+    k2 = rate(moved(k1, 0.5), middle, 0.5)
+    k3 = rate(moved(k2, 0.5), middle, 0.5)
+    k4 = rate(moved(k3, 1.0), end, 1.0)
+    return jax.tree.map(
+        lambda s, a, b, c, d: s + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4
+    )

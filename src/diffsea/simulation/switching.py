@@ -1,0 +1,207 @@
+"""The engine that runs a table of stages: steps, and events located inside them.
+
+The instant at which a stage ends is located inside the step and carries its derivative,
+so everything after it is differentiable through the switching.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from diffsea.simulation.control import Helm
+from diffsea.simulation.integrate import Motion, advance
+from diffsea.simulation.manoeuvres import Stages
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+
+
+class Carry(eqx.Module):
+    """What one pass of the engine hands to the next."""
+
+    motion: Motion
+    t: Scalar
+    stage: Int[Array, ""]
+    began: Scalar  # s, when the stage began
+    grid: Int[Array, ""]  # steps done
+    mode: Int[Array, ""]  # _NORMAL, _PROBE or _LAND
+    planned: Scalar  # s, step to the event while probing and landing
+    slope: Scalar  # 1/s, derivative of the stage's end function along the step
+    switch_times: Float[Array, "stage"]
+    diverged: Bool[Array, ""]
+
+
+class Row(eqx.Module):
+    """What one pass records; only `accepted` rows count."""
+
+    t: Scalar
+    state: State
+    commanded: dict[str, Scalar]
+    executed: dict[str, Scalar]
+    stage: Int[Array, ""]
+    accepted: Bool[Array, ""]
+
+
+_NORMAL, _PROBE, _LAND = 0, 1, 2
+
+
+class _Run(eqx.Module):
+    """One manoeuvre of one vessel after the execute."""
+
+    vessel: Vessel
+    stages: Stages
+    environment: Environment
+    throttle: Scalar
+    heading: Scalar  # rad, psi_0
+    start: Scalar  # s, the execute
+    step: Scalar
+    seconds: Scalar
+
+    def orders(self, stage: Int[Array, ""]) -> dict[str, Scalar]:
+        """Orders in a stage; those of the last one after the end."""
+        at = jnp.minimum(stage, self.stages.count - 1)
+        throttle = self.throttle * self.stages.throttle[at]
+        return Helm(self.vessel).orders(throttle, self.stages.angle[at])
+
+    def advanced(self, carry: Carry, dt: Scalar) -> Motion:
+        """The motion `dt` s on, in the stage's orders."""
+        orders = self.orders(carry.stage)
+        return advance(self.vessel, carry.motion, orders, self.environment, carry.t, dt)
+
+    def end_function(self, carry: Carry, motion: Motion, t: Scalar) -> Scalar:
+        """Reaches zero from below where the stage ends."""
+        at = jnp.minimum(carry.stage, self.stages.count - 1)
+        s, state = self.stages, motion.state
+        turned = s.on_heading[at] * (state.psi - self.heading)
+        return (
+            turned + s.on_time[at] * (t - carry.began) + s.on_speed[at] * state.u - s.level[at]
+        )
+
+    def locate(self, carry: Carry, dt: Scalar, wanted: Bool[Array, ""]) -> tuple:
+        """Step to the event within (0, dt] and the end function's slope there.
+
+        Newton's method on the actual step, safeguarded by a bracket. Carries no derivative:
+        the probing step that follows does. Costs nothing where no lane wants it.
+        """
+        run, carry, dt = jax.lax.stop_gradient((self, carry, dt))
+
+        def value(span: Scalar) -> Scalar:
+            return run.end_function(carry, run.advanced(carry, span), carry.t + span)
+
+        def body(loop: tuple) -> tuple:
+            low, high, span, _, count, _ = loop
+            g, slope = jax.jvp(value, (span,), (jnp.ones_like(span),))
+            low, high = jnp.where(g < 0, span, low), jnp.where(g < 0, high, span)
+            newton = span - g / slope
+            inside = (newton >= low) & (newton <= high)
+            after = jnp.where(inside, newton, 0.5 * (low + high))
+            return low, high, after, slope, count + 1, jnp.abs(after - span) > 1e-13 * dt
+
+        def unfinished(loop: tuple) -> Bool[Array, ""]:
+            return wanted & loop[5] & (loop[4] < 60)
+
+        first = (jnp.zeros_like(dt), dt, dt, jnp.ones_like(dt), 0, jnp.ones((), bool))
+        _, _, span, slope, _, _ = jax.lax.while_loop(unfinished, body, first)
+        return span, slope
+
+    def iterate(self, carry: Carry) -> tuple[Carry, Row]:
+        """One pass of the engine: an ordinary step, or one of the two that make an event.
+
+        An ordinary step that passes the end of its stage is withdrawn and the event
+        located; a probing step to it, also withdrawn, corrects the length by
+        `-g / (dg/dt)`, which is zero but carries the derivative of the event's time; the
+        landing step is then differentiated exactly, and the next one returns to the grid.
+        """
+        limit = jnp.minimum(self.seconds, (carry.grid + 1) * self.step)
+        dt = jnp.where(carry.mode == _NORMAL, self.start + limit - carry.t, carry.planned)
+        finished = (carry.stage >= self.stages.count) | carry.diverged
+        finished = finished | (
+            (carry.mode == _NORMAL) & (carry.grid * self.step >= self.seconds)
+        )
+        motion = self.advanced(carry, dt)
+        g = self.end_function(carry, motion, carry.t + dt)
+        wild = ~_plausible(self.vessel, motion.state)
+        active = ~finished & ~wild
+        crossing = active & (carry.mode == _NORMAL) & (g >= 0)
+        span, slope = self.locate(carry, dt, crossing)
+        probing = active & (carry.mode == _PROBE)
+        landing = active & (carry.mode == _LAND)
+        stepping = active & (carry.mode == _NORMAL) & ~crossing
+        accepted = stepping | landing
+        stage = carry.stage + landing
+        t = jnp.where(accepted, carry.t + dt, carry.t)
+        carry = Carry(
+            motion=select(accepted, motion, carry.motion),
+            t=t,
+            stage=stage,
+            began=jnp.where(landing, t, carry.began),
+            grid=carry.grid + stepping,
+            mode=jnp.where(crossing, _PROBE, jnp.where(probing, _LAND, _NORMAL)),
+            planned=jnp.where(
+                crossing, span, jnp.where(probing, dt - g / carry.slope, carry.planned)
+            ),
+            slope=jnp.where(crossing, slope, carry.slope),
+            switch_times=jnp.where(
+                landing & (jnp.arange(self.stages.count) == carry.stage), t, carry.switch_times
+            ),
+            diverged=carry.diverged | (wild & ~finished),
+        )
+        return carry, self.row(carry, accepted)
+
+    def row(self, carry: Carry, accepted: Bool[Array, ""]) -> Row:
+        """What is recorded: the orders that hold from now on."""
+        orders = self.orders(carry.stage)
+        executed = executed_now(self.vessel, carry.motion, orders)
+        return Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
+
+
+def executed_now(
+    vessel: Vessel, motion: Motion, orders: dict[str, Scalar]
+) -> dict[str, Scalar]:
+    """Executed actuation from now on: what answers at once has answered."""
+    return {
+        c: servo.target(orders[c]) if servo.direct else motion.executed[c]
+        for c, servo in vessel.servos.items()
+    }
+
+
+def select(condition: Bool[Array, ""], new: Motion, old: Motion) -> Motion:
+    """`new` where the condition holds, else `old`."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
+
+
+def _plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
+    """Whether a state is finite and slower than ten times the speed at Froude number one."""
+    fast = 10 * jnp.sqrt(9.81 * vessel.rigid_body.length)
+    spinning = fast / vessel.rigid_body.length
+    within = (
+        (jnp.abs(state.u) < fast) & (jnp.abs(state.v) < fast) & (jnp.abs(state.r) < spinning)
+    )
+    return within & jnp.isfinite(state.x + state.y + state.psi)
+
+
+def run_stages(
+    vessel: Vessel,
+    stages: Stages,
+    motion: Motion,
+    throttle: Scalar,
+    environment: Environment,
+    start: Scalar,
+    step: float,
+    seconds: float,
+) -> tuple[Carry, Row]:
+    """Run a table of stages from a motion; rows are those of every pass of the engine."""
+    run = _Run(
+        vessel, stages, environment, throttle, motion.state.psi, jnp.asarray(start, float),
+        jnp.asarray(step, float), jnp.asarray(seconds, float),
+    )  # fmt: skip
+    zero = jnp.zeros((), int)
+    carry = Carry(
+        motion, run.start, zero, run.start, zero, zero + _NORMAL, run.step, jnp.ones(()),
+        jnp.full(stages.count, jnp.nan), jnp.zeros((), bool),
+    )  # fmt: skip
+    # An event costs three passes beside the ordinary ones: withdrawn, probe, landing.
+    passes = math.ceil(seconds / step) + 3 * stages.count
+    return jax.lax.scan(lambda c, _: run.iterate(c), carry, length=passes)
