@@ -35,7 +35,10 @@ def _stages(rows: list[tuple]) -> Stages:
     return Stages(*(jnp.stack([jnp.asarray(e, float) for e in column]) for column in columns))
 
 
-def turning_circle(angle: Scalar, heading_change: Scalar = math.radians(540)) -> Stages:
+FULL_CIRCLES = math.radians(540)
+
+
+def turning_circle(angle: Scalar, heading_change: Scalar = FULL_CIRCLES) -> Stages:
     """Full turn at a constant angle (rad; negative to port) until a heading change (rad)."""
     return _stages([(angle, 1.0, jnp.sign(angle), 0.0, 0.0, heading_change)])
 
