@@ -109,9 +109,7 @@ def zigzag_metrics(
     start, first = times[0], times[1]
     run = _referred(trajectory, start, side, psi0)
     turned = first_crossing(run.heading, INITIAL_TURN, +1, after=start)
-    under_order = ~happened[1] | (
-        value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN
-    )
+    under_order = ~happened[1] | (value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN)
     turned = Crossing(turned.time, turned.found & under_order)
     back = first_crossing(run.heading, 0.0, -1, after=first)
     return {

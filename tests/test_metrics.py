@@ -1,0 +1,402 @@
+"""Numbers of the trials against closed forms, another integrator and hand counts."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from diffsea.metrics import (
+    crossing_time,
+    curve,
+    first_crossing,
+    highest,
+    slopes,
+    stopping_metrics,
+    turning_metrics,
+    value_at,
+    zigzag_metrics,
+)
+from diffsea.types import Trajectory
+
+
+ORDER = math.radians(20)
+
+
+def trajectory(t, x, y, psi, u, v, r, valid=None, **channels):
+    """A record of these channels, by default all of it valid."""
+    valid = np.ones(len(t), bool) if valid is None else valid
+    empty = {"commanded": {}, "executed": {}, "extra": {}}
+    return Trajectory(t, x, y, psi, u, v, r, valid=valid, **{**empty, **channels})
+
+
+def turning(t, radius=50.0, rate=0.05, drift=0.1, psi0=0.3, side=1, execute=7.3):
+    """Straight ahead, then at once on a circle; `drift` is the angle of the bow inwards."""
+    tau = jnp.maximum(t - execute, 0.0)
+    on = t >= execute
+    speed = radius * rate
+    course = psi0 + side * rate * tau
+    x = jnp.where(on, 0.0, speed * jnp.cos(psi0) * (t - execute))
+    y = jnp.where(on, 0.0, speed * jnp.sin(psi0) * (t - execute))
+    x = x + side * radius * (jnp.sin(course) - jnp.sin(psi0))
+    y = y - side * radius * (jnp.cos(course) - jnp.cos(psi0))
+    psi = jnp.where(on, course + side * drift, psi0 + side * drift)
+    u = jnp.full_like(t, speed * math.cos(drift))
+    v = jnp.full_like(t, -side * speed * math.sin(drift))
+    return trajectory(t, x, y, psi, u, v, jnp.where(on, side * rate, 0.0))
+
+
+def with_event(t, time):
+    """The times with an event's two equal stamps put in."""
+    return np.sort(np.concatenate([t, [time, time]]))
+
+
+def test_crossings_of_a_sine_are_fourth_order_accurate():
+    errors = []
+    for step in (0.2, 0.1):
+        t = np.arange(0, 10, step)
+        c = curve(t, np.sin(t + 0.1), np.cos(t + 0.1), np.ones(len(t), bool))
+        up, down = crossing_time(c, 0.5, 1), crossing_time(c, 0.5, -1)
+        again = crossing_time(c, 0.5, 1, after=3.0)
+        either = crossing_time(c, 0.5, 0, after=1.0)
+        exact = [math.pi / 6, 5 * math.pi / 6, math.pi / 6 + 2 * math.pi, 5 * math.pi / 6]
+        found = [float(up), float(down), float(again), float(either)]
+        errors.append(np.max(np.abs(np.array(found) - (np.array(exact) - 0.1))))
+    assert errors[0] < 1e-5
+    assert errors[0] / errors[1] > 11  # 16 to come, more or less by the phase of the samples
+
+
+@pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
+def test_crossing_time_has_the_implicit_derivative(jacobian):
+    t = jnp.arange(0, 10, 0.05)
+    valid = jnp.ones(len(t), bool)
+
+    def time(p):
+        amplitude, rate, level = p
+        c = curve(t, amplitude * jnp.sin(rate * t), amplitude * rate * jnp.cos(rate * t), valid)
+        return crossing_time(c, level, 1, after=3.0)
+
+    amplitude, rate, level = p = jnp.array([1.3, 0.9, 0.6])
+    exact = (jnp.arcsin(level / amplitude) + 2 * jnp.pi) / rate
+    slope = jnp.sqrt(amplitude**2 - level**2) * rate
+    expected = [-level / amplitude / slope, -exact / rate, 1 / slope]
+    np.testing.assert_allclose(time(p), exact, rtol=1e-7)
+    np.testing.assert_allclose(jax.jit(jacobian(time))(p), expected, rtol=1e-5)
+
+
+def test_crossing_on_a_sample_at_an_event_or_in_the_window_only():
+    t = np.array([0.0, 1.0, 1.0, 2.0, 3.0, 4.0])
+    value = np.array([-1.0, 0.0, 0.0, 1.0, 0.0, -1.0])
+    c = curve(t, value, np.array([1.0, 1, 1, 0, -1, -1]), np.ones(6, bool))
+    assert float(crossing_time(c, 0.0, 1)) == 1.0
+    assert float(crossing_time(c, 0.0, -1)) == pytest.approx(3.0)
+    assert math.isnan(crossing_time(c, 0.0, 1, after=1.0))
+    assert not first_crossing(c, 0.0, -1, before=2.9).found
+    assert float(value_at(c, 0.5)) == pytest.approx(-0.5)
+    assert float(value_at(c, 9.0)) == -1.0
+
+
+def test_rows_that_do_not_count_are_never_read():
+    t = np.linspace(0, 6, 61)
+    clean = curve(t, np.sin(t), np.cos(t), np.ones(61, bool))
+    spoiled, valid = np.full((3, 80), np.nan), np.zeros(80, bool)
+    rows = np.sort(np.random.default_rng(0).choice(80, 61, replace=False))
+    spoiled[:, rows], valid[rows] = (t, np.sin(t), np.cos(t)), True
+    dirty = curve(*(jnp.asarray(s) for s in spoiled), jnp.asarray(valid))
+    for level in (0.3, -0.9):
+        assert crossing_time(clean, level, -1) == crossing_time(dirty, level, -1)
+    assert highest(clean, 1.0).value == highest(dirty, 1.0).value
+
+    def time(value):
+        return crossing_time(curve(spoiled[0], value, spoiled[2], jnp.asarray(valid)), 0.3, -1)
+
+    assert np.all(np.isfinite(jax.grad(time)(jnp.asarray(spoiled[1]))))
+
+
+def test_without_a_crossing_the_time_is_nan_and_the_derivative_zero():
+    t = jnp.array([0.0, 1.0, 1.0, 2.0])
+
+    def time(value):
+        return crossing_time(curve(t, value, jnp.ones(4), jnp.ones(4, bool)), 5.0)
+
+    assert math.isnan(time(t))
+    np.testing.assert_array_equal(jax.jacfwd(time)(t), np.zeros(4))
+    np.testing.assert_array_equal(jax.jacrev(time)(t), np.zeros(4))
+
+
+def test_extremum_of_a_cubic_is_exact_with_its_derivatives():
+    t = jnp.array([0.0, 0.7, 1.5, 2.2])
+
+    def peak(p):
+        value, rate = p[0] * t - p[1] * t**3, p[0] - 3 * p[1] * t**2
+        found = highest(curve(t, value, rate, jnp.ones(4, bool)), 1.0)
+        return jnp.stack([found.time, found.value])
+
+    a, b = p = jnp.array([2.0, 0.4])
+    time = jnp.sqrt(a / (3 * b))
+    np.testing.assert_allclose(peak(p), [time, 2 / 3 * a * time], rtol=1e-13)
+    expected = [[time / (2 * a), -time / (2 * b)], [time, -(time**3)]]
+    np.testing.assert_allclose(jax.jacfwd(peak)(p), expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.jacrev(peak)(p), expected, rtol=1e-12)
+
+
+def test_a_curve_that_still_rises_at_the_end_has_not_turned_back():
+    t = np.linspace(0, 8, 81)
+    wave = t + 1.2 * np.sin(t)
+    c = curve(t, wave, 1 + 1.2 * np.cos(t), np.ones(81, bool))
+    assert not highest(c, 1.0).found
+    assert highest(c, 1.0, before=3.0).found
+    assert not highest(c, -1.0, after=0.1, before=2.0).found
+
+
+def test_slopes_are_exact_for_a_parabola_on_either_side_of_an_event():
+    t = np.array([0.0, 0.3, 0.5, 0.9, 0.9, 1.0, 1.4, 1.5])
+    after = np.arange(8) >= 4
+    value = np.where(after, 0.81 + 2 * (t - 0.9) ** 2 - 3 * (t - 0.9), t**2)
+    rate = np.where(after, 4 * (t - 0.9) - 3, 2 * t)
+    np.testing.assert_allclose(slopes(jnp.array(t), jnp.array(value)), rate, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("drift", [0.0, 0.15])
+def test_turning_on_a_circle(side, drift):
+    radius, rate, execute = 50.0, 0.05, 7.3
+    t = with_event(np.arange(0, 200, 0.5), execute)
+    run = turning(jnp.array(t), radius, rate, drift, side=side, execute=execute)
+    got = turning_metrics(run, execute, side)
+    # The axes are those of the heading, turned inwards from the course by the drift angle.
+    inwards = np.exp(1j * drift)
+
+    def position(angle):
+        return radius * (1j - 1j * np.exp(1j * angle)) / inwards
+
+    assert got["advance"] == pytest.approx(position(np.pi / 2).real, rel=1e-6)
+    assert got["transfer"] == pytest.approx(position(np.pi / 2).imag, rel=1e-6)
+    assert got["tactical_diameter"] == pytest.approx(position(np.pi).imag, rel=1e-6)
+    lap = position(np.linspace(0, 2 * np.pi, 200001))
+    assert got["max_advance"] == pytest.approx(lap.real.max(), rel=1e-6)
+    assert got["max_transfer"] == pytest.approx(lap.imag.max(), rel=1e-6)
+    assert got["time_to_90"] == pytest.approx(np.pi / 2 / rate, rel=1e-9)
+    assert got["time_to_180"] == pytest.approx(np.pi / rate, rel=1e-9)
+    assert got["steady_turning_diameter"] == pytest.approx(2 * radius, rel=1e-9)
+    assert got["steady_yaw_rate"] == pytest.approx(rate, rel=1e-9)
+    assert got["peak_yaw_rate"] == pytest.approx(rate, rel=1e-9)
+    assert got["approach_speed"] == pytest.approx(radius * rate, rel=1e-9)
+    assert got["final_speed"] == pytest.approx(radius * rate, rel=1e-9)
+    assert got["speed_loss"] == pytest.approx(0, abs=1e-9)
+
+
+def test_turning_derivatives_are_those_of_the_closed_form():
+    t = jnp.array(with_event(np.arange(0, 200, 0.25), 7.3))
+
+    def metrics(p):
+        return turning_metrics(turning(t, p[0], p[1], 0.0), 7.3, 1)
+
+    radius, rate = p = jnp.array([50.0, 0.05])
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        got = jax.jit(jacobian(metrics))(p)
+        for name, expected in {
+            "advance": (1, 0),
+            "transfer": (1, 0),
+            "tactical_diameter": (2, 0),
+            "time_to_90": (0, -np.pi / 2 / rate**2),
+            "steady_turning_diameter": (2, 0),
+            "peak_yaw_rate": (0, 1),
+            "approach_speed": (rate, radius),
+            "final_speed": (rate, radius),
+        }.items():
+            np.testing.assert_allclose(got[name], expected, rtol=1e-6, atol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("turned, there", [(80, 0), (200, 2), (280, 3)])
+def test_a_short_turn_gives_only_the_numbers_it_contains(turned, there):
+    t = jnp.arange(0, 7.3 + math.radians(turned) / 0.05, 0.1)
+    got = jax.jit(lambda: turning_metrics(turning(t), 7.3, 1))()
+    named = ["advance", "tactical_diameter", "steady_turning_diameter"]
+    assert [bool(np.isfinite(got[name])) for name in named] == [k < there for k in range(3)]
+
+    def total(radius):
+        got = turning_metrics(turning(t, radius, drift=0.0), 7.3, 1)
+        return sum(jnp.where(jnp.isfinite(got[name]), got[name], 0.0) for name in named)
+
+    for derivative in (jax.jacfwd, jax.jacrev):
+        assert jax.jit(derivative(total))(50.0) == pytest.approx([0, 1, 3, 5][there], abs=1e-4)
+
+
+def nomoto_zigzag(gain, lag, order=ORDER, heading=ORDER, reversals=4):
+    """T dr/dt + r = K delta with exact switching, by another integrator's dense output.
+
+    Returns the arrays t, psi, r with both stamps of every event, and the switch times.
+    """
+    start, state, sense, pieces, times = 5.0, [0.0, 0.0], 1, [], [5.0]
+    for _ in range(reversals + 1):
+
+        def motion(t, z, sense=sense):
+            return [z[1], (gain * sense * order - z[1]) / lag]
+
+        def reached(t, z, sense=sense):
+            return sense * z[0] - heading
+
+        reached.terminal, reached.direction = True, 1
+        run = solve_ivp(
+            motion,
+            (start, 200),
+            state,
+            "DOP853",
+            events=reached,
+            rtol=1e-12,
+            atol=1e-14,
+            dense_output=True,
+        )
+        t = np.append(np.arange(start, run.t[-1], 0.25), run.t[-1])
+        pieces.append(np.vstack([t, run.sol(t)]))
+        start, state, sense = run.t[-1], run.y[:, -1], -sense
+        times.append(start)
+    before = np.vstack([np.arange(0, 5.01, 0.25), np.zeros((2, 21))])
+    t, psi, r = np.hstack([before, *pieces])
+    return t, psi, r, np.array(times[:-1])
+
+
+def nomoto_overshoot(gain, lag, order, rate):
+    """Heading gained after the reversal at this yaw rate until it is zero, in closed form."""
+    turn = gain * order
+    return lag * (rate - turn * math.log(1 + rate / turn))
+
+
+def straight_ahead(t, psi, r, speed=2.0):
+    """Position without drift, only for what is read off along the track."""
+    north, east = speed * np.cos(psi), speed * np.sin(psi)
+    x, y = (np.append(0, np.cumsum(np.diff(t) * (p[1:] + p[:-1]) / 2)) for p in (north, east))
+    return trajectory(t, x, y, psi, np.full_like(t, speed), np.zeros_like(t), r)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_zigzag_of_a_nomoto_ship(side):
+    gain, lag, order = 0.25, 4.0, math.radians(20)
+    t, psi, r, times = nomoto_zigzag(gain, lag)
+    run = straight_ahead(t, side * psi + 0.4, side * r)
+    got = zigzag_metrics(run, np.append(times, np.nan), side=side)
+    rates = np.interp(times, t, r)
+    for k in range(1, len(times)):
+        expected = nomoto_overshoot(gain, lag, order, abs(rates[k]))
+        assert got[f"overshoot_{k}"] == pytest.approx(expected, rel=1e-6)
+        check = lag * math.log(1 + abs(rates[k]) / (gain * order))
+        assert got[f"time_to_check_yaw_{k}"] == pytest.approx(check, rel=1e-4)
+    assert math.isnan(got[f"overshoot_{len(times)}"])
+    assert got["period"] == pytest.approx(times[3] - times[1], rel=1e-12)
+    assert got["peak_yaw_rate"] == pytest.approx(np.max(np.abs(r)), rel=1e-9)
+    assert got["approach_speed"] == pytest.approx(2.0, rel=1e-9)
+    # psi = K delta (t - T + T exp(-t/T)) reaches 10 deg here:
+    tau = np.linspace(0, 10, 1000001)
+    turned = gain * order * (tau - lag + lag * np.exp(-tau / lag))
+    quick = tau <= tau[np.argmax(turned >= math.radians(10))]
+    assert got["initial_turning_time"] == pytest.approx(tau[quick][-1], abs=2e-5)
+    made_good = np.trapezoid(2 * np.cos(turned[quick]), tau[quick])
+    assert got["initial_turning_distance"] == pytest.approx(made_good, rel=2e-4)
+    dense = (t >= times[1]) & (psi <= 0)
+    assert got["reach_time"] == pytest.approx(t[dense][0] - times[0], abs=0.25)
+
+
+def test_zigzag_overshoot_has_the_derivative_of_the_closed_form():
+    """The first leg and the return in closed form, so everything depends on (K, T)."""
+    order = heading = math.radians(20)
+    grid = jnp.linspace(0.0, 1.0, 400)
+
+    def leg(gain, lag, tau):
+        turn = gain * order
+        decay = jnp.exp(-tau / lag)
+        return turn * (tau - lag + lag * decay), turn * (1 - decay)
+
+    def switch(gain, lag):
+        tau = grid * 20
+        c = curve(tau, *leg(gain, lag, tau), jnp.ones(400, bool))
+        return crossing_time(c, heading, 1)
+
+    def metrics(p):
+        gain, lag = p
+        reversal = switch(gain, lag)
+        out = reversal * grid
+        back = 8.0 * grid
+        psi1, rate1 = leg(gain, lag, jnp.array(1.0) * reversal)
+        turn = gain * order
+        rate = (rate1 + turn) * jnp.exp(-back / lag) - turn
+        psi = psi1 + lag * (rate1 + turn) * (1 - jnp.exp(-back / lag)) - turn * back
+        first = leg(gain, lag, out)
+        t = jnp.concatenate([out, reversal + back])
+        zero = jnp.zeros_like(t)
+        run = trajectory(
+            t,
+            t,
+            zero,
+            jnp.concatenate([first[0], psi]),
+            zero + 1,
+            zero,
+            jnp.concatenate([first[1], rate]),
+            valid=jnp.ones(800, bool),
+        )
+        got = zigzag_metrics(run, jnp.stack([0.0 * reversal, reversal]))
+        return jnp.stack([got["overshoot_1"], got["time_to_check_yaw_1"], reversal])
+
+    def oracle(p):
+        gain, lag = p
+        turn = gain * order
+        tau = 0.0
+        for _ in range(200):  # psi(tau) = heading by Newton, in plain numpy
+            decay = math.exp(-tau / lag) if tau else 1.0
+            if tau == 0.0:
+                tau = heading / turn + lag
+                continue
+            tau -= (turn * (tau - lag + lag * decay) - heading) / (turn * (1 - decay))
+        rate = turn * (1 - math.exp(-tau / lag))
+        return np.array(
+            [nomoto_overshoot(gain, lag, order, rate), lag * math.log(1 + rate / turn), tau]
+        )
+
+    p = np.array([0.25, 4.0])
+    np.testing.assert_allclose(metrics(jnp.array(p)), oracle(p), rtol=1e-7)
+    expected = np.stack([(oracle(p + d) - oracle(p - d)) / 2e-5 for d in 1e-5 * np.eye(2)], 1)
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        got = jax.jit(jacobian(metrics))(jnp.array(p))
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+def braking(t, speed=5.0, decay=0.1, psi0=0.7, execute=4.0):
+    """Straight on, then slowing down at a constant rate to zero and astern."""
+    tau = jnp.maximum(t - execute, 0.0)
+    along = speed * (t - execute) - decay * tau**2 / 2
+    zero = jnp.zeros_like(t)
+    return trajectory(
+        t,
+        along * jnp.cos(psi0),
+        along * jnp.sin(psi0),
+        zero + psi0,
+        speed - decay * tau,
+        zero,
+        zero,
+    )
+
+
+def test_stopping_at_a_constant_rate():
+    t = jnp.array(with_event(np.arange(0, 80, 0.5), 4.0))
+    got = jax.jit(lambda: stopping_metrics(braking(t), 4.0))()
+    assert got["track_reach"] == pytest.approx(5.0**2 / (2 * 0.1), rel=1e-9)
+    assert got["head_reach"] == pytest.approx(5.0**2 / (2 * 0.1), rel=1e-9)
+    assert got["lateral_deviation"] == pytest.approx(0, abs=1e-9)
+    assert got["stopping_time"] == pytest.approx(50.0, rel=1e-9)
+    assert got["approach_speed"] == pytest.approx(5.0, rel=1e-9)
+    gradient = jax.jit(jax.jacrev(lambda p: stopping_metrics(braking(t, *p), 4.0)))
+    np.testing.assert_allclose(
+        gradient(jnp.array([5.0, 0.1]))["track_reach"], [5 / 0.1, -(5**2) / 2 / 0.1**2], rtol=1e-9
+    )
+
+
+def test_metrics_of_a_batch_are_those_of_its_members():
+    t = jnp.arange(0, 160, 0.5)
+    radii = jnp.array([30.0, 50.0])
+    one = jax.jit(lambda radius: turning_metrics(turning(t, radius), 7.3, 1))
+    batch = jax.jit(jax.vmap(lambda radius: turning_metrics(turning(t, radius), 7.3, 1)))(radii)
+    for i, radius in enumerate(radii):
+        for name, value in one(radius).items():
+            assert batch[name][i] == pytest.approx(float(value), rel=1e-12), name
