@@ -190,6 +190,13 @@ def _needed(table: Table, key: str, where: str) -> float:
     return value
 
 
+def _positive(table: Table, key: str, where: str) -> float:
+    value = _needed(table, key, where)
+    if not value > 0:
+        raise UserError(f"{where}: {key} = {value:g} must be positive")
+    return value
+
+
 def _hull(
     hull: Table,
 ) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce], Scaling | None]:
@@ -293,10 +300,11 @@ def _propeller(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActu
     if not isinstance(k_T, list) or len(k_T) != 3:
         raise UserError(f"{where}: k_T = [k_0, k_1, k_2] of K_T(J) = k_0 + k_1 J + k_2 J^2")
     numbers = {key: _number(table, key, where) for key in optional if key in table}
+    polynomial = {f"k_T[{i}]": k for i, k in enumerate(k_T)}
     return act.Propeller(
         {name: _servo(table, where, "min_speed", "max_speed")},
-        diameter=_needed(table, "diameter", where),
-        k_T=tuple(float(k) for k in k_T),
+        diameter=_positive(table, "diameter", where),
+        k_T=tuple(_needed(polynomial, key, where) for key in polynomial),
         water_density=body.water_density,
         losses=_losses(table, where),
         **_position(table, where),
@@ -323,12 +331,12 @@ def _rudder(
         "epsilon", "kappa", "wake_fraction",
     )  # fmt: skip
     _known(table, (*_COMMON, *limits, "area", "x", "height", "propeller", *numeric), where)
-    area = _needed(table, "area", where)
+    area = _positive(table, "area", where)
     return act.Rudder(
         {name: servo},
         area=area,
         x=_number(table, "x", where, -0.5 * body.length),
-        height=_number(table, "height", where, math.sqrt(1.6 * area)),
+        height=_positive({"height": math.sqrt(1.6 * area)} | table, "height", where),
         water_density=body.water_density,
         propeller=table.get("propeller"),
         **{key: _number(table, key, where) for key in numeric if key in table},
