@@ -80,11 +80,16 @@ def known(value: Scalar, found: Bool[Array, ""]) -> Float[Array, ""]:
     return jnp.where(found, value, jnp.nan)
 
 
+def interval_at(t: Float[Array, "time"], time: Scalar) -> Int[Array, ""]:
+    """Index of the sample that begins the interval holding a time, the last such one."""
+    i = jnp.searchsorted(t, jax.lax.stop_gradient(time), side="right") - 1
+    return jnp.clip(i, 0, t.shape[0] - 2)
+
+
 def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
     """Interpolated value at a time (s), differentiable in it; held before and after."""
     time = jnp.clip(time, curve.t[0], curve.t[-1])
-    i = jnp.searchsorted(curve.t, jax.lax.stop_gradient(time), side="right") - 1
-    piece = _piece(curve, jnp.clip(i, 0, curve.t.shape[0] - 2))
+    piece = _piece(curve, interval_at(curve.t, time))
     return _hermite(piece, (time - piece.t) / piece.step)
 
 

@@ -23,6 +23,7 @@ from diffsea.metrics.crossings import (
     Curve,
     first_crossing,
     highest,
+    interval_at,
     known,
     slopes,
     valid_rows,
@@ -137,7 +138,7 @@ def stopping_metrics(
     """
     run = _referred(trajectory, execute_time, 1.0, psi0)
     stop = first_crossing(run.surge, 0.0, -1, after=execute_time)
-    travelled = value_at(run.path, stop.time) - value_at(run.path, execute_time)
+    travelled = _travelled(run, stop.time) - _travelled(run, execute_time)
     return {
         "track_reach": known(travelled, stop.found),
         "head_reach": known(value_at(run.along, stop.time), stop.found),
@@ -155,7 +156,8 @@ class _Run(NamedTuple):
     along: Curve  # m, in the direction of the original heading
     across: Curve  # m, towards the side
     surge: Curve  # m/s
-    path: Curve  # m travelled
+    sway: Curve  # m/s
+    path: Float[Array, "time"]  # m travelled
     yaw: Curve  # rad/s, towards the side
     counts: Bool[Array, "time"]
 
@@ -176,37 +178,54 @@ def _referred(
     y0 = value_at(Curve(t, y, east), execute_time)
     along, across = to_body(x - x0, y - y0, psi0)
     ahead, abeam = to_body(north, east, psi0)
+    surge, sway = Curve(t, u, slopes(t, u)), Curve(t, v, slopes(t, v))
     return _Run(
         heading=Curve(t, side * (psi - psi0), side * r),
         along=Curve(t, along, ahead),
         across=Curve(t, side * across, side * abeam),
-        surge=Curve(t, u, slopes(t, u)),
-        path=_path(t, u, v),
+        surge=surge,
+        sway=sway,
+        path=_path(surge, sway),
         yaw=Curve(t, side * r, side * slopes(t, r)),
         counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
     )
 
 
-def _path(t: Float[Array, "time"], u: Float[Array, "time"], v: Float[Array, "time"]) -> Curve:
-    """Distance travelled: the exact integral of the Hermite interpolant of the speed."""
-    square = u**2 + v**2
-    # The root has an infinite derivative at rest.
-    speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-    step, slope = jnp.diff(t), slopes(t, speed)
+def _path(surge: Curve, sway: Curve) -> Float[Array, "time"]:
+    """Distance travelled (m) by each sample: trapezoids with their end correction."""
+    speed = _magnitude(surge.value, sway.value)
+    # Not differences of the speed: those smear its kink where the vessel stops.
+    growth = surge.value * surge.rate + sway.value * sway.rate
+    slope = jnp.where(speed > 0, growth / _nonzero(speed), 0.0)
+    step = jnp.diff(surge.t)
     part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
-    return Curve(t, jnp.concatenate([jnp.zeros_like(t[:1]), jnp.cumsum(part)]), speed)
+    return jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)])
+
+
+def _speed_at(run: _Run, time: Scalar) -> Float[Array, ""]:
+    return _magnitude(value_at(run.surge, time), value_at(run.sway, time))
+
+
+def _travelled(run: _Run, time: Scalar) -> Float[Array, ""]:
+    """Distance (m) travelled by a time: by the sample before it and on from there."""
+    t = run.surge.t
+    time = jnp.clip(time, t[0], t[-1])
+    i = interval_at(t, time)
+    return run.path[i] + (time - t[i]) * (_speed_at(run, t[i]) + _speed_at(run, time)) / 2
+
+
+def _magnitude(u: Array, v: Array) -> Array:
+    # The root has an infinite derivative at rest.
+    square = u**2 + v**2
+    return jnp.where(square > 0, jnp.sqrt(_nonzero(square)), 0.0)
 
 
 def _approach_speed(run: _Run, execute_time: Scalar, seconds: float) -> Float[Array, ""]:
     """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
-    begin = jnp.maximum(execute_time - seconds, run.path.t[0])
+    begin = jnp.maximum(execute_time - seconds, run.surge.t[0])
     duration = execute_time - begin
-    some = duration > 0
-    travelled = value_at(run.path, execute_time) - value_at(run.path, begin)
-    speed = Curve(run.path.t, run.path.rate, slopes(run.path.t, run.path.rate))
-    return jnp.where(
-        some, travelled / jnp.where(some, duration, 1.0), value_at(speed, execute_time)
-    )
+    mean = (_travelled(run, execute_time) - _travelled(run, begin)) / _nonzero(duration)
+    return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
 
 
 def _peak_yaw_rate(run: _Run, execute_time: Scalar) -> Float[Array, ""]:
@@ -226,10 +245,8 @@ def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
     chosen = run.counts & (turn.t >= begin.time) & enough
     radius, round_ = fitted_radius(run.along.value, run.across.value, chosen)
     duration = jnp.where(enough, turn.t[-1] - begin.time, 1.0)
-    turned, travelled = (
-        (curve.value[-1] - value_at(curve, begin.time)) / duration
-        for curve in (run.heading, run.path)
-    )
+    turned = (run.heading.value[-1] - value_at(run.heading, begin.time)) / duration
+    travelled = (run.path[-1] - _travelled(run, begin.time)) / duration
     return {
         "steady_turning_diameter": known(2 * radius, enough & round_),
         "steady_yaw_rate": known(turned, enough),
@@ -270,7 +287,7 @@ def _finite(
     return jnp.where(happened, times, 0.0), happened
 
 
-def _nonzero(value: Float[Array, ""]) -> Float[Array, ""]:
+def _nonzero(value: Array) -> Array:
     return jnp.where(value > 0, value, 1.0)
 
 
