@@ -33,12 +33,11 @@ class Finding:
     """One fault of a recording.
 
     `value` and `std` are in `unit`; where a fault is a matter of yes or no, `value` is what
-    the message explains and `std` is NaN. `channels` are the columns it concerns. `repair`
-    says what to do about it.
+    the message explains and `std` is NaN. `channels` are the columns it concerns, `parameters`
+    what the catalogue of effects calls them by. `repair` says what to do about it.
     """
 
     kind: str
-    recording: str
     value: float
     std: float
     unit: str
@@ -46,6 +45,7 @@ class Finding:
     repair: str = ""
     channels: tuple[str, ...] = ()
     parameters: dict[str, float] = dataclasses.field(default_factory=dict)
+    recording: str = ""
 
     def as_dict(self) -> dict:
         """The finding as it stands in audit.json; a size or error that is unknown is null."""

@@ -27,23 +27,31 @@ from scipy import linalg, optimize, stats
 # quite is, hence the margin over the usual levels.
 SIGNIFICANCE = 1e-7
 _MAX_STEPS = 12
+_MAX_CAUSES = 8
+_STARTS = 3
 _TINY = 1e-12
+_TIE = 15.0  # difference of misfit (noise variances) that does not decide between causes
+_PRICE = 30.0  # what one more cause must gain before it beats a smaller set
+_UNLIKELY = 25.0  # what a parameter of the wrong sign must gain over its rivals
 
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
     """A way in which two sets of channels may disagree.
 
-    `size` gives the magnitude that is compared with `negligible` from the cause's
-    parameters; by default their norm. A `gain` multiplies the prediction: noise in the
+    The norm of its parameters is compared with `negligible`; parameters named in `beside`
+    are fitted with them and not judged. A `gain` multiplies the prediction: noise in the
     prediction biases it towards zero, so it is believed only if the reverse regression
-    agrees. Causes that name each other in `excludes` are not combined.
+    agrees. `likely` is the sign that physics gives the parameter, if it does: the other is
+    believed where nothing else will do. A cause is not added to any set in `excludes`.
     """
 
     name: str
     parameters: tuple[str, ...]
     negligible: float
     gain: bool = False
+    likely: int = 0
+    beside: tuple[str, ...] = ()
     excludes: tuple[frozenset[str], ...] = ()
 
 
@@ -51,9 +59,12 @@ class Cause:
 class Comparison:
     """Measured levels, their prediction, and the causes that may part them.
 
-    `times` (s) are the knots. `measured` and the value of `predict` have the shape (series, knots). `linked[i]` says
-    whether the increment from knot i to i + 1 can be used. `steps` are the increments
-    with which derivatives are taken, per parameter.
+    `times` (s) are the knots. `measured` and the value of `predict` have the shape (series,
+    knots). `linked[i]` says whether the increment from knot i to i + 1 can be used. `steps`
+    are the increments with which derivatives are taken and `bounds` the largest magnitudes,
+    by parameter. `doubt` is the standard deviation that the gain is allowed in every test of
+    another cause: noise in the prediction shrinks it a little, and that must not pass for,
+    say, a bias in a steady turn.
     """
 
     times: np.ndarray
@@ -63,21 +74,31 @@ class Comparison:
     causes: tuple[Cause, ...]
     steps: dict[str, float]
     bounds: dict[str, float]
+    doubt: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """The causes found, with their parameters and covariance.
+    """The causes found that are large enough to matter, strongest first.
 
-    `remainder` is the share of the first misfit's (whitened) square that is left.
-    `precision` holds the standard error of every parameter that was not chosen, had it
-    been fitted as well: infinite means that this recording cannot tell.
+    `theta` holds every fitted parameter and `std` its standard error; `alternatives` names,
+    for each cause, those that would have explained the same misfit nearly as well.
     """
 
     causes: tuple[str, ...]
     theta: dict[str, float]
     std: dict[str, float]
     alternatives: dict[str, tuple[str, ...]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Trial:
+    """A set of causes, fitted, and what misfit it leaves (with a price on parameters)."""
+
+    added: Cause
+    causes: tuple[Cause, ...]
+    theta: dict[str, float]
+    cost: float
 
 
 class Whitener:
@@ -100,6 +121,8 @@ class Whitener:
         covariance = half(end, start) + half(start, end) - half(end, end) - half(start, start)
         covariance[np.diag_indices_from(covariance)] *= 1 + 1e-6
         self.factor = linalg.cholesky(covariance, lower=True)
+        rest = self(np.diff(levels, axis=-1))
+        self.variance = float(np.mean(rest**2)) + _TINY  # of what is called noise, near one
 
     def __call__(self, increments: np.ndarray) -> np.ndarray:
         """Whitened increments; the leading axes are kept, the last is the time."""
@@ -143,34 +166,77 @@ def _structure(levels: np.ndarray, times: np.ndarray, linked: np.ndarray):
 
 
 def explain(comparison: Comparison) -> Explanation:
-    """Choose causes by forward steps, each confirmed with the others present."""
+    """Choose causes by forward steps, each confirmed with the others present.
+
+    The first step is tried with several causes, and the set that leaves the least misfit
+    wins: where two causes look alike, the first choice may be wrong. Causes too small to
+    matter are kept in the model, lest a larger one stand in for them, but are not named.
+    """
     theta = dict.fromkeys(comparison.steps, 0.0)
-    chosen: list[Cause] = []
-    rejected: set[str] = set()
-    while len(chosen) < 6:
-        ranked = _ranked(comparison, theta, chosen, rejected)
-        if not ranked:
+    white = _whitener(comparison, theta)
+    trials = _believable(comparison, _trials(comparison, white, theta, ()))
+    if not trials:
+        return Explanation((), theta, {}, {})
+    ends = [_continued(comparison, trial) for trial in trials[:_STARTS]]
+    white = _whitener(comparison, ends[0].theta)
+    best = min(ends, key=lambda end: _cost(comparison, white, end.causes, end.theta))
+    chosen, theta = _pruned(comparison, best.theta, best.causes)
+    named = tuple(cause for cause in chosen if _size(cause, theta) >= cause.negligible)
+    rivals = {cause.name: _rivals(comparison, white, theta, chosen, cause) for cause in named}
+    std = _std(comparison, theta, chosen) if chosen else {}
+    return Explanation(tuple(cause.name for cause in named), theta, std, rivals)
+
+
+def _continued(comparison: Comparison, trial: _Trial) -> _Trial:
+    """The set after adding causes for as long as one more is significant."""
+    while len(trial.causes) < _MAX_CAUSES:
+        white = _whitener(comparison, trial.theta)
+        trials = _trials(comparison, white, trial.theta, trial.causes)
+        added = next((more for more in trials if _holds(comparison, more)), None)
+        if added is None:
             break
-        _, cause = ranked[0]
-        trial = _refit(comparison, theta, [*chosen, cause])
-        if _holds(comparison, trial, [*chosen, cause], cause):
-            theta, chosen = trial, [*chosen, cause]
-        else:
-            rejected.add(cause.name)
-    chosen, theta = _prune(comparison, theta, chosen)
-    std = {} if not chosen else _std(comparison, theta, chosen)
-    return Explanation(tuple(cause.name for cause in chosen), theta, std, {})
+        trial = added
+    return trial
 
 
-def _prune(comparison: Comparison, theta: dict, chosen: list[Cause]) -> tuple[list, dict]:
+def _believable(comparison: Comparison, trials: list[_Trial]) -> list[_Trial]:
+    return [trial for trial in trials if _holds(comparison, trial)]
+
+
+def _rivals(
+    comparison: Comparison,
+    white: Whitener,
+    theta: dict[str, float],
+    chosen: tuple[Cause, ...],
+    cause: Cause,
+) -> tuple[str, ...]:
+    """Causes that could stand in the place of one, leaving nearly the same misfit."""
+    others = tuple(other for other in chosen if other is not cause)
+    kept = set(_names(others))
+    reduced = {name: value if name in kept else 0.0 for name, value in theta.items()}
+    own = _cost(comparison, white, chosen, theta)
+    return tuple(
+        trial.added.name
+        for trial in _trials(comparison, white, reduced, others)
+        if trial.added is not cause and trial.cost - own < _TIE
+    )
+
+
+def _size(cause: Cause, theta: dict[str, float]) -> float:
+    return float(np.linalg.norm([theta[name] for name in cause.parameters]))
+
+
+def _pruned(
+    comparison: Comparison, theta: dict[str, float], chosen: tuple[Cause, ...]
+) -> tuple[tuple[Cause, ...], dict[str, float]]:
     """Drop what the causes found later have made superfluous."""
-    for cause in list(chosen):
-        if not _holds(comparison, theta, chosen, cause):
-            chosen = [other for other in chosen if other is not cause]
-            theta = {
-                name: 0.0 if name in cause.parameters else value for name, value in theta.items()
-            }
-            theta = _refit(comparison, theta, chosen)
+    for cause in chosen:
+        if _holds(comparison, _Trial(cause, chosen, theta, 0.0)):
+            continue
+        chosen = tuple(other for other in chosen if other is not cause)
+        kept = set(_names(chosen))
+        theta = {name: value if name in kept else 0.0 for name, value in theta.items()}
+        theta = _refit(comparison, _whitener(comparison, theta), theta, chosen)
     return chosen, theta
 
 
@@ -187,7 +253,7 @@ def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
 
     From the residual of the present model it would swallow what has not been found yet.
     """
-    names = _names(list(comparison.causes))
+    names = _names(comparison.causes)
     levels = _levels(comparison, theta)
     times, linked = comparison.times, comparison.linked
     for _ in range(2):
@@ -211,27 +277,36 @@ def _jacobian(comparison: Comparison, theta: dict, names: list[str]) -> np.ndarr
     return np.array(columns)
 
 
-def _names(causes: list[Cause]) -> list[str]:
-    return [name for cause in causes for name in cause.parameters]
+def _names(causes: tuple[Cause, ...]) -> list[str]:
+    """Parameters of these causes and of what is fitted beside them, each once."""
+    names = [name for cause in causes for name in (*cause.beside, *cause.parameters)]
+    return list(dict.fromkeys(names))
 
 
-def _solve(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solve(
+    columns: np.ndarray, target: np.ndarray, doubt: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Least squares of whitened columns, with a covariance robust to autocorrelation.
 
-    A direction that the data say nothing about gets an estimate near zero and a very large
-    variance.
+    With `doubt`, the first column is a nuisance known to be zero within that. A direction
+    that the data say nothing about gets an estimate near zero and a very large variance.
     """
     count, series, length = columns.shape
-    matrix = columns.reshape(count, -1)
-    norms = np.linalg.norm(matrix, axis=1)
+    norms = np.linalg.norm(columns.reshape(count, -1), axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     scaled = columns / norms[:, None, None]
     flat = scaled.reshape(count, -1)
-    inverse = np.linalg.inv(flat @ flat.T + 1e-10 * np.eye(count))
+    known = np.full(count, 1e-10)
+    if doubt is not None:
+        known[0] += np.mean(target**2) / (doubt * norms[0]) ** 2
+    inverse = np.linalg.inv(flat @ flat.T + np.diag(known))
     estimate = inverse @ (flat @ target.ravel())
     rest = target - np.tensordot(estimate, scaled, 1)
     freedom = series * length / max(series * length - count, 1)
-    robust = inverse @ _long_run(np.einsum("pst,st->tp", scaled, rest)) @ inverse * freedom
+    scores = _long_run(np.einsum("pst,st->tp", scaled, rest))
+    if doubt is not None:
+        scores[0, 0] += known[0] * np.mean(target**2)
+    robust = inverse @ scores @ inverse * freedom
     # The robust covariance of few samples is itself uncertain, mostly too small; the plain
     # one is its lower limit.
     plain = np.diag(inverse) * (np.mean(rest**2) * freedom + _TINY)
@@ -252,47 +327,74 @@ def _long_run(scores: np.ndarray) -> np.ndarray:
     return total
 
 
-def _ranked(
-    comparison: Comparison, theta: dict, chosen: list[Cause], rejected: set[str]
-) -> list[tuple[float, Cause]]:
-    """Causes that would help significantly, by the misfit they take away, best first."""
-    names = _names(chosen)
-    rest = _residual(comparison, theta)
-    white = _whitener(comparison, theta)
-    target = white(rest)
-    base = white(_jacobian(comparison, theta, names)) if names else None
-    taken = {cause.name for cause in chosen} | rejected
-    ranked = []
+def _trials(
+    comparison: Comparison, white: Whitener, theta: dict, chosen: tuple[Cause, ...]
+) -> list[_Trial]:
+    """The present causes with one more, for each that would help significantly, best first."""
+    target = white(_residual(comparison, theta))
+    taken = {cause.name for cause in chosen}
+    promising = []
     for cause in comparison.causes:
-        if cause.name in taken or any(group <= taken for group in cause.excludes):
+        if cause.name in taken or any(group <= taken | {cause.name} for group in cause.excludes):
             continue
-        own = white(_jacobian(comparison, theta, list(cause.parameters)))
-        columns = own if base is None else np.concatenate([base, own])
-        estimate, cov = _solve(columns, target)
-        count = len(cause.parameters)
-        if not _significant(estimate[-count:], cov[-count:, -count:]):
-            continue
-        fitted = np.tensordot(estimate, columns, 1)
-        drop = np.sum(target**2) - np.sum((target - fitted) ** 2)
-        ranked.append((drop - count * np.log(target.size) * np.mean(target**2), cause))
-    return sorted(ranked, key=lambda item: -item[0])
+        names, doubt = _tested(comparison, (*chosen, cause))
+        columns = white(_jacobian(comparison, theta, names))
+        estimate, cov = _solve(columns, target, doubt)
+        index = [names.index(name) for name in cause.parameters]
+        if _significant(estimate[index], cov[np.ix_(index, index)], target):
+            left = np.sum((target - np.tensordot(estimate, columns, 1)) ** 2)
+            promising.append((left, cause))
+    promising.sort(key=lambda item: item[0])
+    trials = [_trial(comparison, white, theta, chosen, cause) for _, cause in promising[:5]]
+    return sorted(trials, key=lambda trial: trial.cost)
 
 
-def _significant(estimate: np.ndarray, cov: np.ndarray) -> bool:
-    wald = float(estimate @ np.linalg.solve(cov, estimate))
-    return stats.chi2.sf(wald, estimate.size) < SIGNIFICANCE
+def _trial(
+    comparison: Comparison,
+    white: Whitener,
+    theta: dict[str, float],
+    chosen: tuple[Cause, ...],
+    cause: Cause,
+) -> _Trial:
+    """Fit with the additional cause."""
+    causes = (*chosen, cause)
+    fitted = _refit(comparison, white, theta, causes)
+    return _Trial(cause, causes, fitted, _cost(comparison, white, causes, fitted))
 
 
-def _refit(comparison: Comparison, theta: dict, causes: list[Cause]) -> dict[str, float]:
+def _cost(
+    comparison: Comparison, white: Whitener, causes: tuple[Cause, ...], theta: dict[str, float]
+) -> float:
+    """Misfit in units of the noise variance, with a price on causes and parameters."""
+    rest = white(_residual(comparison, theta))
+    unlikely = sum(cause.likely * theta[cause.parameters[0]] < 0 for cause in causes)
+    price = len(_names(causes)) * np.log(rest.size) + _PRICE * len(causes)
+    return float(np.sum(rest**2) / white.variance + price + _UNLIKELY * unlikely)
+
+
+def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str], float | None]:
+    """Parameters to fit in a test of these causes, and how far the first is in doubt."""
+    names = _names(causes)
+    if "gain" in names:
+        return names, None
+    return ["gain", *names], comparison.doubt
+
+
+def _significant(estimate: np.ndarray, cov: np.ndarray, target: np.ndarray) -> bool:
+    """Whether the estimate is beyond chance; few windows make for heavier tails."""
+    wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
+    return stats.f.sf(wald, estimate.size, max(target.shape[-1] - 8, 4)) < SIGNIFICANCE
+
+
+def _refit(
+    comparison: Comparison, white: Whitener, theta: dict, causes: tuple[Cause, ...]
+) -> dict[str, float]:
     """Gauss-Newton over the causes' parameters, with step halving."""
     names = _names(causes)
-    if not names:
-        return theta
-    for _ in range(_MAX_STEPS):
-        rest = _residual(comparison, theta)
-        white = _whitener(comparison, theta)
-        step, cov = _solve(white(_jacobian(comparison, theta, names)), white(rest))
-        start = np.sum(white(rest) ** 2)
+    for _ in range(_MAX_STEPS if names else 0):
+        rest = white(_residual(comparison, theta))
+        step, cov = _solve(white(_jacobian(comparison, theta, names)), rest)
+        start = np.sum(rest**2)
         for _ in range(6):
             trial = _moved(comparison, theta, names, step)
             if np.sum(white(_residual(comparison, trial)) ** 2) <= start:
@@ -312,46 +414,46 @@ def _moved(comparison: Comparison, theta: dict, names: list[str], step: np.ndarr
     return moved
 
 
-def _joint(comparison: Comparison, theta: dict, causes: list[Cause]):
-    names = _names(causes)
-    rest = _residual(comparison, theta)
+def _joint(comparison: Comparison, theta: dict, causes: tuple[Cause, ...]):
+    """Names, whitened columns and residual, and covariance at the fitted parameters."""
+    names, doubt = _tested(comparison, causes)
     white = _whitener(comparison, theta)
+    rest = white(_residual(comparison, theta))
     columns = white(_jacobian(comparison, theta, names))
-    _, cov = _solve(columns, white(rest))
-    return names, columns, white(rest), cov
+    _, cov = _solve(columns, rest, doubt)
+    return names, columns, rest, cov
 
 
-def _std(comparison: Comparison, theta: dict, causes: list[Cause]) -> dict[str, float]:
+def _std(comparison: Comparison, theta: dict, causes: tuple[Cause, ...]) -> dict[str, float]:
     names, _, _, cov = _joint(comparison, theta, causes)
-    return dict(zip(names, np.sqrt(np.diag(cov)), strict=True))
+    std = dict(zip(names, np.sqrt(np.diag(cov)), strict=True))
+    return {name: float(std[name]) for name in _names(causes)}
 
 
-def _holds(comparison: Comparison, theta: dict, causes: list[Cause], cause: Cause) -> bool:
-    """Whether a fitted cause is significant beside the others, and large enough to matter."""
-    names, columns, rest, cov = _joint(comparison, theta, causes)
+def _holds(comparison: Comparison, trial: _Trial) -> bool:
+    """Whether the added cause is significant beside the others and can be believed."""
+    cause, theta = trial.added, trial.theta
+    names, columns, rest, cov = _joint(comparison, theta, trial.causes)
     index = [names.index(name) for name in cause.parameters]
     values = np.array([theta[name] for name in cause.parameters])
-    if np.linalg.norm(values) < cause.negligible:
+    if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
-    if not _significant(values, cov[np.ix_(index, index)]):
+    if not _significant(values, cov[np.ix_(index, index)], rest):
         return False
-    return not cause.gain or _gain_holds(columns, rest, index[0], values[0], cause.negligible)
+    return not cause.gain or _gain_holds(columns, rest, index[0], values[0])
 
 
-def _gain_holds(
-    columns: np.ndarray, rest: np.ndarray, index: int, value: float, negligible: float
-) -> bool:
+def _gain_holds(columns: np.ndarray, rest: np.ndarray, index: int, value: float) -> bool:
     """Whether the reverse regression agrees that the gain is off in the same direction.
 
     With noise in the prediction the forward estimate of the gain is too small, with noise in
     the measurement the reverse one is too large: the truth lies between (Frisch 1934).
     """
-    own = columns[index].ravel()
-    measured = rest.ravel() + (1 + value) * own
-    others = [column.ravel() for i, column in enumerate(columns) if i != index]
-    regressors = np.stack([measured, *others], axis=-1)
-    slope = np.linalg.lstsq(regressors, own, rcond=None)[0][0]
-    if abs(slope) < 1e-12:
+    own = columns[index]
+    others = [column for i, column in enumerate(columns) if i != index]
+    regressors = np.stack([rest + (1 + value) * own, *others])
+    slope, cov = _solve(regressors, own)
+    if slope[0] < 6 * np.sqrt(cov[0, 0]):
         return False
-    reverse = 1 / slope - 1
-    return np.sign(reverse) == np.sign(value) and abs(reverse) > negligible
+    reverse = 1 / slope[0] - 1
+    return np.sign(reverse) == np.sign(value) and abs(reverse) > 0.5 * abs(value)

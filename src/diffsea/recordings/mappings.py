@@ -261,10 +261,6 @@ def _unit(channel: str, unit: object, path: Path) -> str | None:
 
 
 def _number(value: object, path: Path, where: str) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not math.isfinite(value)
-    ):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UserError(f"{path}: {where} must be a finite number, got {value!r}")
     return float(value)

@@ -120,8 +120,7 @@ def _check_file(path: Path) -> None:
         raise UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
     if path.suffix.lower() not in PARQUET_SUFFIXES and b"\x00" in start:
         raise UserError(
-            f"{path} is not text, so it cannot be read as CSV; export it as CSV (UTF-8) or "
-            "Parquet"
+            f"{path} is not text, so it cannot be read as CSV; export it as CSV (UTF-8) or Parquet"
         )
 
 
@@ -195,9 +194,7 @@ def _split(line: str, mapping: Mapping) -> list[str]:
 
 def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> pd.DataFrame:
     """Read the rows below the header under unique labels, then put the names back."""
-    labels = [
-        name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)
-    ]
+    labels = [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]
     try:
         with warnings.catch_warnings():
             # A delimiter at the end of every line is common and harmless.
@@ -300,9 +297,7 @@ def _assemble(
             f"t = {time[repeated][0]:g} s in line {lines[repeated][0]}"
         )
     if np.sum(keep) < 2:
-        raise UserError(
-            f"{path} has {np.sum(keep)} usable row(s); a recording needs at least two"
-        )
+        raise UserError(f"{path} has {np.sum(keep)} usable row(s); a recording needs at least two")
     values = {name: series[keep] for name, series in values.items()}
     if not any(np.any(np.isfinite(values[name])) for name in MOTION_CHANNELS if name in values):
         raise UserError(f"{path} has no finite value in any motion channel")
@@ -372,8 +367,24 @@ def _held(channel: str, series: np.ndarray, time: np.ndarray, notes: list[str]) 
 
 
 def unwrap(angle: np.ndarray) -> np.ndarray:
-    """The angle (rad) without jumps of a turn, continued through missing samples."""
+    """The angle (rad) without jumps of a turn, continued through missing samples.
+
+    An angle that is really in degrees is unwrapped as such: by turns of 2 pi it would be
+    garbled beyond repair, and the audit would no longer see what is wrong with it.
+    """
     finite = np.isfinite(angle)
     continuous = np.array(angle, dtype=float)
-    continuous[finite] = np.unwrap(continuous[finite])
+    period = _period(continuous[finite])
+    if period > 0:
+        continuous[finite] = np.unwrap(continuous[finite], period=period)
     return continuous
+
+
+def _period(angle: np.ndarray) -> float:
+    """The jump that a wrapped angle makes: 2 pi, or 360; zero where it is not wrapped."""
+    if angle.size < 2 or np.max(np.abs(angle)) <= 4 * np.pi:
+        return 2 * np.pi
+    jumps = np.abs(np.diff(angle))
+    if np.any(jumps > 300):
+        return 360.0
+    return 2 * np.pi if np.any(np.abs(jumps - 2 * np.pi) < 1) else 0.0

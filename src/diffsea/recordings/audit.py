@@ -1,0 +1,89 @@
+"""The audit: is a recording consistent with itself, before any physics is blamed?
+
+Every label, unit, frame, sign and clock is a hypothesis, tested from kinematics alone:
+heading is the integral of yaw rate, position that of velocity turned by heading, and
+actuators act the way their names say. Faults are put right in passing, so that what comes
+after is not misled by what was found before; the recording itself is never changed.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from diffsea.types import Trajectory
+
+from .channels import frozen, order_findings, outliers, rounding_findings
+from .clocks import clock_findings
+from .consistency import heading_comparison, velocity_comparison
+from .finding import KINDS, Finding
+from .frames import read_frames
+from .increments import Explanation, explain
+from .motion import Motion, integral, motion_of
+from .naming import disagreement_findings
+from .responses import response_findings
+
+
+def audit(trajectory: Trajectory) -> list[Finding]:
+    """Everything that is wrong with one recording, as far as kinematics can tell.
+
+    Each finding has a size, a standard error where it is a number, and a repair. An empty
+    list means that nothing was found, not that nothing is wrong: what a run does not excite
+    (a latency at constant speed, a compass error on one heading) it cannot show.
+    """
+    findings = clock_findings(trajectory) + rounding_findings(trajectory)
+    findings += order_findings(trajectory)
+    motion, wild = outliers(motion_of(trajectory))
+    motion, mislabelled = read_frames(motion)
+    motion, stuck = frozen(motion)
+    findings += wild + mislabelled + stuck
+    motion, disagreements = _disagreements(motion)
+    findings += disagreements
+    findings += response_findings(trajectory, motion)
+    findings.sort(key=lambda finding: KINDS.index(finding.kind))
+    return [dataclasses.replace(finding, recording=trajectory.name) for finding in findings]
+
+
+def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """What parts heading from yaw rate and position from velocity."""
+    heading = _explained(heading_comparison(motion)) if motion.has("psi", "r") else None
+    turned = heading.causes if heading else ()
+    if heading and "iron" in turned:
+        motion = _clearer(motion, _without_iron(motion.values["psi"], heading.theta))
+    velocity = None
+    if motion.has("x", "y", "psi", "u", "v"):
+        late = "delay" in turned and heading is not None and heading.theta["delay"] < 0
+        # A yaw rate that agrees with heading has cleared the compass already.
+        doubtful = heading is None or "gain" in turned
+        velocity = _explained(velocity_comparison(motion, iron=doubtful, psi_late=late))
+    findings = disagreement_findings(heading, velocity)
+    if velocity and "angle" in velocity.causes:
+        motion = motion.replaced(psi=motion.values["psi"] - velocity.theta["angle"])
+    return motion, findings
+
+
+def _explained(comparison) -> Explanation | None:
+    return None if comparison is None else explain(comparison)
+
+
+def _clearer(motion: Motion, psi: np.ndarray) -> Motion:
+    """The motion with another heading, if position and velocity then agree better.
+
+    Velocities that were turned into body axes by the faulty heading agree with that one.
+    """
+    changed = motion.replaced(psi=psi)
+    if not motion.has("x", "y", "psi", "u", "v"):
+        return changed
+    return changed if _misfit(changed) < _misfit(motion) else motion
+
+
+def _misfit(motion: Motion) -> float:
+    """Mean-square difference of displacement and integrated velocity over about 5 s."""
+    values = motion.values
+    flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
+    misfit = values["x"] + 1j * values["y"] - integral(motion.t, flow)
+    width = max(1, min(int(round(5.0 / motion.interval)), misfit.size // 4))
+    return float(np.mean(np.abs(misfit[width:] - misfit[:-width]) ** 2))
+
+
+def _without_iron(psi: np.ndarray, theta: dict[str, float]) -> np.ndarray:
+    return psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi)
