@@ -1,6 +1,8 @@
 """Numbers of the trials against closed forms, another integrator and hand counts."""
 
+import json
 import math
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +10,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from diffsea.errors import UserError
 from diffsea.metrics import (
     crossing_time,
     curve,
+    find_orders,
     first_crossing,
     highest,
+    identify,
+    imo_verdicts,
+    prepared,
+    recording_metrics,
     slopes,
     stopping_metrics,
     turning_metrics,
@@ -22,6 +30,7 @@ from diffsea.metrics import (
 from diffsea.types import Trajectory
 
 
+DATA = Path(__file__).parents[2] / "shared" / "data"
 ORDER = math.radians(20)
 
 
@@ -400,3 +409,332 @@ def test_metrics_of_a_batch_are_those_of_its_members():
     for i, radius in enumerate(radii):
         for name, value in one(radius).items():
             assert batch[name][i] == pytest.approx(float(value), rel=1e-12), name
+
+
+def replaced(run, **changes):
+    """The run with other channels."""
+    names = ("t", "x", "y", "psi", "u", "v", "r", "valid")
+    fields = {name: np.asarray(getattr(run, name)) for name in names}
+    kept = {"commanded": run.commanded, "executed": run.executed}
+    return trajectory(**{**fields, **kept, **changes})
+
+
+def turning_recording(noise=0.0, side=1, seed=1):
+    """A measured turn: 60 s of approach, a stepped rudder, 0.1 s samples, white noise."""
+    t = np.arange(0, 260, 0.1)
+    run = turning(jnp.array(t), 50.0, 0.05, 0.1, 0.3, side, execute=60.0)
+    rng = np.random.default_rng(seed)
+    sizes = {"x": 1.0, "y": 1.0, "psi": 0.02, "u": 0.1, "v": 0.1, "r": 0.003}
+    noisy = {
+        name: np.asarray(getattr(run, name)) + noise * size * rng.standard_normal(len(t))
+        for name, size in sizes.items()
+    }
+    rudder = np.where(t >= 60.0, side * math.radians(35), 0.0)
+    return replaced(run, **noisy, commanded={"rudder": rudder})
+
+
+def zigzag_recording(kind="commanded", channels=None, rate=None, noise=0.0):
+    """A measured Nomoto zig-zag at 10 Hz; `rate` (rad/s) makes the steering slow."""
+    t0, psi0, r0, times = nomoto_zigzag(0.25, 4.0)
+    t = np.arange(0, t0[-1], 0.1)
+    rng = np.random.default_rng(3)
+    psi = np.interp(t, t0, psi0) + noise * rng.standard_normal(len(t))
+    signs = np.append(0, (-1.0) ** np.arange(len(times)))
+    angle = ORDER * signs[np.searchsorted(times, t, side="right")]
+    if rate is not None:
+        for i in range(1, len(t)):
+            step = np.clip(angle[i] - angle[i - 1], -rate * 0.1, rate * 0.1)
+            angle[i] = angle[i - 1] + step
+    channels = channels or (lambda angle: {"rudder": angle})
+    run = straight_ahead(t, psi, np.interp(t, t0, r0))
+    return replaced(run, **{kind: channels(angle)}), times
+
+
+def twin(angle):
+    """Two thrusts (N) of 80 N in all with this equivalent angle."""
+    half = 40.0 * angle / math.radians(35)
+    return {"port": 40 + half, "starboard": 40 - half}
+
+
+@pytest.mark.parametrize(
+    "kind, channels, rate",
+    [
+        ("commanded", None, None),
+        ("executed", None, math.radians(15)),
+        ("executed", None, math.radians(5)),
+        ("commanded", twin, None),
+        ("executed", lambda angle: {"thruster_left": 3 + angle, "thruster_right": 3 - angle}, None),
+        ("commanded", lambda angle: {"pod.force": 0 * angle + 9, "pod.angle": angle}, None),
+    ],
+)
+def test_orders_of_a_zigzag_are_found_where_they_were_given(kind, channels, rate):
+    run, times = zigzag_recording(kind, channels, rate)
+    orders = find_orders(run)
+    np.testing.assert_allclose(orders.times, times, atol=0.11)
+    assert identify(run, orders) == "zigzag"
+    assert orders.channel.startswith(kind)
+    np.testing.assert_array_equal(np.sign(orders.angles), [1, -1, 1, -1, 1])
+
+
+def test_commands_come_before_executed_values_and_gaps_hold():
+    run, times = zigzag_recording()
+    rudder = run.commanded["rudder"].copy()
+    lag = np.roll(rudder, 30)
+    rudder[np.r_[0, 1:20, 200:230]] = np.nan
+    orders = find_orders(replaced(run, commanded={"rudder": rudder}, executed={"rudder": lag}))
+    np.testing.assert_allclose(orders.times, times, atol=0.11)
+
+
+def test_hand_steering_before_the_execute_is_no_order():
+    run = turning_recording()
+    t, rudder = run.t, run.commanded["rudder"].copy()
+    rudder[t < 55] = math.radians(20) * np.sin(t[t < 55] / 3)
+    rudder[(t > 20) & (t < 21)] = math.radians(35)
+    rudder[(t > 57) & (t < 58)] = -math.radians(35)
+    steered = replaced(run, commanded={"rudder": rudder})
+    got = recording_metrics(steered)
+    assert got["manoeuvre"] == "turning-circle"
+    assert got["execute_time"] == pytest.approx(60.0)
+
+
+def test_runs_without_a_trial_are_not_called_one():
+    t = np.arange(0, 100, 0.1)
+    zero = np.zeros_like(t)
+    ahead = straight_ahead(t, 0.001 * np.sin(t), 0.001 * np.cos(t))
+    assert recording_metrics(ahead)["manoeuvre"] == "straight"
+    rng = np.random.default_rng(5)
+    rudder = np.repeat(rng.uniform(-0.6, 0.6, 50), 20)
+    psi = np.cumsum(rudder) * 0.01
+    wild = replaced(straight_ahead(t, psi, 0.1 * rudder), commanded={"rudder": rudder})
+    assert recording_metrics(wild)["manoeuvre"] == "unknown"
+    speed = np.where(t > 30, 0.3, 0.01)
+    spin = trajectory(t, zero, zero, 0.2 * t, speed, zero, zero + 0.2)
+    thrusts = {"port": np.where(t > 30, 50.0, 0), "starboard": np.where(t > 30, -50.0, 0)}
+    assert recording_metrics(replaced(spin, commanded=thrusts))["manoeuvre"] == "unknown"
+
+
+def test_stopping_is_recognised_by_its_propulsion():
+    t = np.arange(0, 80, 0.1)
+    run = braking(jnp.array(t))
+    run = replaced(run, commanded={"propeller": np.where(t < 4, 10.0, -8.0)})
+    got = recording_metrics(run, length=10.0)
+    assert got["manoeuvre"] == "stopping"
+    assert got["execute_time"] == pytest.approx(4.0)
+    assert got["track_reach"] == pytest.approx(125.0, rel=1e-3)
+    assert got["imo"]["track_reach"]["verdict"] == "pass"
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_recorded_turn(noise, side):
+    got = recording_metrics(turning_recording(noise, side), length=20.0)
+    inwards = np.exp(0.1j)
+    advance, tactical = 50 * (1 + 1j) / inwards, 100j / inwards
+    near = {"abs": 1.5} if noise else {"rel": 1e-4}  # 1 m of noise at two instants, smoothed
+    assert got["manoeuvre"] == "turning-circle"
+    assert got["side"] == ("starboard" if side > 0 else "port")
+    assert got["advance"] == pytest.approx(advance.real, **near)
+    assert got["transfer"] == pytest.approx(advance.imag, **near)
+    assert got["tactical_diameter"] == pytest.approx(tactical.imag, **near)
+    assert got["steady_turning_diameter"] == pytest.approx(100.0, rel=0.002)
+    assert got["approach_speed"] == pytest.approx(2.5, rel=0.01)
+    assert 0.05 <= got["peak_yaw_rate"] < 0.058  # the rate jumps between two samples
+    assert got["advance_over_L"] == pytest.approx(got["advance"] / 20)
+    assert got["imo"]["advance"]["value"] == pytest.approx(got["advance"] / 20)
+    assert bool(noise) == any("smoothed" in note for note in got["notes"])
+    json.dumps(got, allow_nan=False)
+
+
+@pytest.mark.parametrize("noise", [0.0, math.radians(0.5)])
+def test_a_recorded_zigzag(noise):
+    run, times = zigzag_recording(noise=noise)
+    got = recording_metrics(run)
+    t, psi, r, _ = nomoto_zigzag(0.25, 4.0)
+    for k, rate in enumerate(np.interp(times[1:], t, r), start=1):
+        expected = nomoto_overshoot(0.25, 4.0, ORDER, abs(rate))
+        # The order is known to a sample: 0.1 s of yaw rate, and half the noise.
+        margin = 0.1 * abs(rate) + noise / 2
+        assert got[f"overshoot_{k}"] == pytest.approx(expected, abs=margin)
+    assert "overshoot_5" not in got
+    assert got["switching_heading"] == pytest.approx(ORDER, abs=0.01)
+    json.dumps(got, allow_nan=False)
+
+
+def test_what_was_not_recorded_is_derived_or_left_out_and_told():
+    run = turning_recording()
+    gone = np.full_like(run.t, np.nan)
+    full = recording_metrics(run)
+
+    def same(other, names, rel):
+        for name in names:
+            assert other[name] == pytest.approx(full[name], rel=rel), name
+
+    numbers = ("advance", "transfer", "tactical_diameter", "time_to_90", "approach_speed")
+    bare = recording_metrics(replaced(run, u=gone, v=gone, r=gone))
+    same(bare, numbers, 1e-3)
+    assert any("yaw rate was not recorded" in note for note in bare["notes"])
+    assert any("u and v not recorded" in note for note in bare["notes"])
+    same(recording_metrics(replaced(run, psi=gone)), numbers, 2e-3)
+    nowhere = recording_metrics(replaced(run, x=gone, y=gone))
+    same(nowhere, ("time_to_90", "approach_speed", "peak_yaw_rate"), 1e-6)
+    assert "advance" not in nowhere
+    assert any("positions were not recorded" in note for note in nowhere["notes"])
+    holes = {name: np.asarray(getattr(run, name)).copy() for name in ("x", "psi", "u", "r")}
+    for i, series in enumerate(holes.values()):
+        series[i::7] = np.nan
+    wrapped = (holes.pop("psi") + np.pi) % (2 * np.pi) - np.pi
+    same(recording_metrics(replaced(run, psi=wrapped, **holes)), numbers, 1e-3)
+
+
+def test_preparation_keeps_what_is_clean():
+    run, _ = zigzag_recording()
+    same, notes = prepared(run)
+    assert notes == []
+    np.testing.assert_array_equal(same.psi, run.psi)
+    np.testing.assert_array_equal(same.commanded["rudder"], run.commanded["rudder"])
+
+
+def test_impossible_requests_are_told_as_such():
+    run = turning_recording()
+    gone = np.full_like(run.t, np.nan)
+    with pytest.raises(UserError, match="neither heading"):
+        recording_metrics(replaced(run, psi=gone, r=gone))
+    with pytest.raises(UserError, match="no manoeuvre 'loop'.*zigzag"):
+        recording_metrics(run, manoeuvre="loop")
+    with pytest.raises(UserError, match="length must be a positive number"):
+        recording_metrics(run, length=0.0)
+    with pytest.raises(UserError, match="no order was found"):
+        recording_metrics(replaced(run, commanded={}), manoeuvre="zigzag")
+    with pytest.raises(UserError, match="fewer than four rows"):
+        recording_metrics(replaced(run, valid=run.t < 0.2))
+    assert "no steering channel" in recording_metrics(replaced(run, commanded={}))["notes"][0]
+
+
+def degrees(value):
+    return pytest.approx(math.radians(value), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "ratio, first, second", [(9.9, 10, 25), (10, 10, 25), (20, 15, 32.5), (30, 20, 40)]
+)
+def test_imo_limits_of_the_10_10_zigzag(ratio, first, second):
+    metrics = {"overshoot_1": math.radians(14), "overshoot_2": math.radians(32)}
+    ten = math.radians(10)
+    got = imo_verdicts(metrics, ratio, 1.0, "zigzag", ten, ten)
+    assert got["overshoot_1"]["limit"] == degrees(first)
+    assert got["overshoot_2"]["limit"] == degrees(second)
+    assert got["overshoot_1"]["verdict"] == ("pass" if first >= 14 else "fail")
+    assert got["overshoot_2"]["verdict"] == ("pass" if second >= 32 else "fail")
+    assert got["overshoot_1"]["unit"] == "rad"
+
+
+def test_imo_criteria_apply_to_their_own_trial_only():
+    metrics = dict.fromkeys(
+        ("advance", "tactical_diameter", "initial_turning_distance", "track_reach"), 460.0
+    ) | {"overshoot_1": math.radians(26), "overshoot_2": 0.1}
+
+    def verdicts(manoeuvre, *angles):
+        got = imo_verdicts(metrics, 100.0, 8.0, manoeuvre, *(math.radians(a) for a in angles))
+        return {name: entry["verdict"] for name, entry in got.items()}
+
+    assert verdicts("turning-circle", 35) == {"advance": "fail", "tactical_diameter": "pass"}
+    assert verdicts("turning-circle", -35) == verdicts("turning-circle", 35)
+    assert verdicts("turning-circle", 20) == {}
+    assert verdicts("zigzag", 20, 20) == {"overshoot_1": "fail"}
+    assert verdicts("zigzag", 10, 5) == {"initial_turning_distance": "fail"}
+    assert verdicts("stopping") == {"track_reach": "pass"}
+    assert verdicts("unknown") == {}
+    metrics["advance"] = math.nan
+    assert verdicts("turning-circle", 35) == {"tactical_diameter": "pass"}
+
+
+def test_the_scale_of_a_model_counts_in_its_verdict():
+    run, _ = zigzag_recording()
+    tens = {"angle": 0.5, "psi": 0.5}
+    small = replaced(
+        run,
+        psi=run.psi * tens["psi"],
+        r=run.r * tens["psi"],
+        commanded={"rudder": run.commanded["rudder"] * tens["angle"]},
+    )
+    model = recording_metrics(small, length=7.0)
+    ship = recording_metrics(small, length=7.0, scale=49.0)
+    assert model["imo"]["overshoot_1"]["limit"] == degrees(10)
+    assert ship["imo"]["overshoot_1"]["limit"] == degrees(5 + 0.5 * 7 * 3.5)
+    assert ship["overshoot_1"] == model["overshoot_1"]
+    assert any("scale of a model" in note for note in model["notes"])
+
+
+def real(folder, names):
+    """Files of a real data set, skipping where it is absent."""
+    files = sorted((DATA / folder).glob(names))
+    if not files:
+        pytest.skip(f"the recordings of {folder} are not here")
+    return files
+
+
+def test_kvlcc2_zigzags_by_hand_count():
+    for file in real("kvlcc2_hsva", "*.dat"):
+        a = np.loadtxt(file, skiprows=4, encoding="cp1252")
+        t, psi, rudder = a[:, 0], a[:, 3], a[:, 8]
+        run = trajectory(
+            t, a[:, 1], a[:, 2], np.radians(psi), a[:, 4], a[:, 5], np.radians(a[:, 6]),
+            executed={"rudder": np.radians(rudder)},
+        )  # fmt: skip
+        got = recording_metrics(run, length=7.0)
+        assert got["manoeuvre"] == "zigzag"
+        assert got["side"] == ("port" if file.stem.endswith("_P") else "starboard")
+        nominal, heading = (int(part) for part in file.stem.split("_Z_")[1].split("_")[:2])
+        assert math.degrees(got["order_angle"]) == pytest.approx(nominal, abs=0.2)
+        # By hand: the rudder passes zero soon after each reversal; between two such times
+        # the heading has its peak, of which the overshoot is what lies beyond the reversal.
+        zero = np.flatnonzero(np.diff(np.sign(np.where(np.abs(rudder) < 0.1, 0.1, rudder))))
+        zero = [i for i in zero if t[i] > got["switch_times"][1]]
+        for k, (a0, a1) in enumerate(zip(zero[:-1], zero[1:], strict=True), start=1):
+            peak = np.max(np.abs(psi[a0:a1]))
+            at = abs(np.interp(got["switch_times"][k], t, psi))
+            assert heading - 0.3 < at < heading + 1.3, (file.stem, k)
+            assert math.degrees(got[f"overshoot_{k}"]) == pytest.approx(peak - at, abs=0.02)
+
+
+def test_esso_osaka_turns_by_hand_count():
+    for file in real("esso_osaka/recordings", "turn*.csv"):
+        a = np.loadtxt(file, skiprows=1, delimiter=",")
+        t, x, u, y, v, psi, r, n, rudder = a.T
+        run = trajectory(t, x, y, psi, u, v, r, commanded={"rudder": rudder, "propeller": n})
+        got = recording_metrics(run, length=3.0)
+        assert got["manoeuvre"] == "turning-circle"
+        start = np.flatnonzero(np.abs(np.diff(rudder)) > 0.15)
+        start = start[np.abs(t[start + 1] - got["execute_time"]) < 0.05]
+        assert start.size == 1, "the execute is at a step of the rudder"
+        heading = np.unwrap(psi) - np.mean(np.unwrap(psi)[start[0] - 30 : start[0]])
+        for angle, name in ((90, "time_to_90"), (180, "time_to_180")):
+            first = t[np.argmax(np.abs(heading) > math.radians(angle))]
+            assert got[name] == pytest.approx(first - got["execute_time"], abs=1.5)
+        assert 2 < got["tactical_diameter"] / 3 < 5
+        assert got["steady_turning_diameter"] < 1.1 * got["tactical_diameter"]
+        assert 0.2 < got["speed_loss"] < 0.8
+
+
+def test_esso_osaka_zigzags_by_hand_count():
+    for file in real("esso_osaka/recordings", "zigzag*.csv"):
+        a = np.loadtxt(file, skiprows=1, delimiter=",")
+        t, x, u, y, v, psi, r, n, rudder = a.T
+        run = trajectory(t, x, y, psi, u, v, r, commanded={"rudder": rudder, "propeller": n})
+        got = recording_metrics(run, length=3.0)
+        assert got["manoeuvre"] == "zigzag"
+        flips = t[1:][np.abs(np.diff(rudder)) > 1.8 * got["order_angle"]]
+        held = [np.ptp(rudder[(t >= flip) & (t < flip + 1)]) < 0.01 for flip in flips]
+        flips = flips[held]
+        np.testing.assert_allclose(got["switch_times"][1:], flips, atol=1e-9)
+        for k, (a0, a1) in enumerate(zip(flips[:-1], flips[1:], strict=True), start=1):
+            leg = psi[(t >= a0) & (t < a1)]
+            peak = np.max(np.sign(leg[0]) * (leg - leg[0]))
+            assert got[f"overshoot_{k}"] == pytest.approx(peak, abs=math.radians(0.3))
+
+
+def test_random_esso_osaka_runs_are_no_trial():
+    for file in real("esso_osaka/recordings", "random*.csv"):
+        t, x, u, y, v, psi, r, n, rudder = np.loadtxt(file, skiprows=1, delimiter=",").T
+        run = trajectory(t, x, y, psi, u, v, r, commanded={"rudder": rudder, "propeller": n})
+        assert recording_metrics(run)["manoeuvre"] == "unknown"

@@ -9,6 +9,13 @@ from diffsea.metrics.crossings import first_crossing as first_crossing
 from diffsea.metrics.crossings import highest as highest
 from diffsea.metrics.crossings import slopes as slopes
 from diffsea.metrics.crossings import value_at as value_at
+from diffsea.metrics.executes import MANOEUVRES as MANOEUVRES
+from diffsea.metrics.executes import Orders as Orders
+from diffsea.metrics.executes import find_orders as find_orders
+from diffsea.metrics.executes import identify as identify
+from diffsea.metrics.imo import imo_verdicts as imo_verdicts
+from diffsea.metrics.preparation import prepared as prepared
+from diffsea.metrics.recorded import recording_metrics as recording_metrics
 from diffsea.metrics.trials import stopping_metrics as stopping_metrics
 from diffsea.metrics.trials import turning_metrics as turning_metrics
 from diffsea.metrics.trials import zigzag_metrics as zigzag_metrics

@@ -1,0 +1,177 @@
+"""A measured run made complete: gaps bridged, missing motion derived, noise smoothed.
+
+The trial numbers need positions, heading, velocities and yaw rate in every row. What was
+not measured is derived from what was, and each such step is told in a note.
+"""
+
+import dataclasses
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from diffsea.errors import UserError
+from diffsea.kinematics import to_body
+from diffsea.metrics.crossings import slopes
+from diffsea.types import MOTION_CHANNELS, Trajectory
+
+
+# White noise is smoothed where its deviation exceeds this part of the channel's range.
+_NOISE = 0.002
+# The window is the time in which the vessel, turning fast, changes its heading by this.
+_WINDOW_HEADING = math.radians(5)
+_WINDOW_ROWS = 201
+
+Samples = Float[np.ndarray, "time"]
+
+
+def prepared(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
+    """The valid rows of a run with all motion filled in, and notes on what was derived.
+
+    Missing samples are interpolated; heading is unwrapped, or the integral of the yaw rate
+    where it was not measured; yaw rate and velocities come from differences where they
+    were not. Channels with more white noise than 0.2 % of their range are replaced by
+    local parabolas. Positions that were not measured stay NaN.
+
+    Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
+    """
+    t, motion, rows = _measured(trajectory)
+    notes: list[str] = []
+    _complete_heading(t, motion, notes)
+    count = _window_rows(t, motion["psi"])
+    _smooth(t, motion, [n for n in motion if _noisy(motion[n])], count, notes)
+    if not _measures(motion["r"]):
+        motion["r"] = _rate(t, motion["psi"])
+        notes.append("yaw rate was not recorded: it is the derivative of the heading")
+    _complete_velocity(t, motion, notes)
+    series = {
+        field: {name: np.asarray(values, float)[rows] for name, values in channels.items()}
+        for field, channels in (
+            ("commanded", trajectory.commanded),
+            ("executed", trajectory.executed),
+            ("extra", trajectory.extra),
+        )
+    }
+    valid = np.ones(len(t), bool)
+    return dataclasses.replace(trajectory, t=t, **motion, **series, valid=valid), notes
+
+
+def _measured(trajectory: Trajectory) -> tuple[Samples, dict[str, Samples], np.ndarray]:
+    """Times and motion between the first and last heading, and the rows they came from."""
+    if not (trajectory.has("psi") or trajectory.has("r")):
+        raise UserError(
+            f"{trajectory.name} has neither heading (psi) nor yaw rate (r): no number of a "
+            "trial can be read off it; map one of them"
+        )
+    t = np.asarray(trajectory.t, float)
+    heading = np.asarray(trajectory.psi if trajectory.has("psi") else trajectory.r, float)
+    rows = np.flatnonzero(np.asarray(trajectory.valid, bool) & np.isfinite(t))
+    rows = rows[t[rows] >= np.maximum.accumulate(t[rows])]
+    measured = np.flatnonzero(np.isfinite(heading[rows]))
+    rows = rows[measured[0] : measured[-1] + 1] if measured.size else rows[:0]
+    if rows.size < 4 or t[rows[-1]] <= t[rows[0]]:
+        raise UserError(f"{trajectory.name} has fewer than four rows with a heading or yaw rate")
+    motion = {}
+    for name in MOTION_CHANNELS:
+        values = np.asarray(getattr(trajectory, name), float)[rows]
+        motion[name] = _bridged(t[rows], values, angle=name == "psi")
+    return t[rows], motion, rows
+
+
+def _bridged(t: Samples, values: Samples, angle: bool = False) -> Samples:
+    finite = np.isfinite(values)
+    if not finite.any():
+        return values
+    there = np.unwrap(values[finite]) if angle else values[finite]
+    return np.interp(t, t[finite], there)
+
+
+def _measures(values: Samples) -> bool:
+    return bool(np.isfinite(values).any())
+
+
+def _complete_heading(t: Samples, motion: dict[str, Samples], notes: list[str]) -> None:
+    if _measures(motion["psi"]):
+        return
+    mean = (motion["r"][1:] + motion["r"][:-1]) / 2
+    turned = np.append(0.0, np.cumsum(mean * np.diff(t)))
+    notes.append("heading was not recorded: it is the integral of the yaw rate")
+    motion["psi"] = turned + _first_heading(t, turned, motion, notes)
+
+
+def _first_heading(
+    t: Samples, turned: Samples, motion: dict[str, Samples], notes: list[str]
+) -> float:
+    """Heading (rad) at the start that makes velocities and positions agree best."""
+    if not (_measures(motion["x"]) and _measures(motion["y"])):
+        return 0.0
+    over_ground = _rate(t, motion["x"]) + 1j * _rate(t, motion["y"])
+    body = np.ones(len(t), complex)
+    if _measures(motion["u"]) and _measures(motion["v"]):
+        body = motion["u"] + 1j * motion["v"]
+    else:
+        notes.append("its start is the course: drift is neglected")
+    return float(np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned)))))
+
+
+def _complete_velocity(t: Samples, motion: dict[str, Samples], notes: list[str]) -> None:
+    missing = [name for name in ("u", "v") if not _measures(motion[name])]
+    if not missing:
+        return
+    if _measures(motion["x"]) and _measures(motion["y"]):
+        north, east = _rate(t, motion["x"]), _rate(t, motion["y"])
+        derived = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
+        notes.append(f"{' and '.join(missing)} not recorded: derived from the positions")
+    else:
+        derived = {"u": motion["u"], "v": np.zeros_like(t)}
+        notes.append(f"{' and '.join(missing)} not recorded, nor positions to derive them from")
+    motion.update({name: np.asarray(derived[name]) for name in missing})
+
+
+def _rate(t: Samples, values: Samples) -> Samples:
+    return np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
+
+
+def _noisy(values: Samples) -> bool:
+    """Whether there is white noise worth smoothing, judged by third differences.
+
+    They remove any smooth motion; their deviation is sqrt(20) times that of white noise.
+    """
+    if not _measures(values) or len(values) < 8:
+        return False
+    noise = np.median(np.abs(np.diff(values, 3))) / 0.6745 / math.sqrt(20)
+    return bool(noise > _NOISE * np.ptp(values))
+
+
+def _window_rows(t: Samples, psi: Samples) -> int:
+    """Odd number of rows in which a fast turn changes the heading by five degrees."""
+    lag = max(1, len(t) // 50)
+    duration = np.maximum(t[lag:] - t[:-lag], 1e-12)
+    fast = np.quantile(np.abs(psi[lag:] - psi[:-lag]) / duration, 0.9)
+    step = (t[-1] - t[0]) / (len(t) - 1)
+    return 2 * int(min(_WINDOW_HEADING / max(fast * step, 1e-12), _WINDOW_ROWS) // 2) + 1
+
+
+def _smooth(
+    t: Samples, motion: dict[str, Samples], names: list[str], count: int, notes: list[str]
+) -> None:
+    if count < 5 or count > len(t) or not names:
+        return
+    for name in names:
+        motion[name] = _local_parabolas(t, motion[name], count)
+    seconds = count * (t[-1] - t[0]) / (len(t) - 1)
+    notes.append(f"noise in {', '.join(names)} smoothed by parabolas over {seconds:.3g} s")
+
+
+def _local_parabolas(t: Samples, values: Samples, count: int) -> Samples:
+    """Value at each row of the parabola fitted to the `count` rows around it."""
+    rows = np.arange(len(t))
+    first = np.clip(rows - count // 2, 0, len(t) - count)
+    window = first[:, None] + np.arange(count)
+    span = t[window[:, -1]] - t[window[:, 0]]
+    offset = (t[window] - t[:, None]) / np.maximum(span, 1e-12)[:, None]
+    basis = np.stack([np.ones_like(offset), offset, offset**2], axis=-1)
+    normal = np.einsum("nki,nkj->nij", basis, basis) + 1e-12 * np.eye(3)
+    moments = np.einsum("nki,nk->ni", basis, values[window])
+    return np.linalg.solve(normal, moments[..., None])[:, 0, 0]
