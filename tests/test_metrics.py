@@ -507,7 +507,7 @@ def test_runs_without_a_trial_are_not_called_one():
     psi = np.cumsum(rudder) * 0.01
     wild = replaced(straight_ahead(t, psi, 0.1 * rudder), commanded={"rudder": rudder})
     assert recording_metrics(wild)["manoeuvre"] == "unknown"
-    speed = np.where(t > 30, 0.3, 0.01)
+    speed = 0.01 + 0.03 * np.clip(t - 30, 0, 10)
     spin = trajectory(t, zero, zero, 0.2 * t, speed, zero, zero + 0.2)
     thrusts = {"port": np.where(t > 30, 50.0, 0), "starboard": np.where(t > 30, -50.0, 0)}
     assert recording_metrics(replaced(spin, commanded=thrusts))["manoeuvre"] == "unknown"
