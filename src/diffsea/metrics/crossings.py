@@ -31,9 +31,9 @@ class Curve(eqx.Module):
     empty interval is never used. Build it with `curve` when some rows do not count.
     """
 
-    t: Float[Array, "time"]  # s
-    value: Float[Array, "time"]
-    rate: Float[Array, "time"]  # 1/s times the unit of `value`
+    t: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # s
+    value: Float[Array, "time"] = eqx.field(converter=jnp.asarray)
+    rate: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # 1/s times the unit of `value`
 
 
 class Crossing(NamedTuple):
@@ -75,7 +75,7 @@ def curve(
     return Curve(t[rows], value[rows], rate[rows])
 
 
-def known(value: Scalar, found: Bool[Array, ""]) -> Float[Array, ""]:
+def known(value: Scalar | Array, found: Bool[Array, "..."]) -> Float[Array, "..."]:
     """The value where it was found, else NaN with derivative zero."""
     return jnp.where(found, value, jnp.nan)
 

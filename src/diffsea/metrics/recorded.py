@@ -124,7 +124,7 @@ def _stopping(run: Trajectory, orders: Orders, notes: list[str]) -> dict:
         notes.append("no order to stop was found: propulsion never ceased before a stop")
         return _of_the_run(run, orders, notes)
     psi0 = _original_heading(run, start, notes)
-    got = _STOPPING(_padded(run, run.t[-1]), *_traced(start, psi0))
+    got = _STOPPING(_padded(run, math.inf), *_traced(start, psi0))
     return {**_floats(got), "execute_time": start}
 
 
@@ -146,9 +146,9 @@ _MEASURES: dict[str, Callable] = {
     "zigzag": _zigzag,
     "stopping": _stopping,
 }
-_TURNING, _ZIGZAG, _STOPPING = map(
-    eqx.filter_jit, (turning_metrics, zigzag_metrics, stopping_metrics)
-)
+_TURNING = eqx.filter_jit(turning_metrics)
+_ZIGZAG = eqx.filter_jit(zigzag_metrics)
+_STOPPING = eqx.filter_jit(stopping_metrics)
 
 
 def _padded(run: Trajectory, end: float) -> Trajectory:
@@ -190,6 +190,8 @@ def _side(run: Trajectory, start: float, end: float, psi0: float) -> float:
 def _order(run: Trajectory, orders: Orders, side: float, notes: list[str]) -> dict:
     if orders.angles[0] * side < 0:
         notes.append(f"{orders.channel} has the opposite sign: positive turns to port")
+    if ", " in orders.channel and "rudder" not in orders.channel:
+        notes.append(f"order_angle takes {orders.channel} for thrusts, not rev/s or PWM")
     if orders.channel.startswith("executed"):
         notes.append("no steering command was recorded: orders are read from executed values")
     return {

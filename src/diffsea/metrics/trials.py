@@ -44,7 +44,7 @@ def turning_metrics(
     execute_time: Scalar,
     side: Scalar,
     psi0: Scalar | None = None,
-    approach_seconds: float = APPROACH_SECONDS,
+    approach_seconds: Scalar = APPROACH_SECONDS,
 ) -> dict[str, Float[Array, ""]]:
     """Turning circle after one order that is held to the end of the record.
 
@@ -62,10 +62,9 @@ def turning_metrics(
     """
     run = _referred(trajectory, execute_time, side, psi0)
     turn, start = run.heading, execute_time
-    to_90, to_180, to_270 = (
-        first_crossing(turn, angle, +1, after=start)
-        for angle in (math.pi / 2, math.pi, 1.5 * math.pi)
-    )
+    quarters = jnp.array([0.5, 1.0, 1.5]) * math.pi
+    crossings = jax.vmap(lambda angle: first_crossing(turn, angle, +1, after=start))(quarters)
+    to_90, to_180, to_270 = map(Crossing, crossings.time, crossings.found)
     foremost = highest(run.along, 1.0, after=start, before=_until(to_180))
     outermost = highest(run.across, 1.0, after=start, before=_until(to_270))
     approach = _approach_speed(run, start, approach_seconds)
@@ -90,7 +89,7 @@ def zigzag_metrics(
     switch_times: Float[Array, "switch"],
     psi0: Scalar | None = None,
     side: Scalar = 1.0,
-    approach_seconds: float = APPROACH_SECONDS,
+    approach_seconds: Scalar = APPROACH_SECONDS,
 ) -> dict[str, Float[Array, ""]]:
     """Zig-zag with its orders at the switch times.
 
@@ -128,7 +127,7 @@ def stopping_metrics(
     trajectory: Trajectory,
     execute_time: Scalar,
     psi0: Scalar | None = None,
-    approach_seconds: float = APPROACH_SECONDS,
+    approach_seconds: Scalar = APPROACH_SECONDS,
 ) -> dict[str, Float[Array, ""]]:
     """Stopping trial: from the order until the surge velocity passes zero.
 
@@ -220,7 +219,7 @@ def _magnitude(u: Array, v: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(_nonzero(square)), 0.0)
 
 
-def _approach_speed(run: _Run, execute_time: Scalar, seconds: float) -> Float[Array, ""]:
+def _approach_speed(run: _Run, execute_time: Scalar, seconds: Scalar) -> Float[Array, ""]:
     """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
     begin = jnp.maximum(execute_time - seconds, run.surge.t[0])
     duration = execute_time - begin
@@ -232,9 +231,10 @@ def _peak_yaw_rate(run: _Run, execute_time: Scalar) -> Float[Array, ""]:
     """Largest yaw rate (rad/s) to either side after the execute."""
     within = run.counts & (run.yaw.t >= execute_time)
     sampled = jnp.max(jnp.where(within, jnp.abs(run.yaw.value), -jnp.inf))
-    peaks = [(sense, highest(run.yaw, sense, after=execute_time)) for sense in (1.0, -1.0)]
-    between = [jnp.where(p.found, sense * p.value, -jnp.inf) for sense, p in peaks]
-    return jnp.maximum(sampled, jnp.maximum(*between))
+    senses = jnp.array([1.0, -1.0])
+    peaks = jax.vmap(lambda sense: highest(run.yaw, sense, after=execute_time))(senses)
+    between = jnp.max(jnp.where(peaks.found, senses * peaks.value, -jnp.inf))
+    return jnp.maximum(sampled, between)
 
 
 def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
@@ -257,17 +257,18 @@ def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
 def _overshoots(
     run: _Run, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
 ) -> dict[str, Float[Array, ""]]:
-    numbers = {}
-    for k in range(1, times.shape[0]):
-        sense = 1.0 if k % 2 else -1.0
-        follows = k + 1 < times.shape[0]
-        end = jnp.where(happened[k + 1], times[k + 1], jnp.inf) if follows else jnp.inf
-        peak = highest(run.heading, sense, after=times[k], before=end)
-        found = peak.found & happened[k]
-        beyond = sense * (peak.value - value_at(run.heading, times[k]))
-        numbers[f"overshoot_{k}"] = known(beyond, found)
-        numbers[f"time_to_check_yaw_{k}"] = known(peak.time - times[k], found)
-    return numbers
+    starts = times[1:]
+    ends = jnp.append(jnp.where(happened[2:], times[2:], jnp.inf), jnp.inf)
+    senses = jnp.where(jnp.arange(starts.shape[0]) % 2 == 0, 1.0, -1.0)
+    peaks = jax.vmap(highest, (None, 0, 0, 0))(run.heading, senses, starts, ends)
+    at_reversal = jax.vmap(value_at, (None, 0))(run.heading, starts)
+    found = peaks.found & happened[1:]
+    beyond = known(senses * (peaks.value - at_reversal), found)
+    checked = known(peaks.time - starts, found)
+    return {
+        **{f"overshoot_{k + 1}": angle for k, angle in enumerate(beyond)},
+        **{f"time_to_check_yaw_{k + 1}": time for k, time in enumerate(checked)},
+    }
 
 
 def _period(times: Float[Array, "switch"], happened: Bool[Array, "switch"]) -> Float[Array, ""]:
@@ -287,7 +288,7 @@ def _finite(
     return jnp.where(happened, times, 0.0), happened
 
 
-def _nonzero(value: Array) -> Array:
+def _nonzero(value: Scalar | Array) -> Array:
     return jnp.where(value > 0, value, 1.0)
 
 

@@ -94,8 +94,12 @@ def _wild(motion: Motion, channel: str) -> np.ndarray:
     departure = np.abs(series - np.median(around, axis=1))
     changes = np.abs(np.diff(series, append=series[-1]))
     lively = np.median(_neighbourhood(changes, 12), axis=1)
-    usual = 1.4826 * np.median(departure[known])
-    limit = np.maximum(10 * lively, max(10 * usual, 0.02 * _range(series[known])))
+    # The mean keeps a coarsely rounded channel, whose median change is zero, from looking calm.
+    calm = np.sort(departure[known])[: int(0.97 * np.sum(known))]
+    usual = max(1.4826 * np.median(calm), 1.5 * np.mean(calm))
+    rounding = np.min(changes[changes > 1e-9 * np.ptp(series)], initial=np.ptp(series))
+    floor = max(10 * usual, 5 * rounding, 0.02 * _range(series[known]))
+    limit = np.maximum(10 * lively, floor)
     wild = known & (departure > limit) & (limit > 0)
     # Whatever lasts longer than three samples is a movement, or a fault of another kind.
     edges = np.flatnonzero(np.diff(np.concatenate([[0], wild.astype(int), [0]])))
@@ -103,9 +107,9 @@ def _wild(motion: Motion, channel: str) -> np.ndarray:
         if end - start > 3 or start < 2 or end > series.size - 2:
             wild[start:end] = False
             continue
-        shift = abs(series[end] - series[start - 1])
-        if shift > 0.3 * np.max(departure[start:end]):
-            wild[start:end] = False
+        sides = series[start:end, None] - series[[start - 1, end]]
+        returns = np.ptp(sides, axis=1) < 0.3 * np.min(np.abs(sides), axis=1)
+        wild[start:end] &= returns & (np.min(np.abs(sides), axis=1) > floor)
     return wild
 
 

@@ -7,51 +7,80 @@ with r, nu, psi and p each possibly late, by a constant or a growing delay. Ever
 tested with the others present; which of them are there, `increments.explain` decides.
 """
 
+import dataclasses
+
 import numpy as np
 
 from .increments import Cause, Comparison
-from .motion import Motion, integral, knots
+from .motion import Motion, integral, knots, refined
 
 
 MAX_DELAY = 6.0  # s, the longest latency looked for
-# A heading error periodic in heading is told from a scale only over a wide range, rad.
+_TURN = 0.03  # rad per step of the clock that integrals are taken on
+_FEWEST = 15  # windows that a comparison needs
+# A heading error periodic in heading is told from a scale of the yaw rate only over a wide
+# range of headings (rad); velocities tell it from an offset sooner.
 _IRON_RANGE = 2.0
-
-
-def smallest_delay(motion: Motion) -> float:
-    """Delays below this (s) are within what sampling and differencing do anyway."""
-    return max(0.1, 0.75 * motion.interval)
+_IRON_RANGE_BY_VELOCITY = 0.5
 
 
 def heading_comparison(motion: Motion) -> Comparison | None:
     """Measured heading against integrated yaw rate; None where too little is known."""
     index, linked = knots(motion, ("psi", "r"), 2.0)
-    if np.sum(linked) < 15:
+    if np.sum(linked) < _FEWEST:
         return None
-    t, psi, r = motion.t, motion.values["psi"], motion.values["r"]
-    middle, duration = t.mean(), t[-1] - t[0]
-    # Its noise must not stand on both sides, or a compass error would explain it.
-    course = integral(t, r) + _smoothed(motion, psi - integral(t, r), 10.0)
-
-    def predict(theta: dict[str, float]) -> np.ndarray:
-        late = theta["delay"] + theta["rate"] * (t - middle)
-        turned = (1 + theta["gain"]) * integral(t, np.interp(t + late, t, r))
-        iron = theta["sine"] * np.sin(course) + theta["cosine"] * np.cos(course)
-        return (turned + theta["bias"] * t + iron)[None, index]
-
-    delay = smallest_delay(motion)
+    fine = refined(motion, _TURN)
+    prediction = _Heading.of(fine, motion.t[index])
+    delay, drift = _smallest(motion)
     causes = (
         Cause("gain", ("gain",), 0.03, gain=True),
         Cause("bias", ("bias",), 5e-4),
         Cause("delay", ("delay",), delay),
-        Cause("rate", ("rate",), max(1e-3, 2 * delay / duration), beside=("delay",)),
+        Cause("rate", ("rate",), drift, beside=("delay",)),
     )
-    if np.ptp(course) > _IRON_RANGE:
+    if np.ptp(prediction.course) > _IRON_RANGE:
         causes += (Cause("iron", ("sine", "cosine"), np.radians(1.0)),)
-    steps = {"gain": 1e-3, "bias": 1e-4, "delay": max(0.25, motion.interval)}
-    steps |= {"rate": steps["delay"] / duration, "sine": 1e-3, "cosine": 1e-3}
-    bounds = dict(gain=0.9, bias=1.0, delay=MAX_DELAY, rate=0.1, sine=0.6, cosine=0.6)
-    return Comparison(t[index], psi[None, index], predict, linked, causes, steps, bounds, 0.02)
+    shift = max(0.25, motion.interval)
+    steps = {"gain": 1e-3, "bias": 1e-4, "delay": shift, "rate": shift / _duration(motion)}
+    bounds = {"gain": 0.9, "bias": 1.0, "delay": MAX_DELAY, "rate": 0.1}
+    floor = max(np.radians(0.1), _unresolved(motion, fine, _turned))
+    return Comparison(
+        motion.t[index],
+        motion.values["psi"][None, index],
+        prediction,
+        linked,
+        causes,
+        steps | {"sine": 1e-3, "cosine": 1e-3},
+        bounds | {"sine": 0.6, "cosine": 0.6},
+        doubt=0.02,
+        floor=floor,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Heading:
+    """Predicted heading (rad) at the knots."""
+
+    t: np.ndarray
+    r: np.ndarray
+    course: np.ndarray
+    knots: np.ndarray
+
+    @classmethod
+    def of(cls, motion: Motion, at: np.ndarray) -> "_Heading":
+        turned = _turned(motion)
+        # A heading without its own noise, which must not stand on both sides of the
+        # comparison, or a compass error would explain it.
+        slow = _smoothed(motion.values["psi"] - turned, int(10.0 / motion.interval))
+        return cls(motion.t, motion.values["r"], turned + slow, at)
+
+    def __call__(self, theta: dict[str, float]) -> np.ndarray:
+        t = self.t
+        late = theta["delay"] + theta["rate"] * (t - t.mean())
+        psi = (1 + theta["gain"]) * integral(t, np.interp(t + late, t, self.r))
+        psi = psi + theta["bias"] * t
+        psi = psi + theta["sine"] * np.sin(self.course) + theta["cosine"] * np.cos(self.course)
+        return np.interp(self.knots, t, psi)[None]
 
 
 def velocity_comparison(
@@ -64,55 +93,72 @@ def velocity_comparison(
     against yaw rate.
     """
     index, linked = knots(motion, ("x", "y", "psi", "u", "v"), 2.0)
-    if np.sum(linked) < 15:
+    if np.sum(linked) < _FEWEST:
         return None
-    x, y, psi, u, v = (motion.values[name] for name in ("x", "y", "psi", "u", "v"))
-    t, knot_times = _finer(motion), motion.t[index]
-    psi, u, v = (np.interp(t, motion.t, series) for series in (psi, u, v))
-    middle, duration = t.mean(), t[-1] - t[0]
+    fine = refined(motion, _TURN)
+    measured = np.stack([motion.values["x"], motion.values["y"]])[:, index]
+    shift = max(0.25, motion.interval)
+    steps = dict.fromkeys(("gain", "angle", "north", "east", "sine", "cosine"), 1e-3)
+    steps |= {"lever_x": 1e-2, "lever_y": 1e-2, "sway": 1e-2}
+    steps |= dict.fromkeys(("p_delay", "nu_delay", "psi_delay"), shift)
+    steps |= dict.fromkeys(("p_rate", "nu_rate", "psi_rate"), shift / _duration(motion))
+    bounds = dict.fromkeys(steps, 1e3) | {"gain": 0.95, "angle": 3.2, "sway": 4.0}
+    bounds |= dict.fromkeys(("p_delay", "nu_delay", "psi_delay"), MAX_DELAY)
+    bounds |= dict.fromkeys(("p_rate", "nu_rate", "psi_rate"), 0.1)
+    return Comparison(
+        motion.t[index],
+        measured,
+        _Position(fine.t, fine.values, motion.t[index]),
+        linked,
+        _velocity_causes(motion, iron, psi_late),
+        steps,
+        bounds | {"sine": 0.6, "cosine": 0.6},
+        doubt=0.01,
+        floor=max(0.02, _unresolved(motion, fine, _travelled)),
+    )
 
-    def predict(theta: dict[str, float]) -> np.ndarray:
-        past = t - middle
-        late = theta["nu_delay"] + theta["nu_rate"] * past
-        surge = np.interp(t + late, t, u)
-        sway = (1 + theta["sway"]) * np.interp(t + late, t, v)
-        heading = np.interp(t + theta["psi_delay"] + theta["psi_rate"] * past, t, psi)
-        heading = heading - theta["sine"] * np.sin(heading) - theta["cosine"] * np.cos(heading)
-        cosine, sine = np.cos(heading - theta["angle"]), np.sin(heading - theta["angle"])
-        north = (1 + theta["gain"]) * (surge * cosine - sway * sine) + theta["north"]
-        east = (1 + theta["gain"]) * (surge * sine + sway * cosine) + theta["east"]
-        lever_x = theta["lever_x"] * cosine - theta["lever_y"] * sine
-        lever_y = theta["lever_x"] * sine + theta["lever_y"] * cosine
-        levels = integral(t, np.stack([north, east])) + np.stack([lever_x, lever_y])
-        seen = knot_times - theta["p_delay"] - theta["p_rate"] * (knot_times - middle)
-        return np.stack([np.interp(seen, t, level) for level in levels])
 
-    speed = float(np.sqrt(np.mean(u**2 + v**2)))
-    turning = float(np.sqrt(np.mean(np.gradient(psi, t) ** 2))) + 1e-9
-    lever = max(0.15, 0.003 * speed / turning)
-    delay, drift = smallest_delay(motion), max(1e-3, 2 * smallest_delay(motion) / duration)
+@dataclasses.dataclass(frozen=True)
+class _Position:
+    """Predicted position (m) at the knots, north then east."""
+
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    knots: np.ndarray
+
+    def __call__(self, theta: dict[str, float]) -> np.ndarray:
+        t = self.t
+        past = t - t.mean()
+        late = t + theta["nu_delay"] + theta["nu_rate"] * past
+        flow = np.interp(late, t, self.values["u"]) + 1j * (1 + theta["sway"]) * np.interp(
+            late, t, self.values["v"]
+        )
+        psi = np.interp(t + theta["psi_delay"] + theta["psi_rate"] * past, t, self.values["psi"])
+        psi = psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi) - theta["angle"]
+        turn = np.exp(1j * psi)
+        velocity = (1 + theta["gain"]) * flow * turn + theta["north"] + 1j * theta["east"]
+        place = integral(t, velocity) + (theta["lever_x"] + 1j * theta["lever_y"]) * turn
+        seen = self.knots - theta["p_delay"] - theta["p_rate"] * (self.knots - t.mean())
+        return np.stack([np.interp(seen, t, place.real), np.interp(seen, t, place.imag)])
+
+
+def _velocity_causes(motion: Motion, iron: bool, psi_late: bool) -> tuple[Cause, ...]:
+    values = motion.values
+    speed = float(np.sqrt(np.mean(values["u"] ** 2 + values["v"] ** 2)))
+    turning = float(np.sqrt(np.mean(np.gradient(values["psi"], motion.t) ** 2))) + 1e-9
     causes = (
         Cause("gain", ("gain",), 0.02, gain=True),
         Cause("angle", ("angle",), np.radians(1.0)),
         Cause("water", ("north", "east"), max(0.01, 0.02 * speed)),
-        Cause("lever", ("lever_x", "lever_y"), lever),
+        # Large ships turn slowly: what matters is the lever's velocity against the ship's.
+        Cause("lever", ("lever_x", "lever_y"), max(0.15, 0.003 * speed / turning)),
         # Less than a change of sign is the attenuation of a noisy, mostly small channel.
         Cause("sway", ("sway",), 1.4),
-        *_delay_causes(delay, drift, psi_late),
+        *_delay_causes(*_smallest(motion), psi_late),
     )
-    if iron and np.ptp(psi) > 0.25 * _IRON_RANGE:
+    if iron and np.ptp(values["psi"]) > _IRON_RANGE_BY_VELOCITY:
         causes += (Cause("iron", ("sine", "cosine"), np.radians(1.5)),)
-    shift = max(0.25, motion.interval)
-    steps = dict(gain=1e-3, angle=1e-3, north=1e-3, east=1e-3, lever_x=1e-2, lever_y=1e-2)
-    delays, rates = ("p_delay", "nu_delay", "psi_delay"), ("p_rate", "nu_rate", "psi_rate")
-    steps |= dict.fromkeys(delays, shift) | dict.fromkeys(rates, shift / duration)
-    steps |= {"sine": 1e-3, "cosine": 1e-3, "sway": 1e-2}
-    bounds = dict(gain=0.95, angle=3.2, north=20.0, east=20.0, lever_x=200.0, lever_y=200.0)
-    bounds |= dict.fromkeys(delays, MAX_DELAY) | dict.fromkeys(rates, 0.1)
-    bounds |= {"sine": 0.6, "cosine": 0.6, "sway": 4.0}
-    return Comparison(
-        knot_times, np.stack([x, y])[:, index], predict, linked, causes, steps, bounds, 0.01
-    )
+    return causes
 
 
 def _delay_causes(delay: float, drift: float, psi_late: bool) -> tuple[Cause, ...]:
@@ -123,35 +169,47 @@ def _delay_causes(delay: float, drift: float, psi_late: bool) -> tuple[Cause, ..
     alone only if it is so against the yaw rate too.
     """
     likely = {"p": 1, "nu": 1, "psi": 1 if psi_late else -1}
-    pairs = [("p", "nu"), ("p", "psi"), ("nu", "psi")]
     causes = []
     for name, sign in likely.items():
         late, rate = f"{name}_delay", f"{name}_rate"
-        others = [{f"{other}_delay" for other in pair} for pair in pairs if name not in pair]
-        groups = tuple(frozenset(other | {late}) for other in others)
-        causes.append(Cause(late, (late,), delay, likely=sign, excludes=groups))
-        rates = tuple(frozenset({rate, f"{other}_rate"}) for other in likely if other != name)
+        others = [other for other in likely if other != name]
+        all_three = frozenset(f"{other}_delay" for other in likely)
+        rates = tuple(frozenset({rate, f"{other}_rate"}) for other in others)
+        causes.append(Cause(late, (late,), delay, likely=sign, excludes=(all_three,)))
         causes.append(Cause(rate, (rate,), drift, beside=(late,), excludes=rates))
     return tuple(causes)
 
 
-def _smoothed(motion: Motion, series: np.ndarray, seconds: float) -> np.ndarray:
-    """Moving average over about `seconds`, by samples, shortened at the ends."""
-    half = int(round(0.5 * seconds / motion.interval))
+def _duration(motion: Motion) -> float:
+    return float(motion.t[-1] - motion.t[0])
+
+
+def _smallest(motion: Motion) -> tuple[float, float]:
+    """The delay (s) and drift (s/s) below which sampling and differencing do as much."""
+    delay = max(0.1, 0.75 * motion.interval)
+    return delay, max(1e-3, 2 * delay / _duration(motion))
+
+
+def _smoothed(series: np.ndarray, width: int) -> np.ndarray:
+    """Moving average over about `width` samples, fewer at the ends."""
     total = np.concatenate([[0.0], np.cumsum(series)])
     index = np.arange(series.size)
-    first, last = (index - half).clip(0), (index + half + 1).clip(None, series.size)
+    first = (index - width // 2).clip(0)
+    last = (index + width // 2 + 1).clip(None, series.size)
     return (total[last] - total[first]) / (last - first)
 
 
-def _finer(motion: Motion) -> np.ndarray:
-    """A time axis on which the heading turns by less than about 3 degrees per step.
+def _turned(motion: Motion) -> np.ndarray:
+    return integral(motion.t, motion.values["r"])
 
-    Velocity is rotated before it is integrated; with coarser steps the chord of the turn
-    would pass for a lever arm.
-    """
-    turn = np.abs(np.diff(motion.values["psi"]))
-    parts = int(np.clip(np.ceil(np.percentile(turn, 95) / 0.05), 1, 10))
-    fractions = np.arange(parts) / parts
-    fine = motion.t[:-1, None] + np.diff(motion.t)[:, None] * fractions
-    return np.append(fine.ravel(), motion.t[-1])
+
+def _travelled(motion: Motion) -> np.ndarray:
+    values = motion.values
+    return integral(motion.t, (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"]))
+
+
+def _unresolved(motion: Motion, fine: Motion, integrated) -> float:
+    """How far (root mean square) an integral on the two clocks parts: what happens between
+    the samples is known no better than that."""
+    parting = integrated(motion) - np.interp(motion.t, fine.t, integrated(fine))
+    return float(np.std(parting))

@@ -64,7 +64,8 @@ class Comparison:
     are the increments with which derivatives are taken and `bounds` the largest magnitudes,
     by parameter. `doubt` is the standard deviation that the gain is allowed in every test of
     another cause: noise in the prediction shrinks it a little, and that must not pass for,
-    say, a bias in a steady turn.
+    say, a bias in a steady turn. A cause whose whole effect on the levels is below `floor`
+    (root mean square) is not named.
     """
 
     times: np.ndarray
@@ -75,6 +76,7 @@ class Comparison:
     steps: dict[str, float]
     bounds: dict[str, float]
     doubt: float
+    floor: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,13 +108,17 @@ class Whitener:
 
     The mean square S(h) of residual differences over a time h is fitted, up to a tenth of
     the run, by non-negative amounts of white noise of the level, of noise that forgets
-    itself within 1 to 100 s, and of a random walk. Longer lags say nothing that a cause
-    could not also say.
+    itself within 1 to 100 s (but twenty times within the run: whatever remembers longer
+    counts as a random walk), and of a random walk. Longer lags say nothing that a cause could
+    not also say. Of white noise and random walk there is at least so much as to amount to
+    `least`: without any noise the smallest inaccuracy would be significant.
     """
 
-    def __init__(self, levels: np.ndarray, times: np.ndarray, linked: np.ndarray):
+    def __init__(self, levels: np.ndarray, times: np.ndarray, linked: np.ndarray, least: float):
         self.linked = linked
         weights, scales = _structure(levels, times, linked)
+        weights[0] += least**2
+        weights[1] += least**2 / (times[-1] - times[0])
         start, end = times[:-1][linked], times[1:][linked]
 
         def half(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -142,7 +148,7 @@ def _spread(lag: np.ndarray, scales: np.ndarray) -> np.ndarray:
 def _structure(levels: np.ndarray, times: np.ndarray, linked: np.ndarray):
     """Amounts of each kind of noise, and the memory times (s) of those that forget."""
     duration = times[-1] - times[0]
-    scales = np.array([scale for scale in (1.0, 3.0, 10.0, 30.0, 100.0) if scale < duration / 5])
+    scales = np.array([scale for scale in (1.0, 3.0, 10.0, 30.0, 100.0) if scale < duration / 20])
     segment = np.concatenate([[0], np.cumsum(~linked)])
     lags = np.unique(np.geomspace(1, max(2, linked.size // 10), 12).astype(int))
     spans, squares = [], []
@@ -181,7 +187,7 @@ def explain(comparison: Comparison) -> Explanation:
     white = _whitener(comparison, ends[0].theta)
     best = min(ends, key=lambda end: _cost(comparison, white, end.causes, end.theta))
     chosen, theta = _pruned(comparison, best.theta, best.causes)
-    named = tuple(cause for cause in chosen if _size(cause, theta) >= cause.negligible)
+    named = tuple(cause for cause in chosen if _matters(comparison, theta, cause))
     rivals = {cause.name: _rivals(comparison, white, theta, chosen, cause) for cause in named}
     std = _std(comparison, theta, chosen) if chosen else {}
     return Explanation(tuple(cause.name for cause in named), theta, std, rivals)
@@ -222,8 +228,12 @@ def _rivals(
     )
 
 
-def _size(cause: Cause, theta: dict[str, float]) -> float:
-    return float(np.linalg.norm([theta[name] for name in cause.parameters]))
+def _matters(comparison: Comparison, theta: dict[str, float], cause: Cause) -> bool:
+    if np.linalg.norm([theta[name] for name in cause.parameters]) < cause.negligible:
+        return False
+    without = theta | dict.fromkeys(cause.parameters, 0.0)
+    effect = comparison.predict(theta) - comparison.predict(without)
+    return float(np.sqrt(np.mean(np.var(effect, axis=-1)))) >= comparison.floor
 
 
 def _pruned(
@@ -255,15 +265,15 @@ def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
     """
     names = _names(comparison.causes)
     levels = _levels(comparison, theta)
-    times, linked = comparison.times, comparison.linked
+    times, linked, least = comparison.times, comparison.linked, 0.3 * comparison.floor
     for _ in range(2):
-        white = Whitener(levels, times, linked)
+        white = Whitener(levels, times, linked, least)
         jacobian = _jacobian(comparison, theta, names)
         estimate, _ = _solve(white(jacobian), white(np.diff(levels, axis=-1)))
         fitted = np.tensordot(estimate, jacobian, 1)
         rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)
         levels = np.concatenate([np.zeros((len(rest), 1)), rest], axis=-1)
-    return Whitener(levels, times, linked)
+    return Whitener(levels, times, linked, least)
 
 
 def _jacobian(comparison: Comparison, theta: dict, names: list[str]) -> np.ndarray:
@@ -341,7 +351,7 @@ def _trials(
         columns = white(_jacobian(comparison, theta, names))
         estimate, cov = _solve(columns, target, doubt)
         index = [names.index(name) for name in cause.parameters]
-        if _significant(estimate[index], cov[np.ix_(index, index)], target):
+        if _significant(estimate[index], cov[np.ix_(index, index)], _freedom(comparison)):
             left = np.sum((target - np.tensordot(estimate, columns, 1)) ** 2)
             promising.append((left, cause))
     promising.sort(key=lambda item: item[0])
@@ -380,10 +390,17 @@ def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str
     return ["gain", *names], comparison.doubt
 
 
-def _significant(estimate: np.ndarray, cov: np.ndarray, target: np.ndarray) -> bool:
-    """Whether the estimate is beyond chance; few windows make for heavier tails."""
+def _significant(estimate: np.ndarray, cov: np.ndarray, freedom: float) -> bool:
+    """Whether the estimate is beyond chance; short runs make for heavier tails."""
     wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
-    return stats.f.sf(wald, estimate.size, max(target.shape[-1] - 8, 4)) < SIGNIFICANCE
+    return stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE
+
+
+def _freedom(comparison: Comparison) -> float:
+    """Degrees of freedom: no more than one window per two seconds is independent."""
+    windows = int(np.sum(comparison.linked))
+    duration = comparison.times[-1] - comparison.times[0]
+    return max(min(windows, 0.5 * duration) - 8.0, 4.0)
 
 
 def _refit(
@@ -438,7 +455,7 @@ def _holds(comparison: Comparison, trial: _Trial) -> bool:
     values = np.array([theta[name] for name in cause.parameters])
     if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
-    if not _significant(values, cov[np.ix_(index, index)], rest):
+    if not _significant(values, cov[np.ix_(index, index)], _freedom(comparison)):
         return False
     return not cause.gain or _gain_holds(columns, rest, index[0], values[0])
 

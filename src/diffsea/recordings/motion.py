@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from scipy import interpolate
 
 from diffsea.types import MOTION_CHANNELS, Trajectory
 
@@ -64,6 +65,27 @@ def integral(t: np.ndarray, series: np.ndarray) -> np.ndarray:
     """Cumulative trapezoidal integral along the last axis, starting at zero."""
     steps = 0.5 * (series[..., 1:] + series[..., :-1]) * np.diff(t)
     return np.concatenate([np.zeros((*series.shape[:-1], 1)), np.cumsum(steps, axis=-1)], -1)
+
+
+def refined(motion: Motion, turn: float) -> Motion:
+    """The motion on a finer clock, if need be, so that it turns by less than `turn` rad per step.
+
+    Cubic between the samples: chords of a turn would pass for a lever arm, and cut corners
+    for a late sensor.
+    """
+    turns = np.abs(np.diff(motion.values["psi"]))
+    parts = int(np.clip(np.ceil(np.percentile(turns, 95) / turn), 1, 10))
+    if parts == 1:
+        return motion
+    fractions = np.arange(parts) / parts
+    fine = motion.t[:-1, None] + np.diff(motion.t)[:, None] * fractions
+    t = np.append(fine.ravel(), motion.t[-1])
+    values = {}
+    for name, series in motion.values.items():
+        slopes = np.gradient(series, motion.t)
+        values[name] = interpolate.CubicHermiteSpline(motion.t, series, slopes)(t)
+    known = {name: np.repeat(mask, parts)[: t.size] for name, mask in motion.known.items()}
+    return Motion(t, values, known)
 
 
 def motion_of(trajectory: Trajectory) -> Motion:

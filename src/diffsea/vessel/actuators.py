@@ -31,6 +31,13 @@ def _push(thrust: Scalar, x: Scalar, y: Scalar, angle: Scalar) -> Force:
     return Force(X, Y, x * Y - y * X)
 
 
+def _drift_speed(water: State) -> Scalar:
+    """Drift angle times speed, `U beta` with `beta = atan(-v / |u|)` (m/s): nearly -v."""
+    # The small constant keeps the angle differentiable at rest.
+    u = jnp.sqrt(water.u**2 + 1e-12)
+    return jnp.sqrt(u**2 + water.v**2) * jnp.arctan2(-water.v, u)
+
+
 class FixedThruster(AbstractActuator):
     """A thruster of fixed direction, commanded in N, or in rev/s with a thrust curve.
 
@@ -103,8 +110,8 @@ class Propeller(AbstractActuator):
     `T = rho D^4 (k_0 n |n| + k_1 |n| V + k_2 V |V|)` with V = (1 - w) u_r / D: the open-water
     polynomial `rho n^2 D^4 K_T(J)` made continuous through n = 0, where J is not defined.
     Astern the first term is multiplied by `astern_factor`. The wake fraction falls with
-    the drift angle at the propeller, `w = w_0 exp(-wake_decay beta_P^2)`, and
-    `X = (1 - t) T` (Yasukawa and Yoshimura 2015, eqs. 9 to 16).
+    the drift angle at the propeller, `w = w_0 exp(-wake_decay beta_P^2)` with
+    `beta_P = beta - x r / U`, and `X = (1 - t) T` (Yasukawa and Yoshimura 2015, eqs. 9 to 16).
     """
 
     servos: dict[str, Servo]
@@ -121,8 +128,8 @@ class Propeller(AbstractActuator):
 
     def _advance(self, water: State) -> Scalar:
         """Speed into the disc, m/s."""
-        drift = water.v + self.x * water.r
-        speed_squared = water.u**2 + drift**2 + 1e-12
+        drift = _drift_speed(water) - self.x * water.r
+        speed_squared = water.u**2 + water.v**2 + 1e-12
         wake = self.wake_fraction * jnp.exp(-self.wake_decay * drift**2 / speed_squared)
         return (1 - wake) * water.u
 
@@ -157,7 +164,7 @@ class Rudder(AbstractActuator):
     Normal force `F_N = 1/2 rho A f_alpha U_R^2 sin(alpha_R)` with the propeller's
     slipstream in the inflow (Yasukawa and Yoshimura 2015, eqs. 17 to 25):
     `u_R = epsilon sqrt(eta (u_P + kappa (sqrt(u_P^2 + 8 K_T n^2 D^2 / pi) - u_P))^2 +
-    (1 - eta) u_P^2)` and `v_R = gamma_R (-v - l_R r)`, eta = D / H. Then
+    (1 - eta) u_P^2)` and `v_R = U gamma_R (beta - l_R r / U)`, eta = D / H. Then
     `X = -(1 - t_R) F_N sin(delta)`, `Y = -(1 + a_H) F_N cos(delta)`,
     `N = -(x_R + a_H x_H) F_N cos(delta)`.
     """
@@ -192,7 +199,7 @@ class Rudder(AbstractActuator):
         return Force(X, (1 + self.a_H) * side, N)
 
     def _inflow(self, water: State, jets: dict[str, Jet]) -> tuple[Scalar, Scalar]:
-        crossing = -water.v - self.l_R * water.r
+        crossing = _drift_speed(water) - self.l_R * water.r
         gamma = jnp.where(crossing < 0, self.gamma_R_port, self.gamma_R_starboard)
         if self.propeller is None:
             axial = (1 - self.wake_fraction) * water.u

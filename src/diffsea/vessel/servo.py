@@ -7,6 +7,8 @@ of the response, a time constant far below the step is integrated rightly, and a
 delay is exactly absent at zero with a derivative that is not.
 """
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,10 @@ from diffsea.types import Scalar
 
 
 SEGMENTS = 4  # orders that can fall within one step after a delay
+SHORTEST = 1e-12  # s
+
+# Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/2.
+_SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(15))
 
 
 class OrderHistory(eqx.Module):
@@ -26,9 +32,7 @@ class OrderHistory(eqx.Module):
 
     def push(self, t: Scalar, value: Scalar) -> "OrderHistory":
         """Forget the oldest order and append one at time `t`."""
-        return OrderHistory(
-            jnp.append(self.times[1:], t), jnp.append(self.values[1:], value)
-        )
+        return OrderHistory(jnp.append(self.times[1:], t), jnp.append(self.values[1:], value))
 
 
 class Response(eqx.Module):
@@ -78,21 +82,19 @@ class Servo(eqx.Module):
         soft = (jnp.logaddexp(0.0, k * (s + 1)) - jnp.logaddexp(0.0, k * (s - 1))) / k - 1
         return middle + half * soft
 
-    def respond(
-        self, executed: Scalar, history: OrderHistory, t: Scalar, dt: Scalar
-    ) -> Response:
+    def respond(self, executed: Scalar, history: OrderHistory, t: Scalar, dt: Scalar) -> Response:
         """Response over [t, t + dt] from `executed` to the orders in `history`."""
         if self.direct:
             held = self.target(history.values[-1])
             return Response(held, held, held, held)
-        # A step of no length (an event on the step's boundary) executes nothing.
-        moves = dt > 1e-12
-        length = jnp.where(moves, dt, 1.0)
+        # A step of no length (an event on the step's boundary) is as good as this one, which
+        # keeps its derivative.
+        shortest = SHORTEST + (dt - jax.lax.stop_gradient(dt))
+        length = jnp.where(dt > SHORTEST, dt, shortest)
         breaks, orders = self._segments(history, t, length)
         targets = [self.target(order) for order in orders]
         moments, final = self._moments(executed, targets, breaks, length)
-        response = _quadratic(moments, final)
-        return jax.tree.map(lambda node: jnp.where(moves, node, executed), response)
+        return _quadratic(moments, final)
 
     def _segments(
         self, history: OrderHistory, t: Scalar, dt: Scalar
@@ -102,13 +104,12 @@ class Servo(eqx.Module):
             return [0.0, 1.0], [history.values[-1]]
         # Strictly before: an order that takes effect just now stays a break at fraction
         # zero, which gives a delay of zero its derivative.
-        first = jnp.sum(history.times < t - self.delay) - 1
+        method = "compare_all" if history.times.size <= 64 else "scan"
+        first = jnp.searchsorted(history.times, t - self.delay, method=method) - 1
         last = history.times.size - 1
         index = [jnp.clip(first + k, 0, last) for k in range(SEGMENTS)]
         inner = [
-            jnp.where(
-                first + k <= last, _fraction((history.times[i] + self.delay - t) / dt), 1.0
-            )
+            jnp.where(first + k <= last, _fraction((history.times[i] + self.delay - t) / dt), 1.0)
             for k, i in enumerate(index)
         ]
         return [0.0, *inner[1:], 1.0], [history.values[i] for i in index]
@@ -151,15 +152,16 @@ class Servo(eqx.Module):
             size * slewing ** (k + 1) / (k + 1) - rho * slewing ** (k + 2) / (k + 2)
             for k in range(3)
         ]
-        rest = size - rho * slewing
+        # Linear where nothing slews: the modulus has no derivative at no error.
+        rest = jnp.where(slewing > 0, sign * (size - rho * slewing), error)
         tail, left = _exponential_moments(span - slewing, tau)
         shifted = (
             tail[0],
             slewing * tail[0] + tail[1],
             slewing**2 * tail[0] + 2 * slewing * tail[1] + tail[2],
         )
-        moments = tuple(sign * (a + rest * b) for a, b in zip(ramp, shifted, strict=True))
-        return moments, sign * rest * left
+        moments = tuple(sign * a + rest * b for a, b in zip(ramp, shifted, strict=True))
+        return moments, rest * left
 
 
 def _fraction(value: Scalar) -> Scalar:
@@ -172,20 +174,30 @@ def _dead_band(value: Scalar, width: Scalar) -> Scalar:
     return jnp.where(jnp.abs(value) > width, value - jnp.sign(value) * width, 0.0)
 
 
-def _exponential_moments(
-    span: Scalar, tau: Scalar
-) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+def _exponential_moments(span: Scalar, tau: Scalar) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
     """Integrals of s^k exp(-s / tau) over [0, span] for k = 0, 1, 2, and exp(-span / tau).
 
-    From integration by parts, I_k = k tau I_(k-1) - tau span^k exp(-span / tau). Below a
-    thousandth of the span the exponential is zero to rounding, which keeps tau = 0 exact.
+    From integration by parts, I_k = k tau I_(k-1) - tau span^k exp(-span / tau). Upwards from
+    I_0 that cancels where tau is long against the span; there I_2 is its power series in
+    span / tau and the others follow downwards. Below a thousandth of the span the
+    exponential is zero to rounding, which keeps tau = 0 exact.
     """
-    slow = tau > 1e-3 * span
+    slow, flat = tau > 1e-3 * span, tau > 2 * span
     left = jnp.where(slow, jnp.exp(-span / jnp.where(slow, tau, 1.0)), 0.0)
     left = jnp.where(span > 0, left, 1.0)
-    zeroth = tau * (1 - left)
-    first = tau * (zeroth - span * left)
-    second = tau * (2 * first - span**2 * left)
+    short, long = jnp.where(flat, 0.0, tau), jnp.where(flat, tau, 1.0)
+    zeroth = short * (1 - left)
+    first = short * (zeroth - span * left)
+    upwards = zeroth, first, short * (2 * first - span**2 * left)
+    ratio, series = jnp.where(flat, span, 0.0) / long, 0.0
+    for coefficient in reversed(_SERIES):
+        series = coefficient + ratio * series
+    second = span**3 * series
+    first = 0.5 * (second / long + span**2 * left)
+    downwards = first / long + span * left, first, second
+    zeroth, first, second = (
+        jnp.where(flat, down, up) for down, up in zip(downwards, upwards, strict=True)
+    )
     return (zeroth, first, second), left
 
 

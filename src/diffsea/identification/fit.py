@@ -1,0 +1,312 @@
+"""Fitting a vessel to recordings: estimates, standard errors, and how well they predict.
+
+One round tunes the filter at the current estimate, improves the parameters by
+Levenberg-Marquardt with the gains held fixed, and re-estimates the noise. A few rounds
+converge. Which coordinates are free is a selection matrix, an input of the compiled
+program: screening and refitting compile nothing new.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from diffsea.identification import likelihood
+from diffsea.identification.likelihood import Gains, Layout, Noise, Tuned, deviance
+from diffsea.identification.noise import Path, Prior, noise_prior, refine
+from diffsea.identification.tape import Tape, make_tape
+from diffsea.parameters import Parameter, check_names, hull_prior, named
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import AbstractEffect
+
+
+Progress = Callable[[str], None]
+
+ROUNDS = 8
+STEPS = 12  # of Levenberg-Marquardt in one round
+
+
+class Estimate(NamedTuple):
+    """Where a fit ended."""
+
+    free: tuple[str, ...]
+    coordinates: np.ndarray  # of the whole layout
+    noise: Noise
+    deviance: float  # -2 log posterior, the priors of parameters and noise included
+    index: np.ndarray  # which coordinates were free
+    covariance: np.ndarray  # of the free coordinates
+    shrinkage: np.ndarray  # share of each free coordinate that the data determine, 0 to 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """A base vessel, what may be estimated in it, and the recordings."""
+
+    base: Vessel
+    layout: Layout
+    tape: Tape
+    prior: Prior
+    width: int  # free coordinates the compiled program has room for
+
+    def start(self) -> tuple[np.ndarray, Noise]:
+        """Prior mean of the coordinates and first guess of the noise."""
+        mean = self.prior.mean
+        return np.zeros(self.layout.size), Noise(jnp.asarray(mean[:3]), jnp.asarray(mean[3:]))
+
+    def tuned(self, coordinates: np.ndarray, noise: Noise) -> Tuned:
+        """The filter's run at an estimate."""
+        return _tune(self.base, _Static(self.layout), self.tape, noise, jnp.asarray(coordinates))
+
+
+class _Static:
+    """A hashable wrapper by identity of the value's own equality, for jit."""
+
+    def __init__(self, value: Layout):
+        self.value = value
+
+    def __hash__(self) -> int:
+        value = self.value
+        names = tuple(p.name for p in value.parameters), tuple(e.name for e in value.effects)
+        return hash((names, value.runs, value.per_run))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Static) and self.value == other.value
+
+
+def free_by_default(vessel: Vessel) -> tuple[str, ...]:
+    """Hull derivatives and added masses that the vessel has.
+
+    Mass, moment of inertia, centre of gravity and the actuators stay as they are: they
+    anchor the common factor of mass, drag and thrust that motion alone cannot fix.
+    """
+    added = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+    hull = getattr(vessel.forces.get("damping"), "derivatives", {})
+    return tuple(
+        name
+        for name, value in named(vessel).items()
+        if (name in hull or name in added) and float(value) != 0.0
+    )
+
+
+def make_problem(
+    vessel: Vessel,
+    recordings: list[Trajectory],
+    free: tuple[str, ...] | None = None,
+    effects: tuple[AbstractEffect, ...] = (),
+    per_run: bool = False,
+    room: int = 0,
+) -> Problem:
+    """Set up a fit.
+
+    Arguments:
+        free: names of the vessel's parameters to estimate; `free_by_default` if None.
+        effects: effects whose coordinates may be freed.
+        per_run: whether environment effects differ from run to run.
+        room: how many effect coordinates may be free at once.
+
+    Raises:
+        UserError: an unknown name, or a recording that does not fit the vessel.
+    """
+    free = free_by_default(vessel) if free is None else free
+    check_names(vessel, free)
+    values = named(vessel)
+    parameters = tuple(hull_prior(name, float(values[name])) for name in free)
+    tape = make_tape(vessel, recordings)
+    sizes = tuple(effect.sizes(vessel) for effect in effects)
+    layout = Layout(parameters, effects, sizes, tape.runs, per_run)
+    tape = jax.tree.map(jnp.asarray, tape)
+    return Problem(vessel, layout, tape, noise_prior(vessel, tape), len(free) + room)
+
+
+@eqx.filter_jit
+def _tune(base: Vessel, layout: _Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
+    return likelihood.tune(base, layout.value, tape, noise, coordinates)
+
+
+class _Problem(eqx.Module):
+    """What the residual needs, as one tree."""
+
+    base: Vessel
+    tape: Tape
+    gains: Gains
+    fixed: Float[Array, "coordinate"]  # values of the coordinates that are not free
+    selection: Float[Array, "coordinate width"]
+    spreads: Float[Array, "coordinate"]
+
+
+def _residual(free: Float[Array, "width"], args: tuple[_Problem, _Static]) -> Array:
+    """Whitened innovations, then deviations from the prior; non-finite ones are large."""
+    problem, layout = args
+    coordinates = problem.fixed + problem.selection @ free
+    white = likelihood.innovations(
+        problem.base, layout.value, problem.tape, problem.gains, coordinates
+    )
+    white = jnp.where(jnp.isfinite(white), white, 1e4)
+    # Unused columns of the selection are held at zero by a unit prior.
+    unused = 1 - jnp.abs(problem.selection).sum(0)
+    return jnp.concatenate([white.ravel(), coordinates / problem.spreads, unused * free])
+
+
+@eqx.filter_jit
+def _improve(problem: _Problem, layout: _Static, start: Array, steps: int) -> tuple[Array, Array]:
+    # Normal equations: columns are scaled alike and regularised by the prior, and a QR of
+    # the tall Jacobian in every step would cost more than everything else.
+    normal = lx.Normal(lx.Cholesky())
+    solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=normal)
+    solution = optx.least_squares(
+        _residual, solver, start, (problem, layout), options={"jac": "fwd"},
+        max_steps=steps, throw=False,
+    )  # fmt: skip
+    return solution.value, jnp.sum(_residual(solution.value, (problem, layout)) ** 2)
+
+
+@eqx.filter_jit
+def jacobian(problem: _Problem, layout: _Static, free: Array) -> tuple[Array, Array]:
+    """Residual and its exact Jacobian by forward mode."""
+    residual = _residual(free, (problem, layout))
+    return residual, jax.jacfwd(lambda at: _residual(at, (problem, layout)))(free)
+
+
+def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the free coordinates and the matrix that spreads them over the layout."""
+    index = np.array(layout.indices(free), int)
+    matrix = np.zeros((layout.size, width))
+    matrix[index, np.arange(len(index))] = 1.0
+    return index, matrix
+
+
+def traced(
+    problem: Problem, gains: Gains, coordinates: np.ndarray, matrix: np.ndarray
+) -> tuple[_Problem, _Static]:
+    """The inputs of the compiled residual, `matrix` selecting what is free."""
+    held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
+    return (
+        _Problem(
+            problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
+            jnp.asarray(problem.layout.spreads()),
+        ),
+        _Static(problem.layout),
+    )  # fmt: skip
+
+
+def estimate(
+    problem: Problem,
+    free: tuple[str, ...],
+    start: np.ndarray | None = None,
+    noise: Noise | None = None,
+    rounds: int = ROUNDS,
+    fixed_noise: bool = False,
+    progress: Progress = lambda message: None,
+) -> Estimate:
+    """Fit the free coordinates by name (parameters and effects), from `start`."""
+    coordinates, first = problem.start()
+    coordinates = coordinates if start is None else np.array(start, float)
+    noise = first if noise is None else noise
+    index, matrix = selection(problem.layout, free, problem.width)
+    last = np.inf
+    best = None
+    for number in range(rounds):
+        tuned = problem.tuned(coordinates, noise)
+        inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
+        begin = np.zeros(problem.width)
+        begin[: len(index)] = coordinates[index]
+        found, _ = _improve(inputs, layout, jnp.asarray(begin), STEPS)
+        coordinates = coordinates.copy()
+        coordinates[index] = np.asarray(found)[: len(index)]
+        tuned = problem.tuned(coordinates, noise)
+        if not fixed_noise:
+            noise = refine(_path(problem, tuned), problem.tape, noise, problem.prior)
+        now = _posterior(problem, coordinates, noise)
+        progress(f"round {number + 1}: -2 log posterior {now:.1f}")
+        if best is None or now < best[0]:
+            best = (now, coordinates, noise)
+        if abs(last - now) < 0.05 + 1e-6 * abs(now):
+            break
+        last = now
+    now, coordinates, noise = best
+    covariance, shrinkage = _uncertainty(problem, coordinates, noise, index, matrix)
+    return Estimate(free, coordinates, noise, now, index, covariance, shrinkage)
+
+
+def _path(problem: Problem, tuned: Tuned) -> Path:
+    variance = likelihood.first_variance(problem.base)
+    g = tuned.gains
+    return Path(tuned.F, tuned.H, g.correction, tuned.nu, g.used, variance)
+
+
+def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:
+    tuned = problem.tuned(coordinates, noise)
+    log = np.concatenate([np.asarray(noise.gust), np.asarray(noise.sensor)])
+    off = (log - problem.prior.mean) / problem.prior.spread
+    away = coordinates / problem.layout.spreads()
+    return float(deviance(tuned)) + float(off @ off) + float(away @ away)
+
+
+def _uncertainty(
+    problem: Problem, coordinates: np.ndarray, noise: Noise, index: np.ndarray, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the free coordinates, and how much of each is due to the data.
+
+    The larger of the inverse information and the sandwich with block sums of the scores,
+    which does not trust the innovations to be white.
+    """
+    tuned = problem.tuned(coordinates, noise)
+    inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
+    begin = np.zeros(problem.width)
+    begin[: len(index)] = coordinates[index]
+    residual, J = (np.asarray(a) for a in jacobian(inputs, layout, jnp.asarray(begin)))
+    J, rows = J[:, : len(index)], problem.tape.measured.size
+    information = J.T @ J
+    plain = np.linalg.inv(information)
+    scores = (J[:rows] * residual[:rows, None]).reshape(-1, 6, len(index)).sum(1)
+    sums = block_sums(scores, max(8, len(scores) // 60))
+    sandwich = plain @ (sums.T @ sums) @ plain
+    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    prior = problem.layout.spreads()[index]
+    shrinkage = 1 - np.diag(plain) / prior**2
+    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0)
+
+
+def block_sums(scores: np.ndarray, length: int) -> np.ndarray:
+    """Sums over consecutive blocks of rows."""
+    spare = -len(scores) % length
+    padded = np.concatenate([scores, np.zeros((spare, scores.shape[1]))])
+    return padded.reshape(-1, length, scores.shape[1]).sum(1)
+
+
+def normalised_rms(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:
+    """Root-mean-square normalised innovation: one at the noise level."""
+    tuned = problem.tuned(coordinates, noise)
+    count = np.asarray(tuned.gains.used).sum()
+    return float(np.sqrt((np.asarray(tuned.white) ** 2).sum() / max(count, 1)))
+
+
+def physical_table(problem: Problem, fitted: Estimate) -> list[dict]:
+    """One row per fitted vessel parameter: name, start, value, standard error, determined."""
+    rows = []
+    position = {int(k): n for n, k in enumerate(fitted.index)}
+    for number, parameter in enumerate(problem.layout.parameters):
+        if number not in position:
+            continue
+        n, at = position[number], float(fitted.coordinates[number])
+        std = parameter.slope(at) * float(np.sqrt(fitted.covariance[n, n]))
+        rows.append(_row(parameter, at, std, float(fitted.shrinkage[n])))
+    return rows
+
+
+def _row(parameter: Parameter, at: float, std: float, shrinkage: float) -> dict:
+    return {
+        "name": parameter.name,
+        "start": parameter.value,
+        "value": float(parameter.decode(at)),
+        "std": std,
+        "determined": shrinkage,
+    }

@@ -1,0 +1,187 @@
+"""Recordings laid end to end on one clock, ready for a filter to run along."""
+
+import math
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from diffsea.errors import UserError
+from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.vessel.base import Vessel
+
+
+SEPARATION = 1e4  # s between runs on the tape's clock, beyond any delay
+PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
+
+
+class Tape(eqx.Module):
+    """All rows of all runs. Row k covers the interval from its time to the next row's."""
+
+    t: Float[Array, "row"]  # s on the tape's clock
+    run_time: Float[Array, "row"]  # s on the run's own clock
+    dt: Float[Array, "row"]  # s
+    measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
+    known: Bool[Array, "row 6"]
+    run: Int[Array, "row"]
+    starts: Bool[Array, "row"]  # first row of a run
+    first: Float[Array, "row 6"]  # the run's first state, a rough guess
+    orders: dict[str, Float[Array, "row"]]
+    executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
+    order_times: Float[Array, "order"]  # s, with one order long before each run
+    order_values: dict[str, Float[Array, "order"]]
+    runs: int = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+
+    @property
+    def count(self) -> Float[Array, ""]:
+        """Number of measured values."""
+        return self.known.sum()
+
+
+def natural_time(vessel: Vessel) -> float:
+    """sqrt(L / g) in s, the time scale that ships of any size share."""
+    return math.sqrt(float(vessel.rigid_body.length) / 9.81)
+
+
+def thinning(vessel: Vessel, interval: float) -> int:
+    """How many samples at `interval` s may be skipped without blurring the vessel's motion."""
+    return max(1, int(0.15 * natural_time(vessel) / interval))
+
+
+def make_tape(vessel: Vessel, recordings: list[Trajectory]) -> Tape:
+    """Lay recordings on a tape.
+
+    Recordings sampled much faster than the vessel moves are thinned to 0.15 sqrt(L / g);
+    orders between kept rows take effect at the next kept row.
+
+    Raises:
+        UserError: a recording lacks a channel's orders, or has fewer than ten rows.
+    """
+    pieces = [_piece(vessel, recording, k) for k, recording in enumerate(recordings)]
+    longest = max(float(np.median(piece["dt"][:-1])) for piece in pieces)
+    substeps = max(1, math.ceil(longest / (0.3 * natural_time(vessel))))
+    columns = {key: np.concatenate([piece[key] for piece in pieces]) for key in _ROWS}
+    spare = -len(columns["t"]) % PADDING
+    padded = {key: _padded(column, spare) for key, column in columns.items()}
+    channels = vessel.channels
+    measured = [c for c in channels if all(c in piece["executed"] for piece in pieces)]
+    order_times, order_values = _order_table(pieces, channels)
+
+    def gathered(kind: str, names: list[str] | tuple[str, ...]) -> dict[str, np.ndarray]:
+        return {
+            c: _padded(np.concatenate([piece[kind][c] for piece in pieces]), spare) for c in names
+        }
+
+    return Tape(
+        **padded,
+        orders=gathered("orders", channels),
+        executed=gathered("executed", measured),
+        order_times=order_times,
+        order_values=order_values,
+        runs=len(recordings),
+        substeps=substeps,
+    )
+
+
+_ROWS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first")
+
+
+def _padded(column: np.ndarray, spare: int) -> np.ndarray:
+    """Spare rows at the end: nothing measured, no time passing."""
+    if column.dtype == bool:
+        return np.concatenate([column, np.zeros((spare, *column.shape[1:]), bool)])
+    last = np.zeros_like(column[-1:]) if column.ndim > 1 else column[-1:]
+    return np.concatenate([column, np.repeat(last, spare, axis=0)])
+
+
+def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
+    t = np.asarray(recording.t, float)
+    if len(t) < 10:
+        raise UserError(
+            f"{recording.name}: {len(t)} samples are too few to estimate anything; record at "
+            "least ten, better a whole manoeuvre"
+        )
+    every = thinning(vessel, float(np.median(np.diff(t))))
+    keep = slice(None, None, every)
+    t = t[keep]
+    motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
+    motion = motion[keep]
+    known = np.isfinite(motion)
+    if not known.any():
+        raise UserError(f"{recording.name}: no motion channel has any value")
+    dt = np.append(np.diff(t), 0.0)
+    orders, executed = _actuation(vessel, recording, keep)
+    starts = np.zeros(len(t), bool)
+    starts[0] = True
+    return {
+        "t": t - t[0] + SEPARATION * (number + 1),
+        "run_time": t,
+        "dt": dt,
+        "measured": np.where(known, motion, 0.0),
+        "known": known,
+        "run": np.full(len(t), number),
+        "starts": starts,
+        "first": np.broadcast_to(_first_state(t, motion), motion.shape).copy(),
+        "orders": orders,
+        "executed": executed,
+    }
+
+
+def _actuation(vessel: Vessel, recording: Trajectory, keep: slice) -> tuple[dict, dict]:
+    """Orders of every channel, and executed values where they were measured."""
+    orders, executed = {}, {}
+    for channel in vessel.channels:
+        done = recording.executed.get(channel)
+        order = recording.commanded.get(channel, done)
+        if order is None:
+            have = ", ".join([*recording.commanded, *recording.executed]) or "none"
+            raise UserError(
+                f"{recording.name}: the vessel's actuator channel {channel!r} has neither a "
+                f"cmd_{channel} nor an exec_{channel} column (it has: {have}); add it, or map "
+                "the file's own column to it with --mapping"
+            )
+        values = np.asarray(order, float)[keep]
+        if not np.isfinite(values).any():
+            raise UserError(f"{recording.name}: cmd_{channel} has no value at all")
+        orders[channel] = _held(values)
+        if done is not None and np.isfinite(np.asarray(done, float)[keep]).all():
+            executed[channel] = np.asarray(done, float)[keep]
+    return orders, executed
+
+
+def _held(values: np.ndarray) -> np.ndarray:
+    """Missing orders hold the one before; leading ones the first."""
+    index = np.where(np.isfinite(values), np.arange(len(values)), -1)
+    index = np.maximum.accumulate(index)
+    return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
+
+
+def _first_state(t: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """First finite value of each channel; speeds that are not measured, from differences."""
+    first = np.zeros(6)
+    for k in range(6):
+        finite = np.flatnonzero(np.isfinite(motion[:, k]))
+        first[k] = motion[finite[0], k] if len(finite) else 0.0
+    unknown = [not np.isfinite(motion[:, k]).any() for k in range(6)]
+    if unknown[3] and not (unknown[0] or unknown[1] or unknown[2]):
+        north, east = (_first_slope(t, motion[:, k]) for k in (0, 1))
+        first[3] = np.cos(first[2]) * north + np.sin(first[2]) * east
+        first[4] = np.cos(first[2]) * east - np.sin(first[2]) * north
+    return first
+
+
+def _first_slope(t: np.ndarray, values: np.ndarray) -> float:
+    finite = np.flatnonzero(np.isfinite(values))[:20]
+    if len(finite) < 2:
+        return 0.0
+    return float(np.polyfit(t[finite] - t[finite[0]], values[finite], 1)[0])
+
+
+def _order_table(pieces: list[dict], channels: tuple[str, ...]) -> tuple[np.ndarray, dict]:
+    times = [np.append(p["t"][0] - 0.5 * SEPARATION, p["t"]) for p in pieces]
+    values = {
+        c: np.concatenate([np.append(p["orders"][c][0], p["orders"][c]) for p in pieces])
+        for c in channels
+    }
+    return np.concatenate(times), values
