@@ -289,15 +289,16 @@ def test_kvlcc2_moves_by_the_published_equations(u, v, r, delta):
     executed = {"propeller": n, "rudder": delta}
     hull = force_of(vessel, "damping", moving(u, v, r), executed)  # tested above
 
-    drift = v - 3.36 * r
-    w = 0.40 * np.exp(-4.0 * drift**2 / (u**2 + drift**2))
+    U = np.hypot(u, v)
+    beta = np.arctan(-v / u)
+    w = 0.40 * np.exp(-4.0 * (beta + 0.48 * r * L / U) ** 2)
     J = (1 - w) * u / (n * D)
     K_T = 0.2931 - 0.2753 * J - 0.1385 * J**2
     thrust = rho * n**2 * D**4 * K_T
     race = 1 + 0.5 * (np.sqrt(1 + 8 * K_T / (np.pi * J**2)) - 1)
     eta = D / 0.345
     u_R = 1.09 * (1 - w) * u * np.sqrt(eta * race**2 + 1 - eta)
-    inflow = -v + 4.97 * r  # U beta_R, l_R' = -0.710
+    inflow = U * (beta + 0.710 * r * L / U)  # U beta_R, l_R' = -0.710
     v_R = inflow * (0.395 if inflow < 0 else 0.640)
     F_N = 0.5 * rho * 0.0539 * 2.747 * (u_R**2 + v_R**2) * np.sin(delta - np.arctan2(v_R, u_R))
     X = hull[0] + 0.78 * thrust - (1 - 0.387) * F_N * np.sin(delta)
