@@ -19,15 +19,18 @@ class Motion(eqx.Module):
     histories: dict[str, OrderHistory]
 
 
-def history_length(servo: Servo, step: float, margin: float = 1.5) -> int:
+def history_length(
+    servo: Servo, step: float, margin: float = 1.5, longest: float | None = None
+) -> int:
     """How many orders a channel must remember at a step of `step` s.
 
-    The delay may grow by `margin` (in a fit, say) before the memory falls short; orders
-    at switching events need room of their own.
+    The delay may grow by `margin` (in a fit, say), or to `longest` s where that is given,
+    before the memory falls short; orders at switching events need room of their own.
     """
     if servo.delay is None:
         return 1
-    return math.ceil(margin * float(servo.delay) / step) + 24
+    longest = margin * float(servo.delay) if longest is None else longest
+    return math.ceil(longest / step) + 24
 
 
 def at_rest_orders(vessel: Vessel) -> dict[str, Scalar]:

@@ -30,6 +30,7 @@ class Settings:
     steady_lengths: float = 2.0
     approach_lengths: float = 100.0  # the approach is given up after so many
     hold_speed: bool = True  # approach under the speed controller; else at fixed throttle
+    longest_delay: float | None = None  # s; needed under jit where an actuator's delay is traced
     from_rest: bool = False  # no approach: start at rest
 
 
@@ -57,10 +58,9 @@ def approach(
     depends on it.
     """
     zero = jnp.zeros(())
-    lengths = {c: history_length(s, settings.step) for c, s in vessel.servos.items()}
     helm = Helm(vessel)
     still = State(zero, zero, zero, speed, zero, zero)
-    motion = begin(vessel, still, helm.orders(throttle, zero), lengths)
+    motion = begin(vessel, still, helm.orders(throttle, zero), _memories(vessel, settings))
     scale = vessel.rigid_body.length / jnp.maximum(speed, 1e-6)
     hold = CourseHold(speed, zero, throttle, scale, hold_speed=settings.hold_speed)
     needed = jnp.ceil(settings.steady_lengths * scale / settings.step)
@@ -85,6 +85,12 @@ def approach(
     passes = math.ceil(duration / settings.step)
     (motion, _, t, calm, throttle), rows = jax.lax.scan(body, carry, length=passes)
     return motion, throttle, jax.lax.stop_gradient(t), calm >= needed, rows
+
+
+def _memories(vessel: Vessel, settings: Settings) -> dict[str, int]:
+    """How many orders each channel remembers."""
+    step, longest = settings.step, settings.longest_delay
+    return {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
 
 
 def _steady(
@@ -119,7 +125,7 @@ def run_trial(
         vessel: what is tried.
         stages: the manoeuvre.
         speed: approach speed over ground, m/s, held by the speed controller; or
-        throttle: approach throttle, left as it is.
+        throttle: approach throttle, left as it is (with `speed`, the speed to start from).
         settings: step, time limits and the criterion of steadiness (static under jit).
         environment: water and air; the vessel's own by default.
         approach_seconds: longest approach; needed under jit where the speed is traced.
@@ -129,12 +135,13 @@ def run_trial(
     environment = vessel.environment if environment is None else environment
     if throttle is None:
         throttle = throttle_for(vessel, speed) if speed is not None else jnp.zeros(())
-    elif speed is None and not settings.from_rest:
-        speed = speed_for(vessel, throttle)
+    else:
+        settings = dataclasses.replace(settings, hold_speed=False)
+        if speed is None and not settings.from_rest:
+            speed = speed_for(vessel, throttle)
     if settings.from_rest:
         rest = State(*(jnp.zeros(()) for _ in range(6)))
-        lengths = {c: history_length(s, settings.step) for c, s in vessel.servos.items()}
-        motion = begin(vessel, rest, Helm(vessel).orders(0.0, 0.0), lengths)
+        motion = begin(vessel, rest, Helm(vessel).orders(0.0, 0.0), _memories(vessel, settings))
         began, steady, before = jnp.zeros(()), jnp.ones((), bool), None
     else:
         seconds = approach_seconds or approach_limit(vessel, float(speed), settings)
@@ -154,8 +161,10 @@ def run_trial(
         ),
     )
     first = _first_row(vessel, motion, began, stages, throttle)
-    parts = [part for part in (before, first, rows) if part is not None]
-    return _trial(parts, outcome, began, carry.switch_times)
+    executed = [dataclasses.replace(r, accepted=r.accepted & steady) for r in (first, rows)]
+    parts = executed if before is None else [before, *executed]
+    switches = jnp.where(steady, carry.switch_times, jnp.nan)
+    return _trial(parts, outcome, began, switches)
 
 
 def _first_row(
