@@ -70,15 +70,16 @@ def approach(
         done = calm >= needed
         memory, (pushed, angle) = hold.step(memory, motion.state, settings.step)
         orders = helm.orders(pushed, angle)
+        # Orders hold from their time stamp on, so they stand beside the state before the step.
+        row = Row(
+            t, motion.state, orders, executed_now(vessel, motion, orders), -1 + 0 * calm, ~done
+        )
         new = advance(vessel, motion, orders, environment, t, settings.step)
         steady = _steady(vessel, motion.state, new.state, speed, scale, environment, settings)
         calm = jnp.where(done, calm, jnp.where(steady, calm + 1, 0))
         t = jnp.where(done, t, t + settings.step)
         motion = select(~done, new, motion)
         last = jnp.where(done, last, pushed)
-        row = Row(
-            t, motion.state, orders, executed_now(vessel, motion, orders), -1 + 0 * calm, ~done
-        )
         return (motion, memory, t, calm, last), row
 
     carry = (motion, hold.init(), zero, jnp.zeros((), int), jnp.asarray(throttle, float))
