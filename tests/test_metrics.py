@@ -1,9 +1,11 @@
 """Numbers of the trials against closed forms, another integrator and hand counts."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +34,7 @@ from diffsea.types import Trajectory
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 ORDER = math.radians(20)
+TURNING, ZIGZAG = eqx.filter_jit(turning_metrics), eqx.filter_jit(zigzag_metrics)
 
 
 def trajectory(t, x, y, psi, u, v, r, valid=None, **channels):
@@ -39,6 +42,11 @@ def trajectory(t, x, y, psi, u, v, r, valid=None, **channels):
     valid = np.ones(len(t), bool) if valid is None else valid
     empty = {"commanded": {}, "executed": {}, "extra": {}}
     return Trajectory(t, x, y, psi, u, v, r, valid=valid, **{**empty, **channels})
+
+
+def replaced(run, **changes):
+    """The run with other channels."""
+    return dataclasses.replace(run, **changes)
 
 
 def turning(t, radius=50.0, rate=0.05, drift=0.1, psi0=0.3, side=1, execute=7.3):
@@ -174,7 +182,7 @@ def test_turning_on_a_circle(side, drift):
     radius, rate, execute = 50.0, 0.05, 7.3
     t = with_event(np.arange(0, 200, 0.5), execute)
     run = turning(jnp.array(t), radius, rate, drift, side=side, execute=execute)
-    got = turning_metrics(run, execute, side)
+    got = TURNING(run, execute, jnp.array(float(side)))
     # The axes are those of the heading, turned inwards from the course by the drift angle.
     inwards = np.exp(1j * drift)
 
@@ -219,19 +227,22 @@ def test_turning_derivatives_are_those_of_the_closed_form():
             np.testing.assert_allclose(got[name], expected, rtol=1e-6, atol=1e-4, err_msg=name)
 
 
-@pytest.mark.parametrize("turned, there", [(80, 0), (200, 2), (280, 3)])
-def test_a_short_turn_gives_only_the_numbers_it_contains(turned, there):
-    t = jnp.arange(0, 7.3 + math.radians(turned) / 0.05, 0.1)
-    got = jax.jit(lambda: turning_metrics(turning(t), 7.3, 1))()
+def test_a_short_turn_gives_only_the_numbers_it_contains():
+    t = jnp.arange(0, 120, 0.1)
     named = ["advance", "tactical_diameter", "steady_turning_diameter"]
-    assert [bool(np.isfinite(got[name])) for name in named] == [k < there for k in range(3)]
 
-    def total(radius):
-        got = turning_metrics(turning(t, radius, drift=0.0), 7.3, 1)
-        return sum(jnp.where(jnp.isfinite(got[name]), got[name], 0.0) for name in named)
+    def numbers(radius, valid):
+        got = turning_metrics(replaced(turning(t, radius, drift=0.0), valid=valid), 7.3, 1)
+        return jnp.stack([got[name] for name in named])
 
-    for derivative in (jax.jacfwd, jax.jacrev):
-        assert jax.jit(derivative(total))(50.0) == pytest.approx([0, 1, 3, 5][there], abs=1e-4)
+    jitted = [jax.jit(f) for f in (numbers, jax.jacfwd(numbers), jax.jacrev(numbers))]
+    for turned, there in ((80, 0), (100, 1), (200, 2), (280, 3)):
+        valid = t < 7.3 + math.radians(turned) / 0.05
+        value, *derivatives = (f(50.0, valid) for f in jitted)
+        assert np.isfinite(value).tolist() == [k < there for k in range(3)]
+        expected = np.where(np.isfinite(value), [1, 2, 2], 0)
+        for derivative in derivatives:
+            np.testing.assert_allclose(derivative, expected, atol=1e-4)
 
 
 def nomoto_zigzag(gain, lag, order=ORDER, heading=ORDER, reversals=4):
@@ -286,7 +297,7 @@ def test_zigzag_of_a_nomoto_ship(side):
     gain, lag, order = 0.25, 4.0, math.radians(20)
     t, psi, r, times = nomoto_zigzag(gain, lag)
     run = straight_ahead(t, side * psi + 0.4, side * r)
-    got = zigzag_metrics(run, np.append(times, np.nan), side=side)
+    got = ZIGZAG(run, np.append(times, np.nan), side=jnp.array(float(side)))
     rates = np.interp(times, t, r)
     for k in range(1, len(times)):
         expected = nomoto_overshoot(gain, lag, order, abs(rates[k]))
@@ -409,14 +420,6 @@ def test_metrics_of_a_batch_are_those_of_its_members():
     for i, radius in enumerate(radii):
         for name, value in one(radius).items():
             assert batch[name][i] == pytest.approx(float(value), rel=1e-12), name
-
-
-def replaced(run, **changes):
-    """The run with other channels."""
-    names = ("t", "x", "y", "psi", "u", "v", "r", "valid")
-    fields = {name: np.asarray(getattr(run, name)) for name in names}
-    kept = {"commanded": run.commanded, "executed": run.executed}
-    return trajectory(**{**fields, **kept, **changes})
 
 
 def turning_recording(noise=0.0, side=1, seed=1):

@@ -82,8 +82,8 @@ def known(value: Scalar | Array, found: Bool[Array, "..."]) -> Float[Array, "...
 
 def interval_at(t: Float[Array, "time"], time: Scalar) -> Int[Array, ""]:
     """Index of the sample that begins the interval holding a time, the last such one."""
-    i = jnp.searchsorted(t, jax.lax.stop_gradient(time), side="right") - 1
-    return jnp.clip(i, 0, t.shape[0] - 2)
+    # A count and not a binary search, whose loop takes long to compile and does not batch.
+    return jnp.clip(jnp.sum(t <= time) - 1, 0, t.shape[0] - 2)
 
 
 def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
