@@ -63,10 +63,10 @@ class Problem:
 
     def tuned(self, coordinates: np.ndarray, noise: Noise) -> Tuned:
         """The filter's run at an estimate."""
-        return _tune(self.base, _Static(self.layout), self.tape, noise, jnp.asarray(coordinates))
+        return _tune(self.base, Static(self.layout), self.tape, noise, jnp.asarray(coordinates))
 
 
-class _Static:
+class Static:
     """A hashable wrapper by identity of the value's own equality, for jit."""
 
     def __init__(self, value: Layout):
@@ -78,7 +78,7 @@ class _Static:
         return hash((names, value.runs, value.per_run))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Static) and self.value == other.value
+        return isinstance(other, Static) and self.value == other.value
 
 
 def free_by_default(vessel: Vessel) -> tuple[str, ...]:
@@ -127,11 +127,11 @@ def make_problem(
 
 
 @eqx.filter_jit
-def _tune(base: Vessel, layout: _Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
+def _tune(base: Vessel, layout: Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
     return likelihood.tune(base, layout.value, tape, noise, coordinates)
 
 
-class _Problem(eqx.Module):
+class Inputs(eqx.Module):
     """What the residual needs, as one tree."""
 
     base: Vessel
@@ -142,7 +142,7 @@ class _Problem(eqx.Module):
     spreads: Float[Array, "coordinate"]
 
 
-def _residual(free: Float[Array, "width"], args: tuple[_Problem, _Static]) -> Array:
+def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
     """Whitened innovations, then deviations from the prior; non-finite ones are large."""
     problem, layout = args
     coordinates = problem.fixed + problem.selection @ free
@@ -155,24 +155,41 @@ def _residual(free: Float[Array, "width"], args: tuple[_Problem, _Static]) -> Ar
     return jnp.concatenate([white.ravel(), coordinates / problem.spreads, unused * free])
 
 
+def _with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
+    return _residual(free, args), jax.jacfwd(lambda at: _residual(at, args))(free)
+
+
+jacobian = eqx.filter_jit(_with_jacobian)
+
+
+@eqx.filter_custom_jvp
+def _known_slope(free: Array, *, args: tuple[Inputs, Static]) -> Array:
+    """The residual; its derivative is a product with the Jacobian found alongside it.
+
+    The solver differentiates the residual in several places; this way the filter is traced
+    and compiled for one of them.
+    """
+    return _residual(free, args)
+
+
+@_known_slope.def_jvp
+def _known_slope_jvp(primals: tuple, tangents: tuple, *, args: tuple) -> tuple[Array, Array]:
+    residual, J = _with_jacobian(primals[0], args)
+    return residual, J @ tangents[0]
+
+
 @eqx.filter_jit
-def _improve(problem: _Problem, layout: _Static, start: Array, steps: int) -> tuple[Array, Array]:
+def _improve(inputs: Inputs, layout: Static, start: Array, steps: int) -> Array:
+    """Levenberg-Marquardt with the gains held fixed."""
     # Normal equations: columns are scaled alike and regularised by the prior, and a QR of
     # the tall Jacobian in every step would cost more than everything else.
-    normal = lx.Normal(lx.Cholesky())
-    solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=normal)
-    solution = optx.least_squares(
-        _residual, solver, start, (problem, layout), options={"jac": "fwd"},
-        max_steps=steps, throw=False,
-    )  # fmt: skip
-    return solution.value, jnp.sum(_residual(solution.value, (problem, layout)) ** 2)
-
-
-@eqx.filter_jit
-def jacobian(problem: _Problem, layout: _Static, free: Array) -> tuple[Array, Array]:
-    """Residual and its exact Jacobian by forward mode."""
-    residual = _residual(free, (problem, layout))
-    return residual, jax.jacfwd(lambda at: _residual(at, (problem, layout)))(free)
+    solver = optx.LevenbergMarquardt(
+        rtol=1e-6, atol=1e-6, linear_solver=lx.Normal(lx.Cholesky())
+    )
+    return optx.least_squares(
+        lambda free, args: _known_slope(free, args=args), solver, start, (inputs, layout),
+        options={"jac": "fwd"}, max_steps=steps, throw=False,
+    ).value  # fmt: skip
 
 
 def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -185,15 +202,15 @@ def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.nda
 
 def traced(
     problem: Problem, gains: Gains, coordinates: np.ndarray, matrix: np.ndarray
-) -> tuple[_Problem, _Static]:
+) -> tuple[Inputs, Static]:
     """The inputs of the compiled residual, `matrix` selecting what is free."""
     held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
     return (
-        _Problem(
+        Inputs(
             problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
             jnp.asarray(problem.layout.spreads()),
         ),
-        _Static(problem.layout),
+        Static(problem.layout),
     )  # fmt: skip
 
 
@@ -218,7 +235,7 @@ def estimate(
         inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
         begin = np.zeros(problem.width)
         begin[: len(index)] = coordinates[index]
-        found, _ = _improve(inputs, layout, jnp.asarray(begin), STEPS)
+        found = _improve(inputs, layout, jnp.asarray(begin), STEPS)
         coordinates = coordinates.copy()
         coordinates[index] = np.asarray(found)[: len(index)]
         tuned = problem.tuned(coordinates, noise)
@@ -262,7 +279,7 @@ def _uncertainty(
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
     begin = np.zeros(problem.width)
     begin[: len(index)] = coordinates[index]
-    residual, J = (np.asarray(a) for a in jacobian(inputs, layout, jnp.asarray(begin)))
+    residual, J = (np.asarray(a) for a in jacobian(jnp.asarray(begin), (inputs, layout)))
     J, rows = J[:, : len(index)], problem.tape.measured.size
     information = J.T @ J
     plain = np.linalg.inv(information)

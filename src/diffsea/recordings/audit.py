@@ -23,6 +23,10 @@ from .naming import disagreement_findings
 from .responses import response_findings
 
 
+# What drifting inwards in turns must gain in deviance over drifting outwards.
+_OUTWARDS = 10.0
+
+
 def audit(trajectory: Trajectory) -> list[Finding]:
     """Everything that is wrong with one recording, as far as kinematics can tell.
 
@@ -49,13 +53,14 @@ def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
     turned = heading.causes if heading else ()
     if heading and "iron" in turned:
         motion = _clearer(motion, _without_iron(motion.values["psi"], heading.theta))
-    velocity = None
+    velocity, reversed_sway = None, []
     if motion.has("x", "y", "psi", "u", "v"):
         late = "delay" in turned and heading is not None and heading.theta["delay"] < 0
         # A yaw rate that agrees with heading has cleared the compass already.
         doubtful = heading is None or "gain" in turned
         velocity = _explained(velocity_comparison(motion, iron=doubtful, psi_late=late))
-    findings = disagreement_findings(heading, velocity)
+        motion, velocity, reversed_sway = _sway_sign(motion, velocity, doubtful, late)
+    findings = disagreement_findings(heading, velocity) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.replaced(psi=motion.values["psi"] - velocity.theta["angle"])
     return motion, findings
@@ -83,6 +88,36 @@ def _misfit(motion: Motion) -> float:
     misfit = values["x"] + 1j * values["y"] - integral(motion.t, flow)
     width = max(1, min(int(round(5.0 / motion.interval)), misfit.size // 4))
     return float(np.mean(np.abs(misfit[width:] - misfit[:-width]) ** 2))
+
+
+def _sway_sign(
+    motion: Motion, velocity: Explanation | None, iron: bool, psi_late: bool
+) -> tuple[Motion, Explanation | None, list[Finding]]:
+    """Whether v is positive to port, where it goes with the turn and something is amiss.
+
+    A vessel drifts outwards: v opposes r u. Sway is too small a part of the motion for its
+    sign to show in the frames, and a wrong one looks much like a late heading.
+    """
+    values = motion.values
+    inwards = np.gradient(values["psi"], motion.t) * values["u"]
+    if velocity is None or not velocity.causes or np.mean(inwards * values["v"]) <= 0:
+        return motion, velocity, []
+    turned = motion.replaced(v=-values["v"])
+    other = _explained(velocity_comparison(turned, iron=iron, psi_late=psi_late))
+    if other is None or other.deviance > velocity.deviance + _OUTWARDS:
+        return motion, velocity, []
+    finding = Finding(
+        "axes",
+        float("nan"),
+        float("nan"),
+        "",
+        "v is positive to port, not to starboard: with the opposite sign position and velocity "
+        "agree better, and the vessel drifts outwards in turns (or x, y and heading are those of an "
+        "east-north-up frame)",
+        "v = { ..., sign = -1 } in the mapping",
+        ("v",),
+    )
+    return turned, other, [finding]
 
 
 def _without_iron(psi: np.ndarray, theta: dict[str, float]) -> np.ndarray:

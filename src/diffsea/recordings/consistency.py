@@ -33,7 +33,7 @@ def heading_comparison(motion: Motion) -> Comparison | None:
     prediction = _Heading.of(fine, motion.t[index])
     delay, drift = _smallest(motion)
     causes = (
-        Cause("gain", ("gain",), 0.03, gain=True),
+        Cause("gain", ("gain",), 0.03, gain=True, shrinks=True),
         Cause("bias", ("bias",), 5e-4),
         Cause("delay", ("delay",), delay),
         Cause("rate", ("rate",), drift, beside=("delay",)),
@@ -54,6 +54,7 @@ def heading_comparison(motion: Motion) -> Comparison | None:
         bounds | {"sine": 0.6, "cosine": 0.6},
         doubt=0.02,
         floor=floor,
+        walk=_walk(motion, "r"),
     )
 
 
@@ -99,10 +100,10 @@ def velocity_comparison(
     measured = np.stack([motion.values["x"], motion.values["y"]])[:, index]
     shift = max(0.25, motion.interval)
     steps = dict.fromkeys(("gain", "angle", "north", "east", "sine", "cosine"), 1e-3)
-    steps |= {"lever_x": 1e-2, "lever_y": 1e-2, "sway": 1e-2}
+    steps |= {"lever_x": 1e-2, "lever_y": 1e-2}
     steps |= dict.fromkeys(("p_delay", "nu_delay", "psi_delay"), shift)
     steps |= dict.fromkeys(("p_rate", "nu_rate", "psi_rate"), shift / _duration(motion))
-    bounds = dict.fromkeys(steps, 1e3) | {"gain": 0.95, "angle": 3.2, "sway": 4.0}
+    bounds = dict.fromkeys(steps, 1e3) | {"gain": 0.95, "angle": 3.2}
     bounds |= dict.fromkeys(("p_delay", "nu_delay", "psi_delay"), MAX_DELAY)
     bounds |= dict.fromkeys(("p_rate", "nu_rate", "psi_rate"), 0.1)
     return Comparison(
@@ -115,6 +116,7 @@ def velocity_comparison(
         bounds | {"sine": 0.6, "cosine": 0.6},
         doubt=0.01,
         floor=max(0.02, _unresolved(motion, fine, _travelled)),
+        walk=max(_walk(motion, "u"), _walk(motion, "v")),
     )
 
 
@@ -130,9 +132,7 @@ class _Position:
         t = self.t
         past = t - t.mean()
         late = t + theta["nu_delay"] + theta["nu_rate"] * past
-        flow = np.interp(late, t, self.values["u"]) + 1j * (1 + theta["sway"]) * np.interp(
-            late, t, self.values["v"]
-        )
+        flow = np.interp(late, t, self.values["u"]) + 1j * np.interp(late, t, self.values["v"])
         psi = np.interp(t + theta["psi_delay"] + theta["psi_rate"] * past, t, self.values["psi"])
         psi = psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi) - theta["angle"]
         turn = np.exp(1j * psi)
@@ -147,13 +147,11 @@ def _velocity_causes(motion: Motion, iron: bool, psi_late: bool) -> tuple[Cause,
     speed = float(np.sqrt(np.mean(values["u"] ** 2 + values["v"] ** 2)))
     turning = float(np.sqrt(np.mean(np.gradient(values["psi"], motion.t) ** 2))) + 1e-9
     causes = (
-        Cause("gain", ("gain",), 0.02, gain=True),
+        Cause("gain", ("gain",), 0.02, gain=True, shrinks=True),
         Cause("angle", ("angle",), np.radians(1.0)),
         Cause("water", ("north", "east"), max(0.01, 0.02 * speed)),
         # Large ships turn slowly: what matters is the lever's velocity against the ship's.
         Cause("lever", ("lever_x", "lever_y"), max(0.15, 0.003 * speed / turning)),
-        # Less than a change of sign is the attenuation of a noisy, mostly small channel.
-        Cause("sway", ("sway",), 1.4),
         *_delay_causes(*_smallest(motion), psi_late),
     )
     if iron and np.ptp(values["psi"]) > _IRON_RANGE_BY_VELOCITY:
@@ -213,3 +211,12 @@ def _unresolved(motion: Motion, fine: Motion, integrated) -> float:
     the samples is known no better than that."""
     parting = integrated(motion) - np.interp(motion.t, fine.t, integrated(fine))
     return float(np.std(parting))
+
+
+def _walk(motion: Motion, channel: str) -> float:
+    """Variance per second of the integral of a channel's white noise, from its second
+    differences (their median, so that manoeuvres do not count)."""
+    known = motion.known[channel]
+    bend = np.diff(motion.values[channel], 2)[known[1:-1]]
+    variance = np.median(bend**2) / (0.455 * 6) if bend.size else 0.0
+    return float(variance * motion.interval)

@@ -42,14 +42,16 @@ class Cause:
     The norm of its parameters is compared with `negligible`; parameters named in `beside`
     are fitted with them and not judged. A `gain` multiplies the prediction: noise in the
     prediction biases it towards zero, so it is believed only if the reverse regression
-    agrees. `likely` is the sign that physics gives the parameter, if it does: the other is
-    believed where nothing else will do. A cause is not added to any set in `excludes`.
+    agrees. One that `shrinks` can take away noise of the prediction. `likely` is the sign
+    that physics gives the parameter, if it does: the other is believed where nothing else
+    will do. A cause is not added to complete any set in `excludes`.
     """
 
     name: str
     parameters: tuple[str, ...]
     negligible: float
     gain: bool = False
+    shrinks: bool = False
     likely: int = 0
     beside: tuple[str, ...] = ()
     excludes: tuple[frozenset[str], ...] = ()
@@ -65,7 +67,8 @@ class Comparison:
     by parameter. `doubt` is the standard deviation that the gain is allowed in every test of
     another cause: noise in the prediction shrinks it a little, and that must not pass for,
     say, a bias in a steady turn. A cause whose whole effect on the levels is below `floor`
-    (root mean square) is not named.
+    (root mean square) is not named. `walk` (levels squared per second) is the random walk that
+    noise of the predicting channels makes of their integral.
     """
 
     times: np.ndarray
@@ -77,6 +80,7 @@ class Comparison:
     bounds: dict[str, float]
     doubt: float
     floor: float
+    walk: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,12 +89,14 @@ class Explanation:
 
     `theta` holds every fitted parameter and `std` its standard error; `alternatives` names,
     for each cause, those that would have explained the same misfit nearly as well.
+    `deviance` is minus twice the log-likelihood of what is left, with a price on causes.
     """
 
     causes: tuple[str, ...]
     theta: dict[str, float]
     std: dict[str, float]
     alternatives: dict[str, tuple[str, ...]]
+    deviance: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,15 +116,18 @@ class Whitener:
     the run, by non-negative amounts of white noise of the level, of noise that forgets
     itself within 1 to 100 s (but twenty times within the run: whatever remembers longer
     counts as a random walk), and of a random walk. Longer lags say nothing that a cause could
-    not also say. Of white noise and random walk there is at least so much as to amount to
-    `least`: without any noise the smallest inaccuracy would be significant.
+    not also say. The random walk is at least what noise in the predicting channels makes, and
+    neither it nor the white noise is nothing: else the smallest inaccuracy of an integral
+    would be significant.
     """
 
-    def __init__(self, levels: np.ndarray, times: np.ndarray, linked: np.ndarray, least: float):
-        self.linked = linked
+    def __init__(self, comparison: "Comparison", levels: np.ndarray):
+        times, linked = comparison.times, comparison.linked
         weights, scales = _structure(levels, times, linked)
-        weights[0] += least**2
-        weights[1] += least**2 / (times[-1] - times[0])
+        least = (0.3 * comparison.floor) ** 2
+        weights[0] += least
+        weights[1] = max(weights[1], comparison.walk) + least / (times[-1] - times[0])
+        self.linked = linked
         start, end = times[:-1][linked], times[1:][linked]
 
         def half(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -128,6 +137,7 @@ class Whitener:
         covariance[np.diag_indices_from(covariance)] *= 1 + 1e-6
         self.factor = linalg.cholesky(covariance, lower=True)
         rest = self(np.diff(levels, axis=-1))
+        self.size = 2 * len(levels) * float(np.sum(np.log(np.diag(self.factor))))
         self.variance = float(np.mean(rest**2)) + _TINY  # of what is called noise, near one
 
     def __call__(self, increments: np.ndarray) -> np.ndarray:
@@ -182,7 +192,7 @@ def explain(comparison: Comparison) -> Explanation:
     white = _whitener(comparison, theta)
     trials = _believable(comparison, _trials(comparison, white, theta, ()))
     if not trials:
-        return Explanation((), theta, {}, {})
+        return Explanation((), theta, {}, {}, _deviance(comparison, (), theta))
     ends = [_continued(comparison, trial) for trial in trials[:_STARTS]]
     white = _whitener(comparison, ends[0].theta)
     best = min(ends, key=lambda end: _cost(comparison, white, end.causes, end.theta))
@@ -190,7 +200,13 @@ def explain(comparison: Comparison) -> Explanation:
     named = tuple(cause for cause in chosen if _matters(comparison, theta, cause))
     rivals = {cause.name: _rivals(comparison, white, theta, chosen, cause) for cause in named}
     std = _std(comparison, theta, chosen) if chosen else {}
-    return Explanation(tuple(cause.name for cause in named), theta, std, rivals)
+    names = tuple(cause.name for cause in named)
+    return Explanation(names, theta, std, rivals, _deviance(comparison, chosen, theta))
+
+
+def _deviance(comparison: Comparison, causes: tuple[Cause, ...], theta: dict[str, float]) -> float:
+    white = _whitener(comparison, theta)
+    return _cost(comparison, white, causes, theta) + white.size
 
 
 def _continued(comparison: Comparison, trial: _Trial) -> _Trial:
@@ -231,7 +247,7 @@ def _rivals(
 def _matters(comparison: Comparison, theta: dict[str, float], cause: Cause) -> bool:
     if np.linalg.norm([theta[name] for name in cause.parameters]) < cause.negligible:
         return False
-    without = theta | dict.fromkeys(cause.parameters, 0.0)
+    without = theta | dict.fromkeys((*cause.parameters, *cause.beside), 0.0)
     effect = comparison.predict(theta) - comparison.predict(without)
     return float(np.sqrt(np.mean(np.var(effect, axis=-1)))) >= comparison.floor
 
@@ -261,19 +277,20 @@ def _residual(comparison: Comparison, theta: dict[str, float]) -> np.ndarray:
 def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
     """The noise that is left when every cause is allowed for at once.
 
-    From the residual of the present model it would swallow what has not been found yet.
+    From the residual of the present model it would swallow what has not been found yet. A
+    gain that is not established stays out: it would take the noise of the prediction away.
     """
-    names = _names(comparison.causes)
+    allowed = [c for c in comparison.causes if not c.shrinks or theta[c.parameters[0]] != 0]
+    names = _names(tuple(allowed))
     levels = _levels(comparison, theta)
-    times, linked, least = comparison.times, comparison.linked, 0.3 * comparison.floor
     for _ in range(2):
-        white = Whitener(levels, times, linked, least)
+        white = Whitener(comparison, levels)
         jacobian = _jacobian(comparison, theta, names)
         estimate, _ = _solve(white(jacobian), white(np.diff(levels, axis=-1)))
         fitted = np.tensordot(estimate, jacobian, 1)
         rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)
         levels = np.concatenate([np.zeros((len(rest), 1)), rest], axis=-1)
-    return Whitener(levels, times, linked, least)
+    return Whitener(comparison, levels)
 
 
 def _jacobian(comparison: Comparison, theta: dict, names: list[str]) -> np.ndarray:

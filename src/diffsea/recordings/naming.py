@@ -23,7 +23,6 @@ _WORDS = {
     "bias": "a yaw-rate bias",
     "delay": "a late channel",
     "rate": "a drifting clock",
-    "sway": "a wrong scale or sign of v",
 }
 
 
@@ -41,7 +40,7 @@ def disagreement_findings(
         if found is heading and velocity and "iron" in velocity.causes:
             causes = tuple(cause for cause in causes if cause != "gain")
         findings += [words[cause](found) for cause in causes if cause in words]
-    return [finding for finding in findings if finding is not None]
+    return findings
 
 
 def _latencies(heading: Explanation | None, velocity: Explanation | None) -> list[Finding]:
@@ -61,7 +60,7 @@ def _latencies(heading: Explanation | None, velocity: Explanation | None) -> lis
     ]
     unsure = "".join(dict.fromkeys(doubts))
     findings = []
-    while behind := [c for c, delay in late.items() if delay > max(0.02, 3 * std)]:
+    while behind := [c for c, delay in late.items() if delay > max(0.1, 3 * std)]:
         delay = late[behind[0]]
         group = [c for c in behind if abs(late[c] - delay) <= max(0.1, 3 * std)]
         others = [c for c in late if late[c] < delay and c not in group]
@@ -223,29 +222,13 @@ def _lever(found: Explanation) -> Finding:
     )
 
 
-def _sway(found: Explanation) -> Finding | None:
-    factor = 1.0 + found.theta["sway"]
-    if not -1.4 < factor < -0.4:
-        return None
-    return Finding(
-        "axes",
-        factor,
-        found.std["sway"],
-        "1",
-        f"v is positive to port, not to starboard (its best factor is {factor:.2g})"
-        + _unsure(found, "sway"),
-        "v = { ..., sign = -1 } in the mapping",
-        ("v",),
-    )
-
-
 _HEADING: dict[str, Callable[[Explanation], Finding]] = {
     "gain": lambda found: _scale(found, ("r",), "the change of heading"),
     "bias": _bias,
     "rate": lambda found: _drift(found, "rate", "delay", "r", "psi"),
     "iron": _iron,
 }
-_VELOCITY: dict[str, Callable[[Explanation], Finding | None]] = {
+_VELOCITY: dict[str, Callable[[Explanation], Finding]] = {
     "gain": lambda found: _scale(found, ("u", "v"), "the change of position"),
     "angle": _angle,
     "water": _water,
@@ -254,5 +237,4 @@ _VELOCITY: dict[str, Callable[[Explanation], Finding | None]] = {
     "nu_rate": lambda found: _drift(found, "nu_rate", "nu_delay", "u, v", "x, y, psi"),
     "psi_rate": lambda found: _drift(found, "psi_rate", "psi_delay", "psi", "x, y, u, v"),
     "iron": _iron,
-    "sway": _sway,
 }

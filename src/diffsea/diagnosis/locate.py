@@ -1,0 +1,128 @@
+"""Where the mismatch is: score tests on unnamed forces in windows of time and regimes.
+
+An unnamed acceleration is added during the rows of a bin, in each degree of freedom, and
+tested against the nuisances like any candidate. Bins are windows of each run, and classes
+of drift, yaw rate, speed, heading and throttle over all runs.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from diffsea.diagnosis.score import Projection
+from diffsea.identification import likelihood
+from diffsea.identification.fit import Problem, Inputs, Static
+
+
+DEGREES = ("surge", "sway", "yaw")
+WINDOWS = 8  # of each run
+CLASSES = 4  # of each regime
+
+
+class Cell(NamedTuple):
+    """One test: an unnamed force in one degree of freedom during one bin."""
+
+    degree: int
+    run: int | None  # None: all runs
+    start: float  # s, on the run's clock; NaN for a regime
+    end: float
+    regime: str
+    force: float  # N or N m, one-step estimate
+    std: float
+    p_value: float
+
+
+class Binning(NamedTuple):
+    """Bins of the tape's rows and what each of them is."""
+
+    bins: np.ndarray
+    labels: list[tuple[int | None, float, float, str]]
+
+
+def time_windows(problem: Problem) -> Binning:
+    """Windows of equal length in each run."""
+    tape = problem.tape
+    run, t = np.asarray(tape.run), np.asarray(tape.run_time)
+    real = np.asarray(tape.known).any(1)
+    bins = np.full(run.shape, -1)
+    labels: list[tuple[int | None, float, float, str]] = []
+    for number in range(tape.runs):
+        rows = np.flatnonzero((run == number) & real)
+        for part in np.array_split(rows, WINDOWS):
+            if len(part):
+                bins[part] = len(labels)
+                labels.append((number, float(t[part[0]]), float(t[part[-1]]), ""))
+    return Binning(bins, labels)
+
+
+def regimes(problem: Problem) -> list[Binning]:
+    """Classes of what the vessel was doing, by quartiles of each quantity."""
+    tape = problem.tape
+    measured, known = np.asarray(tape.measured), np.asarray(tape.known)
+    psi, u, v, r = measured[:, 2], measured[:, 3], measured[:, 4], measured[:, 5]
+    orders = sum(np.asarray(series) for series in tape.orders.values())
+    degrees = np.degrees
+    quantities = [
+        ("drift angle", degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3))), "deg", (3, 4)),
+        ("yaw rate", degrees(r), "deg/s", (5,)),
+        ("speed", u, "m/s", (3,)),
+        ("heading", degrees(np.mod(psi, 2 * np.pi)), "deg", (2,)),
+        ("total order", orders, "", ()),
+    ]
+    out = []
+    for name, values, unit, needs in quantities:
+        rows = known.any(1) & np.all(known[:, list(needs)], axis=1)
+        if rows.sum() > 10 * CLASSES and np.ptp(values[rows]) > 0:
+            out.append(_classes(name, values, unit, rows))
+    return out
+
+
+def _classes(name: str, values: np.ndarray, unit: str, rows: np.ndarray) -> Binning:
+    edges = np.unique(np.quantile(values[rows], np.linspace(0, 1, CLASSES + 1)))
+    which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
+    bins = np.where(rows, which, -1)
+    labels: list[tuple[int | None, float, float, str]] = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        text = f"{name} {low:.3g} to {high:.3g} {unit}".strip()
+        labels.append((None, float("nan"), float("nan"), text))
+    return Binning(bins, labels)
+
+
+@eqx.filter_jit
+def _push_jacobian(problem: Inputs, layout: Static, bins: Array, count: int) -> Array:
+    """Derivative of the whitened innovations by the unnamed accelerations."""
+
+    def residual(push: Array) -> Array:
+        return likelihood.innovations(
+            problem.base, layout.value, problem.tape, problem.gains, problem.fixed, push, bins
+        ).ravel()
+
+    return jax.jacfwd(residual)(jnp.zeros((count, 3)))
+
+
+def locate(
+    problem: Problem, inputs: Inputs, layout: Static, projection: Projection, binning: Binning
+) -> list[Cell]:
+    """Test every bin of a binning in every degree of freedom."""
+    count = len(binning.labels)
+    # Room for a round number of bins, so that few programs are compiled.
+    room = max(8, 8 * -(-count // 8))
+    J = np.asarray(_push_jacobian(inputs, layout, jnp.asarray(binning.bins), room))
+    mass = np.diag(np.asarray(problem.base.mass_matrix()))
+    prior = np.zeros((projection.prior_rows, 1))
+    cells = []
+    for number, (run, start, end, regime) in enumerate(binning.labels):
+        for degree in range(3):
+            column = np.concatenate([J[:, number, degree][:, None], prior])
+            information = float((projection.efficient(column) ** 2).sum())
+            if information < 1e-12:
+                continue
+            score = projection.score(column)
+            std = float(np.sqrt(score.inflation / information)) * mass[degree]
+            force = float(score.step[0]) * mass[degree]
+            cells.append(Cell(degree, run, start, end, regime, force, std, score.p_value))
+    return cells

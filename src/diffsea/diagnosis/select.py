@@ -1,0 +1,300 @@
+"""From a mismatch to a name: screen, refit a short list, decide, say what is left.
+
+Screening by score tests only makes a short list. Each of it is refitted from the prior
+and judged by evidence and by held-out data; accepted effects are added one at a time
+until nothing is left to explain or nothing explains it.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffsea.diagnosis.candidates import candidates, catalogue_name
+from diffsea.diagnosis.holdout import Gain, Split, gain, split
+from diffsea.diagnosis.locate import Cell, locate, regimes, time_windows
+from diffsea.diagnosis.score import Projection, Score
+from diffsea.identification.fit import (
+    Estimate,
+    Problem,
+    estimate,
+    free_by_default,
+    jacobian,
+    make_problem,
+    traced,
+)
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+
+
+Progress = Callable[[str], None]
+
+ALPHA = 0.01  # family-wise level of the screening
+EVIDENCE = 10.0  # difference of BIC that decides
+SHORT_LIST = 6
+MOST_EFFECTS = 3
+CONFUSABLE = 0.5  # share of information mimicked from which a rival is always refitted
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """A refitted hypothesis: the effects added so far and one more."""
+
+    effect: str
+    estimate: Estimate
+    drop: float  # of the deviance against the hypothesis without it, corrected for colour
+    penalty: float  # k log n_eff
+    gain: Gain  # on held-out data
+    score: Score
+    possible: bool  # inside physical bounds
+
+    @property
+    def bic(self) -> float:
+        """Difference of BIC to the hypothesis without it; positive where better."""
+        return self.drop - self.penalty
+
+
+@dataclasses.dataclass(frozen=True)
+class Accepted:
+    """An effect that was accepted, with what else could have been."""
+
+    name: str
+    fitted: Fitted
+    rivals: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """Everything found."""
+
+    verdict: str
+    split: Split
+    nominal: Estimate
+    final: Estimate
+    effects: tuple[Accepted, ...]
+    screened: dict[str, Score]  # against the nominal model
+    refitted: tuple[Fitted, ...]  # the first short list
+    before: tuple[Cell, ...]  # where, against the nominal model
+    after: tuple[Cell, ...]  # where, against the final one
+    remainder: float  # family-wise p-value of structure left
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the accepted effects."""
+        return tuple(accepted.name for accepted in self.effects)
+
+
+@dataclasses.dataclass(frozen=True)
+class Screening:
+    """Scores of all candidates against one estimate, and where the mismatch is."""
+
+    scores: dict[str, Score]
+    columns: dict[str, np.ndarray]
+    projection: Projection
+    cells: tuple[Cell, ...]
+
+
+def diagnose(
+    vessel: Vessel,
+    recordings: list[Trajectory],
+    test: list[Trajectory] | None = None,
+    per_run: bool = False,
+    free: tuple[str, ...] | None = None,
+    progress: Progress = lambda message: None,
+) -> Diagnosis:
+    """Find, name and model what the vessel's model lacks.
+
+    Arguments:
+        vessel: the nominal model.
+        recordings: what to explain.
+        test: held-out recordings; the last part of each recording where there are none.
+        per_run: whether wind and current differ from run to run.
+        free: parameters that may move; `free_by_default` if None.
+
+    Raises:
+        UserError: recordings that do not fit the vessel.
+    """
+    free = free_by_default(vessel) if free is None else free
+    effects = candidates(vessel)
+    room = 2 * (max(len(recordings), len(test or [])) if per_run else 1) + 2 * MOST_EFFECTS
+
+    def problem_of(runs: list[Trajectory]) -> Problem:
+        return make_problem(vessel, runs, free, effects, per_run, room)
+
+    data = split(problem_of, recordings, test or [])
+    progress("fitting the nominal model")
+    nominal = estimate(data.train, free, progress=progress)
+    progress("screening the catalogue")
+    first = screen(data.train, nominal)
+    accepted: list[Accepted] = []
+    shown: tuple[Fitted, ...] = ()
+    current, screening = nominal, first
+    for _ in range(MOST_EFFECTS):
+        if not suspicious(screening):
+            break
+        tried = refit_short_list(data, current, screening, progress)
+        shown = shown or tuple(tried)
+        best = decide(tried)
+        if best is None:
+            break
+        rivals = ambiguous_with(best, tried)
+        accepted.append(Accepted(best.effect, best, rivals))
+        progress(f"accepted: {catalogue_name(best.effect)}")
+        current = best.estimate
+        screening = screen(data.train, current)
+    left = remainder(screening.cells)
+    verdict = _verdict(accepted, left)
+    return Diagnosis(
+        verdict, data, nominal, current, tuple(accepted), first.scores, shown, first.cells,
+        screening.cells, left,
+    )  # fmt: skip
+
+
+def screen(problem: Problem, fitted: Estimate) -> Screening:
+    """Score every candidate that is not in the model, and locate the mismatch."""
+    tuned = problem.tuned(fitted.coordinates, fitted.noise)
+    columns: dict[str, np.ndarray] = {}
+    residual, nuisance = _columns(problem, tuned.gains, fitted, fitted.free)
+    rows = int(problem.tape.measured.size)
+    projection = Projection(residual, nuisance, rows, len(residual) - rows)
+    scores = {}
+    for group in _groups(problem, fitted.free):
+        _, J = _columns(problem, tuned.gains, fitted, group)
+        position = 0
+        for name in group:
+            k = len(problem.layout.indices((name,)))
+            columns[name] = J[:, position : position + k]
+            scores[name] = projection.score(columns[name])
+            position += k
+    empty = np.zeros((problem.layout.size, problem.width))
+    inputs, layout = traced(problem, tuned.gains, fitted.coordinates, empty)
+    cells = [
+        cell
+        for binning in (time_windows(problem), *regimes(problem))
+        for cell in locate(problem, inputs, layout, projection, binning)
+    ]
+    return Screening(scores, columns, projection, tuple(cells))
+
+
+def _groups(problem: Problem, free: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Candidates packed into groups that fit the compiled program's room."""
+    groups: list[list[str]] = [[]]
+    size = 0
+    for effect in problem.layout.effects:
+        if effect.name in free:
+            continue
+        k = len(problem.layout.indices((effect.name,)))
+        if size + k > problem.width:
+            groups.append([])
+            size = 0
+        groups[-1].append(effect.name)
+        size += k
+    return [tuple(group) for group in groups if group]
+
+
+def _columns(
+    problem: Problem, gains, fitted: Estimate, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and Jacobian columns of some coordinates at an estimate.
+
+    The rows of the prior are those of all coordinates, so that columns can be combined.
+    """
+    index = [k for name in names for k in problem.layout.indices((name,))]
+    matrix = np.zeros((problem.layout.size, problem.width))
+    matrix[index, np.arange(len(index))] = 1.0
+    inputs, layout = traced(problem, gains, fitted.coordinates, matrix)
+    begin = np.zeros(problem.width)
+    begin[: len(index)] = fitted.coordinates[index]
+    residual, J = (np.asarray(a) for a in jacobian(jnp.asarray(begin), (inputs, layout)))
+    keep = int(problem.tape.measured.size) + problem.layout.size
+    return residual[:keep], J[:keep, : len(index)]
+
+
+def suspicious(screening: Screening) -> bool:
+    """Whether any candidate or any located force is significant, family-wise."""
+    tests = [score.p_value for score in screening.scores.values()]
+    tests += [cell.p_value for cell in screening.cells]
+    return bool(tests) and min(tests) * len(tests) < ALPHA
+
+
+def remainder(cells: tuple[Cell, ...]) -> float:
+    """Family-wise p-value of the strongest located force."""
+    return min(1.0, len(cells) * min((cell.p_value for cell in cells), default=1.0))
+
+
+def short_list(screening: Screening) -> list[str]:
+    """The strongest candidates and whatever can mimic the first three."""
+    ranked = sorted(screening.scores, key=lambda n: -screening.scores[n].statistic)
+    chosen = ranked[:SHORT_LIST]
+    for top in ranked[:3]:
+        for other in ranked[SHORT_LIST:]:
+            columns = screening.columns
+            close = screening.projection.mimicry(columns[top], columns[other]) > CONFUSABLE
+            if close and other not in chosen:
+                chosen.append(other)
+    return chosen
+
+
+def refit_short_list(
+    data: Split, current: Estimate, screening: Screening, progress: Progress
+) -> list[Fitted]:
+    """Refit each candidate of the short list from the prior, best first."""
+    out = []
+    names = short_list(screening)
+    for number, name in enumerate(names, start=1):
+        progress(f"refitting {number} of {len(names)}: {name}")
+        out.append(_refit(data, current, name, screening.scores[name]))
+    return sorted(out, key=lambda fitted: -fitted.bic)
+
+
+def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
+    problem = data.train
+    place = problem.layout.indices((name,))
+    # The effects found so far start from their estimate, everything else from the prior.
+    start = current.coordinates.copy()
+    start[: len(problem.layout.parameters)] = 0.0
+    effect = next(e for e in problem.layout.effects if e.name == name)
+    guess = np.clip(score.step, -3.0, 3.0)
+    if effect.positive:
+        guess = np.maximum(guess, 0.1)
+    start[place] = guess
+    fitted = estimate(problem, (*current.free, name), start=start, noise=current.noise)
+    warm = current.coordinates.copy()
+    warm[place] = guess
+    other = estimate(problem, (*current.free, name), start=warm, noise=current.noise, rounds=4)
+    fitted = min(fitted, other, key=lambda f: f.deviance)
+    count = float(problem.tape.count) / score.inflation
+    drop = (current.deviance - fitted.deviance) / score.inflation
+    value = problem.layout.physical(name, fitted.coordinates)
+    return Fitted(
+        name, fitted, drop, len(place) * np.log(count), gain(data, current, fitted), score,
+        possible=not effect.positive or bool((value > 0).all()),
+    )  # fmt: skip
+
+
+def decide(tried: list[Fitted]) -> Fitted | None:
+    """The best hypothesis, if evidence and held-out data both speak for it."""
+    sound = [fitted for fitted in tried if fitted.possible]
+    if not sound or sound[0].bic < EVIDENCE or not sound[0].gain.clear:
+        return None
+    return sound[0]
+
+
+def ambiguous_with(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
+    """Rivals that the same data support nearly as well, by catalogue name."""
+    names = []
+    for other in tried:
+        name = catalogue_name(other.effect)
+        same = name == catalogue_name(best.effect) or name in names
+        if other.possible and not same and best.bic - other.bic < EVIDENCE:
+            names.append(name)
+    return tuple(names)
+
+
+def _verdict(accepted: list[Accepted], left: float) -> str:
+    if not accepted:
+        return "unexplained" if left < ALPHA else "consistent"
+    if any(one.rivals for one in accepted):
+        return "ambiguous"
+    return "explained"

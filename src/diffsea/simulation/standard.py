@@ -1,0 +1,381 @@
+"""The standard trials by name: their orders, their defaults on any vessel, their numbers.
+
+A `Plan` is a trial with every number settled. `run` and `numbers` are pure in the vessel,
+the speed and the throttle: sensitivities and sweeps differentiate and batch them.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffsea.errors import UserError, nearest
+from diffsea.metrics import (
+    Curve,
+    curve,
+    first_crossing,
+    imo_verdicts,
+    slopes,
+    stopping_metrics,
+    turning_metrics,
+    value_at,
+    zigzag_metrics,
+)
+from diffsea.metrics.crossings import known
+from diffsea.simulation import manoeuvres
+from diffsea.simulation.control import Helm, require_helm, throttle_for_thrust
+from diffsea.simulation.manoeuvres import FULL_CIRCLES, Stages
+from diffsea.simulation.trials import Settings, Trial, approach_limit, run_trial
+from diffsea.types import Outcome, Scalar, Trajectory
+from diffsea.vessel.base import Vessel
+
+
+Numbers = dict[str, Float[Array, ""]]
+
+PULL_OUT_TURN = math.radians(90)  # rad, heading change after which the rudder is released
+_LENGTHS = (
+    "advance", "transfer", "tactical_diameter", "max_advance", "max_transfer",
+    "steady_turning_diameter", "initial_turning_distance", "track_reach", "head_reach",
+    "lateral_deviation", "distance",
+)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A standard trial with every number settled."""
+
+    manoeuvre: str
+    angle: float  # rad, rudder or rudder-equivalent, without its side
+    heading: float  # rad, of a zig-zag's switching
+    side: float  # +1 starboard first, -1 port first
+    executes: int
+    seconds: float  # s, of every timed stage
+    speed: float | None  # m/s, held in the approach
+    throttle: float | None  # open loop
+    settings: Settings
+    approach_seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Standard:
+    """One standard trial. Durations are in ship lengths run at the approach speed."""
+
+    stages: Callable[[Plan], Stages]
+    numbers: Callable[[Plan, Trial], Numbers]
+    limit: Callable[[Plan], float]  # lengths after which it is given up
+    angle: float = 0.0  # deg, by default; zero where nothing is steered
+    heading: float = 0.0  # deg
+    timed: float = 0.0  # lengths, default of the timed stages
+    from_rest: bool = False
+    propelled: bool = False  # whether it needs a throttle
+
+
+def plan(
+    vessel: Vessel,
+    manoeuvre: str,
+    angle: float | None = None,
+    heading: float | None = None,
+    side: float = 1.0,
+    speed: float | None = None,
+    thrust: float | None = None,
+    seconds: float | None = None,
+    step: float | None = None,
+    executes: int = 4,
+) -> Plan:
+    """Settle a trial of a vessel. Angles in rad; `None` takes the default.
+
+    Arguments:
+        speed: approach speed, m/s; 0.2 sqrt(g L) by default, or the reference speed of an
+            Abkowitz set.
+        thrust: total thrust in N, instead of a speed.
+        seconds: duration of every timed stage (acceleration, coasting, spiral, the straight
+            part of a pull-out); of the other trials the time limit.
+
+    Raises:
+        UserError: an unknown manoeuvre, or one that the vessel cannot run.
+    """
+    kind = standard(manoeuvre)
+    helm = Helm(vessel)
+    if kind.angle:
+        require_helm(vessel, manoeuvre)
+    if not helm.propelled and (kind.propelled or thrust is not None):
+        raise UserError(
+            f"{vessel.name!r} has no propulsion to command, so "
+            + ("a thrust cannot be set" if thrust is not None else f"it cannot run {manoeuvre}")
+        )
+    throttle = None
+    if thrust is not None:
+        throttle = float(throttle_for_thrust(vessel, thrust))
+        speed = _reached(vessel, throttle, thrust)
+    elif speed is None:
+        speed = default_speed(vessel)
+    if not helm.propelled:
+        throttle = 0.0
+    length = float(vessel.rigid_body.length)
+    lengths = length / speed
+    timed = seconds if kind.timed and seconds is not None else kind.timed * lengths
+    settled = Plan(
+        manoeuvre,
+        math.radians(kind.angle) if angle is None else angle,
+        math.radians(kind.heading) if heading is None else heading,
+        math.copysign(1.0, side), executes, timed, speed, throttle, Settings(), 0.0,
+    )  # fmt: skip
+    limit = _rounded_up(kind.limit(settled) * lengths)
+    if kind.timed:
+        limit += timed * kind.stages(settled).count
+    elif seconds is not None:
+        limit = seconds
+    settings = Settings(
+        step=default_step(length) if step is None else step,
+        seconds=limit,
+        from_rest=kind.from_rest,
+        longest_delay=_longest_delay(vessel),
+    )
+    approach = _rounded_up(approach_limit(vessel, speed, settings))
+    return dataclasses.replace(settled, settings=settings, approach_seconds=approach)
+
+
+def standard(name: str) -> Standard:
+    """A standard trial by name. Raises `UserError` for an unknown one."""
+    if name not in STANDARDS:
+        raise UserError(
+            f"there is no manoeuvre {name!r}{nearest(name, STANDARDS)}; "
+            f"choose one of {', '.join(STANDARDS)}"
+        )
+    return STANDARDS[name]
+
+
+def run(
+    vessel: Vessel, plan: Plan, speed: Scalar | None = None, throttle: Scalar | None = None
+) -> Trial:
+    """Run a plan; `speed` (m/s) or `throttle` in place of the plan's may be traced."""
+    if speed is None and throttle is None:
+        speed, throttle = plan.speed, plan.throttle
+    return run_trial(
+        vessel, STANDARDS[plan.manoeuvre].stages(plan), speed, throttle, plan.settings,
+        approach_seconds=plan.approach_seconds,
+    )  # fmt: skip
+
+
+def numbers(plan: Plan, trial: Trial) -> Numbers:
+    """The trial's numbers in SI units; NaN for one that it does not contain."""
+    return STANDARDS[plan.manoeuvre].numbers(plan, trial)
+
+
+def summary(vessel: Vessel, plan: Plan, trial: Trial, values: Numbers | None = None) -> dict:
+    """What stands in metrics.json: numbers, the same over L, orders, outcome and IMO verdicts."""
+    values = numbers(plan, trial) if values is None else values
+    found = {name: float(value) for name, value in values.items() if np.isfinite(value)}
+    length = float(vessel.rigid_body.length)
+    outcome = Outcome(int(trial.trajectory.outcome))
+    result = {
+        "vessel": vessel.name,
+        "manoeuvre": plan.manoeuvre,
+        "outcome": label(outcome),
+        "outcome_message": outcome.sentence,
+        "execute_time": float(trial.execute_time),
+        "switch_times": _orders_given(trial),
+        **_ordered(plan),
+        **found,
+        **{f"{name}_over_L": found[name] / length for name in _LENGTHS if name in found},
+    }
+    return {**result, "imo": verdicts(plan, found, length), "notes": _notes(plan, outcome, values)}
+
+
+def verdicts(plan: Plan, found: dict[str, float], length: float) -> dict:
+    """IMO verdicts on the numbers of a trial of a vessel of `length` m."""
+    speed = found.get("approach_speed", 0.0)
+    if not speed > 0:
+        return {}
+    kind = "zigzag" if plan.manoeuvre == "modified-zigzag" else plan.manoeuvre
+    return imo_verdicts(found, length, speed, kind, plan.angle, plan.heading or None)
+
+
+def label(outcome: Outcome) -> str:
+    """An outcome as it stands in files, for example `time-limit`."""
+    return outcome.name.lower().replace("_", "-")
+
+
+def default_speed(vessel: Vessel) -> float:
+    """Approach speed (m/s): Froude number 0.2, or the reference speed of an Abkowitz set."""
+    for part in (*vessel.forces.values(), *vessel.actuators.values()):
+        scaling = getattr(part, "scaling", None)
+        if scaling is not None and scaling.kind == "abkowitz":
+            return float(scaling.reference_speed)
+    return 0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length))
+
+
+def default_step(length: float) -> float:
+    """Time step (s) near 0.05 sqrt(L / g), one of 1, 2 and 5 times a power of ten."""
+    wanted = 0.05 * math.sqrt(length / 9.81)
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    candidates = [m * decade for m in (1.0, 2.0, 5.0, 10.0)]
+    return float(f"{min(candidates, key=lambda c: abs(math.log(c / wanted))):.1g}")
+
+
+def _rounded_up(seconds: float) -> float:
+    """Up to two digits: neighbouring speeds then share a compiled program."""
+    unit = 10.0 ** (math.floor(math.log10(seconds)) - 1)
+    return math.ceil(seconds / unit - 1e-9) * unit
+
+
+def _reached(vessel: Vessel, throttle: float, thrust: float) -> float:
+    from diffsea.simulation.control import speed_for
+
+    speed = float(speed_for(vessel, throttle))
+    if not (math.isfinite(speed) and speed > 0):
+        raise UserError(f"{vessel.name!r} reaches no steady speed ahead under {thrust:g} N")
+    return speed
+
+
+def _longest_delay(vessel: Vessel) -> float | None:
+    delays = [float(s.delay) for s in vessel.servos.values() if s.delay is not None]
+    return 1.5 * max(delays) if delays else None
+
+
+def _ordered(plan: Plan) -> dict:
+    kind = STANDARDS[plan.manoeuvre]
+    if not kind.angle:
+        return {}
+    side = {"side": "starboard" if plan.side > 0 else "port", "order_angle": plan.angle}
+    return side | ({"switching_heading": plan.heading} if kind.heading else {})
+
+
+def _orders_given(trial: Trial) -> list[float]:
+    """The execute and every later change of orders (s)."""
+    ends = np.asarray(trial.switch_times, float)[:-1]
+    return [float(trial.execute_time), *(float(t) for t in ends if np.isfinite(t))]
+
+
+def _notes(plan: Plan, outcome: Outcome, values: Numbers) -> list[str]:
+    missing = [name for name, value in values.items() if not np.isfinite(value)]
+    notes = [] if outcome is Outcome.COMPLETED else [outcome.sentence]
+    return notes + ([f"the run does not contain {', '.join(missing)}"] if missing else [])
+
+
+# The numbers of each kind
+
+
+def _turning(plan: Plan, trial: Trial) -> Numbers:
+    return turning_metrics(trial.trajectory, trial.execute_time, plan.side)
+
+
+def _zigzag(plan: Plan, trial: Trial) -> Numbers:
+    times = jnp.concatenate([jnp.asarray(trial.execute_time)[None], trial.switch_times[:-1]])
+    return zigzag_metrics(trial.trajectory, times, side=plan.side)
+
+
+def _stopping(plan: Plan, trial: Trial) -> Numbers:
+    return stopping_metrics(trial.trajectory, trial.execute_time)
+
+
+def _surge(run: Trajectory) -> Curve:
+    return curve(run.t, run.u, slopes(run.t, run.u), run.valid)
+
+
+def _distance(run: Trajectory, start: Scalar) -> Float[Array, ""]:
+    """Distance made good (m) from `start` to the end."""
+    at = [
+        value_at(curve(run.t, p, slopes(run.t, p), run.valid), start) for p in (run.x, run.y)
+    ]
+    last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
+    end = [value_at(curve(run.t, p, slopes(run.t, p), run.valid), last) for p in (run.x, run.y)]
+    square = (end[0] - at[0]) ** 2 + (end[1] - at[1]) ** 2
+    return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
+
+
+def _speed_change(plan: Plan, trial: Trial, share: float, upwards: bool) -> Numbers:
+    """Speed at the end, distance made good, and when a share of the change was over."""
+    run = trial.trajectory
+    surge = _surge(run)
+    first, last = surge.value[0], surge.value[-1]
+    start = value_at(surge, trial.execute_time)
+    level = start + share * ((last if upwards else 0.0) - start)
+    reached = first_crossing(surge, level, +1 if upwards else -1, after=trial.execute_time)
+    time = known(reached.time - trial.execute_time, reached.found)
+    del first
+    name = "time_to_90_percent" if upwards else "time_to_half_speed"
+    distance = _distance(run, trial.execute_time)
+    ends = {"final_speed": last, "distance": distance, name: time}
+    return ends if upwards else {**ends, "approach_speed": start}
+
+
+def _acceleration(plan: Plan, trial: Trial) -> Numbers:
+    return _speed_change(plan, trial, 0.9, True)
+
+
+def _coasting(plan: Plan, trial: Trial) -> Numbers:
+    return _speed_change(plan, trial, 0.5, False)
+
+
+def _yaw(trial: Trial) -> Curve:
+    run = trial.trajectory
+    return curve(run.t, run.r, slopes(run.t, run.r), run.valid)
+
+
+def _pull_out(plan: Plan, trial: Trial) -> Numbers:
+    """Yaw rates (rad/s, towards the side) at the release and at the end."""
+    yaw, ends = _yaw(trial), trial.switch_times
+    released = jnp.isfinite(ends[0])
+    rate = plan.side * value_at(yaw, jnp.where(released, ends[0], 0.0))
+    turn = turning_metrics(trial.trajectory, trial.execute_time, plan.side)
+    return {
+        "yaw_rate_at_release": known(rate, released),
+        "residual_yaw_rate": known(plan.side * yaw.value[-1], jnp.isfinite(ends[1])),
+        "peak_yaw_rate": turn["peak_yaw_rate"],
+        "approach_speed": turn["approach_speed"],
+    }
+
+
+def _spiral(plan: Plan, trial: Trial) -> Numbers:
+    """Yaw rate (rad/s) at the end of every stage, in the order in which they were held."""
+    yaw, ends = _yaw(trial), trial.switch_times
+    there = jnp.isfinite(ends)
+    rates = jax.vmap(lambda t: value_at(yaw, t))(jnp.where(there, ends, 0.0))
+    return {f"yaw_rate_{k + 1}": known(rates[k], there[k]) for k in range(ends.size)}
+
+
+def _small_angles(plan: Plan) -> float:
+    """Factor on the duration of a turn by its angle: small ones turn slowly."""
+    return max(1.0, math.radians(20) / max(plan.angle, math.radians(1)))
+
+
+def _zigzag_limit(plan: Plan) -> float:
+    return 40.0 * plan.executes * max(1.0, plan.heading / max(plan.angle, math.radians(1)))
+
+
+def _zigzag_stages(plan: Plan) -> Stages:
+    return manoeuvres.zigzag(plan.side * plan.angle, plan.heading, plan.executes)
+
+
+STANDARDS: dict[str, Standard] = {
+    "turning-circle": Standard(
+        lambda p: manoeuvres.turning_circle(p.side * p.angle, FULL_CIRCLES),
+        _turning, lambda p: 120.0 * _small_angles(p), angle=35.0,
+    ),
+    "zigzag": Standard(_zigzag_stages, _zigzag, _zigzag_limit, angle=20.0, heading=20.0),
+    "modified-zigzag": Standard(_zigzag_stages, _zigzag, _zigzag_limit, angle=10.0, heading=1.0),
+    "acceleration": Standard(
+        lambda p: manoeuvres.acceleration(p.seconds), _acceleration, lambda p: 1.0, timed=40.0,
+        from_rest=True, propelled=True,
+    ),
+    "stopping": Standard(
+        lambda p: manoeuvres.stopping(), _stopping, lambda p: 200.0, propelled=True
+    ),
+    "coasting": Standard(
+        lambda p: manoeuvres.coasting(p.seconds), _coasting, lambda p: 1.0, timed=60.0,
+        propelled=True,
+    ),
+    "pull-out": Standard(
+        lambda p: manoeuvres.pull_out(p.side * p.angle, PULL_OUT_TURN, p.seconds),
+        _pull_out, lambda p: 60.0 * _small_angles(p), angle=20.0, timed=30.0,
+    ),
+    "spiral": Standard(
+        lambda p: manoeuvres.spiral(p.side * p.angle, p.seconds), _spiral, lambda p: 1.0,
+        angle=20.0, timed=25.0,
+    ),
+}  # fmt: skip
