@@ -36,9 +36,7 @@ class Split:
     by_time: bool  # held out the end of each recording rather than whole ones
 
 
-def split(
-    problem_of, recordings: list[Trajectory], test: list[Trajectory]
-) -> Split:
+def split(problem_of, recordings: list[Trajectory], test: list[Trajectory]) -> Split:
     """Hold out `test`, or the end of each recording where there is none.
 
     `problem_of` makes a problem from recordings.
@@ -95,5 +93,3 @@ def gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     length = max(8, len(difference) // 30)
     sums = block_sums(difference, length)[:, 0]
     return Gain(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
-
-

@@ -43,16 +43,20 @@ class Fitted:
 
     effect: str
     estimate: Estimate
-    drop: float  # of the deviance against the hypothesis without it, corrected for colour
-    penalty: float  # k log n_eff
+    drop: float  # of the deviance against the hypothesis without it
+    size: int  # coordinates it adds
+    count: float  # measured values
     gain: Gain  # on held-out data
     score: Score
     possible: bool  # inside physical bounds
 
-    @property
-    def bic(self) -> float:
-        """Difference of BIC to the hypothesis without it; positive where better."""
-        return self.drop - self.penalty
+    def bic(self, inflation: float) -> float:
+        """Difference of BIC to the hypothesis without it; positive where better.
+
+        `inflation` says how many dependent values count as one (of the best hypothesis:
+        under a wrong one the dependence is the effect itself).
+        """
+        return self.drop / inflation - self.size * float(np.log(self.count / inflation))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,7 +249,8 @@ def refit_short_list(
     for number, name in enumerate(names, start=1):
         progress(f"refitting {number} of {len(names)}: {name}")
         out.append(_refit(data, current, name, screening.scores[name]))
-    return sorted(out, key=lambda fitted: -fitted.bic)
+    best = max(out, key=lambda fitted: fitted.drop)
+    return sorted(out, key=lambda fitted: -fitted.bic(best.estimate.inflation))
 
 
 def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
@@ -264,30 +269,31 @@ def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
     warm[place] = guess
     other = estimate(problem, (*current.free, name), start=warm, noise=current.noise, rounds=4)
     fitted = min(fitted, other, key=lambda f: f.deviance)
-    count = float(problem.tape.count) / score.inflation
-    drop = (current.deviance - fitted.deviance) / score.inflation
     value = problem.layout.physical(name, fitted.coordinates)
     return Fitted(
-        name, fitted, drop, len(place) * np.log(count), gain(data, current, fitted), score,
-        possible=not effect.positive or bool((value > 0).all()),
+        name, fitted, current.deviance - fitted.deviance, len(place), float(problem.tape.count),
+        gain(data, current, fitted), score, not effect.positive or bool((value > 0).all()),
     )  # fmt: skip
 
 
 def decide(tried: list[Fitted]) -> Fitted | None:
     """The best hypothesis, if evidence and held-out data both speak for it."""
     sound = [fitted for fitted in tried if fitted.possible]
-    if not sound or sound[0].bic < EVIDENCE or not sound[0].gain.clear:
+    if not sound:
         return None
-    return sound[0]
+    best = sound[0]
+    return best if best.bic(best.estimate.inflation) > EVIDENCE and best.gain.clear else None
 
 
 def ambiguous_with(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
     """Rivals that the same data support nearly as well, by catalogue name."""
-    names = []
+    names: list[str] = []
+    inflation = best.estimate.inflation
     for other in tried:
         name = catalogue_name(other.effect)
         same = name == catalogue_name(best.effect) or name in names
-        if other.possible and not same and best.bic - other.bic < EVIDENCE:
+        near = best.bic(inflation) - other.bic(inflation) < EVIDENCE
+        if other.possible and not same and near:
             names.append(name)
     return tuple(names)
 

@@ -44,6 +44,7 @@ class Estimate(NamedTuple):
     index: np.ndarray  # which coordinates were free
     covariance: np.ndarray  # of the free coordinates
     shrinkage: np.ndarray  # share of each free coordinate that the data determine, 0 to 1
+    inflation: float  # variance of block-summed scores over the information, at least one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -249,8 +250,8 @@ def estimate(
             break
         last = now
     now, coordinates, noise = best
-    covariance, shrinkage = _uncertainty(problem, coordinates, noise, index, matrix)
-    return Estimate(free, coordinates, noise, now, index, covariance, shrinkage)
+    uncertainty = _uncertainty(problem, coordinates, noise, index, matrix)
+    return Estimate(free, coordinates, noise, now, index, *uncertainty)
 
 
 def _path(problem: Problem, tuned: Tuned) -> Path:
@@ -269,8 +270,8 @@ def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float
 
 def _uncertainty(
     problem: Problem, coordinates: np.ndarray, noise: Noise, index: np.ndarray, matrix: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the free coordinates, and how much of each is due to the data.
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Covariance of the free coordinates, how much of each is due to the data, inflation.
 
     The larger of the inverse information and the sandwich with block sums of the scores,
     which does not trust the innovations to be white.
@@ -289,7 +290,8 @@ def _uncertainty(
     widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
     prior = problem.layout.spreads()[index]
     shrinkage = 1 - np.diag(plain) / prior**2
-    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0)
+    inflation = max(1.0, float(np.mean(np.diag(sandwich) / np.diag(plain))))
+    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0), inflation
 
 
 def block_sums(scores: np.ndarray, length: int) -> np.ndarray:
