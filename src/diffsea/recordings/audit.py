@@ -112,8 +112,8 @@ def _sway_sign(
         float("nan"),
         "",
         "v is positive to port, not to starboard: with the opposite sign position and velocity "
-        "agree better, and the vessel drifts outwards in turns (or x, y and heading are those of an "
-        "east-north-up frame)",
+        "agree better, and the vessel drifts outwards in turns (or x, y and heading are those of "
+        "an east-north-up frame)",
         "v = { ..., sign = -1 } in the mapping",
         ("v",),
     )

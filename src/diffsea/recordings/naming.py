@@ -87,13 +87,17 @@ def _lateness(
 
 
 def _latency(channels: str, others: str, delay: float, std: float, unsure: str) -> Finding:
+    # Where nearly everything is late, it may be the rest that is stamped too early.
+    early = len(channels.split(", psi")) > 1 and others == "x, y"
+    either = f", or {others} are stamped that much too early" if early else ""
+    repair = f"shift {channels} to earlier times" + (f" (or {others} to later ones)" * early)
     return Finding(
         "sensor-latency",
         delay,
         std,
         "s",
-        f"{channels} lag {others} by {delay:.3g} s" + unsure,
-        f"shift {channels} to earlier times, or name the latency in the vessel's sensors",
+        f"{channels} lag {others} by {delay:.3g} s{either}{unsure}",
+        repair + ", or name the latency in the vessel's sensors",
         tuple(channels.split(", ")),
         {"delay": delay},
     )
