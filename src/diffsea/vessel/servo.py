@@ -3,8 +3,9 @@
 Orders are constant between samples, so the response within a step is known in closed
 form. A step hands the integrator not samples of it but the quadratic with the same first
 three moments: a Runge-Kutta step of fourth order then stays of fourth order through kinks
-of the response, a time constant far below the step is integrated rightly, and a lag or a
-delay is exactly absent at zero with a derivative that is not.
+of the response and of third through jumps (a delay without a lag), a time constant far
+below or above the step is integrated rightly, and a lag or a delay is exactly absent at
+zero with a derivative that is not.
 """
 
 import math
@@ -20,8 +21,10 @@ from diffsea.types import Scalar
 SEGMENTS = 4  # orders that can fall within one step after a delay
 SHORTEST = 1e-12  # s
 
-# Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/2.
-_SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(15))
+# Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
+_SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
+
+Moments = tuple[Scalar, Scalar, Scalar]
 
 
 class OrderHistory(eqx.Module):
@@ -116,52 +119,56 @@ class Servo(eqx.Module):
 
     def _moments(
         self, executed: Scalar, targets: list[Scalar], breaks: list[Scalar], dt: Scalar
-    ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
-        """Moments of order 0 to 2 of the response over the unit step, and its end."""
-        total = (0.0, 0.0, 0.0)
-        value = executed
-        for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
-            span = end - begin
-            error, value = self._decay(value - target, span, dt)
-            held = [(end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3)]
-            shifted = (
-                error[0],
-                begin * error[0] + error[1],
-                begin**2 * error[0] + 2 * begin * error[1] + error[2],
-            )
-            total = tuple(m + target * h + s for m, h, s in zip(total, held, shifted, strict=True))
-            value = value + target
-        return total, value
+    ) -> tuple[Moments, Scalar]:
+        """Moments of order 0 to 2 of the response over the unit step, and its end.
 
-    def _decay(
-        self, error: Scalar, span: Scalar, length: Scalar
-    ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
-        """Moments of the deviation from a constant target over `span`, and what is left.
-
+        In each segment the deviation e from a constant target follows
         `de/ds = -sat(e / tau, rho)`: at constant rate while |e| > rho tau, then
         exponentially. Times are in units of the step.
         """
-        tau = 0.0 if self.time_constant is None else self.time_constant / length
-        if self.rate_limit is None:
-            exponential, left = _exponential_moments(span, tau)
-            return tuple(error * m for m in exponential), error * left
-        rho = self.rate_limit * length
-        size, sign = jnp.abs(error), jnp.sign(error)
-        slewing = jnp.minimum(jnp.maximum(size - rho * tau, 0.0) / rho, span)
-        ramp = [
-            size * slewing ** (k + 1) / (k + 1) - rho * slewing ** (k + 2) / (k + 2)
-            for k in range(3)
-        ]
-        # Linear where nothing slews: the modulus has no derivative at no error.
-        rest = jnp.where(slewing > 0, sign * (size - rho * slewing), error)
-        tail, left = _exponential_moments(span - slewing, tau)
-        shifted = (
-            tail[0],
-            slewing * tail[0] + tail[1],
-            slewing**2 * tail[0] + 2 * slewing * tail[1] + tail[2],
-        )
-        moments = tuple(sign * a + rest * b for a, b in zip(ramp, shifted, strict=True))
-        return moments, rest * left
+        tau = 0.0 if self.time_constant is None else self.time_constant / dt
+        rho = None if self.rate_limit is None else self.rate_limit * dt
+        value, parts = executed, []
+        for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
+            error, span = value - target, end - begin
+            slewing, rest = (0.0, error) if rho is None else _slewed(error, span, rho, tau)
+            value = target + rest * _remaining(span - slewing, tau)
+            parts.append((target, begin, end, error, slewing, rest))
+        # All segments at once: the moments are most of the work.
+        columns = (_along(part) for part in zip(*parts, strict=True))
+        target, begin, end, error, slewing, rest = columns
+        decay = _shifted(_exponential_moments(end - begin - slewing, tau), slewing)
+        moments = tuple(rest * m for m in decay)
+        if rho is not None:
+            size, sign = jnp.abs(error), jnp.sign(error)
+            ramp = [
+                sign * slewing ** (k + 1) * (size / (k + 1) - rho * slewing / (k + 2))
+                for k in range(3)
+            ]
+            moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
+        held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
+        deviation = _shifted(moments, begin)
+        total = (jnp.sum(target * h + d) for h, d in zip(held, deviation, strict=True))
+        return tuple(total), value
+
+
+def _along(parts: tuple[Scalar, ...]) -> Array:
+    """One number for each segment; a scalar where there is one segment."""
+    return parts[0] if len(parts) == 1 else jnp.stack([jnp.asarray(p, float) for p in parts])
+
+
+def _shifted(moments: Moments, by: Array) -> Moments:
+    """Moments about an origin `by` earlier."""
+    m0, m1, m2 = moments
+    return m0, by * m0 + m1, by**2 * m0 + 2 * by * m1 + m2
+
+
+def _slewed(error: Scalar, span: Scalar, rho: Scalar, tau: Scalar) -> tuple[Scalar, Scalar]:
+    """Time that a deviation falls at its limiting rate, and what is left of it then."""
+    size = jnp.abs(error)
+    slewing = jnp.minimum(jnp.maximum(size - rho * tau, 0.0) / rho, span)
+    # Not by the modulus where nothing slews: that has no derivative at no error.
+    return slewing, jnp.where(slewing > 0, jnp.sign(error) * (size - rho * slewing), error)
 
 
 def _fraction(value: Scalar) -> Scalar:
@@ -174,17 +181,22 @@ def _dead_band(value: Scalar, width: Scalar) -> Scalar:
     return jnp.where(jnp.abs(value) > width, value - jnp.sign(value) * width, 0.0)
 
 
-def _exponential_moments(span: Scalar, tau: Scalar) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
-    """Integrals of s^k exp(-s / tau) over [0, span] for k = 0, 1, 2, and exp(-span / tau).
+def _remaining(span: Scalar, tau: Scalar) -> Scalar:
+    """exp(-span / tau), which is exactly one over no span and zero for no tau."""
+    # Below a thousandth of the span it is zero to rounding.
+    slow = tau > 1e-3 * span
+    left = jnp.where(slow, jnp.exp(-span / jnp.where(slow, tau, 1.0)), 0.0)
+    return jnp.where(span > 0, left, 1.0)
+
+
+def _exponential_moments(span: Array, tau: Scalar) -> Moments:
+    """Integrals of s^k exp(-s / tau) over [0, span] for k = 0, 1, 2.
 
     From integration by parts, I_k = k tau I_(k-1) - tau span^k exp(-span / tau). Upwards from
     I_0 that cancels where tau is long against the span; there I_2 is its power series in
-    span / tau and the others follow downwards. Below a thousandth of the span the
-    exponential is zero to rounding, which keeps tau = 0 exact.
+    span / tau and the others follow downwards.
     """
-    slow, flat = tau > 1e-3 * span, tau > 2 * span
-    left = jnp.where(slow, jnp.exp(-span / jnp.where(slow, tau, 1.0)), 0.0)
-    left = jnp.where(span > 0, left, 1.0)
+    left, flat = _remaining(span, tau), tau > 4 * span
     short, long = jnp.where(flat, 0.0, tau), jnp.where(flat, tau, 1.0)
     zeroth = short * (1 - left)
     first = short * (zeroth - span * left)
@@ -198,10 +210,10 @@ def _exponential_moments(span: Scalar, tau: Scalar) -> tuple[tuple[Scalar, Scala
     zeroth, first, second = (
         jnp.where(flat, down, up) for down, up in zip(downwards, upwards, strict=True)
     )
-    return (zeroth, first, second), left
+    return zeroth, first, second
 
 
-def _quadratic(moments: tuple[Scalar, Scalar, Scalar], final: Scalar) -> Response:
+def _quadratic(moments: Moments, final: Scalar) -> Response:
     """Nodes of the quadratic with these moments, by shifted Legendre polynomials."""
     m0, m1, m2 = moments
     c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
