@@ -159,12 +159,12 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     """Score every candidate that is not in the model, and locate the mismatch."""
     tuned = problem.tuned(fitted.coordinates, fitted.noise)
     columns: dict[str, np.ndarray] = {}
-    residual, nuisance = _columns(problem, tuned.gains, fitted, fitted.free)
+    residual, nuisance = columns_at(problem, tuned.gains, fitted, fitted.free)
     rows = int(problem.tape.measured.size)
     projection = Projection(residual, nuisance, rows, len(residual) - rows)
     scores = {}
     for group in _groups(problem, fitted.free):
-        _, J = _columns(problem, tuned.gains, fitted, group)
+        _, J = columns_at(problem, tuned.gains, fitted, group)
         position = 0
         for name in group:
             k = len(problem.layout.indices((name,)))
@@ -197,7 +197,7 @@ def _groups(problem: Problem, free: tuple[str, ...]) -> list[tuple[str, ...]]:
     return [tuple(group) for group in groups if group]
 
 
-def _columns(
+def columns_at(
     problem: Problem, gains, fitted: Estimate, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian columns of some coordinates at an estimate.

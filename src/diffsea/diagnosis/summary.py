@@ -185,3 +185,9 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
         if len(copies) == 1:
             tables.append(effect_table(accepted.name, copies[0]))
     return updated_document(document, values, tables)
+
+
+def nominal_document(document: Table, diagnosis: Diagnosis) -> Table:
+    """The vessel's document with the nominal model's own fitted derivatives."""
+    rows = physical_table(diagnosis.split.train, diagnosis.nominal)
+    return updated_document(document, {row["name"]: row["value"] for row in rows}, [])

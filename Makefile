@@ -1,0 +1,33 @@
+# make demo: set up and run the main job.   make test: set up, check and test.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: setup demo test lint experiments clean
+
+setup: $(BIN)/.installed
+
+$(BIN)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	touch $@
+
+demo: setup
+	$(BIN)/diffsea diagnose examples/demo/usv.toml examples/demo/recordings/*.csv \
+	  --test examples/demo/held_out/*.csv -o out/demo
+
+lint: setup
+	$(BIN)/ruff check src tests experiments
+	$(BIN)/ruff format --check src tests experiments
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+test: lint
+	$(BIN)/python -m pytest
+
+experiments: setup
+	for run in experiments/*/run.py; do $(BIN)/python $$run || exit 1; done
+
+clean:
+	rm -rf $(VENV) out
