@@ -5,6 +5,8 @@ propellers and for thrusters with a thrust curve. Every trial speaks in throttle
 rudder angle, whatever the vessel is steered by.
 """
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import optimistix as optx
@@ -97,6 +99,44 @@ def speed_for(vessel: Vessel, throttle: Scalar) -> Scalar:
     guess = 0.6 * jnp.sqrt(9.81 * vessel.rigid_body.length) * 0.3
     return _root(lambda speed, at: straight_balance(at[0], speed, at[1]), guess,
                  (vessel, throttle))  # fmt: skip
+
+
+def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
+    """Throttle of a total thrust of `thrust` N.
+
+    Thrusters commanded in N take it as it is. Propellers and thrusters with a thrust curve
+    push differently at every speed: they get the throttle that holds the speed at which the
+    hull's drag, straight ahead in still water, is `thrust`.
+    """
+    parts = vessel.actuators.values()
+    if not any(isinstance(p, Propeller) or getattr(p, "curve", None) is not None for p in parts):
+        return jnp.asarray(thrust, float)
+
+    def excess(speed: Scalar, at: tuple[Vessel, Scalar]) -> Scalar:
+        return _hull_drag(at[0], speed) / at[1] - 1
+
+    guess = 0.2 * jnp.sqrt(9.81 * vessel.rigid_body.length)
+    return throttle_for(vessel, _root(excess, guess, (vessel, jnp.asarray(thrust, float))))
+
+
+def _hull_drag(vessel: Vessel, speed: Scalar) -> Scalar:
+    """Drag (N) of everything but the actuators, straight ahead through still water."""
+    zero = jnp.zeros(())
+    state = State(zero, zero, zero, speed, zero, zero)
+    return -sum(force(state, Environment(), zero).X for force in vessel.forces.values())
+
+
+def full_throttle(vessel: Vessel) -> float:
+    """Throttle at which the first propulsor reaches its limit; infinite without limits."""
+    helm = Helm(vessel)
+    limits = []
+    for part in vessel.actuators.values():
+        if isinstance(part, FixedThruster | Propeller | AzimuthThruster):
+            upper = next(iter(part.servos.values())).upper
+            in_newton = not isinstance(part, Propeller) and getattr(part, "curve", None) is None
+            share = helm._count(type(part)) if in_newton else 1
+            limits += [] if upper is None else [share * float(upper)]
+    return min(limits, default=math.inf)
 
 
 def _first_throttle(vessel: Vessel, speed: Scalar) -> Scalar:

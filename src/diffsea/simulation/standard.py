@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +28,13 @@ from diffsea.metrics import (
 )
 from diffsea.metrics.crossings import known
 from diffsea.simulation import manoeuvres
-from diffsea.simulation.control import Helm, require_helm, throttle_for_thrust
+from diffsea.simulation.control import (
+    Helm,
+    full_throttle,
+    require_helm,
+    speed_for,
+    throttle_for_thrust,
+)
 from diffsea.simulation.manoeuvres import FULL_CIRCLES, Stages
 from diffsea.simulation.trials import Settings, Trial, approach_limit, run_trial
 from diffsea.types import Outcome, Scalar, Trajectory
@@ -36,7 +43,7 @@ from diffsea.vessel.base import Vessel
 
 Numbers = dict[str, Float[Array, ""]]
 
-PULL_OUT_TURN = math.radians(90)  # rad, heading change after which the rudder is released
+PULL_OUT_TURN = math.radians(360)  # heading change after which the rudder is released
 _LENGTHS = (
     "advance", "transfer", "tactical_diameter", "max_advance", "max_transfer",
     "steady_turning_diameter", "initial_turning_distance", "track_reach", "head_reach",
@@ -65,7 +72,7 @@ class Standard:
     """One standard trial. Durations are in ship lengths run at the approach speed."""
 
     stages: Callable[[Plan], Stages]
-    numbers: Callable[[Plan, Trial], Numbers]
+    numbers: Callable[[float, Trial], Numbers]  # of the side
     limit: Callable[[Plan], float]  # lengths after which it is given up
     angle: float = 0.0  # deg, by default; zero where nothing is steered
     heading: float = 0.0  # deg
@@ -110,9 +117,16 @@ def plan(
     throttle = None
     if thrust is not None:
         throttle = float(throttle_for_thrust(vessel, thrust))
+        if not throttle <= full_throttle(vessel):
+            raise UserError(f"{thrust:g} N is more than {vessel.name!r} can push; lower the thrust")
         speed = _reached(vessel, throttle, thrust)
     elif speed is None:
         speed = default_speed(vessel)
+    elif speed > top_speed(vessel):
+        raise UserError(
+            f"{vessel.name!r} does not reach {speed:g} m/s: at full throttle it runs "
+            f"{top_speed(vessel):.3g} m/s; choose a lower speed"
+        )
     if not helm.propelled:
         throttle = 0.0
     length = float(vessel.rigid_body.length)
@@ -161,9 +175,37 @@ def run(
     )  # fmt: skip
 
 
+def measured(vessel: Vessel, plan: Plan) -> tuple[Trial, Numbers]:
+    """Run a plan, compiled, with its numbers."""
+    vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    start = [None if v is None else jnp.asarray(v, float) for v in (plan.speed, plan.throttle)]
+    stages = STANDARDS[plan.manoeuvre].stages(plan)
+    trial = _compiled_run(vessel, stages, *start, plan.settings, plan.approach_seconds)
+    return trial, _compiled_numbers(trial, (plan.manoeuvre, plan.side))
+
+
+@eqx.filter_jit
+def _compiled_run(
+    vessel: Vessel,
+    stages: Stages,
+    speed: Scalar | None,
+    throttle: Scalar | None,
+    settings: Settings,
+    approach_seconds: float,
+) -> Trial:
+    return run_trial(
+        vessel, stages, speed, throttle, settings, approach_seconds=approach_seconds
+    )
+
+
+@eqx.filter_jit
+def _compiled_numbers(trial: Trial, kind: tuple[str, float]) -> Numbers:
+    return STANDARDS[kind[0]].numbers(kind[1], trial)
+
+
 def numbers(plan: Plan, trial: Trial) -> Numbers:
     """The trial's numbers in SI units; NaN for one that it does not contain."""
-    return STANDARDS[plan.manoeuvre].numbers(plan, trial)
+    return STANDARDS[plan.manoeuvre].numbers(plan.side, trial)
 
 
 def summary(vessel: Vessel, plan: Plan, trial: Trial, values: Numbers | None = None) -> dict:
@@ -201,12 +243,22 @@ def label(outcome: Outcome) -> str:
 
 
 def default_speed(vessel: Vessel) -> float:
-    """Approach speed (m/s): Froude number 0.2, or the reference speed of an Abkowitz set."""
+    """Approach speed (m/s): Froude number 0.2, or the reference speed of an Abkowitz set.
+
+    At most four fifths of what full throttle reaches.
+    """
     for part in (*vessel.forces.values(), *vessel.actuators.values()):
         scaling = getattr(part, "scaling", None)
         if scaling is not None and scaling.kind == "abkowitz":
             return float(scaling.reference_speed)
-    return 0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length))
+    return min(0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length)), 0.8 * top_speed(vessel))
+
+
+def top_speed(vessel: Vessel) -> float:
+    """Speed (m/s) at full throttle; infinite where nothing limits it."""
+    full = full_throttle(vessel)
+    reached = float(speed_for(vessel, full)) if math.isfinite(full) else math.inf
+    return reached if reached > 0 else math.inf
 
 
 def default_step(length: float) -> float:
@@ -224,8 +276,6 @@ def _rounded_up(seconds: float) -> float:
 
 
 def _reached(vessel: Vessel, throttle: float, thrust: float) -> float:
-    from diffsea.simulation.control import speed_for
-
     speed = float(speed_for(vessel, throttle))
     if not (math.isfinite(speed) and speed > 0):
         raise UserError(f"{vessel.name!r} reaches no steady speed ahead under {thrust:g} N")
@@ -260,16 +310,16 @@ def _notes(plan: Plan, outcome: Outcome, values: Numbers) -> list[str]:
 # The numbers of each kind
 
 
-def _turning(plan: Plan, trial: Trial) -> Numbers:
-    return turning_metrics(trial.trajectory, trial.execute_time, plan.side)
+def _turning(side: float, trial: Trial) -> Numbers:
+    return turning_metrics(trial.trajectory, trial.execute_time, side)
 
 
-def _zigzag(plan: Plan, trial: Trial) -> Numbers:
+def _zigzag(side: float, trial: Trial) -> Numbers:
     times = jnp.concatenate([jnp.asarray(trial.execute_time)[None], trial.switch_times[:-1]])
-    return zigzag_metrics(trial.trajectory, times, side=plan.side)
+    return zigzag_metrics(trial.trajectory, times, side=side)
 
 
-def _stopping(plan: Plan, trial: Trial) -> Numbers:
+def _stopping(side: float, trial: Trial) -> Numbers:
     return stopping_metrics(trial.trajectory, trial.execute_time)
 
 
@@ -288,28 +338,27 @@ def _distance(run: Trajectory, start: Scalar) -> Float[Array, ""]:
     return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
 
 
-def _speed_change(plan: Plan, trial: Trial, share: float, upwards: bool) -> Numbers:
+def _speed_change(trial: Trial, share: float, upwards: bool) -> Numbers:
     """Speed at the end, distance made good, and when a share of the change was over."""
     run = trial.trajectory
     surge = _surge(run)
-    first, last = surge.value[0], surge.value[-1]
+    last = surge.value[-1]
     start = value_at(surge, trial.execute_time)
     level = start + share * ((last if upwards else 0.0) - start)
     reached = first_crossing(surge, level, +1 if upwards else -1, after=trial.execute_time)
     time = known(reached.time - trial.execute_time, reached.found)
-    del first
     name = "time_to_90_percent" if upwards else "time_to_half_speed"
     distance = _distance(run, trial.execute_time)
     ends = {"final_speed": last, "distance": distance, name: time}
     return ends if upwards else {**ends, "approach_speed": start}
 
 
-def _acceleration(plan: Plan, trial: Trial) -> Numbers:
-    return _speed_change(plan, trial, 0.9, True)
+def _acceleration(side: float, trial: Trial) -> Numbers:
+    return _speed_change(trial, 0.9, True)
 
 
-def _coasting(plan: Plan, trial: Trial) -> Numbers:
-    return _speed_change(plan, trial, 0.5, False)
+def _coasting(side: float, trial: Trial) -> Numbers:
+    return _speed_change(trial, 0.5, False)
 
 
 def _yaw(trial: Trial) -> Curve:
@@ -317,21 +366,22 @@ def _yaw(trial: Trial) -> Curve:
     return curve(run.t, run.r, slopes(run.t, run.r), run.valid)
 
 
-def _pull_out(plan: Plan, trial: Trial) -> Numbers:
-    """Yaw rates (rad/s, towards the side) at the release and at the end."""
+def _pull_out(side: float, trial: Trial) -> Numbers:
+    """The turn until the release, and yaw rates (rad/s, towards the side) then and at the end."""
     yaw, ends = _yaw(trial), trial.switch_times
     released = jnp.isfinite(ends[0])
-    rate = plan.side * value_at(yaw, jnp.where(released, ends[0], 0.0))
-    turn = turning_metrics(trial.trajectory, trial.execute_time, plan.side)
+    until = jnp.where(released, ends[0], jnp.inf)
+    run = trial.trajectory
+    turn = dataclasses.replace(run, valid=run.valid & (run.t <= until))
+    rate = side * value_at(yaw, jnp.where(released, ends[0], 0.0))
     return {
+        **turning_metrics(turn, trial.execute_time, side),
         "yaw_rate_at_release": known(rate, released),
-        "residual_yaw_rate": known(plan.side * yaw.value[-1], jnp.isfinite(ends[1])),
-        "peak_yaw_rate": turn["peak_yaw_rate"],
-        "approach_speed": turn["approach_speed"],
+        "residual_yaw_rate": known(side * yaw.value[-1], jnp.isfinite(ends[1])),
     }
 
 
-def _spiral(plan: Plan, trial: Trial) -> Numbers:
+def _spiral(side: float, trial: Trial) -> Numbers:
     """Yaw rate (rad/s) at the end of every stage, in the order in which they were held."""
     yaw, ends = _yaw(trial), trial.switch_times
     there = jnp.isfinite(ends)
@@ -372,7 +422,7 @@ STANDARDS: dict[str, Standard] = {
     ),
     "pull-out": Standard(
         lambda p: manoeuvres.pull_out(p.side * p.angle, PULL_OUT_TURN, p.seconds),
-        _pull_out, lambda p: 60.0 * _small_angles(p), angle=20.0, timed=30.0,
+        _pull_out, lambda p: 100.0 * _small_angles(p), angle=20.0, timed=30.0,
     ),
     "spiral": Standard(
         lambda p: manoeuvres.spiral(p.side * p.angle, p.seconds), _spiral, lambda p: 1.0,

@@ -1,0 +1,202 @@
+"""Commands that judge recordings: `metrics`, `audit` and `predict`."""
+
+import argparse
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+from diffsea.cli import options
+from diffsea.cli.trial import metrics_text
+from diffsea.errors import UserError
+
+
+if TYPE_CHECKING:
+    from diffsea.recordings import Finding
+    from diffsea.types import Trajectory
+    from diffsea.vessel.base import Vessel
+
+
+# Written out because asking the library would import JAX; a test compares the two.
+MANOEUVRES = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
+_UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
+
+_METRICS = """\
+Read the numbers of a trial off recordings: advance, tactical diameter, overshoots and so on,
+with the verdicts of IMO MSC.137(76). Orders and the manoeuvre are found in the recording.
+Writes metrics.json; with several recordings it holds {"runs": {name: ...}}.
+"""
+_METRICS_EXAMPLES = """\
+  diffsea metrics circle.csv --length 4.9
+  diffsea metrics trials/*.csv --vessel usv.toml --json
+  diffsea metrics model.csv --mapping tank.toml --length 7.0 --scale 45.7"""
+_AUDIT = """\
+Check recordings for faults of labels, units, frames, signs, clocks and sensors, by kinematics
+alone and before any physics is blamed. Writes audit.json, the list of findings.
+"""
+_AUDIT_EXAMPLES = """\
+  diffsea audit run1.csv run2.csv
+  diffsea audit field/*.csv --mapping field.toml --json"""
+_PREDICT = """\
+Replay a recording's orders through a vessel, open loop, from the recorded initial state.
+Actuation that was measured (exec_ columns) is used as measured, any other goes through the
+vessel's actuators; the result says which. Writes predicted.csv, predict.json with
+root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it, and
+prediction.png.
+"""
+_PREDICT_EXAMPLES = """\
+  diffsea predict usv.toml run1.csv
+  diffsea predict out/fit/vessel.toml run7.csv --mapping field.toml -o out/run7"""
+
+
+def register(commands) -> None:
+    """Add the commands."""
+    metrics = options.add_command(
+        commands, "metrics", _metrics, "IMO/ITTC numbers of recorded trials", _METRICS,
+        _METRICS_EXAMPLES,
+    )  # fmt: skip
+    options.add_recordings(metrics)
+    size = metrics.add_mutually_exclusive_group()
+    size.add_argument("--vessel", metavar="V", help="vessel whose length and thrust curves count")
+    size.add_argument("--length", metavar="M", type=options.positive, help="L_pp as recorded")
+    metrics.add_argument(
+        "--manoeuvre", metavar="NAME", type=options.one_of(MANOEUVRES, "manoeuvre"),
+        help=f"what was run, if known better ({' | '.join(MANOEUVRES)})",
+    )  # fmt: skip
+    metrics.add_argument(
+        "--scale", metavar="S", type=options.positive, default=1.0,
+        help="full-scale over recorded length, for the verdicts on a model (default: 1)",
+    )  # fmt: skip
+    audit = options.add_command(
+        commands, "audit", _audit, "faults of recordings: frames, units, signs, clocks, sensors",
+        _AUDIT, _AUDIT_EXAMPLES,
+    )  # fmt: skip
+    options.add_recordings(audit)
+    predict = options.add_command(
+        commands, "predict", _predict, "replay a recording's orders through a vessel", _PREDICT,
+        _PREDICT_EXAMPLES,
+    )  # fmt: skip
+    options.add_vessel(predict)
+    options.add_recordings(predict, several=False)
+    predict.add_argument(
+        "--orders", action="store_true",
+        help="use the orders even where executed actuation was measured",
+    )  # fmt: skip
+
+
+def _metrics(args: argparse.Namespace) -> None:
+    from diffsea.metrics import recording_metrics
+
+    vessel = options.read_vessel(args).vessel if args.vessel else None
+    length = args.length if vessel is None else float(vessel.rigid_body.length)
+    runs = options.read_recordings(args.recordings, args.mapping)
+    with options.Outputs(args.output) as out:
+        found = {
+            run.name: recording_metrics(
+                run if vessel is None else _as_thrust(vessel, run), length, args.manoeuvre,
+                args.scale,
+            )
+            for run in runs
+        }  # fmt: skip
+        (first, *others) = found.values()
+        out.json("metrics.json", {"runs": found} if others else first)
+    out.present(args, "\n\n".join(f"{n}: {metrics_text(item)}" for n, item in found.items()))
+
+
+def _as_thrust(vessel: "Vessel", run: "Trajectory") -> "Trajectory":
+    """The run with speeds of thrusters as thrusts, whose ratio gives the equivalent angle."""
+    import numpy as np
+
+    curved = {
+        channel
+        for part in vessel.actuators.values()
+        if getattr(part, "curve", None) is not None
+        for channel in part.servos
+    }
+
+    def pushed(group: dict) -> dict:
+        return {c: s * np.abs(s) if c in curved else s for c, s in group.items()}
+
+    return dataclasses.replace(
+        run, commanded=pushed(run.commanded), executed=pushed(run.executed)
+    )
+
+
+def _audit(args: argparse.Namespace) -> None:
+    from diffsea.recordings import audit
+
+    runs = options.read_recordings(args.recordings, args.mapping)
+    with options.Outputs(args.output) as out:
+        found = [(run, audit(run)) for run in runs]
+        out.json("audit.json", [item.as_dict() for _, items in found for item in items])
+    out.present(args, "\n\n".join(_findings_text(run.name, items) for run, items in found))
+
+
+def _findings_text(name: str, findings: "list[Finding]") -> str:
+    if not findings:
+        return f"{name}: nothing found"
+    lines = [f"{name}:"]
+    for item in findings:
+        lines.append(f"  {item.kind:18s} {_size(item)}")
+        lines.append(f"    {item.message}")
+        lines += [f"    repair: {item.repair}"] if item.repair else []
+    return "\n".join(lines)
+
+
+def _size(finding: "Finding") -> str:
+    if not math.isfinite(finding.value):
+        return ""
+    unit = "" if finding.unit == "1" else f" {finding.unit}"
+    error = f" +- {finding.std:.2g}" if math.isfinite(finding.std) else ""
+    return f"{finding.value:.4g}{error}{unit}"
+
+
+def _predict(args: argparse.Namespace) -> None:
+    from diffsea.recordings import write_recording
+    from diffsea.report import trial_plots
+    from diffsea.simulation.replay import horizon_errors, recorded_actuation, replay, replay_errors
+    from diffsea.types import Outcome
+
+    vessel = options.read_vessel(args).vessel
+    (recording,) = options.read_recordings([args.recording], args.mapping)
+    with options.Outputs(args.output) as out:
+        measured = {} if args.orders else recorded_actuation(vessel, recording)[1]
+        predicted = replay(vessel, recording, not args.orders)
+        if predicted.outcome == Outcome.DIVERGED:
+            raise UserError(
+                f"{recording.name}: {Outcome.DIVERGED.sentence}. The vessel file may not fit the "
+                "recording: look at units and signs of the orders (diffsea audit), and at the "
+                f"derivatives of {vessel.name!r}"
+            )
+        ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
+        result = {
+            "vessel": vessel.name,
+            "recording": recording.name,
+            "actuation": {
+                c: "measured" if c in measured else "reconstructed" for c in vessel.channels
+            },
+            "overall": replay_errors(predicted, recording),
+            "horizons": {f"{seconds:g}": errors for seconds, errors in ahead.items()},
+            "units": _UNITS | {"horizons": "s"},
+            "notes": list(predicted.provenance),
+        }
+        write_recording(predicted, out.path("predicted.csv"))
+        out.json("predict.json", result)
+        title = f"{recording.name} predicted by {vessel.name}"
+        trial_plots.save_prediction(predicted, recording, out.path("prediction.png"), title)
+    out.present(args, _errors_text(result))
+
+
+def _errors_text(result: dict) -> str:
+    names = [name for name in _UNITS if name in result["overall"]]
+    shown = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
+    header = ["root mean square error", *(f"{n} ({shown.get(u, (u, 1))[0]})"
+              for n, u in _UNITS.items() if n in names)]  # fmt: skip
+
+    def row(label: str, errors: dict) -> list[str]:
+        cells = [shown.get(_UNITS[n], ("", 1.0))[1] * errors.get(n, math.nan) for n in names]
+        return [label, *(f"{cell:.3g}" for cell in cells)]
+
+    rows = [row("over the whole run", result["overall"])]
+    for seconds, errors in result["horizons"].items():
+        rows.append(row(f"{seconds} s ahead of {errors['starts']} starts", errors))
+    return "\n".join([options.table(rows, header), "", *result["notes"]])
