@@ -10,17 +10,16 @@ import dataclasses
 
 import numpy as np
 
+from diffsea.recordings.channels import frozen, order_findings, outliers, rounding_findings
+from diffsea.recordings.clocks import clock_findings
+from diffsea.recordings.consistency import heading_comparison, velocity_comparison
+from diffsea.recordings.finding import KINDS, Finding
+from diffsea.recordings.frames import read_frames
+from diffsea.recordings.increments import Explanation, explain
+from diffsea.recordings.motion import Motion, integral, motion_of
+from diffsea.recordings.naming import disagreement_findings
+from diffsea.recordings.responses import response_findings
 from diffsea.types import Trajectory
-
-from .channels import frozen, order_findings, outliers, rounding_findings
-from .clocks import clock_findings
-from .consistency import heading_comparison, velocity_comparison
-from .finding import KINDS, Finding
-from .frames import read_frames
-from .increments import Explanation, explain
-from .motion import Motion, integral, motion_of
-from .naming import disagreement_findings
-from .responses import response_findings
 
 
 # What drifting inwards in turns must gain in deviance over drifting outwards.

@@ -2,10 +2,9 @@
 
 import numpy as np
 
+from diffsea.recordings.finding import Finding
+from diffsea.recordings.motion import Motion, integral
 from diffsea.types import MOTION_CHANNELS, Trajectory
-
-from .finding import Finding
-from .motion import Motion, integral
 
 
 # Rounding of heading (rad) and yaw rate (rad/s), position (m), velocity (m/s) below which it
@@ -178,7 +177,7 @@ def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
     misfit, moved = _disagreement(motion, turning)
     size = end - start
     inside = _excursion(misfit, start, end)
-    marks = np.arange(0, motion.t.size - size, max(1, size // 2))
+    marks = range(0, motion.t.size - size, max(1, size // 2))
     elsewhere = [_excursion(misfit, i, i + size) for i in marks if i + size < start or i > end]
     usual = float(np.median(elsewhere)) if elsewhere else 0.0
     floor = np.radians(2.0) if turning else 0.1 + 0.02 * abs(moved[end] - moved[start])

@@ -2,10 +2,9 @@
 
 import numpy as np
 
+from diffsea.recordings.finding import Finding
+from diffsea.recordings.readers import REPEATED_TIMES
 from diffsea.types import MOTION_CHANNELS, Trajectory
-
-from .finding import Finding
-from .readers import REPEATED_TIMES
 
 
 _IRREGULAR = 0.2  # an interval this far (relative) from the usual one is irregular

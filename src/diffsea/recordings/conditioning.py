@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.types import MOTION_CHANNELS, Series, Trajectory
 
 
 _ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle
@@ -98,14 +98,14 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
             f"{interval:g} s"
         )
 
-    def motion(name: str, series: np.ndarray) -> np.ndarray:
+    def motion(name: str, series: Series) -> np.ndarray:
         values = np.asarray(series, dtype=float)[valid]
         if name in _ANGLES:
             circle = _resampled(old, np.exp(1j * values), new, interval, max_gap)
             return np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
         return _resampled(old, values, new, interval, max_gap)
 
-    def held(series: np.ndarray) -> np.ndarray:
+    def held(series: Series) -> np.ndarray:
         row = np.searchsorted(old, new + 1e-6 * interval, side="right") - 1
         return np.asarray(series, dtype=float)[valid][row.clip(0)]
 

@@ -11,8 +11,8 @@ import dataclasses
 
 import numpy as np
 
-from .increments import Cause, Comparison
-from .motion import Motion, integral, knots, refined
+from diffsea.recordings.increments import Cause, Comparison
+from diffsea.recordings.motion import Motion, integral, knots, refined
 
 
 MAX_DELAY = 6.0  # s, the longest latency looked for

@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .finding import Finding
-from .motion import Motion, integral, knots
+from diffsea.recordings.finding import Finding
+from diffsea.recordings.motion import Motion, integral, knots
 
 
 _CLEARLY_WRONG = 0.03  # share of squared displacement that the labels leave unexplained

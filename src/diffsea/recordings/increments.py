@@ -410,7 +410,7 @@ def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str
 def _significant(estimate: np.ndarray, cov: np.ndarray, freedom: float) -> bool:
     """Whether the estimate is beyond chance; short runs make for heavier tails."""
     wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
-    return stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE
+    return bool(stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE)
 
 
 def _freedom(comparison: Comparison) -> float:
@@ -490,4 +490,4 @@ def _gain_holds(columns: np.ndarray, rest: np.ndarray, index: int, value: float)
     if slope[0] < 6 * np.sqrt(cov[0, 0]):
         return False
     reverse = 1 / slope[0] - 1
-    return np.sign(reverse) == np.sign(value) and abs(reverse) > 0.5 * abs(value)
+    return bool(np.sign(reverse) == np.sign(value) and abs(reverse) > 0.5 * abs(value))

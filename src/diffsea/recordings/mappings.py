@@ -20,13 +20,11 @@ an offset of 5 with the unit `deg` turns the heading by five degrees.
 """
 
 import dataclasses
-import difflib
 import math
 import tomllib
-from collections.abc import Iterable
 from pathlib import Path
 
-from ..errors import UserError
+from diffsea.errors import UserError, nearest
 
 
 # unit -> (dimension, factor to SI). Revolutions stay revolutions: propellers are ordered
@@ -131,13 +129,6 @@ def is_channel(name: str) -> bool:
     )
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A clause such as ` (did you mean 'yaw'?)`, empty where nothing is near."""
-    spelled = {other.lower(): other for other in known}
-    match = difflib.get_close_matches(name.lower(), spelled, n=1, cutoff=0.5)
-    return f" (did you mean {spelled[match[0]]!r}?)" if match else ""
-
-
 def read_mapping(path: str | Path) -> Mapping:
     """Read a mapping file.
 
@@ -176,8 +167,9 @@ def _check_keys(table: dict, known: tuple[str, ...], path: Path, where: str) -> 
     for key in table:
         if key not in known:
             raise UserError(
-                f"{path}: {where}unknown key {key!r}{nearest(key, known)}; known keys are "
+                f"{path}: {where}unknown key {key!r}; known keys are "
                 + ", ".join(known)
+                + nearest(key, known)
             )
 
 
@@ -221,8 +213,9 @@ def _column(channel: str, entry: object, path: Path) -> Column:
     if not is_channel(channel):
         known = (*CHANNEL_DIMENSIONS, "cmd_<actuator>", "exec_<actuator>")
         raise UserError(
-            f"{path}: {where} is no channel{nearest(channel, CHANNEL_DIMENSIONS)}; channels "
-            "are " + ", ".join(known)
+            f"{path}: {where} is no channel; channels are "
+            + ", ".join(known)
+            + nearest(channel, CHANNEL_DIMENSIONS)
         )
     if isinstance(entry, str):
         return Column(entry)
@@ -245,10 +238,11 @@ def _column(channel: str, entry: object, path: Path) -> Column:
 def _unit(channel: str, unit: object, path: Path) -> str | None:
     if unit is None:
         return None
-    if unit not in UNITS:
+    if not isinstance(unit, str) or unit not in UNITS:
         raise UserError(
-            f"{path}: [columns] {channel}: unknown unit {unit!r}{nearest(str(unit), UNITS)}; "
-            "known units are " + ", ".join(UNITS)
+            f"{path}: [columns] {channel}: unknown unit {unit!r}; known units are "
+            + ", ".join(UNITS)
+            + nearest(str(unit), UNITS)
         )
     dimension = CHANNEL_DIMENSIONS.get(channel)
     if dimension not in (None, UNITS[unit][0]):

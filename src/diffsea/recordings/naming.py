@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .finding import Finding
-from .increments import Explanation
+from diffsea.recordings.finding import Finding
+from diffsea.recordings.increments import Explanation
 
 
 _WORDS = {
@@ -35,11 +35,13 @@ def disagreement_findings(
     yaw rate.
     """
     findings = _latencies(heading, velocity)
-    for found, words in ((heading, _HEADING), (velocity, _VELOCITY)):
-        causes = found.causes if found else ()
-        if found is heading and velocity and "iron" in velocity.causes:
-            causes = tuple(cause for cause in causes if cause != "gain")
-        findings += [words[cause](found) for cause in causes if cause in words]
+    if heading:
+        compass = velocity is not None and "iron" in velocity.causes
+        causes = [cause for cause in heading.causes if not (compass and cause == "gain")]
+        findings += [_HEADING[cause](heading) for cause in causes if cause in _HEADING]
+    if velocity:
+        causes = [cause for cause in velocity.causes if cause in _VELOCITY]
+        findings += [_VELOCITY[cause](velocity) for cause in causes]
     return findings
 
 

@@ -13,9 +13,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ..errors import UserError
-from ..types import MOTION_CHANNELS, Trajectory
-from .mappings import CHANNEL_DIMENSIONS, Column, Mapping, is_channel, nearest, read_mapping
+from diffsea.errors import UserError, nearest
+from diffsea.recordings.mappings import (
+    CHANNEL_DIMENSIONS,
+    Column,
+    Mapping,
+    is_channel,
+    read_mapping,
+)
+from diffsea.types import MOTION_CHANNELS, Trajectory
 
 
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
@@ -43,10 +49,10 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     _check_file(path)
     table, first_line = _read_table(path, mapping)
     channels = _channels(table, mapping, path)
-    values = {
-        name: _numbers(table[column.column], path, first_line) * column.gain + column.shift
-        for name, column in channels.items()
-    }
+    values: dict[str, np.ndarray] = {}
+    for name, column in channels.items():
+        numbers = _numbers(table, column.column, path, first_line)
+        values[name] = numbers * column.gain + column.shift
     if mapping is not None and mapping.time_step is not None:
         values["t"] = np.arange(len(table)) * mapping.time_step
     notes = [f"read {path.name}, sha256 {_digest(path)}"]
@@ -210,7 +216,6 @@ def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> p
                 encoding=mapping.encoding,
                 skip_blank_lines=False,
                 skipinitialspace=True,
-                float_precision="round_trip",
             )
     except UnicodeDecodeError as error:
         raise _encoding_error(path, mapping, error) from error
@@ -237,8 +242,7 @@ def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[
             if column.column not in table.columns:
                 raise UserError(
                     f"{path} has no column {column.column!r}, which {mapping.name} maps to "
-                    f"{channel}{nearest(column.column, map(str, table.columns))}; it has "
-                    f"{present}"
+                    f"{channel}; it has {present}" + nearest(column.column, map(str, table.columns))
                 )
     if not any(name in channels for name in MOTION_CHANNELS):
         raise UserError(
@@ -248,12 +252,13 @@ def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[
     return channels
 
 
-def _numbers(column: pd.Series, path: Path, first_line: int) -> np.ndarray:
-    """The column as floats, empty cells as NaN; raises on text and infinities."""
+def _numbers(table: pd.DataFrame, name: str, path: Path, first_line: int) -> np.ndarray:
+    """A column as floats, empty cells as NaN; raises on text and infinities."""
+    column = pd.Series(table[name])
     if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
         values = column.to_numpy(dtype=float, na_value=np.nan)
     else:
-        values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+        values = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=float)
         bad = np.flatnonzero(np.isnan(values) & ~column.isna().to_numpy())
         if bad.size:
             cell = column.iloc[bad[0]]
@@ -263,13 +268,13 @@ def _numbers(column: pd.Series, path: Path, first_line: int) -> np.ndarray:
                 else "; leave the cell empty where a sample is missing"
             )
             raise UserError(
-                f"{path}, line {bad[0] + first_line}, column {column.name!r}: {cell!r} is not "
+                f"{path}, line {bad[0] + first_line}, column {name!r}: {cell!r} is not "
                 f"a number ({bad.size} such cells){hint}"
             )
     infinite = np.flatnonzero(np.isinf(values))
     if infinite.size:
         raise UserError(
-            f"{path}, line {infinite[0] + first_line}, column {column.name!r}: the value is "
+            f"{path}, line {infinite[0] + first_line}, column {name!r}: the value is "
             "infinite; leave the cell empty where a sample is missing"
         )
     return values
@@ -325,8 +330,7 @@ def _trajectory(
     time: np.ndarray, values: dict[str, np.ndarray], name: str, notes: list[str]
 ) -> Trajectory:
     missing = np.full(time.shape, np.nan)
-    motion = {channel: values.get(channel, missing) for channel in MOTION_CHANNELS}
-    motion["psi"] = unwrap(motion["psi"])
+    x, y, psi, u, v, r = (values.get(channel, missing) for channel in MOTION_CHANNELS)
     actuation = {"cmd_": {}, "exec_": {}}
     for channel, series in values.items():
         for prefix, group in actuation.items():
@@ -338,7 +342,12 @@ def _trajectory(
     }
     return Trajectory(
         t=time,
-        **motion,
+        x=x,
+        y=y,
+        psi=unwrap(psi),
+        u=u,
+        v=v,
+        r=r,
         commanded=actuation["cmd_"],
         executed=actuation["exec_"],
         extra={key: values[key] for key in EXTRA_CHANNELS if key in values},

@@ -12,10 +12,9 @@ import dataclasses
 import numpy as np
 from scipy import signal
 
-from diffsea.types import Trajectory
-
-from .finding import Finding
-from .motion import Motion
+from diffsea.recordings.finding import Finding
+from diffsea.recordings.motion import Motion
+from diffsea.types import Series, Trajectory
 
 
 _PORT = ("port", "left")
@@ -65,7 +64,7 @@ def _is(name: str, words: tuple[str, ...]) -> bool:
     return any(word in name.lower() for word in words)
 
 
-def _on_clock(trajectory: Trajectory, motion: Motion, series: np.ndarray) -> np.ndarray:
+def _on_clock(trajectory: Trajectory, motion: Motion, series: Series) -> np.ndarray:
     """The actuation at the motion's instants, held; what came before the first is the first."""
     valid = np.asarray(trajectory.valid, dtype=bool) & np.isfinite(np.asarray(series, dtype=float))
     count = np.asarray(trajectory.t)[np.asarray(trajectory.valid, dtype=bool)].size
