@@ -1,0 +1,88 @@
+"""Numbers for people: units they use, and no more digits than the error allows."""
+
+import math
+import re
+
+
+_PEOPLE = {"rad": "deg", "rad/s": "deg/s", "1": ""}
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_EXPONENT = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e(-?\d+)(?!\w)")
+_MINUS = re.compile(r"(?<![\w.\-])-(?=\d)")
+UNKNOWN = "not known"
+
+
+def for_people(value: float, unit: str) -> tuple[float, str]:
+    """A value in the unit that people read it in: degrees instead of radians."""
+    if unit in ("rad", "rad/s"):
+        return math.degrees(value), _PEOPLE[unit]
+    return value, _PEOPLE.get(unit, unit)
+
+
+def known(value: float | None) -> bool:
+    """Whether there is a finite number."""
+    return value is not None and math.isfinite(value)
+
+
+def significant(value: float, digits: int) -> str:
+    """A number with so many significant digits, without an exponent where that is readable."""
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
+    return _fixed(value, digits - 1 - _exponent(value, digits))
+
+
+def _exponent(value: float, digits: int) -> int:
+    """The power of ten of the leading digit after rounding."""
+    return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+def _decimals(std: float) -> int:
+    """Decimals that show one digit of an error, or two where it begins with a one."""
+    digits = 2 if f"{std:e}"[0] == "1" else 1
+    return digits - 1 - _exponent(std, digits)
+
+
+def rounded(value: float | None, std: float | None = None, unit: str = "") -> str:
+    """A value alone, rounded as its error suggests: `0.30 m/s`."""
+    if not known(value):
+        return UNKNOWN
+    value, name = for_people(value, unit)
+    if not known(std) or std <= 0:
+        return f"{significant(value, 3)} {name}".strip()
+    # In a sentence two digits are enough, or all those before the point.
+    enough = max(1 - _exponent(value, 2), 0) if value else 0
+    decimals = min(_decimals(for_people(std, unit)[0]), enough)
+    return f"{_fixed(value, decimals)} {name}".strip()
+
+
+def with_error(value: float | None, std: float | None, unit: str = "") -> str:
+    """A value with its standard error: `0.301 +- 0.004 m/s`."""
+    if not known(value) or not known(std) or std <= 0:
+        return rounded(value, None, unit)
+    value, name = for_people(value, unit)
+    std, _ = for_people(std, unit)
+    decimals = _decimals(std)
+    return f"{_fixed(value, decimals)} +- {_fixed(std, decimals)} {name}".strip()
+
+
+def probability(p: float | None) -> str:
+    """A p-value: `0.03`, `2e-9`."""
+    if not known(p):
+        return UNKNOWN
+    if p < 1e-99:
+        return "< 1e-99"
+    return f"{p:.0e}".replace("e-0", "e-") if p < 1e-3 else significant(min(p, 1.0), 2)
+
+
+def typeset(text: str) -> str:
+    """The same text with the signs of print: plus-minus, minus, powers of ten, degrees."""
+    out = text.replace("+-", "±").replace("->", "→").replace("^2", "²").replace("^3", "³")
+    out = _EXPONENT.sub(lambda m: f"{m[1]}×10{m[2].translate(_SUPERSCRIPTS)}", out)
+    out = _MINUS.sub("−", out)
+    return out.replace(" deg/s", "°/s").replace(" deg", "°")

@@ -1,0 +1,355 @@
+"""A diagnosis in plain words, for the terminal and the head of the report."""
+
+import textwrap
+from collections.abc import Callable
+
+from diffsea.report.quantities import known, probability, rounded, significant, with_error
+
+
+Record = dict
+
+_TEMPLATES = {
+    "current": "a steady current of {speed} flowing to {direction}",
+    "wind": "a steady wind of {speed} from {direction}",
+    "wave-force": "a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
+    "shallow-water": "shallow water, {depth} deep,",
+    "hard-iron": "a compass error of {amplitude} that changes with heading",
+    "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
+    "clock-drift": "clocks that drift apart by {rate}",
+    "thrust-lag": "actuators that lag with a time constant of {time_constant}",
+    "thrust-delay": "a dead time of {delay} between order and action",
+    "rate-limit": "a slew limit of {rate_limit} in the actuators",
+    "deadband": "a dead band of {width} in the actuators",
+    "backlash": "a play of {width} in the actuators",
+    "thrust-saturation": "thrust that clips at {limit}",
+    "actuator-bias": "a neutral point of the actuators that is off by {bias}",
+    "thrust-change": "a thrust that changes by the factor {factor} at {time}",
+    "propeller-side-force": "a side force of the propeller",
+    "rudder-interaction": "an interaction of hull, propeller and rudder",
+    "quadratic-damping": "a drag that grows with the square of speed",
+    "crossflow-drag": "a cross-flow drag of the hull with coefficient {cd}",
+    "sway-yaw-coupling": "a linear coupling of sway and yaw",
+    "speed-dependent-damping": "a damping that grows with forward speed",
+    "added-mass-coupling": "an added mass that couples sway and yaw",
+    "munk-moment": "a Munk moment other than the model's",
+    "mass-change": "a change of mass by {mass} at {time}",
+    "drag-change": "a drag that changes by the factor {factor} at {time}",
+    "roll-coupling": "a coupling of roll into sway and yaw",
+}
+_CHANNELS = {
+    frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
+    frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
+}  # fmt: skip
+_QUANTITIES = {
+    "position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s",
+}  # fmt: skip
+
+
+def title(name: str) -> str:
+    """A catalogue name as words: `thrust-lag` is `thrust lag`."""
+    return name.replace("-", " ")
+
+
+def listed(items: list[str], last: str = "and") -> str:
+    """`a, b and c`."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def accepted(summary: Record) -> list[Record]:
+    """The effects that have a name."""
+    return [effect for effect in summary["effects"] if effect["name"] != "unexplained"]
+
+
+def _value(effect: Record, parameter: str) -> float:
+    return float(effect["parameters"].get(parameter, {}).get("value") or 0.0)
+
+
+def _size(effect: Record, parameter: str, scale: float = 1.0, unit: str | None = None) -> str:
+    """Absolute value of a parameter, rounded."""
+    entry = effect["parameters"].get(parameter, {"value": None})
+    if not known(entry["value"]):
+        return "an unknown amount"
+    std = entry.get("std")
+    unit = entry.get("unit", "") if unit is None else unit
+    return rounded(abs(entry["value"]) * scale, std * scale if known(std) else None, unit)
+
+
+def _asymmetry(effect: Record) -> str:
+    strong, weak = ("starboard", "port") if _value(effect, "ratio") > 0 else ("port", "starboard")
+    share = _size(effect, "ratio", 100.0, "%")
+    return f"thrust {share} stronger than stated on the {strong} side and weaker on the {weak} side"
+
+
+def _misalignment(effect: Record) -> str:
+    side = "starboard" if _value(effect, "angle") > 0 else "port"
+    return f"a thrust line turned {_size(effect, 'angle')} to {side}"
+
+
+def _reading(what: str, parameter: str) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "high" if _value(effect, parameter) > 0 else "low"
+        return f"{what} that reads {_size(effect, parameter)} too {way}"
+
+    return phrase
+
+
+def _loss(per: str, scale: float) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "falls" if _value(effect, "slope") > 0 else "rises"
+        return f"a thrust that {way} by {_size(effect, 'slope', 100 * scale, '%')} {per}"
+
+    return phrase
+
+
+def _latency(effect: Record) -> str:
+    channels = _CHANNELS.get(frozenset(effect.get("channels", ())), "signal")
+    return f"a measured {channels} that arrives {_size(effect, 'delay')} late"
+
+
+_PHRASES: dict[str, Callable[[Record], str]] = {
+    "thrust-asymmetry": _asymmetry,
+    "thruster-misalignment": _misalignment,
+    "heading-offset": _reading("a compass", "angle"),
+    "gyro-bias": _reading("a yaw-rate sensor", "bias"),
+    "sensor-latency": _latency,
+    "thrust-loss-with-speed": _loss("for every m/s of speed", 1.0),
+    "thrust-loss-in-turns": _loss("for every deg/s of yaw rate", 0.017453292519943295),
+}
+
+
+def phrase(effect: Record) -> str:
+    """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
+    name = effect["name"]
+    if name in _PHRASES:
+        return _PHRASES[name](effect)
+    values = {
+        key: rounded(entry["value"], entry.get("std"), entry.get("unit", ""))
+        for key, entry in effect["parameters"].items()
+    }
+    try:
+        return _TEMPLATES[name].format(**values)
+    except KeyError:
+        return f"the effect {title(name)!r}"
+
+
+def grouped(effects: list[Record]) -> list[list[Record]]:
+    """Effects with the records of one that has its own size in each recording together."""
+    groups: dict[object, list[Record]] = {}
+    for number, effect in enumerate(effects):
+        key = effect["name"] if "recording" in effect else number
+        groups.setdefault(key, []).append(effect)
+    return list(groups.values())
+
+
+def _group_phrase(group: list[Record]) -> str:
+    if len(group) == 1:
+        return phrase(group[0])
+    first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
+    if first is None:
+        return f"a {title(group[0]['name'])} of its own in each recording"
+    values = [_value(effect, first) for effect in group]
+    low, high = (rounded(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
+    return f"a {title(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def alternatives(summary: Record) -> list[str]:
+    """Names that the same data support nearly as well as an accepted effect."""
+    names = [name for effect in accepted(summary) for name in effect.get("alternatives", [])]
+    return list(dict.fromkeys(names))
+
+
+def finding(summary: Record) -> str:
+    """What is missing, in one sentence."""
+    groups = grouped(accepted(summary))
+    if not groups:
+        return _without_effects(summary)
+    what = _capital(listed([_group_phrase(group).rstrip(",") for group in groups]))
+    one = len(groups) == 1
+    if summary["verdict"] == "unexplained":
+        verb = "explains a part" if one else "explain a part"
+        return f"{what} {verb} of the mismatch; what remains has no name in the catalogue."
+    verb = "explains" if one else "together explain"
+    rivals = [title(name) for name in alternatives(summary)]
+    if summary["verdict"] == "ambiguous" and rivals:
+        return (
+            f"{what} {verb} the mismatch, but {listed(rivals, 'or')} would do so nearly as well: "
+            "these recordings cannot tell them apart."
+        )
+    return f"{what} {verb} the mismatch."
+
+
+def _without_effects(summary: Record) -> str:
+    if summary["verdict"] == "consistent":
+        return (
+            "The model agrees with the recordings: they show nothing that is missing from it "
+            "beyond the values of its parameters."
+        )
+    where = strongest(summary)
+    place = f" It is strongest in {where[0]}." if where else ""
+    return f"Something is missing from the model that no effect in the catalogue describes.{place}"
+
+
+def held_out_change(summary: Record) -> str:
+    """What the diagnosis does to predictions of held-out runs, in one sentence."""
+    row = headline_horizon(summary)
+    on = held_out_place(summary)
+    if row is None:
+        return _fit_change(summary, on)
+    quantity = "position" if "position" in row["nominal"] else "heading"
+    unit = _QUANTITIES[quantity]
+    old, new = (row[model].get(quantity) for model in ("nominal", "diagnosed"))
+    what = f"the {row['seconds']:g} s {quantity} error"
+    after = rounded_pair(old, new, unit)
+    if not accepted(summary):
+        return f"{_capital(on)} {what} is {after[1]}."
+    verb = "falls" if new < 0.98 * old else "rises" if new > 1.02 * old else "stays"
+    if verb == "stays":
+        return f"{_capital(on)} {what} stays at {after[1]}."
+    return f"{_capital(on)} {what} {verb} from {after[0]} to {after[1]}."
+
+
+def held_out_place(summary: Record) -> str:
+    """Where predictions were judged: `on runs held out`."""
+    how = summary.get("held_out", {}).get("how", "")
+    return "on the last part of each run, held out," if "last part" in how else "on held-out runs"
+
+
+def headline_horizon(summary: Record) -> Record | None:
+    """The errors to quote: 20 s ahead, else the longest horizon that has both models."""
+    rows = [
+        row for row in summary.get("held_out", {}).get("horizons", [])
+        if any(known(row["nominal"].get(q)) and known(row["diagnosed"].get(q))
+               for q in ("position", "heading"))
+    ]  # fmt: skip
+    preferred = [row for row in rows if row["seconds"] == 20]
+    return (preferred or rows[-1:] or [None])[0]
+
+
+def rounded_pair(old: float | None, new: float | None, unit: str) -> tuple[str, str]:
+    """Two errors with two significant digits."""
+    one, other = (rounded(value, 0.1 * value if value else None, unit) for value in (old, new))
+    return one, other
+
+
+def _fit_change(summary: Record, on: str) -> str:
+    old, new = (summary["fit"][model].get("test") for model in ("nominal", "diagnosed"))
+    if not known(old) or not known(new):
+        return "There was nothing held out to judge it by."
+    if not accepted(summary):
+        return f"{_capital(on)} it predicts the next sample to {significant(new, 2)} noise levels."
+    return (
+        f"{_capital(on)} the error of the next sample goes from {significant(old, 2)} to "
+        f"{significant(new, 2)} noise levels."
+    )
+
+
+def strongest(summary: Record, count: int = 3) -> list[str]:
+    """Where the mismatch is, one line for each degree of freedom, strongest first."""
+    lines, seen = [], []
+    for cell in summary["where"]:
+        degree = cell["degree_of_freedom"]
+        if degree in seen:
+            continue
+        seen.append(degree)
+        windows = [c for c in summary["where"] if c["degree_of_freedom"] == degree]
+        windows = [c for c in windows if c["recording"] != "all"] or windows
+        lines.append(_place(windows[0]))
+    return lines[:count]
+
+
+def _place(cell: Record) -> str:
+    run = cell["recording"]
+    when = f"{cell['start']:.0f} to {cell['end']:.0f} s"
+    where = "all runs" if run == "all" else f"{run} from {when}"
+    regime = cell.get("regime", "")
+    regime = f", {regime}" if regime and regime != "no regime stands out" else ""
+    force = significant(cell["force_rms"], 2)
+    return f"{cell['degree_of_freedom']}, {where}{regime} (about {force} {cell['unit']})"
+
+
+def remaining(summary: Record) -> str:
+    """What the final model still does not explain, in one sentence."""
+    p = summary.get("remainder_p_value")
+    if not known(p):
+        return ""
+    if p < 0.01:
+        return (
+            "Structure remains in the residuals that the model does not explain "
+            f"(p = {probability(p)})."
+        )
+    return f"No significant structure remains in the residuals (p = {probability(p)})."
+
+
+def parameter_lines(effect: Record) -> list[str]:
+    """`speed 0.301 +- 0.004 m/s` for each parameter of an effect."""
+    lines = []
+    for name, entry in effect["parameters"].items():
+        text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
+        lines.append(f"{name.replace('_', ' ')} {text}{direction_note(effect, name)}")
+    return lines
+
+
+def direction_note(effect: Record, parameter: str) -> str:
+    """Whether a direction is where something flows to or comes from."""
+    notes = {"current": " (flows to)", "wind": " (comes from)"}
+    return notes.get(effect["name"], "") if parameter == "direction" else ""
+
+
+def verdict_text(summary: Record) -> str:
+    """The diagnosis in a few lines for the terminal."""
+    lines = [*textwrap.wrap(finding(summary), 88), *textwrap.wrap(held_out_change(summary), 88), ""]
+    lines += _item("where", strongest(summary))
+    lines += _item("what", [_what(effect) for effect in accepted(summary)])
+    lines += _item("error", error_lines(summary))
+    lines += _item("left", [remaining(summary)])
+    lines += _item("data", [audit_line(record) for record in summary["audit"]][:5])
+    lines += _item("next", [next_line(summary)])
+    return "\n".join(lines).rstrip()
+
+
+def _item(label: str, texts: list[str]) -> list[str]:
+    out = []
+    for text in filter(None, texts):
+        begin = f"{label:<7}"
+        out += textwrap.wrap(text, 88, initial_indent=begin, subsequent_indent=" " * 7)
+        label = ""
+    return out
+
+
+def _what(effect: Record) -> str:
+    place = f" in {effect['recording']}" if "recording" in effect else ""
+    channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
+    return f"{title(effect['name'])}{channels}{place}: {', '.join(parameter_lines(effect))}"
+
+
+def error_lines(summary: Record) -> list[str]:
+    """Errors of position and heading at each horizon, before and after."""
+    lines = []
+    for row in summary.get("held_out", {}).get("horizons", []):
+        parts = []
+        for quantity in ("position", "heading"):
+            old, new = (row[model].get(quantity) for model in ("nominal", "diagnosed"))
+            if known(old) and known(new):
+                one, other = rounded_pair(old, new, _QUANTITIES[quantity])
+                change = f"{one} -> {other}" if accepted(summary) else other
+                parts.append(f"{quantity} {change}")
+        if parts:
+            lines.append(f"{row['seconds']:g} s ahead: {', '.join(parts)}")
+    return lines
+
+
+def audit_line(record: Record) -> str:
+    """One finding of the audit."""
+    return f"{title(record['kind'])} in {record['recording']}: {record['message']}"
+
+
+def next_line(summary: Record) -> str:
+    """The experiment that would help most."""
+    proposal = summary.get("next_experiment")
+    if not proposal:
+        return ""
+    return f"{title(proposal['manoeuvre'])}: {proposal['why']}"
