@@ -215,7 +215,8 @@ class Simulator:
             "v": s[4] + body[1],
         }
         out |= {"r": s[5], "u_r": s[3], "v_r": s[4]}
-        starts = [o[0] for o in self.orders]
+        # An order given on a row belongs to that row, whatever rounding made of its time.
+        starts = [o[0] - 1e-9 for o in self.orders]
         for thruster in self.model.thrusters:
             held = [self.orders[max(bisect.bisect_right(starts, q) - 1, 0)][1] for q in t]
             out[f"cmd_{thruster.name}"] = np.array([h[thruster.name] for h in held])

@@ -117,7 +117,7 @@ def _one_way(
     gains = problem.tuned(coordinates, true.noise).gains
     nuisance = tuple(n for n in true.free if n not in (name, other))
     residual, N = columns_at(problem, gains, at, nuisance)
-    projection = Projection(residual, N, int(problem.tape.measured.size), problem.layout.size)
+    projection = Projection(residual, N, np.asarray(problem.tape.run))
     A = projection.efficient(columns_at(problem, gains, at, (name,))[1])
     B = projection.efficient(columns_at(problem, gains, at, (other,))[1])
     eta = coordinates[problem.layout.indices((name,))]

@@ -160,8 +160,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     tuned = problem.tuned(fitted.coordinates, fitted.noise)
     columns: dict[str, np.ndarray] = {}
     residual, nuisance = columns_at(problem, tuned.gains, fitted, fitted.free)
-    rows = int(problem.tape.measured.size)
-    projection = Projection(residual, nuisance, rows, len(residual) - rows)
+    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
     scores = {}
     for group in _groups(problem, fitted.free):
         _, J = columns_at(problem, tuned.gains, fitted, group)

@@ -19,6 +19,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from diffsea.identification import likelihood
+from diffsea.identification.colour import autocorrelation, long_run
 from diffsea.identification.likelihood import Gains, Layout, Noise, Tuned, deviance
 from diffsea.identification.noise import Path, Prior, noise_prior, refine
 from diffsea.identification.tape import Tape, make_tape
@@ -44,7 +45,7 @@ class Estimate(NamedTuple):
     index: np.ndarray  # which coordinates were free
     covariance: np.ndarray  # of the free coordinates
     shrinkage: np.ndarray  # share of each free coordinate that the data determine, 0 to 1
-    inflation: float  # variance of block-summed scores over the information, at least one
+    inflation: float  # variance of the scores over the information, at least one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -273,8 +274,8 @@ def _uncertainty(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Covariance of the free coordinates, how much of each is due to the data, inflation.
 
-    The larger of the inverse information and the sandwich with block sums of the scores,
-    which does not trust the innovations to be white.
+    The larger of the inverse information and the sandwich with the innovations' own
+    autocorrelation, which does not trust them to be white.
     """
     tuned = problem.tuned(coordinates, noise)
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
@@ -284,14 +285,14 @@ def _uncertainty(
     J, rows = J[:, : len(index)], problem.tape.measured.size
     information = J.T @ J
     plain = np.linalg.inv(information)
-    scores = (J[:rows] * residual[:rows, None]).reshape(-1, 6, len(index)).sum(1)
-    sums = block_sums(scores, max(8, len(scores) // 60))
-    sandwich = plain @ (sums.T @ sums) @ plain
-    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    white = residual[:rows].reshape(-1, 6)
+    correlation = autocorrelation(white, np.asarray(problem.tape.run))
+    coloured = plain @ long_run(J[:rows], correlation) @ plain
+    ratio = np.maximum(np.diag(coloured) / np.diag(plain), 1.0)
+    widen = np.sqrt(ratio)
     prior = problem.layout.spreads()[index]
     shrinkage = 1 - np.diag(plain) / prior**2
-    inflation = max(1.0, float(np.mean(np.diag(sandwich) / np.diag(plain))))
-    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0), inflation
+    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0), float(np.mean(ratio))
 
 
 def block_sums(scores: np.ndarray, length: int) -> np.ndarray:

@@ -187,13 +187,13 @@ def _derivative_sizes(names: tuple[str, ...]) -> Callable[[Vessel], tuple[float,
     return sizes
 
 
-def _without(names: tuple[str, ...]) -> Callable[[Vessel], bool]:
-    """Whether the base hull lacks these derivatives."""
+def _without(names: tuple[str, ...], force: str = "") -> Callable[[Vessel], bool]:
+    """Whether the base hull lacks these derivatives, and the vessel that force."""
 
     def when(vessel: Vessel) -> bool:
         hull = vessel.forces.get("damping")
         derivatives = getattr(hull, "derivatives", {})
-        return not any(name in derivatives for name in names)
+        return force not in vessel.forces and not any(name in derivatives for name in names)
 
     return when
 
@@ -297,10 +297,10 @@ EFFECTS: dict[str, AbstractEffect] = {
             _wave, lambda v: (1.0, 1.0, 0.1, 1.0, 1.0), lambda v: False,
         ),
         Plain("crossflow-drag", "hull", {"cd": "1"}, _cross_flow, lambda v: (1.0,),
-              _without(("Y_vv", "N_rr", "Y_vr", "Y_rr", "N_vr")), True),
+              _without(("Y_vv", "Y_vr", "Y_rr", "Y_vvv", "Y_vvr"), "crossflow-drag"), True),
         Plain("sway-yaw-coupling", "hull", {"Y_r": "N s/rad", "N_v": "N s"},
               _derivatives("sway-yaw-coupling", _COUPLING), _derivative_sizes(_COUPLING),
-              _without(_COUPLING)),
+              _without(_COUPLING, "sway-yaw-coupling")),
         Plain("quadratic-damping", "hull",
               {"X_uu": "N s^2/m^2", "Y_vv": "N s^2/m^2", "N_rr": "N m s^2/rad^2"},
               _derivatives("quadratic-damping", _QUADRATIC), _derivative_sizes(_QUADRATIC),
