@@ -1,8 +1,9 @@
-"""Held-out runs against what the nominal and the diagnosed model predict, open loop."""
+"""Runs against what models predict of them, open loop, and by how much they miss."""
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -15,39 +16,46 @@ from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 
 
-Errors = dict[float, dict[str, float]]  # by horizon (s), then by quantity
+Errors = Mapping[float, Mapping[str, float]]  # by horizon (s), then by quantity
+
+
+class Prediction(NamedTuple):
+    """What one model makes of a run from its first state and its orders."""
+
+    run: Trajectory
+    errors: Errors
 
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """One run and what two models predict of it from its first state on."""
+    """One run and the predictions of it by model."""
 
     recording: Trajectory
-    nominal: Trajectory
-    diagnosed: Trajectory
-    nominal_errors: Errors
-    diagnosed_errors: Errors
+    predictions: dict[str, Prediction]
+
+
+def predict(vessel: Vessel, run: Trajectory) -> Prediction:
+    """One model on one run."""
+    return Prediction(replay(vessel, run), horizon_errors(vessel, run))
 
 
 def compare(diagnosis: Diagnosis, nominal: Vessel, diagnosed: Vessel) -> list[Comparison]:
-    """Both models on every held-out run."""
+    """The models `nominal` and `diagnosed` on every held-out run."""
     runs = diagnosis.split.held_out
     vessels = _in_own_environment(diagnosis, diagnosed)
-    return [
-        Comparison(
-            run, replay(nominal, run), replay(vessel, run),
-            horizon_errors(nominal, run), horizon_errors(vessel, run),
-        )
-        for run, vessel in zip(runs, vessels, strict=True)
-    ]  # fmt: skip
+    out = []
+    for run, vessel in zip(runs, vessels, strict=True):
+        before = predict(nominal, run)
+        after = predict(vessel, run) if diagnosis.effects else before
+        out.append(Comparison(run, {"nominal": before, "diagnosed": after}))
+    return out
 
 
 def own_environment(diagnosis: Diagnosis) -> bool:
     """Whether an accepted effect has its own size in each recording."""
-    if not diagnosis.effects or not diagnosis.split.train.layout.per_run:
-        return False
-    groups = {effect.name: effect.group for effect in diagnosis.split.train.layout.effects}
-    return any(groups[name] == "environment" for name in diagnosis.names)
+    layout = diagnosis.split.train.layout
+    groups = {effect.name: effect.group for effect in layout.effects}
+    return layout.per_run and any(groups[name] == "environment" for name in diagnosis.names)
 
 
 def _in_own_environment(diagnosis: Diagnosis, diagnosed: Vessel) -> list[Vessel]:
@@ -59,38 +67,39 @@ def _in_own_environment(diagnosis: Diagnosis, diagnosed: Vessel) -> list[Vessel]
     data = diagnosis.split
     if not own_environment(diagnosis):
         return [diagnosed] * len(data.held_out)
-    coordinates = transferred(data, diagnosis.final)
+    coordinates = jax.numpy.asarray(transferred(data, diagnosis.final))
     vessel, flow = equipped(data.test.base, data.test.layout, coordinates)
     flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(data.held_out))]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 
 
 def horizon_table(comparisons: Sequence[Comparison]) -> list[dict]:
-    """Errors of both models at each horizon, root mean square over all starts of all runs."""
-    horizons = sorted({h for one in comparisons for h in one.nominal_errors})
-    return [
-        {
-            "seconds": horizon,
-            "starts": sum(
-                int(one.nominal_errors[horizon]["starts"])
+    """Errors of every model at each horizon, root mean square over all starts of all runs."""
+    models = list(comparisons[0].predictions) if comparisons else []
+    horizons = {h for one in comparisons for p in one.predictions.values() for h in p.errors}
+    rows = []
+    for horizon in sorted(horizons):
+        errors = {
+            model: [
+                one.predictions[model].errors[horizon]
                 for one in comparisons
-                if horizon in one.nominal_errors
-            ),
-            "nominal": _pooled([c.nominal_errors.get(horizon) for c in comparisons]),
-            "diagnosed": _pooled([c.diagnosed_errors.get(horizon) for c in comparisons]),
+                if horizon in one.predictions[model].errors
+            ]
+            for model in models
         }
-        for horizon in horizons
-    ]
+        starts = sum(int(one["starts"]) for one in errors[models[0]])
+        pooled = {model: _pooled(given) for model, given in errors.items()}
+        rows.append({"seconds": horizon, "starts": starts} | pooled)
+    return rows
 
 
-def _pooled(errors: list[dict[str, float] | None]) -> dict[str, float]:
-    given = [one for one in errors if one]
-    names = [name for name in given[0] if name != "starts"] if given else []
+def _pooled(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(name for one in errors for name in one if name != "starts")
     pooled = {}
-    for name in dict.fromkeys([*names, *(n for one in given for n in one if n != "starts")]):
-        squares = [(one[name] ** 2, one["starts"]) for one in given if name in one]
-        mean = float(np.average([s for s, _ in squares], weights=[w for _, w in squares]))
-        pooled[name] = math.sqrt(mean)
+    for name in names:
+        given = [one for one in errors if name in one]
+        squares = [one[name] ** 2 for one in given]
+        pooled[name] = math.sqrt(np.average(squares, weights=[one["starts"] for one in given]))
     return pooled
 
 
@@ -98,9 +107,10 @@ def with_held_out_errors(
     summary: dict, diagnosis: Diagnosis, nominal: Vessel, diagnosed: Vessel
 ) -> dict:
     """The summary with prediction errors at several horizons among what was held out."""
-    return _with(summary, compare(diagnosis, nominal, diagnosed))
+    return with_errors(summary, compare(diagnosis, nominal, diagnosed))
 
 
-def _with(summary: dict, comparisons: Sequence[Comparison]) -> dict:
-    table = horizon_table(comparisons)
-    return summary | {"held_out": summary.get("held_out", {}) | {"horizons": table}}
+def with_errors(summary: dict, comparisons: Sequence[Comparison]) -> dict:
+    """The summary with the errors of these comparisons."""
+    held_out = summary.get("held_out", {}) | {"horizons": horizon_table(comparisons)}
+    return summary | {"held_out": held_out}

@@ -6,7 +6,7 @@ from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.diagnosis.select import ALPHA, Diagnosis
 from diffsea.report import figures
 from diffsea.report import text as words
-from diffsea.report.comparison import Comparison, compare, horizon_table, own_environment
+from diffsea.report.comparison import Comparison, compare, own_environment, with_errors
 from diffsea.report.page import (
     Content,
     Html,
@@ -21,18 +21,15 @@ from diffsea.report.page import (
     table,
     verbatim,
 )
+from diffsea.report.predictions import predictions
 from diffsea.report.quantities import known, probability, significant, with_error
 from diffsea.report.records import parameter_table, provenance
 from diffsea.vessel.base import Vessel
 
 
-_SHOWN_RUNS = 2
-_ROWS = 12
+_ROWS = 8
 _PLACES = 5
-_HORIZON_COLUMNS = (
-    ("position", "position (m)", "m"), ("heading", "heading (deg)", "rad"),
-    ("u", "u (m/s)", "m/s"), ("v", "v (m/s)", "m/s"), ("r", "yaw rate (deg/s)", "rad/s"),
-)  # fmt: skip
+_TRACKS = 2
 _MEANING = {
     "consistent": "consistent: nothing is missing",
     "explained": "explained: the missing effect has a name",
@@ -53,14 +50,13 @@ def diagnosis_report(
         source: what was run on what: file names, hashes, settings; shown as it is.
     """
     runs = compare(diagnosis, nominal, diagnosed)
-    held_out = summary.get("held_out", {})
-    summary = summary | {"held_out": held_out | {"horizons": horizon_table(runs)}}
+    summary = with_errors(summary, runs)
     sections = [
         _verdict(summary),
         _audit(summary),
         _where(summary, diagnosis),
         _what(summary),
-        _before_and_after(summary, runs, own_environment(diagnosis)),
+        _before_and_after(diagnosis, runs),
         _parameters(summary),
         _next(summary, diagnosis),
         _provenance(summary, diagnosis, source),
@@ -132,13 +128,13 @@ def _where(summary: dict, diagnosis: Diagnosis) -> Html:
             verbatim("all runs" if cell["recording"] == "all" else cell["recording"]),
             "whole run" if cell["recording"] == "all"
             else f"{cell['start']:.0f} to {cell['end']:.0f} s",
-            verbatim(cell["regime"]),
+            cell["regime"],
             f"{significant(cell['force_rms'], 2)} {cell['unit']}",
             probability(cell["p_value"]),
         ]
         for cell in summary["where"][:_ROWS]
     ]  # fmt: skip
-    columns = ["motion", "recording", "when", "regime", "force missing", "p"]
+    columns = ["degree of freedom", "recording", "when", "regime", "force missing", "p"]
     text = (
         "An unnamed force is added to the nominal model in one window of time or one regime. "
         "Where that improves the fit significantly, the model lacks something there."
@@ -148,8 +144,8 @@ def _where(summary: dict, diagnosis: Diagnosis) -> Html:
         heading,
         paragraph(text),
         maps,
-        _strongest_track(summary, diagnosis),
         table(columns, rows, "Strongest places, nominal model", numeric=(4, 5)),
+        _strongest_tracks(diagnosis),
     )
 
 
@@ -184,18 +180,18 @@ def _told(title: str, cells: Sequence[Cell], regimes: bool = False) -> str:
     return f"{title}, significant {kind}: {', '.join(counts)}."
 
 
-def _strongest_track(summary: dict, diagnosis: Diagnosis) -> Html:
-    """The track of the run with the strongest mismatch, its windows marked."""
-    cells = [c for c in diagnosis.before if c.run is not None]
-    flagged = [c for c in cells if c.p_value * len(diagnosis.before) < ALPHA]
-    if not flagged:
-        return Html("")
-    number = min(flagged, key=lambda cell: cell.p_value).run
-    run = diagnosis.split.recordings[number]
-    if not (run.has("x") and run.has("y")):
-        return Html("")
-    windows = sorted({(c.start, c.end) for c in flagged if c.run == number})
-    return grid([figures.flagged_track(run, windows, f"Strongest in {run.name}")])
+def _strongest_tracks(diagnosis: Diagnosis) -> Html:
+    """The tracks of the runs with the strongest mismatch, their windows marked."""
+    tests = len(diagnosis.before)
+    flagged = [c for c in diagnosis.before if c.run is not None and c.p_value * tests < ALPHA]
+    flagged.sort(key=lambda cell: cell.p_value)
+    drawn = []
+    for number in dict.fromkeys(cell.run for cell in flagged):
+        run = diagnosis.split.recordings[number]
+        if run.has("x") and run.has("y"):
+            windows = sorted({(c.start, c.end) for c in flagged if c.run == number})
+            drawn.append(figures.flagged_track(run, windows, run.name))
+    return grid(drawn[:_TRACKS]) if drawn else Html("")
 
 
 def _what(summary: dict) -> Html:
@@ -269,82 +265,21 @@ def _ranked(row: dict) -> list[Content]:
     return [*score, significant(row["bic"], 3), gain, "yes" if row["possible"] else "no"]
 
 
-def _before_and_after(summary: dict, runs: list[Comparison], own: bool) -> Html:
-    held_out = summary["held_out"]
-    rows = [_horizon(row) for row in held_out["horizons"]]
-    used = [k for k, _ in enumerate(_HORIZON_COLUMNS) if any(row[k + 2] for row in rows)]
-    columns = ["seconds ahead", "starts", *(_HORIZON_COLUMNS[k][1] for k in used)]
-    rows = [[*row[:2], *(row[k + 2] for k in used)] for row in rows]
-    note = (
-        "The models predict each run from its first measured state and its orders alone; "
-        "nothing is corrected on the way, so that errors grow with time."
-    )
-    parts: list[Content] = [paragraph(note)]
-    if own:
+def _before_and_after(diagnosis: Diagnosis, runs: list[Comparison]) -> Html:
+    parts: list[Content] = []
+    if diagnosis.effects:
+        models = {"nominal": "nominal", "diagnosed": "diagnosed"}
+    else:
+        models = {"diagnosed": "predicted"}
+        parts.append(paragraph("No effect was added: there is one model, with its fit."))
+    if own_environment(diagnosis):
         text = (
             "Wind or current differ from run to run: on a held-out run they are estimated "
             "on that run itself, everything else stays as found."
         )
         parts.append(paragraph(text))
-    if rows:
-        title = "Prediction errors on held-out runs (root mean square), nominal -> diagnosed"
-        parts.append(table(columns, rows, title, numeric=range(len(columns))))
-    for run in _telling(runs):
-        parts += [element("h3", verbatim(run.recording.name)), _panels(run)]
-    if len(runs) > _SHOWN_RUNS:
-        parts.append(paragraph("Shown are the runs that either model predicts worst.", "note"))
-        parts.append(folded("Errors of every held-out run", _by_run(runs)))
+    parts += predictions(runs, models)
     return section("before-and-after", "Before and after, on runs held out", *parts)
-
-
-def _horizon(row: dict) -> list[str]:
-    cells = []
-    for name, _, si in _HORIZON_COLUMNS:
-        old, new = row["nominal"].get(name), row["diagnosed"].get(name)
-        one, other = words.rounded_pair(old, new, si)
-        both = known(old) and known(new)
-        cells.append(f"{one.split()[0]} -> {other.split()[0]}" if both else "")
-    return [f"{row['seconds']:g}", str(row["starts"]), *cells]
-
-
-def _final_error(errors: dict[float, dict[str, float]]) -> float:
-    if not errors:
-        return 0.0
-    last = errors[max(errors)]
-    return last.get("position", last.get("heading", 0.0))
-
-
-def _telling(runs: list[Comparison]) -> list[Comparison]:
-    """The runs that the nominal and that the diagnosed model predict worst."""
-    ranked = [
-        *sorted(runs, key=lambda run: -_final_error(run.diagnosed_errors))[:1],
-        *sorted(runs, key=lambda run: -_final_error(run.nominal_errors)),
-    ]
-    chosen: list[Comparison] = []
-    for run in ranked:
-        if not any(run is other for other in chosen):
-            chosen.append(run)
-    return chosen[:_SHOWN_RUNS]
-
-
-def _panels(run: Comparison) -> Html:
-    lines = [
-        figures.measured(run.recording),
-        figures.Line("nominal", figures.BEFORE, run.nominal, "--"),
-        figures.Line("diagnosed", figures.AFTER, run.diagnosed),
-    ]
-    return grid(figures.panels(lines, run.recording))
-
-
-def _by_run(runs: list[Comparison]) -> Html:
-    rows = []
-    for run in runs:
-        for horizon in run.nominal_errors:
-            old, new = run.nominal_errors[horizon], run.diagnosed_errors[horizon]
-            pooled = {"seconds": horizon, "starts": old["starts"], "nominal": old, "diagnosed": new}
-            rows.append([verbatim(run.recording.name), *_horizon(pooled)])
-    columns = ["run", "seconds ahead", "starts", *(label for _, label, _ in _HORIZON_COLUMNS)]
-    return table(columns, rows, numeric=range(1, len(columns)))
 
 
 def _parameters(summary: dict) -> Html:

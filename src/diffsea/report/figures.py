@@ -20,7 +20,7 @@ from diffsea.report.page import Html, markup
 from diffsea.types import Trajectory
 
 
-WIDTH = 5.0  # inches
+WIDTH = 4.6  # inches
 INK = "#1d2733"
 MEASURED = INK
 BEFORE = "#c2571a"
@@ -28,11 +28,11 @@ AFTER = "#1f5fa8"
 _LEVELS = (1e-8, 1e-4, 1e-2)  # family-wise
 _SHADES = ("#7a1204", "#d9622b", "#f7c59f", "#ffffff")
 _STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 9.5, "axes.titlesize": 10, "axes.labelsize": 9.5,
+    "font.family": "DejaVu Sans", "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10,
     "axes.edgecolor": "#8a96a3", "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
     "axes.grid": True, "grid.color": "#e7ebef", "grid.linewidth": 0.7, "axes.axisbelow": True,
-    "lines.linewidth": 1.4, "legend.frameon": False, "legend.fontsize": 9,
+    "lines.linewidth": 1.4, "legend.frameon": False, "legend.fontsize": 9.5,
     "svg.fonttype": "path", "svg.hashsalt": "diffsea", "path.simplify_threshold": 0.5,
 }  # fmt: skip
 
@@ -60,7 +60,7 @@ def picture(
     Arguments:
         draw: fills an empty figure.
         alternative: what the figure shows, for those who do not see it.
-        height: inches, for a width of 5.
+        height: inches, for a width of 4.6.
     """
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -258,7 +258,8 @@ def flagged_track(run: Trajectory, windows: Sequence[tuple[float, float]], title
         axes.plot(y, x, color="#aab4bf", lw=2.0, label="measured track")
         label = "model fails here"
         for start, end in windows:
-            inside = (t >= start) & (t <= end)
+            # One sample more, so that windows that follow one another join.
+            inside = (t >= start) & (t <= t[min(np.searchsorted(t, end) + 1, len(t) - 1)])
             axes.plot(
                 np.where(inside, y, np.nan), np.where(inside, x, np.nan), color=_SHADES[1], lw=4,
                 label=label, solid_capstyle="butt",

@@ -9,6 +9,9 @@ from collections.abc import Iterable, Sequence
 from diffsea.report.quantities import typeset
 
 
+_WIDE = 4  # columns from which a table is too wide for a phone
+
+
 class Html(str):
     """Text that is markup already."""
 
@@ -61,23 +64,28 @@ def table(
     caption: str = "",
     numeric: Sequence[int] = (),
 ) -> Html:
-    """A table that scrolls sideways where it does not fit; `numeric` columns align right."""
+    """A table; `numeric` columns align right.
+
+    On a phone a wide one shows each row as a list of its cells under their column's name.
+    """
 
     def classes(k: int) -> str:
         return ' class="number"' if k in numeric else ""
 
-    head = "".join(
-        f'<th scope="col"{classes(k)}>{markup(c)}</th>' for k, c in enumerate(columns)
-    )
+    def cell(k: int, content: Content) -> str:
+        label = html.escape(markup(columns[k]), quote=True)
+        return f'<td{classes(k)} data-label="{label}"><span>{markup(content)}</span></td>'
+
+    head = "".join(f'<th scope="col"{classes(k)}>{markup(c)}</th>' for k, c in enumerate(columns))
     body = "\n".join(
-        "<tr>" + "".join(f"<td{classes(k)}>{markup(c)}</td>" for k, c in enumerate(row)) + "</tr>"
+        "<tr>" + "".join(cell(k, content) for k, content in enumerate(row)) + "</tr>"
         for row in rows
     )
     title = f"<caption>{markup(caption)}</caption>" if caption else ""
-    label = html.escape(caption or "table", quote=True)
+    wide = ' class="wide"' if len(columns) >= _WIDE else ""
     return Html(
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table>{title}'
-        f"<thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>"
+        f'<div class="scroll"><table{wide}>{title}<thead><tr>{head}</tr></thead><tbody>\n{body}\n'
+        "</tbody></table></div>"
     )
 
 
@@ -150,6 +158,16 @@ details { margin: 8px 0; } summary { cursor: pointer; color: #1f5fa8; }
   section { padding: 14px 12px; margin: 10px 0; border-radius: 6px; }
   .verdict .lead { font-size: 1.1rem; }
   table { font-size: .84rem; } th, td { padding-right: 10px; }
+  .wide thead { position: absolute; left: -999em; }
+  .wide, .wide tbody, .wide tr, .wide caption { display: block; width: 100%; }
+  .wide tr { border-bottom: 2px solid var(--line); padding: 4px 0; }
+  .wide td { display: flex; justify-content: space-between; gap: 14px; border: 0;
+    padding: 2px 0; text-align: right; white-space: normal; }
+  .wide td::before { content: attr(data-label); color: var(--soft); text-align: left;
+    flex: 0 0 auto; }
+  .wide td:first-child span { font-weight: 600; color: var(--ink); }
+  .wide td span { overflow-wrap: anywhere; min-width: 0; }
+  .wide td:has(> span:empty) { display: none; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: 6px; }
 }
 @media print { body { background: #fff; } section { break-inside: avoid; border: 0; } }

@@ -1,7 +1,7 @@
 """A diagnosis in plain words, for the terminal and the head of the report."""
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from diffsea.report.quantities import known, probability, rounded, significant, with_error
 
@@ -40,9 +40,8 @@ _CHANNELS = {
     frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
     frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
 }  # fmt: skip
-_QUANTITIES = {
-    "position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s",
-}  # fmt: skip
+_QUANTITIES = {"position": "m", "heading": "rad"}
+_MODELS = ("nominal", "diagnosed")
 
 
 def title(name: str) -> str:
@@ -152,7 +151,8 @@ def _group_phrase(group: list[Record]) -> str:
     return f"a {title(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """The text beginning with a capital letter."""
     return text[:1].upper() + text[1:]
 
 
@@ -167,7 +167,7 @@ def finding(summary: Record) -> str:
     groups = grouped(accepted(summary))
     if not groups:
         return _without_effects(summary)
-    what = _capital(listed([_group_phrase(group).rstrip(",") for group in groups]))
+    what = capital(listed([_group_phrase(group).rstrip(",") for group in groups]))
     one = len(groups) == 1
     if summary["verdict"] == "unexplained":
         verb = "explains a part" if one else "explain a part"
@@ -195,21 +195,19 @@ def _without_effects(summary: Record) -> str:
 
 def held_out_change(summary: Record) -> str:
     """What the diagnosis does to predictions of held-out runs, in one sentence."""
-    row = headline_horizon(summary)
-    on = held_out_place(summary)
+    on = capital(held_out_place(summary))
+    row = headline_horizon(summary.get("held_out", {}).get("horizons", []), _MODELS)
     if row is None:
         return _fit_change(summary, on)
-    quantity = "position" if "position" in row["nominal"] else "heading"
-    unit = _QUANTITIES[quantity]
-    old, new = (row[model].get(quantity) for model in ("nominal", "diagnosed"))
-    what = f"the {row['seconds']:g} s {quantity} error"
-    after = rounded_pair(old, new, unit)
+    quantity = _headline_quantity(row, _MODELS)
+    old, new = (row[model][quantity] for model in _MODELS)
+    before, after = (two_digits(value, _QUANTITIES[quantity]) for value in (old, new))
+    what = f"{on} the {row['seconds']:g} s {quantity} error"
     if not accepted(summary):
-        return f"{_capital(on)} {what} is {after[1]}."
-    verb = "falls" if new < 0.98 * old else "rises" if new > 1.02 * old else "stays"
-    if verb == "stays":
-        return f"{_capital(on)} {what} stays at {after[1]}."
-    return f"{_capital(on)} {what} {verb} from {after[0]} to {after[1]}."
+        return f"{what} is {after}."
+    if before == after or abs(new - old) < 0.02 * old:
+        return f"{what} stays at {after}."
+    return f"{what} {'falls' if new < old else 'rises'} from {before} to {after}."
 
 
 def held_out_place(summary: Record) -> str:
@@ -218,32 +216,34 @@ def held_out_place(summary: Record) -> str:
     return "on the last part of each run, held out," if "last part" in how else "on held-out runs"
 
 
-def headline_horizon(summary: Record) -> Record | None:
-    """The errors to quote: 20 s ahead, else the longest horizon that has both models."""
-    rows = [
-        row for row in summary.get("held_out", {}).get("horizons", [])
-        if any(known(row["nominal"].get(q)) and known(row["diagnosed"].get(q))
-               for q in ("position", "heading"))
-    ]  # fmt: skip
+def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
+    """The errors to quote: 20 s ahead, else the longest horizon that there is."""
+    rows = [row for row in rows if _headline_quantity(row, models)]
     preferred = [row for row in rows if row["seconds"] == 20]
     return (preferred or rows[-1:] or [None])[0]
 
 
-def rounded_pair(old: float | None, new: float | None, unit: str) -> tuple[str, str]:
-    """Two errors with two significant digits."""
-    one, other = (rounded(value, 0.1 * value if value else None, unit) for value in (old, new))
-    return one, other
+def _headline_quantity(row: Record, models: Sequence[str]) -> str:
+    for quantity in ("position", "heading"):
+        if all(known(row[model].get(quantity)) for model in models):
+            return quantity
+    return ""
+
+
+def two_digits(value: float, unit: str) -> str:
+    """An error with two significant digits."""
+    return rounded(value, 0.1 * abs(value), unit)
 
 
 def _fit_change(summary: Record, on: str) -> str:
-    old, new = (summary["fit"][model].get("test") for model in ("nominal", "diagnosed"))
+    old, new = (summary["fit"][model].get("test") for model in _MODELS)
     if not known(old) or not known(new):
         return "There was nothing held out to judge it by."
     if not accepted(summary):
-        return f"{_capital(on)} it predicts the next sample to {significant(new, 2)} noise levels."
+        return f"{on} the error of the next sample is {significant(new, 2)} times the noise."
     return (
-        f"{_capital(on)} the error of the next sample goes from {significant(old, 2)} to "
-        f"{significant(new, 2)} noise levels."
+        f"{on} the error of the next sample goes from {significant(old, 2)} to "
+        f"{significant(new, 2)} times the noise."
     )
 
 
@@ -328,18 +328,20 @@ def _what(effect: Record) -> str:
 
 def error_lines(summary: Record) -> list[str]:
     """Errors of position and heading at each horizon, before and after."""
-    lines = []
-    for row in summary.get("held_out", {}).get("horizons", []):
-        parts = []
-        for quantity in ("position", "heading"):
-            old, new = (row[model].get(quantity) for model in ("nominal", "diagnosed"))
-            if known(old) and known(new):
-                one, other = rounded_pair(old, new, _QUANTITIES[quantity])
-                change = f"{one} -> {other}" if accepted(summary) else other
-                parts.append(f"{quantity} {change}")
-        if parts:
-            lines.append(f"{row['seconds']:g} s ahead: {', '.join(parts)}")
-    return lines
+    models = _MODELS if accepted(summary) else _MODELS[1:]
+    rows = summary.get("held_out", {}).get("horizons", [])
+    return [line for row in rows if (line := error_line(row, models))]
+
+
+def error_line(row: Record, models: Sequence[str]) -> str:
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`."""
+    parts = []
+    for quantity in ("position", "heading"):
+        values = [row[model].get(quantity) for model in models]
+        if all(known(value) for value in values):
+            texts = [two_digits(value, _QUANTITIES[quantity]) for value in values]
+            parts.append(f"{quantity} {' -> '.join(texts)}")
+    return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
 
 
 def audit_line(record: Record) -> str:
