@@ -125,15 +125,17 @@ def _range(series: np.ndarray) -> float:
 def frozen(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Channels that stand still while their partners move: motion without those stretches.
 
-    A value that does not change at all is suspicious only if the kinematic partner (yaw rate
-    for heading, velocity for position) contradicts it more than it ever does elsewhere.
+    A value that does not change at all is suspicious if its sensor's noise is seen everywhere
+    else, or if the kinematic partner (yaw rate for heading, velocity for position)
+    contradicts it far more than elsewhere.
     """
     found: dict[tuple[int, int], list[str]] = {}
     for channel in MOTION_CHANNELS:
         if not motion.has(channel):
             continue
         for start, end in _standstills(motion, channel):
-            if _contradicted(motion, channel, start, end):
+            noiseless = _noisy_elsewhere(motion, channel, start, end)
+            if noiseless or _contradicted(motion, channel, start, end):
                 found.setdefault((start, end), []).append(channel)
     findings = [_stuck(motion, span, channels) for span, channels in found.items()]
     known = {name: mask.copy() for name, mask in motion.known.items()}
@@ -169,6 +171,21 @@ def _standstills(motion: Motion, channel: str) -> list[tuple[int, int]]:
     ]
 
 
+def _noisy_elsewhere(motion: Motion, channel: str, start: int, end: int) -> bool:
+    """Whether the channel jitters from sample to sample outside the stretch, while others go on
+    doing so in it. Zero is what many sensors say at rest."""
+    if motion.values[channel][start] == 0:
+        return False
+    steps = {name: np.diff(motion.values[name]) for name in MOTION_CHANNELS if motion.has(name)}
+    outside = np.delete(steps[channel], slice(max(0, start - 1), end + 1))
+    if outside.size < 30 or np.mean(outside == 0) > 0.02:
+        return False
+    bends = np.median(np.abs(np.diff(outside)))  # 1.7 times the steps where all is noise
+    others = [series[start:end] for name, series in steps.items() if name != channel]
+    goes_on = any(np.mean(series == 0) < 0.5 for series in others)
+    return bool(goes_on and bends > 0.7 * np.median(np.abs(outside)))
+
+
 def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
     turning = channel in _PAIRS
     needed = ("psi", "r") if turning else ("x", "y", "psi", "u", "v")
@@ -180,7 +197,10 @@ def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
     marks = range(0, motion.t.size - size, max(1, size // 2))
     elsewhere = [_excursion(misfit, i, i + size) for i in marks if i + size < start or i > end]
     usual = float(np.median(elsewhere)) if elsewhere else 0.0
-    floor = np.radians(2.0) if turning else 0.1 + 0.02 * abs(moved[end] - moved[start])
+    # A stop between two samples is one step's worth of contradiction.
+    step = float(np.max(np.abs(np.diff(moved[start : end + 1]))))
+    way = 0.02 * abs(moved[end] - moved[start])
+    floor = step + (np.radians(2.0) if turning else 0.1 + way)
     return inside > max(6 * usual, floor)
 
 

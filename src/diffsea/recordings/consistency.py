@@ -33,7 +33,7 @@ def heading_comparison(motion: Motion) -> Comparison | None:
     prediction = _Heading.of(fine, motion.t[index])
     delay, drift = _smallest(motion)
     causes = (
-        Cause("gain", ("gain",), 0.03, gain=True, shrinks=True),
+        Cause("gain", ("gain",), 0.03, gain=True),
         Cause("bias", ("bias",), 5e-4),
         Cause("delay", ("delay",), delay),
         Cause("rate", ("rate",), drift, beside=("delay",)),
@@ -147,7 +147,7 @@ def _velocity_causes(motion: Motion, iron: bool, psi_late: bool) -> tuple[Cause,
     speed = float(np.sqrt(np.mean(values["u"] ** 2 + values["v"] ** 2)))
     turning = float(np.sqrt(np.mean(np.gradient(values["psi"], motion.t) ** 2))) + 1e-9
     causes = (
-        Cause("gain", ("gain",), 0.02, gain=True, shrinks=True),
+        Cause("gain", ("gain",), 0.02, gain=True),
         Cause("angle", ("angle",), np.radians(1.0)),
         Cause("water", ("north", "east"), max(0.01, 0.02 * speed)),
         # Large ships turn slowly: what matters is the lever's velocity against the ship's.

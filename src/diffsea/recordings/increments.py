@@ -7,25 +7,19 @@ predicted one. What remains is explained by *causes* (a bias, a delay, a current
 a few parameters that are zero in a sound recording, chosen one after another for as long
 as they are both significant and large enough to matter.
 
-The noise of an increment is a random walk from noise in the rate, and white noise of the
-measured level, which two neighbouring increments share with opposite sign:
-
-    cov(e_i, e_j) = (q h + 2 s^2) on the diagonal, -s^2 beside it.
-
-Both parts are estimated from the residual and divided out; the covariance of the estimates
-then allows for what correlation is left (Newey and West 1987).
+The noise of the increments is estimated from the residual and divided out (`noise`), and the
+standard errors allow for what correlation is left (`regression`).
 """
 
 import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, optimize, stats
+
+from diffsea.recordings.noise import Whitener
+from diffsea.recordings.regression import significant, solve
 
 
-# One estimate in a million is wrong by chance if the residual is as assumed; it never
-# quite is, hence the margin over the usual levels.
-SIGNIFICANCE = 1e-7
 _MAX_STEPS = 12
 _MAX_CAUSES = 8
 _STARTS = 3
@@ -42,16 +36,15 @@ class Cause:
     The norm of its parameters is compared with `negligible`; parameters named in `beside`
     are fitted with them and not judged. A `gain` multiplies the prediction: noise in the
     prediction biases it towards zero, so it is believed only if the reverse regression
-    agrees. One that `shrinks` can take away noise of the prediction. `likely` is the sign
-    that physics gives the parameter, if it does: the other is believed where nothing else
-    will do. A cause is not added to complete any set in `excludes`.
+    agrees. `likely` is the sign that physics gives the parameter, if it does: the other is
+    believed where nothing else will do. A cause is not added to complete any set in
+    `excludes`.
     """
 
     name: str
     parameters: tuple[str, ...]
     negligible: float
     gain: bool = False
-    shrinks: bool = False
     likely: int = 0
     beside: tuple[str, ...] = ()
     excludes: tuple[frozenset[str], ...] = ()
@@ -107,78 +100,6 @@ class _Trial:
     causes: tuple[Cause, ...]
     theta: dict[str, float]
     cost: float
-
-
-class Whitener:
-    """Divides out the covariance of increments, estimated from a residual of levels.
-
-    The mean square S(h) of residual differences over a time h is fitted, up to a tenth of
-    the run, by non-negative amounts of white noise of the level, of noise that forgets
-    itself within 1 to 100 s (but twenty times within the run: whatever remembers longer
-    counts as a random walk), and of a random walk. Longer lags say nothing that a cause could
-    not also say. The random walk is at least what noise in the predicting channels makes, and
-    neither it nor the white noise is nothing: else the smallest inaccuracy of an integral
-    would be significant.
-    """
-
-    def __init__(self, comparison: "Comparison", levels: np.ndarray):
-        times, linked = comparison.times, comparison.linked
-        weights, scales = _structure(levels, times, linked)
-        least = (0.3 * comparison.floor) ** 2
-        weights[0] += least
-        weights[1] = max(weights[1], comparison.walk) + least / (times[-1] - times[0])
-        self.linked = linked
-        start, end = times[:-1][linked], times[1:][linked]
-
-        def half(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-            return 0.5 * _spread(np.abs(first[:, None] - second[None, :]), scales) @ weights
-
-        covariance = half(end, start) + half(start, end) - half(end, end) - half(start, start)
-        covariance[np.diag_indices_from(covariance)] *= 1 + 1e-6
-        self.factor = linalg.cholesky(covariance, lower=True)
-        rest = self(np.diff(levels, axis=-1))
-        self.size = 2 * len(levels) * float(np.sum(np.log(np.diag(self.factor))))
-        self.variance = float(np.mean(rest**2)) + _TINY  # of what is called noise, near one
-
-    def __call__(self, increments: np.ndarray) -> np.ndarray:
-        """Whitened increments; the leading axes are kept, the last is the time."""
-        used = increments[..., self.linked]
-        flat = used.reshape(-1, used.shape[-1]).T
-        white = linalg.solve_triangular(self.factor, flat, lower=True)
-        return white.T.reshape(used.shape)
-
-
-def _spread(lag: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """Mean-square difference over `lag` s of each kind of noise, last axis by kind."""
-    kinds = [(lag > 0).astype(float), lag]
-    kinds += [1 - np.exp(-lag / scale) for scale in scales]
-    return np.stack(kinds, axis=-1)
-
-
-def _structure(levels: np.ndarray, times: np.ndarray, linked: np.ndarray):
-    """Amounts of each kind of noise, and the memory times (s) of those that forget."""
-    duration = times[-1] - times[0]
-    scales = np.array([scale for scale in (1.0, 3.0, 10.0, 30.0, 100.0) if scale < duration / 20])
-    segment = np.concatenate([[0], np.cumsum(~linked)])
-    lags = np.unique(np.geomspace(1, max(2, linked.size // 10), 12).astype(int))
-    spans, squares = [], []
-    for lag in lags:
-        same = segment[lag:] == segment[:-lag]
-        if np.sum(same) < 5:
-            continue
-        jumps = np.abs(levels[:, lag:] - levels[:, :-lag])[:, same]
-        # Outliers must not pass for noise, or nothing would ever be significant.
-        limit = 5 * 1.4826 * np.median(jumps)
-        squares.append(np.mean(np.minimum(jumps, limit) ** 2) if limit > 0 else 0.0)
-        spans.append(np.mean((times[lag:] - times[:-lag])[same]))
-    spans, squares = np.array(spans), np.array(squares)
-    squares = squares + 1e-6 * np.max(squares) + 1e-30
-    certainty = np.sqrt(duration / spans) / squares
-    basis = _spread(spans, scales)
-    weights, _ = optimize.nnls(basis * certainty[:, None], squares * certainty)
-    if not np.any(weights > 0):
-        weights[0] = np.max(squares)
-    return weights, scales
 
 
 def explain(comparison: Comparison) -> Explanation:
@@ -280,17 +201,18 @@ def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
     From the residual of the present model it would swallow what has not been found yet. A
     gain that is not established stays out: it would take the noise of the prediction away.
     """
-    allowed = [c for c in comparison.causes if not c.shrinks or theta[c.parameters[0]] != 0]
+    allowed = [c for c in comparison.causes if not c.gain or theta[c.parameters[0]] != 0]
     names = _names(tuple(allowed))
     levels = _levels(comparison, theta)
+    known = (comparison.times, comparison.linked, 0.3 * comparison.floor, comparison.walk)
     for _ in range(2):
-        white = Whitener(comparison, levels)
+        white = Whitener(levels, *known)
         jacobian = _jacobian(comparison, theta, names)
-        estimate, _ = _solve(white(jacobian), white(np.diff(levels, axis=-1)))
+        estimate, _ = solve(white(jacobian), white(np.diff(levels, axis=-1)))
         fitted = np.tensordot(estimate, jacobian, 1)
         rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)
         levels = np.concatenate([np.zeros((len(rest), 1)), rest], axis=-1)
-    return Whitener(comparison, levels)
+    return Whitener(levels, *known)
 
 
 def _jacobian(comparison: Comparison, theta: dict, names: list[str]) -> np.ndarray:
@@ -310,50 +232,6 @@ def _names(causes: tuple[Cause, ...]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _solve(
-    columns: np.ndarray, target: np.ndarray, doubt: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares of whitened columns, with a covariance robust to autocorrelation.
-
-    With `doubt`, the first column is a nuisance known to be zero within that. A direction
-    that the data say nothing about gets an estimate near zero and a very large variance.
-    """
-    count, series, length = columns.shape
-    norms = np.linalg.norm(columns.reshape(count, -1), axis=1)
-    norms = np.where(norms > 0, norms, 1.0)
-    scaled = columns / norms[:, None, None]
-    flat = scaled.reshape(count, -1)
-    known = np.full(count, 1e-10)
-    if doubt is not None:
-        known[0] += np.mean(target**2) / (doubt * norms[0]) ** 2
-    inverse = np.linalg.inv(flat @ flat.T + np.diag(known))
-    estimate = inverse @ (flat @ target.ravel())
-    rest = target - np.tensordot(estimate, scaled, 1)
-    freedom = series * length / max(series * length - count, 1)
-    scores = _long_run(np.einsum("pst,st->tp", scaled, rest))
-    if doubt is not None:
-        scores[0, 0] += known[0] * np.mean(target**2)
-    robust = inverse @ scores @ inverse * freedom
-    # The robust covariance of few samples is itself uncertain, mostly too small; the plain
-    # one is its lower limit.
-    plain = np.diag(inverse) * (np.mean(rest**2) * freedom + _TINY)
-    grow = np.sqrt(np.maximum(1.0, plain / np.maximum(np.diag(robust), _TINY * plain)))
-    cov = robust * np.outer(grow, grow)
-    np.fill_diagonal(cov, np.maximum(np.diag(cov), plain) * (1 + _TINY))
-    return estimate / norms, cov / np.outer(norms, norms)
-
-
-def _long_run(scores: np.ndarray) -> np.ndarray:
-    """Newey-West sum of autocovariances with 1.3 sqrt(n) lags."""
-    length = scores.shape[0]
-    lags = int(np.ceil(1.3 * np.sqrt(length)))
-    total = scores.T @ scores
-    for lag in range(1, min(lags, length - 1) + 1):
-        cross = scores[lag:].T @ scores[:-lag]
-        total += (1 - lag / (lags + 1)) * (cross + cross.T)
-    return total
-
-
 def _trials(
     comparison: Comparison, white: Whitener, theta: dict, chosen: tuple[Cause, ...]
 ) -> list[_Trial]:
@@ -366,9 +244,9 @@ def _trials(
             continue
         names, doubt = _tested(comparison, (*chosen, cause))
         columns = white(_jacobian(comparison, theta, names))
-        estimate, cov = _solve(columns, target, doubt)
+        estimate, cov = solve(columns, target, doubt)
         index = [names.index(name) for name in cause.parameters]
-        if _significant(estimate[index], cov[np.ix_(index, index)], _freedom(comparison)):
+        if significant(estimate[index], cov[np.ix_(index, index)], _freedom(comparison)):
             left = np.sum((target - np.tensordot(estimate, columns, 1)) ** 2)
             promising.append((left, cause))
     promising.sort(key=lambda item: item[0])
@@ -407,12 +285,6 @@ def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str
     return ["gain", *names], comparison.doubt
 
 
-def _significant(estimate: np.ndarray, cov: np.ndarray, freedom: float) -> bool:
-    """Whether the estimate is beyond chance; short runs make for heavier tails."""
-    wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
-    return bool(stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE)
-
-
 def _freedom(comparison: Comparison) -> float:
     """Degrees of freedom: no more than one window per two seconds is independent."""
     windows = int(np.sum(comparison.linked))
@@ -427,7 +299,7 @@ def _refit(
     names = _names(causes)
     for _ in range(_MAX_STEPS if names else 0):
         rest = white(_residual(comparison, theta))
-        step, cov = _solve(white(_jacobian(comparison, theta, names)), rest)
+        step, cov = solve(white(_jacobian(comparison, theta, names)), rest)
         start = np.sum(rest**2)
         for _ in range(6):
             trial = _moved(comparison, theta, names, step)
@@ -454,7 +326,7 @@ def _joint(comparison: Comparison, theta: dict, causes: tuple[Cause, ...]):
     white = _whitener(comparison, theta)
     rest = white(_residual(comparison, theta))
     columns = white(_jacobian(comparison, theta, names))
-    _, cov = _solve(columns, rest, doubt)
+    _, cov = solve(columns, rest, doubt)
     return names, columns, rest, cov
 
 
@@ -472,7 +344,7 @@ def _holds(comparison: Comparison, trial: _Trial) -> bool:
     values = np.array([theta[name] for name in cause.parameters])
     if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
-    if not _significant(values, cov[np.ix_(index, index)], _freedom(comparison)):
+    if not significant(values, cov[np.ix_(index, index)], _freedom(comparison)):
         return False
     return not cause.gain or _gain_holds(columns, rest, index[0], values[0])
 
@@ -486,7 +358,7 @@ def _gain_holds(columns: np.ndarray, rest: np.ndarray, index: int, value: float)
     own = columns[index]
     others = [column for i, column in enumerate(columns) if i != index]
     regressors = np.stack([rest + (1 + value) * own, *others])
-    slope, cov = _solve(regressors, own)
+    slope, cov = solve(regressors, own)
     if slope[0] < 6 * np.sqrt(cov[0, 0]):
         return False
     reverse = 1 / slope[0] - 1

@@ -111,11 +111,15 @@ def motion_of(trajectory: Trajectory) -> Motion:
 
 def _fresh(series: np.ndarray) -> np.ndarray:
     """Which samples are new, where a slower sensor's value is repeated regularly."""
-    new = np.concatenate([[True], np.diff(series) != 0])
+    everything = np.ones(series.shape, dtype=bool)
+    steps = np.diff(series)
+    new = np.concatenate([[True], steps != 0])
     lengths = np.diff(np.flatnonzero(new))
-    if lengths.size < 20:
-        return np.ones(series.shape, dtype=bool)
+    changes = np.abs(steps[np.isfinite(steps) & (steps != 0)])
+    if lengths.size < 20 or changes.size < 20:
+        return everything
+    # Steps of mostly one size are rounding: such a value is not held, it is just coarse.
+    if np.median(changes) < 1.5 * np.min(changes):
+        return everything
     usual = np.median(lengths)
-    if usual < 2 or np.percentile(lengths, 90) > 2 * usual:
-        return np.ones(series.shape, dtype=bool)
-    return new
+    return everything if usual < 2 or np.percentile(lengths, 90) > 2 * usual else new

@@ -7,7 +7,6 @@ file's labels are right; whether they are is for the audit to find out.
 import hashlib
 import os
 import tempfile
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +14,16 @@ import pandas as pd
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.mappings import (
-    CHANNEL_DIMENSIONS,
     Column,
     Mapping,
     is_channel,
     read_mapping,
 )
+from diffsea.recordings.tables import PARQUET_SUFFIXES, numbers, read_table
 from diffsea.types import MOTION_CHANNELS, Trajectory
 
 
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
-PARQUET_SUFFIXES = (".parquet", ".pq")
 
 # The first words of the provenance notes that the audit looks for.
 REPEATED_TIMES = "dropped rows whose time stamp repeats the row before"
@@ -46,13 +44,12 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     path = Path(path)
     if isinstance(mapping, str | Path):
         mapping = read_mapping(mapping)
-    _check_file(path)
-    table, first_line = _read_table(path, mapping)
+    table, first_line = read_table(path, mapping)
     channels = _channels(table, mapping, path)
     values: dict[str, np.ndarray] = {}
     for name, column in channels.items():
-        numbers = _numbers(table, column.column, path, first_line)
-        values[name] = numbers * column.gain + column.shift
+        raw = numbers(table, column.column, path, first_line)
+        values[name] = raw * column.gain + column.shift
     if mapping is not None and mapping.time_step is not None:
         values["t"] = np.arange(len(table)) * mapping.time_step
     notes = [f"read {path.name}, sha256 {_digest(path)}"]
@@ -110,120 +107,8 @@ def _native_table(trajectory: Trajectory) -> pd.DataFrame:
     return pd.DataFrame(kept)
 
 
-def _check_file(path: Path) -> None:
-    if path.is_dir():
-        raise UserError(f"{path} is a folder; name a CSV or Parquet file in it")
-    if not path.exists():
-        siblings = [item.name for item in path.parent.glob("*")] if path.parent.is_dir() else []
-        raise UserError(f"there is no recording {path}{nearest(path.name, siblings)}")
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            start = file.read(4096)
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
-    if size == 0:
-        raise UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
-    if path.suffix.lower() not in PARQUET_SUFFIXES and b"\x00" in start:
-        raise UserError(
-            f"{path} is not text, so it cannot be read as CSV; export it as CSV (UTF-8) or Parquet"
-        )
-
-
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
-    """The table as it stands, and the number that its first row has in messages."""
-    if path.suffix.lower() in PARQUET_SUFFIXES:
-        try:
-            table = pd.read_parquet(path)
-        except Exception as error:  # pyarrow raises many kinds for a broken file
-            raise UserError(f"{path} cannot be read as Parquet: {error}") from error
-        return table.rename(columns=str), 1
-    mapping = Mapping(channels={}) if mapping is None else mapping
-    names, skipped = _header(path, mapping)
-    return _read_csv(path, mapping, names, skipped), skipped + 1
-
-
-def _header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
-    """Column names, and how many lines stand before the first row of numbers.
-
-    Where the file names its columns, the line that holds most of the wanted names is
-    taken: units often stand on a line of their own, before or after.
-    """
-    if mapping.columns is not None:
-        return list(mapping.columns), mapping.header_lines or 0
-    count = 1 if mapping.header_lines is None else mapping.header_lines
-    lines = [_split(line, mapping) for line in _first_lines(path, mapping, count + 1)]
-    wanted = {column.column for column in mapping.channels.values()} or CHANNEL_DIMENSIONS
-    hits = [sum(name in wanted for name in names) for names in lines]
-    best = max(range(len(lines)), key=lambda index: hits[index])
-    if hits[best] == 0:
-        best = max(0, min(count, len(lines)) - 1)
-    names = lines[best]
-    repeated = [name for name in names if name in wanted and names.count(name) > 1]
-    if repeated:
-        raise UserError(
-            f"{path}, line {best + 1}: the column {repeated[0]!r} appears twice; rename one, "
-            "or list all names under [file] columns of a mapping"
-        )
-    return names, max(count, best + 1)
-
-
-def _first_lines(path: Path, mapping: Mapping, count: int) -> list[str]:
-    try:
-        with path.open(encoding=mapping.encoding) as file:
-            return [line for _, line in zip(range(count), file, strict=False)]
-    except UnicodeDecodeError as error:
-        raise _encoding_error(path, mapping, error) from error
-    except LookupError as error:
-        raise UserError(
-            f"{mapping.name}: [file] encoding = {mapping.encoding!r} is not known; use for "
-            "instance 'utf-8' or 'cp1252'"
-        ) from error
-
-
-def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> UserError:
-    name = mapping.encoding.removesuffix("-sig")
-    return UserError(
-        f"{path} is not {name} text (byte {error.start}: {error.reason}); say which with "
-        "[file] encoding of a mapping, often 'cp1252'"
-    )
-
-
-def _split(line: str, mapping: Mapping) -> list[str]:
-    separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
-    return [name.strip().strip('"').strip() for name in line.split(separator)]
-
-
-def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> pd.DataFrame:
-    """Read the rows below the header under unique labels, then put the names back."""
-    labels = [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]
-    try:
-        with warnings.catch_warnings():
-            # A delimiter at the end of every line is common and harmless.
-            warnings.simplefilter("ignore", pd.errors.ParserWarning)
-            return pd.read_csv(
-                path,
-                sep=r"\s+" if mapping.delimiter == "whitespace" else mapping.delimiter,
-                skiprows=skipped,
-                header=None,
-                names=labels,
-                index_col=False,
-                decimal=mapping.decimal,
-                encoding=mapping.encoding,
-                skip_blank_lines=False,
-                skipinitialspace=True,
-            )
-    except UnicodeDecodeError as error:
-        raise _encoding_error(path, mapping, error) from error
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise UserError(
-            f"{path} cannot be read as a table: {str(error).strip()}; check the delimiter "
-            f"({mapping.delimiter!r}) and the number of header lines ({skipped})"
-        ) from error
 
 
 def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[str, Column]:
@@ -250,34 +135,6 @@ def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[
             "Write a mapping that says which columns are which"
         )
     return channels
-
-
-def _numbers(table: pd.DataFrame, name: str, path: Path, first_line: int) -> np.ndarray:
-    """A column as floats, empty cells as NaN; raises on text and infinities."""
-    column = pd.Series(table[name])
-    if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
-        values = column.to_numpy(dtype=float, na_value=np.nan)
-    else:
-        values = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=float)
-        bad = np.flatnonzero(np.isnan(values) & ~column.isna().to_numpy())
-        if bad.size:
-            cell = column.iloc[bad[0]]
-            hint = (
-                '; if the decimal sign is a comma, say so with [file] decimal = ","'
-                if isinstance(cell, str) and cell.replace(",", "", 1).lstrip("-").isdigit()
-                else "; leave the cell empty where a sample is missing"
-            )
-            raise UserError(
-                f"{path}, line {bad[0] + first_line}, column {name!r}: {cell!r} is not "
-                f"a number ({bad.size} such cells){hint}"
-            )
-    infinite = np.flatnonzero(np.isinf(values))
-    if infinite.size:
-        raise UserError(
-            f"{path}, line {infinite[0] + first_line}, column {name!r}: the value is "
-            "infinite; leave the cell empty where a sample is missing"
-        )
-    return values
 
 
 def _assemble(

@@ -1,0 +1,60 @@
+"""Least squares of whitened columns, with errors that allow for what correlation is left."""
+
+import numpy as np
+from scipy import stats
+
+
+# One estimate in ten million is wrong by chance if the residual is as assumed; it never
+# quite is, hence the margin over the usual levels.
+SIGNIFICANCE = 1e-7
+_TINY = 1e-12
+
+
+def solve(
+    columns: np.ndarray, target: np.ndarray, doubt: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of whitened columns, with a covariance robust to autocorrelation.
+
+    With `doubt`, the first column is a nuisance known to be zero within that. A direction
+    that the data say nothing about gets an estimate near zero and a very large variance.
+    """
+    count, series, length = columns.shape
+    norms = np.linalg.norm(columns.reshape(count, -1), axis=1)
+    norms = np.where(norms > 0, norms, 1.0)
+    scaled = columns / norms[:, None, None]
+    flat = scaled.reshape(count, -1)
+    known = np.full(count, 1e-10)
+    if doubt is not None:
+        known[0] += np.mean(target**2) / (doubt * norms[0]) ** 2
+    inverse = np.linalg.inv(flat @ flat.T + np.diag(known))
+    estimate = inverse @ (flat @ target.ravel())
+    rest = target - np.tensordot(estimate, scaled, 1)
+    freedom = series * length / max(series * length - count, 1)
+    scores = _long_run(np.einsum("pst,st->tp", scaled, rest))
+    if doubt is not None:
+        scores[0, 0] += known[0] * np.mean(target**2)
+    robust = inverse @ scores @ inverse * freedom
+    # The robust covariance of few samples is itself uncertain, mostly too small; the plain
+    # one is its lower limit.
+    plain = np.diag(inverse) * (np.mean(rest**2) * freedom + _TINY)
+    grow = np.sqrt(np.maximum(1.0, plain / np.maximum(np.diag(robust), _TINY * plain)))
+    cov = robust * np.outer(grow, grow)
+    np.fill_diagonal(cov, np.maximum(np.diag(cov), plain) * (1 + _TINY))
+    return estimate / norms, cov / np.outer(norms, norms)
+
+
+def significant(estimate: np.ndarray, cov: np.ndarray, freedom: float) -> bool:
+    """Whether the estimate is beyond chance; short runs make for heavier tails."""
+    wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
+    return bool(stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE)
+
+
+def _long_run(scores: np.ndarray) -> np.ndarray:
+    """Newey-West sum of autocovariances with 1.3 sqrt(n) lags."""
+    length = scores.shape[0]
+    lags = int(np.ceil(1.3 * np.sqrt(length)))
+    total = scores.T @ scores
+    for lag in range(1, min(lags, length - 1) + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        total += (1 - lag / (lags + 1)) * (cross + cross.T)
+    return total
