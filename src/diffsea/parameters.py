@@ -41,6 +41,32 @@ def named(model: Model) -> dict[str, Scalar]:
     return {_name(path): leaf for path, leaf in leaves}
 
 
+# Main dimensions that parts of a vessel keep a copy of.
+_COPIED = ("length", "draught", "water_density", "reference_speed")
+
+
+def designed(model: Model) -> dict[str, tuple[str, ...]]:
+    """The numbers of `model` as its file has them: each with the names of all its places.
+
+    A vessel file states its length once, and several parts work with it; a design with
+    another length changes it in all of them.
+    """
+    places: dict[str, tuple[str, ...]] = {}
+    values = named(model)
+    for name, value in values.items():
+        stem = name.rsplit(".", 1)[-1]
+        shared = stem in _COPIED and float(values.get(stem, value)) == float(value)
+        places[stem if shared else name] = (*places.get(stem, ()), name) if shared else (name,)
+    return places
+
+
+def spread(
+    places: Mapping[str, tuple[str, ...]], values: Mapping[str, Scalar]
+) -> dict[str, Scalar]:
+    """Values of `designed` numbers for all their places, as `replace` takes them."""
+    return {place: value for name, value in values.items() for place in places[name]}
+
+
 def replace(model: Model, values: Mapping[str, Scalar]) -> Model:
     """The same model with some numbers replaced.
 

@@ -103,9 +103,11 @@ def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "Plan":
         executes=args.executes,
     )
     if args.speed is None and args.thrust is None:
-        options.progress(f"approach at {plan.speed:.4g} m/s; choose with --speed or --thrust")
+        options.progress(
+            f"approach at {plan.nominal_speed:.4g} m/s; choose with --speed or --thrust"
+        )
     if args.thrust is not None:
-        options.progress(f"{args.thrust:g} N gives {plan.speed:.4g} m/s straight ahead")
+        options.progress(f"{args.thrust:g} N gives {plan.nominal_speed:.4g} m/s straight ahead")
     options.progress(f"time step {plan.settings.step:g} s")
     return plan
 
@@ -123,9 +125,9 @@ def require_run(trial, plan: "Plan", vessel: "Vessel") -> None:
     if outcome is Outcome.APPROACH_UNSTEADY:
         raise UserError(
             f"{outcome.sentence}: {vessel.name!r} did not settle on a straight course at "
-            f"{plan.speed:.3g} m/s within {plan.approach_seconds:g} s. Try another --speed; a "
-            "vessel that is unstable on a straight course, or in a strong current or wind, may "
-            "need a higher one"
+            f"{plan.nominal_speed:.3g} m/s within {plan.approach_seconds:g} s. Try another "
+            "--speed; a vessel that is unstable on a straight course, or in a strong current or "
+            "wind, may need a higher one"
         )
 
 

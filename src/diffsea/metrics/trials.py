@@ -238,8 +238,8 @@ def _peak_yaw_rate(run: _Run, execute_time: Scalar) -> Float[Array, ""]:
 
 
 def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
-    turn = jax.lax.stop_gradient(run.heading)
-    total = turn.value[-1]
+    turn = run.heading
+    total = jax.lax.stop_gradient(turn.value[-1])
     begin = first_crossing(turn, jnp.clip(total - math.pi, math.pi, 2 * math.pi), +1)
     enough = begin.found & (total >= 1.5 * math.pi)
     chosen = run.counts & (turn.t >= begin.time) & enough

@@ -393,5 +393,3 @@ def _plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
     fast = 10 * math.sqrt(9.81 * float(vessel.rigid_body.length))
     finite = all(np.isfinite(values).all() for values in true.values())
     return bool(finite and np.all(np.abs(true["u"]) < fast) and np.all(np.abs(true["v"]) < fast))
-
-

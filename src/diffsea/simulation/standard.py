@@ -61,8 +61,9 @@ class Plan:
     side: float  # +1 starboard first, -1 port first
     executes: int
     seconds: float  # s, of every timed stage
-    speed: float | None  # m/s, held in the approach
+    speed: float | None  # m/s, at the start of the approach and, without a throttle, held
     throttle: float | None  # open loop
+    nominal_speed: float  # m/s, by which durations were chosen
     settings: Settings
     approach_seconds: float
 
@@ -115,13 +116,14 @@ def plan(
             + ("a thrust cannot be set" if thrust is not None else f"it cannot run {manoeuvre}")
         )
     throttle = None
+    start = speed
     if thrust is not None:
         throttle = float(throttle_for_thrust(vessel, thrust))
         if not throttle <= full_throttle(vessel):
             raise UserError(f"{thrust:g} N is more than {vessel.name!r} can push; lower the thrust")
         speed = _reached(vessel, throttle, thrust)
     elif speed is None:
-        speed = default_speed(vessel)
+        start = speed = default_speed(vessel)
     elif speed > top_speed(vessel):
         raise UserError(
             f"{vessel.name!r} does not reach {speed:g} m/s: at full throttle it runs "
@@ -136,7 +138,7 @@ def plan(
         manoeuvre,
         math.radians(kind.angle) if angle is None else angle,
         math.radians(kind.heading) if heading is None else heading,
-        math.copysign(1.0, side), executes, timed, speed, throttle, Settings(), 0.0,
+        math.copysign(1.0, side), executes, timed, start, throttle, speed, Settings(), 0.0,
     )  # fmt: skip
     limit = _rounded_up(kind.limit(settled) * lengths)
     if kind.timed:
@@ -193,9 +195,7 @@ def _compiled_run(
     settings: Settings,
     approach_seconds: float,
 ) -> Trial:
-    return run_trial(
-        vessel, stages, speed, throttle, settings, approach_seconds=approach_seconds
-    )
+    return run_trial(vessel, stages, speed, throttle, settings, approach_seconds=approach_seconds)
 
 
 @eqx.filter_jit
@@ -329,9 +329,7 @@ def _surge(run: Trajectory) -> Curve:
 
 def _distance(run: Trajectory, start: Scalar) -> Float[Array, ""]:
     """Distance made good (m) from `start` to the end."""
-    at = [
-        value_at(curve(run.t, p, slopes(run.t, p), run.valid), start) for p in (run.x, run.y)
-    ]
+    at = [value_at(curve(run.t, p, slopes(run.t, p), run.valid), start) for p in (run.x, run.y)]
     last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
     end = [value_at(curve(run.t, p, slopes(run.t, p), run.valid), last) for p in (run.x, run.y)]
     square = (end[0] - at[0]) ** 2 + (end[1] - at[1]) ** 2
