@@ -191,6 +191,8 @@ SOURCE = {
     "command": "diffsea diagnose usv.toml *.csv",
     "vessel": "usv.toml (sha256 34cd)",
     "settings": {"environment": "shared", "free": ["X_u", "N_rdot"]},
+    "recordings": {"circle": ["not shown twice"]},
+    "versions": {"diffsea": "9.9.9"},
 }
 
 
@@ -272,7 +274,9 @@ def test_page_shows_the_numbers_of_the_summary():
     assert "−63.9 ± 1.4" in parameters and "−52.0" in parameters and "98 %" in parameters
     assert "0.80 ± 0.05 s" in reader.text("audit")
     assert "separates current from wind" in reader.text("remains")
-    assert "34cd" in reader.text("provenance") and "12ab" in reader.text("provenance")
+    provenance = reader.text("provenance")
+    assert "34cd" in provenance and "12ab" in provenance and "diffsea 9.9.9" in provenance
+    assert "free: X_u, N_rdot" in provenance and "not shown twice" not in provenance
 
 
 def test_errors_on_the_page_are_those_of_the_models():

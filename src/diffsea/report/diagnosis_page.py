@@ -31,7 +31,7 @@ _ROWS = 8
 _PLACES = 5
 _TRACKS = 2
 _MEANING = {
-    "consistent": "consistent: nothing is missing",
+    "consistent": "consistent: nothing missing was found",
     "explained": "explained: the missing effect has a name",
     "ambiguous": "ambiguous: several effects would explain it",
     "unexplained": "unexplained: something is missing that has no name here",
@@ -77,21 +77,23 @@ def _verdict(summary: dict) -> Html:
     verdict = summary["verdict"]
     body = joined(
         [
-            paragraph(_MEANING.get(verdict, verdict), "word"),
+            paragraph(_MEANING[verdict], "word"),
             paragraph(words.finding(summary), "lead"),
             paragraph(words.held_out_change(summary)),
             paragraph(words.remaining(summary), "note"),
         ]
     )
-    tone = verdict if verdict in _MEANING else "explained"
-    return Html(f'<section id="verdict" class="verdict {tone}">\n{body}\n</section>')
+    return Html(f'<section id="verdict" class="verdict {verdict}">\n{body}\n</section>')
 
 
 def _audit(summary: dict) -> Html:
     records = summary["audit"]
     if not records:
-        text = "The audit found no fault in the recordings: clocks, frames, signs, units and "
-        return section("audit", "Are the data sound?", paragraph(text + "sensors agree."))
+        text = (
+            "The audit found no fault in the recordings. What a run does not excite, such as a "
+            "latency at constant speed, it cannot show."
+        )
+        return section("audit", "Are the data sound?", paragraph(text))
     rows = [
         [
             words.title(record["kind"]),
@@ -144,8 +146,19 @@ def _where(summary: dict, diagnosis: Diagnosis) -> Html:
         heading,
         paragraph(text),
         maps,
-        table(columns, rows, "Strongest places, nominal model", numeric=(4, 5)),
+        paragraph(_only_in_regimes(summary)),
+        table(columns, rows, "Strongest places (p of each by itself)", numeric=(4, 5)),
         _strongest_tracks(diagnosis),
+    )
+
+
+def _only_in_regimes(summary: dict) -> str:
+    """Why windows stay white where regimes do not."""
+    if any(cell["recording"] != "all" for cell in summary["where"]):
+        return ""
+    return (
+        "No window of time is long enough to show the mismatch by itself; the regimes, which "
+        "gather samples of all runs, do."
     )
 
 
@@ -183,10 +196,12 @@ def _told(title: str, cells: Sequence[Cell], regimes: bool = False) -> str:
 def _strongest_tracks(diagnosis: Diagnosis) -> Html:
     """The tracks of the runs with the strongest mismatch, their windows marked."""
     tests = len(diagnosis.before)
-    flagged = [c for c in diagnosis.before if c.run is not None and c.p_value * tests < ALPHA]
+    flagged = [c for c in diagnosis.before if c.p_value * tests < ALPHA]
     flagged.sort(key=lambda cell: cell.p_value)
     drawn = []
     for number in dict.fromkeys(cell.run for cell in flagged):
+        if number is None:
+            continue
         run = diagnosis.split.recordings[number]
         if run.has("x") and run.has("y"):
             windows = sorted({(c.start, c.end) for c in flagged if c.run == number})
@@ -242,7 +257,7 @@ def _ranking(summary: dict) -> Html:
     rows = [_ranked(row) for row in screening]
     if not rows:
         return Html("")
-    columns = ["candidate", "score", "p", "BIC gain", "held-out gain", "possible"]
+    columns = ["candidate", "score", "p", "BIC gain", "held-out gain", "physical"]
     text = (
         "Every entry of the catalogue that this vessel could have, against the nominal model. "
         "The strongest were fitted; a BIC gain above 10 and a held-out gain above two standard "

@@ -7,7 +7,7 @@ import base64
 import html
 import io
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -27,7 +27,7 @@ BEFORE = "#c2571a"
 AFTER = "#1f5fa8"
 _LEVELS = (1e-8, 1e-4, 1e-2)  # family-wise
 _SHADES = ("#7a1204", "#d9622b", "#f7c59f", "#ffffff")
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10,
     "axes.edgecolor": "#8a96a3", "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
@@ -81,7 +81,9 @@ def track(lines: Sequence[Line], alternative: str, title: str, caption: str = ""
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        reach = {c: _span([_rows(line.run, c) for line in lines]) for c in ("x", "y")}
+        series = {c: [_rows(line.run, c) for line in lines] for c in ("x", "y")}
+        room = max(float(np.nanmax(s[0]) - np.nanmin(s[0])) for s in series.values())
+        reach = {c: _span(s, room) for c, s in series.items()}
         for line in lines:
             x, y = (_inside(_rows(line.run, c), reach[c]) for c in ("x", "y"))
             axes.plot(y, x, line.style, color=line.colour, label=line.label, lw=line.width)
@@ -146,12 +148,12 @@ def _rows(run: Trajectory, channel: str) -> np.ndarray:
     return np.asarray(getattr(run, channel), float)[np.asarray(run.valid, bool)]
 
 
-def _span(series: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Range of the first series, and of the others unless they run away from it."""
+def _span(series: Sequence[np.ndarray], room: float | None = None) -> tuple[float, float]:
+    """Range of the first series, and of the others where they stay within `room` of it."""
     finite = [s[np.isfinite(s)] for s in series]
     finite = [s for s in finite if s.size] or [np.zeros(1)]
     low, high = float(finite[0].min()), float(finite[0].max())
-    room = max(high - low, 1e-6)
+    room = max(high - low if room is None else room, 1e-6)
     first, last = low - room, high + room
     for values in finite[1:]:
         low = min(low, max(float(values.min()), first))

@@ -6,7 +6,7 @@ from diffsea.report.comparison import Comparison, horizon_table, predict
 from diffsea.report.page import Html, element, folded, joined, page, paragraph, section, verbatim
 from diffsea.report.predictions import predictions
 from diffsea.report.records import parameter_table, provenance
-from diffsea.report.text import capital, error_line, headline_horizon
+from diffsea.report.text import capital, error_line, headline_horizon, listed
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -54,14 +54,16 @@ def _count(runs: Sequence[Trajectory]) -> str:
 
 def _summary(table: Sequence[dict], runs: Sequence[Comparison], held_out: bool) -> Html:
     weak = [row["name"] for row in table if row["determined"] < 0.5]
-    lead = f"{len(table)} parameters were fitted; the recordings determine "
-    if not weak:
-        lead += "all of them."
+    count = "1 parameter was" if len(table) == 1 else f"{len(table)} parameters were"
+    lead = f"{count} fitted; the recordings determine "
+    if weak:
+        rest = "rests" if len(weak) == 1 else "rest"
+        lead += f"all but {len(weak)}: {listed(weak)} {rest} mostly on the vessel file."
     else:
-        lead += f"all but {len(weak)}: {', '.join(weak)} rest mostly on the vessel file."
+        lead += "all that was fitted."
     row = headline_horizon(horizon_table(runs), (_MODEL,))
     where = "on runs held out" if held_out else "on the runs it was fitted to"
-    errors = f"{capital(where)}, {error_line(row, (_MODEL,))}." if row else ""
+    errors = f"{capital(where)}, errors {error_line(row, (_MODEL,))}." if row else ""
     body = joined([paragraph(verbatim(lead), "lead"), paragraph(errors)])
     return Html(f'<section id="summary" class="verdict fit">\n{body}\n</section>')
 

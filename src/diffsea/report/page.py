@@ -74,7 +74,7 @@ def table(
 
     def cell(k: int, content: Content) -> str:
         label = html.escape(markup(columns[k]), quote=True)
-        return f'<td{classes(k)} data-label="{label}"><span>{markup(content)}</span></td>'
+        return f'<td{classes(k)} data-label="{label}"><div>{markup(content)}</div></td>'
 
     head = "".join(f'<th scope="col"{classes(k)}>{markup(c)}</th>' for k, c in enumerate(columns))
     body = "\n".join(
@@ -165,9 +165,9 @@ details { margin: 8px 0; } summary { cursor: pointer; color: #1f5fa8; }
     padding: 2px 0; text-align: right; white-space: normal; }
   .wide td::before { content: attr(data-label); color: var(--soft); text-align: left;
     flex: 0 0 auto; }
-  .wide td:first-child span { font-weight: 600; color: var(--ink); }
-  .wide td span { overflow-wrap: anywhere; min-width: 0; }
-  .wide td:has(> span:empty) { display: none; }
+  .wide td:first-child div { font-weight: 600; color: var(--ink); }
+  .wide td > div { overflow-wrap: anywhere; min-width: 0; }
+  .wide td:has(> div:empty) { display: none; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: 6px; }
 }
 @media print { body { background: #fff; } section { break-inside: avoid; border: 0; } }

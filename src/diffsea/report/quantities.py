@@ -2,6 +2,7 @@
 
 import math
 import re
+from typing import TypeGuard
 
 
 _PEOPLE = {"rad": "deg", "rad/s": "deg/s", "1": ""}
@@ -18,7 +19,7 @@ def for_people(value: float, unit: str) -> tuple[float, str]:
     return value, _PEOPLE.get(unit, unit)
 
 
-def known(value: float | None) -> bool:
+def known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite number."""
     return value is not None and math.isfinite(value)
 

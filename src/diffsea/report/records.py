@@ -77,12 +77,15 @@ def _length(run: Trajectory) -> str:
 
 def _shown(value: object) -> Html:
     if isinstance(value, dict):
-        return joined(
-            element("div", verbatim(f"{key}: {one}")) for key, one in value.items()
-        )
+        lines = [f"{key}: {_plain(one)}" for key, one in value.items()]
+        return joined(element("div", verbatim(line)) for line in lines)
+    return verbatim(_plain(value))
+
+
+def _plain(value: object) -> str:
     if isinstance(value, list | tuple):
-        return joined(element("div", verbatim(str(one))) for one in value)
-    return verbatim(str(value))
+        return ", ".join(str(one) for one in value)
+    return str(value)
 
 
 def _software(source: dict) -> list[str]:
