@@ -618,7 +618,7 @@ def degrees(value):
 
 
 @pytest.mark.parametrize(
-    "ratio, first, second", [(9.9, 10, 25), (10, 10, 25), (20, 15, 32.5), (30, 20, 40)]
+    "ratio, first, second", [(9.9, 10, 25), (11, 10.5, 25.75), (20, 15, 32.5), (30, 20, 40)]
 )
 def test_imo_limits_of_the_10_10_zigzag(ratio, first, second):
     metrics = {"overshoot_1": math.radians(14), "overshoot_2": math.radians(32)}
@@ -741,3 +741,33 @@ def test_random_esso_osaka_runs_are_no_trial():
         t, x, u, y, v, psi, r, n, rudder = np.loadtxt(file, skiprows=1, delimiter=",").T
         run = trajectory(t, x, y, psi, u, v, r, commanded={"rudder": rudder, "propeller": n})
         assert recording_metrics(run)["manoeuvre"] == "unknown"
+
+
+def test_a_crossing_with_slope_zero_spoils_no_derivative():
+    t = jnp.array([0.0, 1.0, 1.0, 2.0])
+
+    def time(value):
+        return crossing_time(curve(t, value, jnp.zeros(4), jnp.ones(4, bool)), 0.0, 1)
+
+    value = jnp.array([-1.0, -0.1, 0.1, 1.0])  # a jump at an event
+    assert time(value) == 1.0
+    assert np.all(np.isfinite(jax.grad(time)(value)))
+
+
+def test_approach_speed_is_the_mean_over_the_last_seconds_before_the_order():
+    t = jnp.arange(0, 40, 0.7)
+    zero, speed = jnp.zeros_like(t), 1 + 0.002 * t**2
+    run = trajectory(t, t + 0.002 / 3 * t**3, zero, zero, speed, zero, zero)
+    for order, begin in ((30.0, 20.0), (4.0, 0.0)):
+        mean = 1 + 0.002 / 3 * (order**3 - begin**3) / (order - begin)
+        got = stopping_metrics(run, order)["approach_speed"]
+        assert got == pytest.approx(mean, rel=2e-5)
+
+
+def test_the_original_heading_is_the_mean_of_the_approach():
+    run = turning_recording()
+    wave = math.radians(1) * np.cos(2 * np.pi * (run.t - 60.0) / 5)  # at its crest at the order
+    swinging = replaced(run, psi=run.psi + np.where(run.t < 60.05, wave, 0.0))
+    got, steady = recording_metrics(swinging), recording_metrics(run)
+    for name in ("advance", "transfer", "tactical_diameter"):
+        assert got[name] == pytest.approx(steady[name], abs=0.1), name
