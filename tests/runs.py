@@ -1,0 +1,106 @@
+"""Runs of the library from a chosen state, and vessel documents, for tests that compare them.
+
+The approach is left out: the run starts at the execute, in a state that another simulator
+can be started in too.
+"""
+
+import copy
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffsea.simulation.control import Helm
+from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.switching import run_stages
+from diffsea.types import MOTION_CHANNELS, Environment, State, Trajectory
+
+
+ORACLE = Path(__file__).parent / "oracle"
+CALM = Environment()
+
+
+def varied(document, hull=None, servo=None, effects=()):
+    """A copy of a vessel's document; a hull key that is None is taken out.
+
+    `servo` replaces every stage of the thrusters' response.
+    """
+    new = copy.deepcopy(document)
+    new["hull"] = {k: x for k, x in (new["hull"] | (hull or {})).items() if x is not None}
+    for thruster in new.get("thruster", []) if servo is not None else []:
+        for stage in ("time_constant", "rate_limit", "delay", "deadband"):
+            thruster.pop(stage, None)
+        thruster.update(servo)
+    new["effect"] = [*new.get("effect", []), *effects]
+    return new
+
+
+def state_of(x=0.0, y=0.0, psi=0.0, u=0.0, v=0.0, r=0.0):
+    """A state of arrays."""
+    return State(*(jnp.asarray(value, float) for value in (x, y, psi, u, v, r)))
+
+
+def settled(vessel, state, throttle, step, longest=None):
+    """A motion whose actuators have settled to a throttle, straight ahead."""
+    lengths = {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
+    return begin(vessel, state, Helm(vessel).orders(throttle, 0.0), lengths)
+
+
+def executed(vessel, stages, state, throttle, environment, step, seconds, longest=None):
+    """Carry and rows of a manoeuvre executed at time zero in a state.
+
+    The first row is the state itself.
+    """
+    motion = settled(vessel, state, throttle, step, longest)
+    carry, rows = run_stages(vessel, stages, motion, throttle, environment, 0.0, step, seconds)
+    before = jax.tree.map(lambda column: jnp.zeros_like(column[:1]), rows)
+    before = before.__class__(
+        before.t,
+        jax.tree.map(lambda value: jnp.asarray(value)[None], state),
+        before.commanded,
+        before.executed,
+        before.stage,
+        jnp.ones_like(before.accepted),
+    )
+    return carry, jax.tree.map(lambda *parts: jnp.concatenate(parts), before, rows)
+
+
+run = jax.jit(executed, static_argnums=(5, 6, 7))
+
+
+def trajectory(rows):
+    """The rows as a trajectory, for the metrics."""
+    motion = {channel: getattr(rows.state, channel) for channel in MOTION_CHANNELS}
+    return Trajectory(
+        rows.t, **motion, commanded={}, executed={}, extra={}, valid=rows.accepted
+    )
+
+
+def columns(rows, until=np.inf):
+    """Times and motion of the accepted rows up to a time, as arrays."""
+    kept = np.asarray(rows.accepted) & (np.asarray(rows.t) <= until)
+    table = {c: np.asarray(getattr(rows.state, c))[kept] for c in MOTION_CHANNELS}
+    return np.asarray(rows.t)[kept], table
+
+
+def disagreement(found, truth):
+    """Largest difference over the run and the channels, relative to each channel's range."""
+    return max(
+        np.max(np.abs(found[c] - truth[c])) / max(np.ptp(truth[c]), 1e-12)
+        for c in MOTION_CHANNELS
+    )
+
+
+def replay(vessel, motion: Motion, orders, environment, step):
+    """States after each step under given orders: arrays by channel, one order per step."""
+
+    def body(carry, held):
+        motion, t = carry
+        motion = advance(vessel, motion, held, environment, t, step)
+        return (motion, t + step), motion.state
+
+    _, states = jax.lax.scan(body, (motion, jnp.zeros(())), orders)
+    return states
+
+
