@@ -189,6 +189,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.diagnosis.select import diagnose
         from diffsea.diagnosis.summary import nominal_document, summary, vessel_document
         from diffsea.recordings import audit
+        from diffsea.report.comparison import with_held_out_errors
         from diffsea.report.diagnosis_page import diagnosis_report
         from diffsea.report.text import verdict_text
         from diffsea.vessel.catalogue import build, dump
@@ -208,7 +209,9 @@ def _diagnose(args: argparse.Namespace) -> None:
         tell("writing the report")
         document = vessel_document(file.document, diagnosis)
         nominal = build(nominal_document(file.document, diagnosis))
-        page = diagnosis_report(result, diagnosis, nominal, build(document), result["source"])
+        diagnosed = build(document)
+        result = with_held_out_errors(result, diagnosis, nominal, diagnosed)
+        page = diagnosis_report(result, diagnosis, nominal, diagnosed, result["source"])
         out.json("diagnosis.json", result)
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
         out.path("report.html").write_text(page, encoding="utf-8")
