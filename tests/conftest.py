@@ -1,4 +1,11 @@
-"""Settings of the whole test run: tests work in 64-bit, the package never sets it."""
+"""Settings of the test run: 64-bit, and the XLA flags that the command line sets."""
+
+import os
+
+from diffsea.cli import XLA_FLAGS
+
+
+os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
 
 import jax
 

@@ -20,7 +20,7 @@ from diffsea.errors import UserError
 # Modules with a `register(commands)`; the order is that of the help.
 _MODULES = ("trial", "recordings", "identify", "design")
 # Measured on jaxlib 0.10: the first is worth eight times on a single run. Users' own win.
-_XLA_FLAGS = (
+XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000 "
     "--xla_cpu_prefer_vector_width=512"
 )
@@ -99,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
 def _prepare_jax() -> None:
     """XLA flags, 64-bit numbers and a cache of compiled programs that outlives the command."""
     if "jax" not in sys.modules:
-        os.environ.setdefault("XLA_FLAGS", _XLA_FLAGS)
+        os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     import jax
 
     jax.config.update("jax_enable_x64", True)

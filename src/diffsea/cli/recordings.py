@@ -116,9 +116,7 @@ def _as_thrust(vessel: "Vessel", run: "Trajectory") -> "Trajectory":
     def pushed(group: dict) -> dict:
         return {c: s * np.abs(s) if c in curved else s for c, s in group.items()}
 
-    return dataclasses.replace(
-        run, commanded=pushed(run.commanded), executed=pushed(run.executed)
-    )
+    return dataclasses.replace(run, commanded=pushed(run.commanded), executed=pushed(run.executed))
 
 
 def _audit(args: argparse.Namespace) -> None:

@@ -1,0 +1,86 @@
+"""The diagnosis names what the oracle concealed, and nothing where it hid nothing."""
+
+import numpy as np
+import pytest
+from tests.oracle import make_recordings
+from tests.oracle.simulator import load
+
+from diffsea.diagnosis.score import Projection
+from diffsea.diagnosis.select import diagnose
+from diffsea.diagnosis.summary import summary, vessel_document
+from diffsea.recordings import read_recording
+from diffsea.vessel.catalogue import build
+
+
+RUNS = ("random-fast", "zigzag-slow", "circle-fast", "random-slow")
+
+
+@pytest.fixture(scope="module")
+def document(request) -> dict:
+    return load(str(request.path.parent / "oracle" / "boat.toml"))
+
+
+def _diagnosed(document, folder, effects: dict):
+    make_recordings.produce(folder, document, 5, effects, seconds=60.0, runs=RUNS)
+    runs = {path.stem: read_recording(path) for path in sorted(folder.glob("*.csv"))}
+    test = [runs.pop("random-slow")]
+    return diagnose(build(document), list(runs.values()), test)
+
+
+@pytest.fixture(scope="module")
+def current(document, tmp_path_factory):
+    hidden = {"current": {"speed": 0.15, "direction": 2.0}}
+    return _diagnosed(document, tmp_path_factory.mktemp("current"), hidden)
+
+
+def test_a_concealed_current_is_named_and_sized(current):
+    record = summary(current, [])
+    assert record["verdict"] == "explained"
+    assert [effect["name"] for effect in record["effects"]] == ["current"]
+    parameters = record["effects"][0]["parameters"]
+    assert parameters["speed"]["value"] == pytest.approx(0.15, rel=0.1)
+    assert parameters["direction"]["value"] == pytest.approx(2.0, abs=0.15)
+
+
+def test_the_named_effect_improves_held_out_runs(current):
+    fit = summary(current, [])["fit"]
+    assert fit["diagnosed"]["test"] < 0.8 * fit["nominal"]["test"]
+    assert fit["diagnosed"]["train"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_vessel_file_holds_the_effect(current, document):
+    vessel = build(vessel_document(document, current))
+    flow = np.hypot(float(vessel.environment.current_north), float(vessel.environment.current_east))
+    assert flow == pytest.approx(0.15, rel=0.1)
+
+
+def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):
+    found = _diagnosed(document, tmp_path_factory.mktemp("clean"), {})
+    assert found.verdict == "consistent"
+    assert found.names == ()
+
+
+def test_score_has_its_size_under_white_noise_and_sees_a_shift():
+    rng = np.random.default_rng(2)
+    rows = 400
+    columns = rng.normal(size=(6 * rows, 1))
+    nuisance = rng.normal(size=(6 * rows, 3))
+    run = np.zeros(rows, int)
+    values = []
+    for _ in range(400):
+        projection = Projection(rng.normal(size=6 * rows), nuisance, run)
+        values.append(projection.score(columns).p_value)
+    assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.035)
+    shifted = Projection(rng.normal(size=6 * rows) - 0.3 * columns[:, 0], nuisance, run)
+    score = shifted.score(columns)
+    assert score.p_value < 1e-6
+    assert score.step[0] == pytest.approx(0.3, abs=0.1)
+
+
+def test_what_a_nuisance_can_do_is_not_counted():
+    rng = np.random.default_rng(4)
+    nuisance = rng.normal(size=(600, 2))
+    run = np.zeros(100, int)
+    projection = Projection(nuisance @ [5.0, -3.0] + rng.normal(size=600), nuisance, run)
+    assert projection.mimicry(nuisance[:, :1] + 1e-3 * rng.normal(size=(600, 1)), nuisance) < 0.5
+    assert projection.score(rng.normal(size=(600, 1))).p_value > 1e-3

@@ -1,0 +1,150 @@
+"""Fits of recordings from the independent simulator recover what made them."""
+
+import dataclasses
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.oracle import sensors
+from tests.oracle.simulator import load, simulate
+
+from diffsea.errors import UserError
+from diffsea.identification.colour import autocorrelation, inflation
+from diffsea.identification.fit import estimate, make_problem, normalised_rms, physical_table
+from diffsea.identification.likelihood import updated
+from diffsea.parameters import hull_prior
+from diffsea.types import Trajectory
+from diffsea.vessel.catalogue import build
+
+
+HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr", "N_rdot")
+
+
+@pytest.fixture(scope="module")
+def document(request) -> dict:
+    return load(str(request.path.parent / "oracle" / "usv.toml"))
+
+
+@pytest.fixture(scope="module")
+def recordings(document) -> list[Trajectory]:
+    """Two noisy runs of the file's own vessel, made by the oracle."""
+    return [_run(document, seed) for seed in (1, 2)]
+
+
+def _run(document: dict, seed: int, seconds: float = 80.0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, seconds, 4.0)
+    orders = [
+        (
+            t,
+            {
+                n: v
+                for n, v in zip(
+                    ("port", "starboard"), 120 + 90 * rng.uniform(-1, 1, 2), strict=True
+                )
+            },
+        )
+        for t in times
+    ]
+    sim = simulate(document, orders, seconds)
+    t = np.arange(0.0, seconds, 0.25)
+    rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
+    motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
+    commanded = {c: np.asarray(rec[f"cmd_{c}"], float) for c in ("port", "starboard")}
+    return Trajectory(
+        t, **motion, commanded=commanded, executed={}, extra={}, valid=np.ones(len(t), bool),
+        name=f"run{seed}.csv",
+    )  # fmt: skip
+
+
+def _away(document: dict, factor: float) -> dict:
+    """The document with every fitted derivative wrong by a factor, up or down in turn."""
+    hull = dict(document["hull"])
+    for number, name in enumerate(HULL):
+        hull[name] *= factor if number % 2 else 1 / factor
+    return document | {"hull": hull}
+
+
+@pytest.fixture(scope="module")
+def fitted(document, recordings):
+    problem = make_problem(build(_away(document, 1.4)), recordings, HULL)
+    return problem, estimate(problem, HULL, rounds=6)
+
+
+def test_derivatives_are_recovered_from_a_start_far_away(document, fitted):
+    problem, result = fitted
+    for row in physical_table(problem, result):
+        truth = document["hull"][row["name"]]
+        assert abs(row["value"] - truth) < 4 * row["std"] + 1e-9, row
+        assert abs(row["start"] - truth) > 0.25 * abs(truth)
+        assert row["std"] < 0.3 * abs(truth)
+
+
+def test_innovations_are_at_the_noise_level(fitted):
+    problem, result = fitted
+    assert normalised_rms(problem, result.coordinates, result.noise) == pytest.approx(1, abs=0.05)
+
+
+def test_sensor_noise_is_estimated(fitted):
+    problem, result = fitted
+    suite = sensors.suite()
+    for k, channel in enumerate(("x", "y", "psi", "u", "v", "r")):
+        estimated = math.exp(float(result.noise.sensor[k]))
+        assert estimated == pytest.approx(suite[channel].noise, rel=0.35)
+
+
+def test_a_wrong_start_predicts_worse(fitted):
+    problem, result = fitted
+    start, _ = problem.start()
+    wrong = normalised_rms(problem, start, result.noise)
+    assert wrong > 1.5 * normalised_rms(problem, result.coordinates, result.noise)
+
+
+def test_sequential_update_equals_the_joint_kalman_update():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    P, H, R = root @ root.T, rng.normal(size=(6, 6)), rng.uniform(0.5, 2.0, 6)
+    used = np.array([True, True, False, True, True, True])
+    C, W, after, variance = updated(jnp.asarray(P), jnp.asarray(H), jnp.asarray(R), used)
+    h = H[used]
+    S = h @ P @ h.T + np.diag(R[used])
+    K = P @ h.T @ np.linalg.inv(S)
+    nu = np.where(used, rng.normal(size=6), 0.0)
+    np.testing.assert_allclose(np.asarray(C)[:, used], K, atol=1e-9)
+    np.testing.assert_allclose(after, (np.eye(6) - K @ h) @ P, atol=1e-9)
+    white = np.asarray(W) @ nu
+    assert white @ white == pytest.approx(nu[used] @ np.linalg.solve(S, nu[used]))
+    assert np.log(np.asarray(variance)).sum() == pytest.approx(np.linalg.slogdet(S)[1])
+
+
+def test_colour_inflates_the_variance_of_a_mean_as_theory_says():
+    rng = np.random.default_rng(3)
+    noise = np.zeros((20000, 6))
+    for k in range(1, len(noise)):
+        noise[k] = 0.5 * noise[k - 1] + rng.normal(size=6)
+    found = inflation(np.ones((noise.size, 1)), autocorrelation(noise, np.zeros(len(noise), int)))
+    # Long-run over instantaneous variance of a first-order process: (1 + a) / (1 - a).
+    assert found[0] == pytest.approx(3.0, rel=0.1)
+    white = rng.normal(size=(20000, 6))
+    plain = inflation(np.ones((white.size, 1)), autocorrelation(white, np.zeros(20000, int)))
+    assert plain[0] == pytest.approx(1.0, abs=0.15)
+
+
+def test_signs_survive_the_log_coordinate():
+    drag = hull_prior("X_u", -52.0)
+    assert float(drag.decode(-5.0)) < 0 and float(drag.decode(5.0)) < 0
+    assert drag.encode(float(drag.decode(0.7))) == pytest.approx(0.7)
+    coupling = hull_prior("Y_r", 10.0)
+    assert float(coupling.decode(-3.0)) < 0
+
+
+def test_unknown_parameter_names_the_nearest(document, recordings):
+    with pytest.raises(UserError, match="no parameter 'N_rrr'; did you mean 'N_rr'"):
+        make_problem(build(document), recordings, ("N_rrr",))
+
+
+def test_missing_orders_are_told(document, recordings):
+    silent = dataclasses.replace(recordings[0], commanded={})
+    with pytest.raises(UserError, match="cmd_port"):
+        make_problem(build(document), [silent])
