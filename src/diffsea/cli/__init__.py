@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as ended:  # after help, or a usage error that argparse has told
         return int(ended.code or 0)
     try:
-        _prepare_jax()
+        prepare_jax()
         args.run(args)
         sys.stdout.flush()
         return 0
@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _prepare_jax() -> None:
+def prepare_jax() -> None:
     """XLA flags, 64-bit numbers and a cache of compiled programs that outlives the command."""
     if "jax" not in sys.modules:
         os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
