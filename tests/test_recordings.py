@@ -169,7 +169,7 @@ def test_decimal_commas_and_trailing_delimiters(place):
     mapping = place(
         '[file]\ndelimiter = ";"\ndecimal = ","\n[columns]\nt = "t"\nx = "x"\n', "map.toml"
     )
-    run = read_recording(place("t;x;\n0,5;1,25;\n1,0;2,5;\n"), mapping)
+    run = read_recording(place("t;x\n0,5;1,25;\n1,0;2,5;\n"), mapping)
     np.testing.assert_array_equal(run.x, [1.25, 2.5])
 
 

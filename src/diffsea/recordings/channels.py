@@ -197,8 +197,9 @@ def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
     marks = range(0, motion.t.size - size, max(1, size // 2))
     elsewhere = [_excursion(misfit, i, i + size) for i in marks if i + size < start or i > end]
     usual = float(np.median(elsewhere)) if elsewhere else 0.0
-    # A stop between two samples is one step's worth of contradiction.
-    step = float(np.max(np.abs(np.diff(moved[start : end + 1]))))
+    # A stop between two samples is one step's worth of contradiction for a place or heading.
+    steps = np.abs(np.diff(moved[start : end + 1]))
+    step = float(np.max(steps)) if channel in ("x", "y", "psi") else 0.0
     way = 0.02 * abs(moved[end] - moved[start])
     floor = step + (np.radians(2.0) if turning else 0.1 + way)
     return inside > max(6 * usual, floor)
@@ -224,13 +225,18 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
 
     A rudder that turns by a large part of its range, and faster than 35 deg/s, from one
     sample to the next, and does so for most of its travel, is a command; so is thrust that
-    moves in jumps of a fifth of its range between samples at most half a second apart.
+    moves in jumps of a fifth of its range between samples at most half a second apart. Thrust
+    that equals its command throughout is let pass: a simulated thruster may have no lag.
     """
     valid = np.asarray(trajectory.valid, dtype=bool)
     time = np.asarray(trajectory.t, dtype=float)[valid]
     findings = []
     for name, series in trajectory.executed.items():
         values = np.asarray(series, dtype=float)[valid]
+        ordered = trajectory.commanded.get(name)
+        if ordered is not None and not _is_angle(name):
+            if np.array_equal(np.asarray(ordered, dtype=float)[valid], values, equal_nan=True):
+                continue
         finite = np.isfinite(values)
         jump = _typical_jump(name, time[finite], values[finite])
         if jump is None:
