@@ -5,6 +5,7 @@ can be started in too.
 """
 
 import copy
+import math
 from pathlib import Path
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 
 from diffsea.simulation.control import Helm
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
 from diffsea.types import MOTION_CHANNELS, Environment, State, Trajectory
 
@@ -66,15 +68,27 @@ def executed(vessel, stages, state, throttle, environment, step, seconds, longes
     return carry, jax.tree.map(lambda *parts: jnp.concatenate(parts), before, rows)
 
 
+def staged(*rows):
+    """Stages of (angle rad, side of the heading that ends it or 0, heading rad or time s)."""
+    angle, side, level = (jnp.array(column, float) for column in zip(*rows, strict=True))
+    nothing = jnp.zeros(len(rows))
+    timed = jnp.asarray(side == 0, float)
+    return Stages(angle, nothing + 1, side, timed, nothing, level)
+
+
+def staged_turn(angle):
+    """A turn in three stages, so that the program of a zig-zag of three executes runs it."""
+    side = math.copysign(1, angle)
+    return staged(*((angle, side, math.radians(change)) for change in (90, 180, 540)))
+
+
 run = jax.jit(executed, static_argnums=(5, 6, 7))
 
 
 def trajectory(rows):
     """The rows as a trajectory, for the metrics."""
     motion = {channel: getattr(rows.state, channel) for channel in MOTION_CHANNELS}
-    return Trajectory(
-        rows.t, **motion, commanded={}, executed={}, extra={}, valid=rows.accepted
-    )
+    return Trajectory(rows.t, **motion, commanded={}, executed={}, extra={}, valid=rows.accepted)
 
 
 def columns(rows, until=np.inf):
@@ -87,8 +101,7 @@ def columns(rows, until=np.inf):
 def disagreement(found, truth):
     """Largest difference over the run and the channels, relative to each channel's range."""
     return max(
-        np.max(np.abs(found[c] - truth[c])) / max(np.ptp(truth[c]), 1e-12)
-        for c in MOTION_CHANNELS
+        np.max(np.abs(found[c] - truth[c])) / max(np.ptp(truth[c]), 1e-12) for c in MOTION_CHANNELS
     )
 
 
@@ -102,5 +115,3 @@ def replay(vessel, motion: Motion, orders, environment, step):
 
     _, states = jax.lax.scan(body, (motion, jnp.zeros(())), orders)
     return states
-
-

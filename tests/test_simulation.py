@@ -202,9 +202,7 @@ def library_circle(vessel):
 @pytest.mark.parametrize(
     ("metrics", "reference"), [(library_zigzag, oracle_zigzag), (library_circle, oracle_circle)]
 )
-def test_derivatives_of_trial_numbers_are_those_of_the_independent_simulator(
-    metrics, reference
-):
+def test_derivatives_of_trial_numbers_are_those_of_the_independent_simulator(metrics, reference):
     function, at = by_parameters(metrics, build(DRIFTING), PARAMETERS)
     truth = differences(DRIFTING, reference, PARAMETERS)
     values = np.array(reference(DRIFTING))
@@ -510,8 +508,8 @@ def test_a_current_is_a_moving_frame():
     t, motion = columns(rows)
     s, reference = columns(calm_rows)
     assert len(t) == len(s)
-    np.testing.assert_allclose(motion["x"] - north * t, reference["x"] , atol=3e-5)
-    np.testing.assert_allclose(motion["y"] - east * t, reference["y"] , atol=3e-5)
+    np.testing.assert_allclose(motion["x"] - north * t, reference["x"], atol=3e-5)
+    np.testing.assert_allclose(motion["y"] - east * t, reference["y"], atol=3e-5)
     np.testing.assert_allclose(motion["psi"], reference["psi"], atol=3e-6)
 
 
