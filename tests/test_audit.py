@@ -501,3 +501,11 @@ def test_published_recordings(name):
     if name.startswith("esso"):
         assert found["sensor-latency"].value == pytest.approx(0.94, abs=0.06)
         assert found["sensor-latency"].channels == ("u", "v", "psi", "r")
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLISHED if not name.startswith("kcs")])
+def test_repaired_mappings_leave_only_what_no_mapping_can_repair(name):
+    if not (DATA / name).exists():
+        pytest.skip(f"{DATA / name} is absent: the published recordings stay outside")
+    mapping = ROOT / "experiments" / name.split("/")[0] / "mapping_repaired.toml"
+    assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron"}

@@ -246,6 +246,9 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
         ("[file]\ncolumns = ['a', 'a']\n[columns]\nt = 'a'\n", "the name 'a' twice"),
         ("[file]\nheader_lines = -1\n[columns]\nt = 'a'\n", "header_lines must be a whole"),
         ("columns = 3\n", "columns must be a table"),
+        ("[columns]\nt = { column = 't', delay = 1 }\n", "time itself cannot be delayed"),
+        ("[file]\nvelocity_axes = 'enu'\n[columns]\nt = 't'\n", '"body" or "earth", got'),
+        ("[file]\nvelocity_axes = 'earth'\n[columns]\nt = 't'\n", "need the channels psi, u"),
     ],
 )
 def test_wrong_mappings_are_refused_with_the_key(place, text, message):
@@ -259,6 +262,30 @@ def test_mapping_that_does_not_fit_the_file(place):
     odd = place('[file]\nencoding = "klingon"\n[columns]\nt = "t"\n', "odd.toml")
     with pytest.raises(UserError, match="'klingon' is not known"):
         read_recording(place(NATIVE), odd)
+
+
+def test_mapping_repairs_late_channels_and_earth_axes(place):
+    mapping = place(
+        """
+        [file]
+        velocity_axes = "earth"
+        [columns]
+        t = "t"
+        x = { column = "x", delay = 1.5 }
+        psi = "psi"
+        u = "vn"
+        v = "ve"
+        cmd_a = { column = "a", delay = -1 }
+        """,
+        "map.toml",
+    )
+    rows = "".join(f"{i},{i * i},1.5,0.3,-0.7,{i}\n" for i in range(5))
+    run = read_recording(place("t,x,psi,vn,ve,a\n" + rows), mapping)
+    np.testing.assert_allclose(run.x, [2.5, 6.5, 12.5, np.nan, np.nan])
+    np.testing.assert_array_equal(run.commanded["a"], [np.nan, 0, 1, 2, 3])
+    np.testing.assert_allclose(run.u, 0.3 * np.cos(1.5) - 0.7 * np.sin(1.5))
+    np.testing.assert_allclose(run.v, -0.7 * np.cos(1.5) - 0.3 * np.sin(1.5))
+    assert "x shifted by -1.5 s" in run.provenance
 
 
 def test_parquet_goes_through_mappings_too(tmp_path, place):

@@ -137,14 +137,13 @@ _EARTH = (
         "axes",
         ("u", "v"),
         "u and v are velocities north and east (earth axes), not along the ship and to starboard",
-        "rotate them by the heading: u = north cos psi + east "
-        "sin psi, v = east cos psi - north sin psi",
+        'velocity_axes = "earth" under [file] of the mapping',
     ),
     Reading(
         "axes",
         ("u", "v"),
         "u and v are velocities east and north (earth axes), not along the ship and to starboard",
-        "exchange them, then rotate them by the heading",
+        'exchange their columns, and velocity_axes = "earth" under [file] of the mapping',
         _body("v", "u", (1, 1)),
     ),
 )

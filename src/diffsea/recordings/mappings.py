@@ -10,13 +10,16 @@ A mapping is a TOML file, one per data set, so that nobody edits data in order t
     decimal = ","               # default "."
     columns = ["time", "yaw"]   # names, where the file has none
     time_step = 0.1             # s, where the file has no time column
+    velocity_axes = "earth"     # u and v are velocities north and east; default "body"
     [columns]
     t = { column = "time", unit = "ms" }
     psi = { column = "yaw", unit = "deg" }
     u = "surge"
 
 A channel is `sign * (scale * number + offset)` in the stated unit, then converted to SI:
-an offset of 5 with the unit `deg` turns the heading by five degrees.
+an offset of 5 with the unit `deg` turns the heading by five degrees. With `delay = 0.8` the
+channel was stamped 0.8 s late and is shifted to where it belongs; what is shifted, turned or
+rescaled here is a repair that an audit may ask for.
 """
 
 import dataclasses
@@ -79,8 +82,16 @@ CHANNEL_DIMENSIONS = {
 }
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
 
-_FILE_KEYS = ("delimiter", "header_lines", "encoding", "decimal", "columns", "time_step")
-_COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset")
+_FILE_KEYS = (
+    "delimiter",
+    "header_lines",
+    "encoding",
+    "decimal",
+    "columns",
+    "time_step",
+    "velocity_axes",
+)
+_COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset", "delay")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +103,7 @@ class Column:
     sign: float = 1.0
     scale: float = 1.0
     offset: float = 0.0  # in `unit`
+    delay: float = 0.0  # s, by how much the channel is stamped late
 
     @property
     def gain(self) -> float:
@@ -120,6 +132,7 @@ class Mapping:
     decimal: str = "."
     columns: tuple[str, ...] | None = None
     time_step: float | None = None  # s
+    velocity_axes: str = "body"  # or "earth"
 
 
 def is_channel(name: str) -> bool:
@@ -194,6 +207,11 @@ def _file_settings(file: dict, channels: dict[str, Column], path: Path) -> dict:
     for key in ("delimiter", "encoding", "decimal"):
         if key in settings and not (isinstance(settings[key], str) and settings[key]):
             raise UserError(f"{path}: [file] {key} must be text, got {settings[key]!r}")
+    axes = settings.get("velocity_axes", "body")
+    if axes not in ("body", "earth"):
+        raise UserError(f'{path}: [file] velocity_axes must be "body" or "earth", got {axes!r}')
+    if axes == "earth" and not {"psi", "u", "v"} <= set(channels):
+        raise UserError(f"{path}: velocities in earth axes need the channels psi, u and v")
     if "columns" in settings:
         settings["columns"] = _names(settings["columns"], path)
     return settings
@@ -227,11 +245,13 @@ def _column(channel: str, entry: object, path: Path) -> Column:
     _check_keys(entry, _COLUMN_KEYS, path, where + ": ")
     numbers = {
         key: _number(entry[key], path, f"{where}: {key}")
-        for key in ("sign", "scale", "offset")
+        for key in ("sign", "scale", "offset", "delay")
         if key in entry
     }
     if numbers.get("sign", 1.0) not in (1.0, -1.0):
         raise UserError(f"{path}: {where}: sign must be 1 or -1; use scale for other factors")
+    if channel == "t" and "delay" in numbers:
+        raise UserError(f"{path}: {where}: time itself cannot be delayed; use offset")
     return Column(entry["column"], unit=_unit(channel, entry.get("unit"), path), **numbers)
 
 

@@ -92,14 +92,15 @@ def _latency(channels: str, others: str, delay: float, std: float, unsure: str) 
     # Where nearly everything is late, it may be the rest that is stamped too early.
     early = len(channels.split(", psi")) > 1 and others == "x, y"
     either = f", or {others} are stamped that much too early" if early else ""
-    repair = f"shift {channels} to earlier times" + (f" (or {others} to later ones)" * early)
+    repair = f"delay = {delay:.3g} for {channels} in the mapping"
+    repair += f" (or delay = {-delay:.3g} for {others})" * early
     return Finding(
         "sensor-latency",
         delay,
         std,
         "s",
         f"{channels} lag {others} by {delay:.3g} s{either}{unsure}",
-        repair + ", or name the latency in the vessel's sensors",
+        repair + ", or estimate it as an effect",
         tuple(channels.split(", ")),
         {"delay": delay},
     )

@@ -4,6 +4,7 @@ Everything that leaves this module is in SI units and radians and NED axes as fa
 file's labels are right; whether they are is for the audit to find out.
 """
 
+import dataclasses
 import hashlib
 import os
 import tempfile
@@ -20,7 +21,7 @@ from diffsea.recordings.mappings import (
     read_mapping,
 )
 from diffsea.recordings.tables import PARQUET_SUFFIXES, numbers, read_table
-from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.types import MOTION_CHANNELS, Series, Trajectory
 
 
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
@@ -59,7 +60,8 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
         notes.append("columns not used: " + ", ".join(unused))
-    return _assemble(values, path, first_line, notes)
+    run = _assemble(values, path, first_line, notes)
+    return run if mapping is None else _repaired(run, mapping)
 
 
 def write_recording(trajectory: Trajectory, path: str | Path) -> None:
@@ -212,6 +214,43 @@ def _trajectory(
         name=name,
         provenance=tuple(notes),
     )
+
+
+def _repaired(run: Trajectory, mapping: Mapping) -> Trajectory:
+    """The run with late channels shifted and earth velocities turned into body axes."""
+    late = {name: column.delay for name, column in mapping.channels.items() if column.delay}
+    notes = [f"{name} shifted by {-delay:g} s" for name, delay in late.items()]
+
+    def earlier(prefix: str, group: dict) -> dict:
+        return {
+            name: _shifted(run.t, series, late.get(prefix + name, 0.0), holds=bool(prefix))
+            for name, series in group.items()
+        }
+
+    motion = earlier("", {name: getattr(run, name) for name in MOTION_CHANNELS})
+    if mapping.velocity_axes == "earth":
+        body = (motion["u"] + 1j * motion["v"]) * np.exp(-1j * motion["psi"])
+        motion |= {"u": body.real, "v": body.imag}
+        notes.append("u and v turned from earth into body axes by the heading")
+    return dataclasses.replace(
+        run,
+        **motion,
+        commanded=earlier("cmd_", run.commanded),
+        executed=earlier("exec_", run.executed),
+        extra=earlier("", run.extra),
+        provenance=(*run.provenance, *notes),
+    )
+
+
+def _shifted(t: Series, series: Series, delay: float, holds: bool) -> Series:
+    """What a channel read `delay` s later; NaN beyond its ends, where actuation holds."""
+    if delay == 0:
+        return series
+    t, series = np.asarray(t), np.asarray(series)
+    if not holds:
+        return np.interp(t + delay, t, series, left=np.nan, right=np.nan)
+    rows = np.searchsorted(t, t + delay, side="right") - 1
+    return np.where(rows < 0, np.nan, series[rows.clip(0)])
 
 
 def _held(channel: str, series: np.ndarray, time: np.ndarray, notes: list[str]) -> np.ndarray:
