@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
+from diffsea.simulation.replay import recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -96,7 +97,8 @@ def _padded(column: np.ndarray, spare: int) -> np.ndarray:
 
 
 def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
-    t = np.asarray(recording.t, float)
+    valid = np.asarray(recording.valid, bool)
+    t = np.asarray(recording.t, float)[valid]
     if len(t) < 10:
         raise UserError(
             f"{recording.name}: {len(t)} samples are too few to estimate anything; record at "
@@ -106,12 +108,12 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     keep = slice(None, None, every)
     t = t[keep]
     motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
-    motion = motion[keep]
+    motion = motion[valid][keep]
     known = np.isfinite(motion)
     if not known.any():
         raise UserError(f"{recording.name}: no motion channel has any value")
     dt = np.append(np.diff(t), 0.0)
-    orders, executed = _actuation(vessel, recording, keep)
+    orders, executed = recorded_actuation(vessel, recording)
     starts = np.zeros(len(t), bool)
     starts[0] = True
     return {
@@ -123,38 +125,9 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
         "run": np.full(len(t), number),
         "starts": starts,
         "first": np.broadcast_to(_first_state(t, motion), motion.shape).copy(),
-        "orders": orders,
-        "executed": executed,
+        "orders": {channel: series[keep] for channel, series in orders.items()},
+        "executed": {channel: series[keep] for channel, series in executed.items()},
     }
-
-
-def _actuation(vessel: Vessel, recording: Trajectory, keep: slice) -> tuple[dict, dict]:
-    """Orders of every channel, and executed values where they were measured."""
-    orders, executed = {}, {}
-    for channel in vessel.channels:
-        done = recording.executed.get(channel)
-        order = recording.commanded.get(channel, done)
-        if order is None:
-            have = ", ".join([*recording.commanded, *recording.executed]) or "none"
-            raise UserError(
-                f"{recording.name}: the vessel's actuator channel {channel!r} has neither a "
-                f"cmd_{channel} nor an exec_{channel} column (it has: {have}); add it, or map "
-                "the file's own column to it with --mapping"
-            )
-        values = np.asarray(order, float)[keep]
-        if not np.isfinite(values).any():
-            raise UserError(f"{recording.name}: cmd_{channel} has no value at all")
-        orders[channel] = _held(values)
-        if done is not None and np.isfinite(np.asarray(done, float)[keep]).all():
-            executed[channel] = np.asarray(done, float)[keep]
-    return orders, executed
-
-
-def _held(values: np.ndarray) -> np.ndarray:
-    """Missing orders hold the one before; leading ones the first."""
-    index = np.where(np.isfinite(values), np.arange(len(values)), -1)
-    index = np.maximum.accumulate(index)
-    return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
 
 
 def _first_state(t: np.ndarray, motion: np.ndarray) -> np.ndarray:
