@@ -19,10 +19,12 @@ LEFT_OUT = "random"
 
 def main() -> None:
     """Print the audit, the diagnosis and the inferred wind beside the measured one."""
-    runs = load(HERE, "esso_osaka/recordings/*.csv")
-    print("audit:")
-    for finding in audited(runs):
-        print(f"  {finding['recording']}: {finding['kind']}: {finding['message']}")
+    pattern = "esso_osaka/recordings/*.csv"
+    published, runs = load(HERE, pattern), load(HERE, pattern, "mapping_repaired.toml")
+    for title, audit_of in (("as published", published), ("repaired", runs)):
+        print(f"audit {title}:")
+        for finding in audited(audit_of):
+            print(f"  {finding['recording']}: {finding['kind']}: {finding['message']}")
     used = {name: run for name, run in runs.items() if LEFT_OUT not in name}
     record = study(Case(HERE, "esso_osaka", used, HELD_OUT, per_run=True))
     record["wind"] = _wind_table(record)
