@@ -113,16 +113,15 @@ def locate(
     room = max(8, 8 * -(-count // 8))
     J = np.asarray(_push_jacobian(inputs, layout, jnp.asarray(binning.bins), room))
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
-    prior = np.zeros((projection.prior_rows, 1))
-    cells = []
-    for number, (run, start, end, regime) in enumerate(binning.labels):
-        for degree in range(3):
-            column = np.concatenate([J[:, number, degree][:, None], prior])
-            information = float((projection.efficient(column) ** 2).sum())
-            if information < 1e-12:
-                continue
-            score = projection.score(column)
-            std = float(np.sqrt(score.inflation / information)) * mass[degree]
-            force = float(score.step[0]) * mass[degree]
-            cells.append(Cell(degree, run, start, end, regime, force, std, score.p_value))
-    return cells
+    J = J[:, :count].reshape(len(J), 3 * count)
+    columns = np.concatenate([J, np.zeros((projection.prior_rows, J.shape[1]))])
+    step, std, p_value = (a.reshape(count, 3) for a in projection.singles(columns))
+    return [
+        Cell(
+            degree, *label, float(step[number, degree] * mass[degree]),
+            float(std[number, degree] * mass[degree]), float(p_value[number, degree]),
+        )
+        for number, label in enumerate(binning.labels)
+        for degree in range(3)
+        if np.isfinite(std[number, degree])
+    ]  # fmt: skip

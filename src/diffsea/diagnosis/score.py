@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from diffsea.identification.colour import autocorrelation, long_run
+from diffsea.identification.colour import autocorrelation, inflation, long_run
 
 
 class Score(NamedTuple):
@@ -45,9 +45,24 @@ class Projection:
         inverse = np.linalg.pinv(V, rcond=1e-10, hermitian=True)
         k = columns.shape[1]
         coloured = long_run(E[: self.rows], self.correlation)
-        inflation = max(1.0, float(np.trace(coloured @ inverse)) / k)
-        statistic = float(s @ inverse @ s) / inflation
-        return Score(statistic, float(stats.chi2.sf(statistic, k)), -(inverse @ s), inflation)
+        ratio = max(1.0, float(np.trace(coloured @ inverse)) / k)
+        statistic = float(s @ inverse @ s) / ratio
+        return Score(statistic, float(stats.chi2.sf(statistic, k)), -(inverse @ s), ratio)
+
+    def singles(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Test many one-coordinate candidates at once: steps, standard errors, p-values.
+
+        A candidate without information has a p-value of one and an infinite error.
+        """
+        E = self.efficient(columns)
+        information = (E**2).sum(0)
+        informed = information > 1e-12
+        V = np.where(informed, information, 1.0)
+        ratio = inflation(E[: self.rows], self.correlation)
+        step = -(E.T @ self.residual) / V
+        std = np.where(informed, np.sqrt(ratio / V), np.inf)
+        p = np.where(informed, stats.chi2.sf((step / std) ** 2, 1), 1.0)
+        return step, std, p
 
     def mimicry(self, a: np.ndarray, b: np.ndarray) -> float:
         """Share of a's efficient information that b reproduces, 0 to 1."""

@@ -43,6 +43,9 @@ def inflation(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> Float[np.ndarray, "coordinate"]:
     """Factor on the variance of each column's score, at least one."""
+    E = columns.reshape(-1, 6, columns.shape[1])
     plain = (columns**2).sum(0)
-    coloured = np.diag(long_run(columns, correlation))
+    coloured = plain.copy()
+    for lag, weights in enumerate(correlation, start=1):
+        coloured += 2 * np.einsum("kci,kci,c->i", E[lag:], E[:-lag], weights)
     return np.maximum(coloured / np.maximum(plain, 1e-300), 1.0)
