@@ -59,9 +59,11 @@ def valid_rows(valid: Bool[Array, "time"]) -> Int[Array, "time"]:
 
     Gathering with them keeps the fixed length: the spare rows become empty intervals.
     """
-    order = jnp.argsort(~valid, stable=True)
-    last = jnp.maximum(jnp.sum(valid) - 1, 0)
-    return order[jnp.minimum(jnp.arange(valid.shape[0]), last)]
+    size, number = valid.shape[0], jnp.cumsum(valid)
+    # Every valid row goes to the place of its number, every other out of bounds.
+    place = jnp.where(valid, number - 1, size)
+    order = jnp.zeros(size, int).at[place].set(jnp.arange(size), mode="drop")
+    return order[jnp.minimum(jnp.arange(size), jnp.maximum(number[-1] - 1, 0))]
 
 
 def curve(
@@ -166,16 +168,16 @@ def slopes(t: Float[Array, "time"], value: Float[Array, "time"]) -> Float[Array,
     """
     step, rise = jnp.diff(t), jnp.diff(value)
     secant = jnp.where(step > 0, rise / jnp.where(step > 0, step, 1.0), 0.0)
-    none = jnp.zeros_like(step[:1])
-    before, after = (jnp.concatenate(p) for p in ((none, step), (step, none)))
-    left, right = (jnp.concatenate(p) for p in ((none, secant), (secant, none)))
+    # Two empty intervals at each end: the arrays below then have a sample more on each side.
+    steps, secants = jnp.pad(step, 2), jnp.pad(secant, 2)
+    before, after, left, right = steps[:-1], steps[1:], secants[:-1], secants[1:]
     inside = (before > 0) & (after > 0)
-    width = jnp.where(inside, before + after, 1.0)
-    central = (after * left + before * right) / width
+    central = (after * left + before * right) / jnp.where(inside, before + after, 1.0)
     # On a parabola the mean of the derivatives at two ends is the secant between them.
-    last = jnp.where(jnp.roll(inside, 1), 2 * left - jnp.roll(central, 1), left)
-    first = jnp.where(jnp.roll(inside, -1), 2 * right - jnp.roll(central, -1), right)
-    return jnp.where(inside, central, jnp.where(before > 0, last, first))
+    last = jnp.where(inside[:-2], 2 * left[1:-1] - central[:-2], left[1:-1])
+    first = jnp.where(inside[2:], 2 * right[1:-1] - central[2:], right[1:-1])
+    one_sided = jnp.where(before[1:-1] > 0, last, first)
+    return jnp.where(inside[1:-1], central[1:-1], one_sided)
 
 
 class _Piece(NamedTuple):

@@ -140,7 +140,7 @@ def plan(
         math.radians(kind.heading) if heading is None else heading,
         math.copysign(1.0, side), executes, timed, start, throttle, speed, Settings(), 0.0,
     )  # fmt: skip
-    limit = _rounded_up(kind.limit(settled) * lengths)
+    limit = rounded_up(kind.limit(settled) * lengths)
     if kind.timed:
         limit += timed * kind.stages(settled).count
     elif seconds is not None:
@@ -151,7 +151,7 @@ def plan(
         from_rest=kind.from_rest,
         longest_delay=_longest_delay(vessel),
     )
-    approach = _rounded_up(approach_limit(vessel, speed, settings))
+    approach = rounded_up(approach_limit(vessel, speed, settings))
     return dataclasses.replace(settled, settings=settings, approach_seconds=approach)
 
 
@@ -171,6 +171,8 @@ def run(
     """Run a plan; `speed` (m/s) or `throttle` in place of the plan's may be traced."""
     if speed is None and throttle is None:
         speed, throttle = plan.speed, plan.throttle
+    elif throttle is None and not Helm(vessel).propelled:
+        throttle = 0.0
     return run_trial(
         vessel, STANDARDS[plan.manoeuvre].stages(plan), speed, throttle, plan.settings,
         approach_seconds=plan.approach_seconds,
@@ -269,8 +271,8 @@ def default_step(length: float) -> float:
     return float(f"{min(candidates, key=lambda c: abs(math.log(c / wanted))):.1g}")
 
 
-def _rounded_up(seconds: float) -> float:
-    """Up to two digits: neighbouring speeds then share a compiled program."""
+def rounded_up(seconds: float) -> float:
+    """A time (s), up to two digits: neighbouring speeds then share a compiled program."""
     unit = 10.0 ** (math.floor(math.log10(seconds)) - 1)
     return math.ceil(seconds / unit - 1e-9) * unit
 
