@@ -344,24 +344,6 @@ def test_a_batch_is_its_runs_and_a_diverging_one_spoils_only_itself():
     assert np.sum(rows.accepted[1]) < 20 < np.sum(rows.accepted[0])
 
 
-def test_a_diverging_run_spoils_no_other_derivative():
-    vessel, stages = build(USV), zigzag(ANGLE, ANGLE, 2)
-
-    def last(X_u):
-        changed = replace(vessel, {"X_u": X_u})
-        carry, _ = executed(changed, stages, state_of(u=SPEED), THRUST, CALM, 0.1, 12.0)
-        return carry.switch_times[1]
-
-    def total(drag):
-        times = jax.vmap(last)(drag)
-        return jnp.sum(jnp.where(jnp.isnan(times), 0.0, times))
-
-    slopes = jax.jit(jax.grad(total))(jnp.array([-30.0, 4e4]))
-    assert np.all(np.isfinite(slopes))
-    assert slopes[0] != 0
-    assert slopes[1] == 0
-
-
 def test_a_run_without_compilation_is_the_compiled_one():
     arguments = build(LAGGING), zigzag(ANGLE, 0.01, 2), state_of(u=0.8), 150.0, CALM, 0.4, 1.2
     carry, rows = run(*arguments)
@@ -378,6 +360,25 @@ def trial_of(vessel, heading=ANGLE, settings=None, **options):
     return run_trial(vessel, stages, settings=settings, approach_seconds=100.0, **options)
 
 
+def test_diverging_runs_spoil_no_other_derivative():
+    vessel = build(USV)
+
+    def second_switch(values):
+        changed = replace(vessel, {"X_u": values[0], "N_r": values[1]})
+        return trial_of(changed, speed=SPEED).switch_times[1]
+
+    def total(values):
+        times = jax.vmap(second_switch)(values)
+        return jnp.sum(jnp.where(jnp.isnan(times), 0.0, times))
+
+    # The second diverges in the approach, the third after the execute.
+    values = jnp.array([[-30.0, -900.0], [4e4, -900.0], [-52.0, 3e4]])
+    slopes = jax.jit(jax.grad(total))(values)
+    assert np.all(np.isfinite(slopes))
+    assert np.all(slopes[0] != 0)
+    assert np.all(slopes[1:] == 0)
+
+
 def test_the_outcome_says_how_a_trial_ended():
     vessel = build(USV)
     done = trial_of(vessel, speed=SPEED)
@@ -389,13 +390,16 @@ def test_the_outcome_says_how_a_trial_ended():
     assert np.max(late.trajectory.t) == pytest.approx(float(late.execute_time) + 30.0)
     wild = trial_of(replace(vessel, {"N_r": 3e4}), speed=SPEED)
     assert Outcome(int(wild.trajectory.outcome)) is Outcome.DIVERGED
+    lost = trial_of(replace(vessel, {"X_u": 4e4}), speed=SPEED)
+    assert Outcome(int(lost.trajectory.outcome)) is Outcome.DIVERGED
+    assert not np.any(np.asarray(lost.trajectory.valid) & (np.asarray(lost.stage) >= 0))
     # 5 m/s is beyond what its thrusters can push: it never gets there.
     slow = trial_of(vessel, speed=5.0)
     assert Outcome(int(slow.trajectory.outcome)) is Outcome.APPROACH_UNSTEADY
     assert np.all(np.isnan(slow.switch_times))
     executing = np.asarray(slow.stage) >= 0
     assert not np.any(np.asarray(slow.trajectory.valid) & executing)
-    for trial in (done, late, wild, slow):
+    for trial in (done, late, wild, lost, slow):
         kept = np.asarray(trial.trajectory.valid)
         motion = [np.asarray(getattr(trial.trajectory, c))[kept] for c in MOTION_CHANNELS]
         assert np.all(np.isfinite(motion))

@@ -80,7 +80,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         executed={c: np.asarray(now)[rows] for c, now in actuation.now.items()},
         extra={},
         valid=np.ones(t.shape, bool),
-        outcome=int(Outcome.COMPLETED if _plausible(vessel, true) else Outcome.DIVERGED),
+        outcome=int(Outcome.COMPLETED if plausible(vessel, true) else Outcome.DIVERGED),
         name=recording.name,
         provenance=(
             f"predicted by {vessel.name!r} from the state at t = {t[0]:g} s", *notes, *derived,
@@ -388,7 +388,7 @@ def _rms(difference: dict[str, Samples]) -> dict[str, float]:
     return {name: float(np.sqrt(np.mean(m**2))) for name, m in known.items() if m.size}
 
 
-def _plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
+def plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
     """Whether motion is finite and slower than ten times the speed at Froude number one."""
     fast = 10 * math.sqrt(9.81 * float(vessel.rigid_body.length))
     finite = all(np.isfinite(values).all() for values in true.values())

@@ -122,7 +122,7 @@ class _Run(eqx.Module):
         )
         motion = self.advanced(carry, dt)
         g = self.end_function(carry, motion, carry.t + dt)
-        wild = ~_plausible(self.vessel, motion.state)
+        wild = ~plausible(self.vessel, motion.state)
         active = ~finished & ~wild
         crossing = active & (carry.mode == _NORMAL) & (g >= 0)
         span, slope = self.locate(carry, dt, crossing)
@@ -172,7 +172,7 @@ def select(condition: Bool[Array, ""], new: Motion, old: Motion) -> Motion:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
-def _plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
+def plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
     """Whether a state is finite and slower than ten times the speed at Froude number one."""
     fast = 10 * jnp.sqrt(9.81 * vessel.rigid_body.length)
     spinning = fast / vessel.rigid_body.length

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.simulation.control import CourseHold, Helm, speed_for, throttle_for
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
-from diffsea.simulation.switching import Row, executed_now, run_stages, select
+from diffsea.simulation.switching import Row, executed_now, plausible, run_stages, select
 from diffsea.types import Environment, Outcome, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -50,11 +50,11 @@ def approach(
     environment: Environment,
     settings: Settings,
     duration: float,
-) -> tuple[Motion, Scalar, Scalar, Bool[Array, ""], Row]:
+) -> tuple[Motion, Scalar, Scalar, Bool[Array, ""], Bool[Array, ""], Row]:
     """Straight run until speed and yaw rate are steady, for at most `duration` s.
 
-    Returns the motion, throttle and time at the execute, whether it became steady, and
-    the rows. The time of the execute has no derivative: in a steady state nothing
+    Returns the motion, throttle and time at the execute, whether it became steady, whether
+    it diverged, and the rows. The time of the execute has no derivative: in a steady state nothing
     depends on it.
     """
     zero = jnp.zeros(())
@@ -66,8 +66,8 @@ def approach(
     needed = jnp.ceil(settings.steady_lengths * scale / settings.step)
 
     def body(carry: tuple, _: None) -> tuple[tuple, Row]:
-        motion, memory, t, calm, last = carry
-        done = calm >= needed
+        motion, memory, t, calm, last, diverged = carry
+        done = (calm >= needed) | diverged
         memory, (pushed, angle) = hold.step(memory, motion.state, settings.step)
         orders = helm.orders(pushed, angle)
         # Orders hold from their time stamp on, so they stand beside the state before the step.
@@ -76,16 +76,19 @@ def approach(
         )
         new = advance(vessel, motion, orders, environment, t, settings.step)
         steady = _steady(vessel, motion.state, new.state, speed, scale, environment, settings)
+        diverged = diverged | (~done & ~plausible(vessel, new.state))
+        done = done | diverged
         calm = jnp.where(done, calm, jnp.where(steady, calm + 1, 0))
         t = jnp.where(done, t, t + settings.step)
         motion = select(~done, new, motion)
         last = jnp.where(done, last, pushed)
-        return (motion, memory, t, calm, last), row
+        return (motion, memory, t, calm, last, diverged), row
 
-    carry = (motion, hold.init(), zero, jnp.zeros((), int), jnp.asarray(throttle, float))
+    throttle, no = jnp.asarray(throttle, float), jnp.zeros((), bool)
+    carry = (motion, hold.init(), zero, jnp.zeros((), int), throttle, no)
     passes = math.ceil(duration / settings.step)
-    (motion, _, t, calm, throttle), rows = jax.lax.scan(body, carry, length=passes)
-    return motion, throttle, jax.lax.stop_gradient(t), calm >= needed, rows
+    (motion, _, t, calm, throttle, wild), rows = jax.lax.scan(body, carry, length=passes)
+    return motion, throttle, jax.lax.stop_gradient(t), calm >= needed, wild, rows
 
 
 def _memories(vessel: Vessel, settings: Settings) -> dict[str, int]:
@@ -144,23 +147,18 @@ def run_trial(
         rest = State(*(jnp.zeros(()) for _ in range(6)))
         motion = begin(vessel, rest, Helm(vessel).orders(0.0, 0.0), _memories(vessel, settings))
         began, steady, before = jnp.zeros(()), jnp.ones((), bool), None
+        wild = ~steady
     else:
         seconds = approach_seconds or approach_limit(vessel, float(speed), settings)
-        motion, throttle, began, steady, before = approach(
+        motion, throttle, began, steady, wild, before = approach(
             vessel, jnp.asarray(speed, float), throttle, environment, settings, seconds
         )
     carry, rows = run_stages(
         vessel, stages, motion, throttle, environment, began, settings.step, settings.seconds
     )
-    outcome = jnp.where(
-        ~steady,
-        Outcome.APPROACH_UNSTEADY,
-        jnp.where(
-            carry.diverged,
-            Outcome.DIVERGED,
-            jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT),
-        ),
-    )
+    outcome = jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT)
+    outcome = jnp.where(steady, outcome, Outcome.APPROACH_UNSTEADY)
+    outcome = jnp.where(wild | (steady & carry.diverged), Outcome.DIVERGED, outcome)
     first = _first_row(vessel, motion, began, stages, throttle)
     executed = [dataclasses.replace(r, accepted=r.accepted & steady) for r in (first, rows)]
     parts = executed if before is None else [before, *executed]
