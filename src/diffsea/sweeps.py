@@ -32,6 +32,7 @@ Places = tuple[tuple[str, tuple[str, ...]], ...]
 
 OF_THE_TRIAL = ("speed", "thrust")  # m/s, N: swept like parameters, though they are no part of it
 IMPOSSIBLE = "impossible"
+_UNFINISHED = (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY)
 _LANES = 64  # designs that run side by side; more of them leave the processor's cache
 
 
@@ -68,23 +69,24 @@ def sweep(
     **Returns:** a table with one row per design (its parameters, the trial's numbers in SI
     units, `imo_<number>` verdicts and the `outcome`), and vessel-steps per second.
 
-    Every design runs first for as long as the vessel as it is needs several times over; those
-    that take longer run again to the plan's limit.
+    Designs that take much longer than the vessel as it is run again, to the plan's limit.
 
     Raises:
         UserError: a name that is neither a parameter of the vessel nor of the trial.
     """
     places = _places(vessel, designs.names)
     values = np.asarray(designs.values, float)
-    brief = _brief(vessel, plan)
-    found, clock = _run_all(vessel, brief, places, values, progress)
-    slow = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY)) & found.possible
-    if brief != plan and slow.any():
-        progress(f"{slow.sum()} designs take longer; they run again")
-        again, more = _run_all(vessel, plan, places, values[slow], progress)
-        found = jax.tree.map(lambda old, new: _put(old, slow, new), found, again)
+    found, clock, left = None, _Clock(0, 0.0), np.ones(len(values), bool)
+    for shorter in _shortened(vessel, plan):
+        if found is not None:
+            progress(f"{left.sum()} designs take longer; they run again")
+        some, more = _run_all(vessel, shorter, places, values[left], progress)
+        found = some if found is None else jax.tree.map(_put(left), found, some)
         clock = clock.joined(more)
-    return _table(vessel, plan, designs, places, found), clock.rate
+        left = found.possible & np.isin(found.outcome, _UNFINISHED)
+        if not left.any():
+            break
+    return _table(vessel, plan, designs, found), clock.rate
 
 
 class _Found(NamedTuple):
@@ -106,8 +108,8 @@ class _Clock(NamedTuple):
         return self.steps / max(self.seconds, 1e-9)
 
 
-def _places(vessel: Vessel, names: Sequence[str]) -> Places:
-    """Where each swept number stands in the vessel; nowhere for those of the trial."""
+def check_names(vessel: Vessel, names: Sequence[str]) -> None:
+    """Raise `UserError` for a name that is neither a parameter of the vessel nor of the trial."""
     known = designed(vessel)
     for name in names:
         if name not in known and name not in OF_THE_TRIAL:
@@ -120,26 +122,39 @@ def _places(vessel: Vessel, names: Sequence[str]) -> Places:
         raise UserError("sweep the approach speed or the thrust, not both")
     if "thrust" in names and not Helm(vessel).propelled:
         raise UserError(f"{vessel.name!r} has no propulsion to command")
+
+
+def _places(vessel: Vessel, names: Sequence[str]) -> Places:
+    """Where each swept number stands in the vessel; nowhere for those of the trial."""
+    check_names(vessel, names)
+    known = designed(vessel)
     return tuple((name, known.get(name, ())) for name in names)
 
 
-def _brief(vessel: Vessel, plan: Plan) -> Plan:
-    """The plan with time limits a few times what the vessel as it is needs."""
+def _shortened(vessel: Vessel, plan: Plan) -> list[Plan]:
+    """The plan with time limits of twice and of eight times what the vessel itself needs.
+
+    A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
+    """
     trial, _ = standard.measured(vessel, plan)
     run = trial.trajectory
     if int(run.outcome) != Outcome.COMPLETED:
-        return plan
+        return [plan]
     before = float(trial.execute_time)
     after = float(np.max(np.asarray(run.t)[np.asarray(run.valid)])) - before
-    seconds = standard.rounded_up(3 * after)
-    if seconds > 0.7 * plan.settings.seconds:
-        seconds = plan.settings.seconds
-    approach = standard.rounded_up(3 * before) if before > 0 else plan.approach_seconds
-    return dataclasses.replace(
-        plan,
-        settings=dataclasses.replace(plan.settings, seconds=seconds),
-        approach_seconds=min(approach, plan.approach_seconds),
-    )
+    plans = []
+    for factor in (2.0, 8.0):
+        seconds = standard.rounded_up(factor * after)
+        if seconds > 0.7 * plan.settings.seconds:  # timed stages end by the clock
+            seconds = plan.settings.seconds
+        approach = standard.rounded_up(factor * before) if before > 0 else plan.approach_seconds
+        shorter = dataclasses.replace(
+            plan,
+            settings=dataclasses.replace(plan.settings, seconds=seconds),
+            approach_seconds=min(approach, plan.approach_seconds),
+        )
+        plans += [shorter] if shorter != plan else []
+    return [*plans, plan]
 
 
 def _run_all(
@@ -208,15 +223,18 @@ def _possible(vessel: Vessel) -> Bool[Array, ""]:
     return positive & definite
 
 
-def _put(old: np.ndarray, rows: np.ndarray, new: np.ndarray) -> np.ndarray:
-    merged = old.copy()
-    merged[rows] = new
-    return merged
+def _put(rows: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """A function that puts new values into some rows."""
+
+    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        merged = old.copy()
+        merged[rows] = new
+        return merged
+
+    return put
 
 
-def _table(
-    vessel: Vessel, plan: Plan, designs: Designs, places: Places, found: _Found
-) -> pd.DataFrame:
+def _table(vessel: Vessel, plan: Plan, designs: Designs, found: _Found) -> pd.DataFrame:
     """Parameters, numbers, verdicts and outcome of every design; nulls where it failed."""
     outcome = np.array([standard.label(Outcome(int(o))) for o in found.outcome], dtype=object)
     outcome[~found.possible] = IMPOSSIBLE

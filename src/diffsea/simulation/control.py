@@ -8,8 +8,8 @@ rudder angle, whatever the vessel is steered by.
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-import optimistix as optx
 
 from diffsea.errors import UserError
 from diffsea.types import Environment, Scalar, State
@@ -151,13 +151,26 @@ def _first_throttle(vessel: Vessel, speed: Scalar) -> Scalar:
 
 
 def _root(residual, guess: Scalar, args) -> Scalar:
-    solver = optx.Newton(rtol=1e-12, atol=1e-12)
-    options = {"lower": None, "upper": None}
-    solution = optx.root_find(
-        residual, solver, jnp.asarray(guess, float), args, options=options,
-        max_steps=64, throw=False,
-    )  # fmt: skip
-    return solution.value
+    """Where `residual(x, args)` is zero, by Newton's method; differentiable in `args`.
+
+    The iterations carry no derivative. One more step from the root is of length zero and
+    carries that of the implicit-function theorem.
+    """
+    fixed = jax.lax.stop_gradient(args)
+
+    def at(x: Scalar) -> tuple[Scalar, Scalar]:
+        return jax.jvp(lambda value: residual(value, fixed), (x,), (jnp.ones_like(x),))
+
+    def improved(loop: tuple) -> tuple:
+        x, _, count = loop
+        value, slope = at(x)
+        after = x - value / jnp.where(slope == 0, 1.0, slope)
+        return after, jnp.abs(after - x) > 1e-12 * (1 + jnp.abs(after)), count + 1
+
+    start = (jax.lax.stop_gradient(jnp.asarray(guess, float)), jnp.ones((), bool), 0)
+    x, _, _ = jax.lax.while_loop(lambda loop: loop[1] & (loop[2] < 64), improved, start)
+    slope = jax.lax.stop_gradient(at(x)[1])
+    return x - residual(x, args) / jnp.where(slope == 0, 1.0, slope)
 
 
 class CourseHold(eqx.Module):
