@@ -189,7 +189,7 @@ def test_an_effect_is_the_textbooks(name):
 STAGES = {
     "lag": {"time_constant": 0.6},
     "rate limit": {"rate_limit": 2.5},
-    "lag and rate limit": {"time_constant": 0.6, "rate_limit": 1.5},
+    "lag and rate limit": {"time_constant": 0.6, "rate_limit": 0.7},
     "delay": {"delay": 0.31},
     "all": {"delay": 0.31, "time_constant": 0.6, "rate_limit": 1.5, "deadband": 0.1},
 }

@@ -109,13 +109,9 @@ def test_momentum_force_is_fossens_and_does_no_work():
 
 def test_inertia_is_solved_with_both_off_diagonals():
     M = H.inertia(BOAT["hull"])
-    assert M[1][2] == pytest.approx(18 * 0.03 + 0.3) and M[2][1] == pytest.approx(
-        18 * 0.03 + 0.5
-    )
+    assert M[1][2] == pytest.approx(18 * 0.03 + 0.3) and M[2][1] == pytest.approx(18 * 0.03 + 0.5)
     assert (
-        M[2][2] == pytest.approx(1.6 + 18 * 0.03**2 + 0.9)
-        and M[0][0] == 19.2
-        and M[1][1] == 27.0
+        M[2][2] == pytest.approx(1.6 + 18 * 0.03**2 + 0.9) and M[0][0] == 19.2 and M[1][1] == 27.0
     )
     rates = H.solve_inertia(M, 1.0, 2.0, 3.0)
     np.testing.assert_allclose(np.array(M) @ rates, [1, 2, 3], atol=1e-13)
@@ -152,9 +148,7 @@ def test_crossflow_against_quadrature(v, r):
     hull = BARE | {"length": 1.8, "water_density": 1000.0}
     points = [-v / r] if r and abs(v / r) < 0.9 else None
     y = quad(lambda x: abs(v + x * r) * (v + x * r), -0.9, 0.9, points=points, epsabs=1e-13)[0]
-    n = quad(
-        lambda x: x * abs(v + x * r) * (v + x * r), -0.9, 0.9, points=points, epsabs=1e-13
-    )[0]
+    n = quad(lambda x: x * abs(v + x * r) * (v + x * r), -0.9, 0.9, points=points, epsabs=1e-13)[0]
     expected = (-0.5 * 1000 * 1.1 * 0.2 * y, -0.5 * 1000 * 1.1 * 0.2 * n)
     np.testing.assert_allclose(H.crossflow(hull, 1.1, v, r), expected, atol=1e-10)
 
@@ -206,9 +200,7 @@ def test_wind_acts_on_the_velocity_over_ground():
         "wind": {"speed": 2.0, "direction": math.pi},
         "current": {"speed": 2.0, "direction": 0.0},
     }
-    sim = simulate(
-        vessel(X_u=-1.0, Y_v=-1.0, N_r=-1.0), [(0, 0)], 5.0, both, (0, 0, 0.3, 0, 0, 0)
-    )
+    sim = simulate(vessel(X_u=-1.0, Y_v=-1.0, N_r=-1.0), [(0, 0)], 5.0, both, (0, 0, 0.3, 0, 0, 0))
     out = simulate(vessel(X_u=-1.0, Y_v=-1.0, N_r=-1.0), [(0, 0)], 5.0, both,
                    (0, 0, 0.3, 2 * math.cos(0.3), -2 * math.sin(0.3), 0)).at([5.0])  # fmt: skip
     assert abs(out["u_r"][0]) < 1e-10 and abs(out["v_r"][0]) < 1e-10
@@ -229,8 +221,7 @@ def test_wave_force_moves_a_free_mass_as_integrated_twice():
     out = simulate(vessel(), [(0, 0)], 9.0, wave).at([9.0])
     w = 2 * math.pi * 0.3
     s = (
-        2 * 81 / 2
-        + 5 * (math.cos(0.4) * 9 / w - (math.sin(9 * w + 0.4) - math.sin(0.4)) / w**2)
+        2 * 81 / 2 + 5 * (math.cos(0.4) * 9 / w - (math.sin(9 * w + 0.4) - math.sin(0.4)) / w**2)
     ) / 10
     assert out["x"][0] == pytest.approx(s * math.cos(0.9), abs=1e-9)
     assert out["y"][0] == pytest.approx(s * math.sin(0.9), abs=1e-9)
@@ -319,9 +310,7 @@ def test_ends_of_ramps_are_breaks():
     thruster.order(0.0, 0.0)
     thruster.order(1.0, 10.0)
     assert thruster.next_break(0.0, 1e-9) == 1.5
-    assert (
-        thruster.next_break(1.5, 1e-9) == 1.5 + 2.0
-    )  # 8 of 10 at 4 a second, 2 = R T by the lag
+    assert thruster.next_break(1.5, 1e-9) == 1.5 + 2.0  # 8 of 10 at 4 a second, 2 = R T by the lag
 
 
 def test_thrust_pushes_at_its_place_within_its_limits():
@@ -342,9 +331,7 @@ def test_effects_on_thrusters():
     assert [t.thrust(100, 0, 0) for t in ratio] == pytest.approx([90, 110])
     turned = Simulator(USV, {"thruster-misalignment": {"angle": 0.2}}).model.thrusters
     assert turned[0].push(100, 0, 0)[1] == pytest.approx(100 * math.sin(0.2))
-    slow = Simulator(
-        BOAT, {"thrust-lag": {"time_constant": 0.5}, "thrust-delay": {"delay": 0.3}}
-    )
+    slow = Simulator(BOAT, {"thrust-lag": {"time_constant": 0.5}, "thrust-delay": {"delay": 0.3}})
     assert slow.model.thrusters[0].time_constant == 0.75
     assert slow.model.thrusters[0].delay == pytest.approx(0.4)
     step = simulate(
@@ -471,9 +458,7 @@ def test_sensor_effects_on_a_known_motion():
     x = late + 0.3 * np.cos(0.5 * late) + 0.2 * np.sin(0.5 * late)
     np.testing.assert_allclose(out["x"][2:], x[2:], atol=1e-9)
     assert np.isnan(out["x"][:2]).all()
-    np.testing.assert_allclose(
-        out["y"], 0.3 * np.sin(0.5 * t) - 0.2 * np.cos(0.5 * t), atol=1e-9
-    )
+    np.testing.assert_allclose(out["y"], 0.3 * np.sin(0.5 * t) - 0.2 * np.cos(0.5 * t), atol=1e-9)
     np.testing.assert_allclose(out["u"], np.cos(0.5 * t), atol=1e-9)
     assert S.wrap(np.array([3.5, -3.5, 0.2])) == pytest.approx(
         [3.5 - 2 * math.pi, 2 * math.pi - 3.5, 0.2]

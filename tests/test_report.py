@@ -28,7 +28,7 @@ from diffsea.vessel.effects import EFFECTS
 
 
 USV = pathlib.Path(__file__).parent / "oracle" / "usv.toml"
-NASTY = "zig<zag> & \"20\".csv"
+NASTY = 'zig<zag> & "20".csv'
 SECTIONS = (
     "verdict", "audit", "where", "what", "before-and-after", "parameters", "remains", "provenance",
 )  # fmt: skip

@@ -37,9 +37,7 @@ class Segment:
         if self.T == 0.0 or self.gap == 0.0:
             return self.target
         left = min(abs(self.gap), self.R * self.T)
-        return self.target - math.copysign(
-            left * math.exp(-(dt - self.ramp) / self.T), self.gap
-        )
+        return self.target - math.copysign(left * math.exp(-(dt - self.ramp) / self.T), self.gap)
 
     def breakpoints(self) -> list[float]:
         return [self.start, self.start + self.ramp]

@@ -37,9 +37,7 @@ def suite(scale: float = 1.0, position_every: int = 1) -> dict[str, Sensor]:
     velocity = Sensor(0.02 * scale, 1e-3, position_every)
     compass = Sensor(math.radians(0.5) * scale, 1e-4)
     gyro = Sensor(math.radians(0.2) * scale, 1e-4)
-    return dict(
-        zip(CHANNELS, (position, position, compass, velocity, velocity, gyro), strict=True)
-    )
+    return dict(zip(CHANNELS, (position, position, compass, velocity, velocity, gyro), strict=True))
 
 
 def gust(rng, start, end, std=(0.02, 0.02, 0.01), tau=(5.0, 5.0, 3.0), step=0.1):

@@ -231,11 +231,7 @@ class Simulator:
         if not self.pieces:
             return np.repeat(self.state[:, None], len(t), axis=1)
         index = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, None)
-        return (
-            np.array([self.pieces[i](q) for i, q in zip(index, t, strict=True)])
-            .reshape(-1, 6)
-            .T
-        )
+        return np.array([self.pieces[i](q) for i, q in zip(index, t, strict=True)]).reshape(-1, 6).T
 
 
 def crossing(g, dense, t0, t1, s0, direction=0):
@@ -254,9 +250,7 @@ def first_kink(kinks, dense, t0, t1, s0, s1):
     a, b = kinks(t0, s0), kinks(t1, s1)
     found = []
     for i in np.flatnonzero((a * b < 0) & (np.maximum(abs(a), abs(b)) > VISIBLE)):
-        when = brentq(
-            lambda q, i=i: kinks(q, dense(q))[i] if q > t0 else a[i], t0, t1, xtol=1e-13
-        )
+        when = brentq(lambda q, i=i: kinks(q, dense(q))[i] if q > t0 else a[i], t0, t1, xtol=1e-13)
         if t0 + MARGIN < when < t1 - MARGIN:
             found.append(when)
     return min(found, default=None)

@@ -71,9 +71,7 @@ def thrust_for_speed(vessel, speed: float, high: float = 1e5) -> float:
 
 def steady_turn(vessel, total: float, delta: float, guess=None) -> np.ndarray:
     """(u, v, r) of the steady turn in still water, from the force balance alone."""
-    start = (
-        guess if guess is not None else (steady_speed(vessel, total), 0.0, 0.1 * np.sign(delta))
-    )
+    start = guess if guess is not None else (steady_speed(vessel, total), 0.0, 0.1 * np.sign(delta))
     command = twin(vessel, total, delta)
     return fsolve(lambda s: balance(vessel, None, command, *s), start, xtol=1e-13)
 
@@ -159,9 +157,7 @@ def circle(
         elif quarter == 2:
             trial.metrics["tactical_diameter"] = sign * across
     last = {k: float(v[-1]) for k, v in sim.at([sim.t]).items()}
-    trial.metrics["steady_turning_diameter"] = (
-        2 * math.hypot(last["u"], last["v"]) / abs(last["r"])
-    )
+    trial.metrics["steady_turning_diameter"] = 2 * math.hypot(last["u"], last["v"]) / abs(last["r"])
     finish(trial, heading0)
     return trial
 

@@ -24,6 +24,7 @@ from diffsea.types import Trajectory
 
 _OWN = ("recordings", "versions", "python")  # told in a form of their own
 
+
 def parameter_table(rows: Sequence[dict]) -> Html:
     """Fitted parameters with errors and where they come from."""
     cells = [

@@ -75,9 +75,7 @@ class _Run(eqx.Module):
         at = jnp.minimum(carry.stage, self.stages.count - 1)
         s, state = self.stages, motion.state
         turned = s.on_heading[at] * (state.psi - self.heading)
-        return (
-            turned + s.on_time[at] * (t - carry.began) + s.on_speed[at] * state.u - s.level[at]
-        )
+        return turned + s.on_time[at] * (t - carry.began) + s.on_speed[at] * state.u - s.level[at]
 
     def locate(self, carry: Carry, dt: Scalar, wanted: Bool[Array, ""]) -> tuple:
         """Step to the event within (0, dt] and the end function's slope there.
@@ -117,9 +115,7 @@ class _Run(eqx.Module):
         limit = jnp.minimum(self.seconds, (carry.grid + 1) * self.step)
         dt = jnp.where(carry.mode == _NORMAL, self.start + limit - carry.t, carry.planned)
         finished = (carry.stage >= self.stages.count) | carry.diverged
-        finished = finished | (
-            (carry.mode == _NORMAL) & (carry.grid * self.step >= self.seconds)
-        )
+        finished = finished | ((carry.mode == _NORMAL) & (carry.grid * self.step >= self.seconds))
         motion = self.advanced(carry, dt)
         g = self.end_function(carry, motion, carry.t + dt)
         wild = ~plausible(self.vessel, motion.state)
@@ -157,9 +153,7 @@ class _Run(eqx.Module):
         return Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
 
 
-def executed_now(
-    vessel: Vessel, motion: Motion, orders: dict[str, Scalar]
-) -> dict[str, Scalar]:
+def executed_now(vessel: Vessel, motion: Motion, orders: dict[str, Scalar]) -> dict[str, Scalar]:
     """Executed actuation from now on: what answers at once has answered."""
     return {
         c: servo.target(orders[c]) if servo.direct else motion.executed[c]
@@ -176,9 +170,7 @@ def plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
     """Whether a state is finite and slower than ten times the speed at Froude number one."""
     fast = 10 * jnp.sqrt(9.81 * vessel.rigid_body.length)
     spinning = fast / vessel.rigid_body.length
-    within = (
-        (jnp.abs(state.u) < fast) & (jnp.abs(state.v) < fast) & (jnp.abs(state.r) < spinning)
-    )
+    within = (jnp.abs(state.u) < fast) & (jnp.abs(state.v) < fast) & (jnp.abs(state.r) < spinning)
     return within & jnp.isfinite(state.x + state.y + state.psi)
 
 

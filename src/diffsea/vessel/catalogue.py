@@ -312,9 +312,7 @@ def _propeller(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActu
     )
 
 
-def _rudder(
-    name: str, table: Table, body: RigidBody, scaling: Scaling | None
-) -> AbstractActuator:
+def _rudder(name: str, table: Table, body: RigidBody, scaling: Scaling | None) -> AbstractActuator:
     where = f"[[rudder]] {name!r}"
     limits = ("max_angle", "min_angle")
     derivatives = {key: _needed(table, key, where) for key in table if is_rudder_derivative(key)}
@@ -380,9 +378,7 @@ def _apply_latency(vessel: Vessel, table: Table) -> Vessel:
     return vessel
 
 
-def updated_document(
-    document: Table, values: Mapping[str, float], effects: list[Table]
-) -> Table:
+def updated_document(document: Table, values: Mapping[str, float], effects: list[Table]) -> Table:
     """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables."""
     new = copy.deepcopy(document)
     for name, value in values.items():
@@ -408,7 +404,3 @@ def _set_actuator(document: Table, name: str, value: float) -> None:
 def dump(document: Table) -> str:
     """The document as TOML text."""
     return tomli_w.dumps(document)
-
-
-
-

@@ -48,9 +48,7 @@ def polynomial_force(
     sums = {"X": 0.0, "Y": 0.0, "N": 0.0}
     for name, coefficient in derivatives.items():
         axis, letters = name.split("_")
-        sums[axis] = sums[axis] + coefficient * monomial(
-            axis, letters, values, u_is_deviation
-        )
+        sums[axis] = sums[axis] + coefficient * monomial(axis, letters, values, u_is_deviation)
     return Force(**sums)
 
 
@@ -83,9 +81,7 @@ class Scaling(eqx.Module):
     water_density: Scalar  # kg/m^3
     reference_speed: Scalar = 0.0  # m/s
 
-    def force(
-        self, derivatives: dict[str, Scalar], water: State, delta: Scalar = 0.0
-    ) -> Force:
+    def force(self, derivatives: dict[str, Scalar], water: State, delta: Scalar = 0.0) -> Force:
         """Dimensional force of a prime set at this motion (and rudder angle, rad)."""
         # The small constant keeps the square root differentiable at rest.
         speed = jnp.sqrt(water.u**2 + water.v**2 + 1e-12)
@@ -195,5 +191,3 @@ def is_derivative(name: str) -> bool:
 def is_rudder_derivative(name: str) -> bool:
     """Whether `name` is a derivative with the rudder angle d, such as `N_d` or `Y_vvd`."""
     return RUDDER_DERIVATIVE.fullmatch(name) is not None
-
-

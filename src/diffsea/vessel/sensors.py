@@ -1,6 +1,5 @@
 """What is measured, as a function of the state: offsets, biases, latencies, lever arms."""
 
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -55,5 +54,3 @@ class Sensors(eqx.Module):
             "r": past["r"] + self.gyro_bias,
         }
         return jnp.stack([measured[channel] for channel in MOTION_CHANNELS])
-
-
