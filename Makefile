@@ -24,7 +24,7 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 experiments: setup
 	for run in experiments/*/run.py; do $(BIN)/python $$run || exit 1; done
