@@ -178,7 +178,6 @@ def test_an_effect_is_the_textbooks(name):
     )(settled(vessel, 70))
     found = {channel: np.asarray(getattr(states, channel)) for channel in MOTION_CHANNELS}
     truth = reference.at(step * np.arange(1, len(found["x"]) + 1))
-    print(name, disagreement(found, truth), disagreement(plain.at(truth["t"]), truth))
     assert disagreement(found, truth) < LIMITS.get(name, 1e-8)
     assert disagreement(plain.at(truth["t"]), truth) > 1e-2
 
@@ -310,7 +309,6 @@ def test_a_latency_is_its_taylor_series_to_second_order():
         found, truth = shown_by(Sensors(**late)), turning().at(TIMES - delay)
         errors.append([np.max(np.abs(found[c] - truth[c])) for c in MOTION_CHANNELS])
     errors = np.array(errors)
-    print(errors)
     assert np.all(errors[1] < 1e-4)
     np.testing.assert_array_less(7.0, errors[0] / errors[1])  # 8 of a third-order remainder
 

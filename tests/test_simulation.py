@@ -84,14 +84,15 @@ CASES = {  # documents, and the least order in the step that a zig-zag must conv
     "delay, lag and rate limit": ([varied(SMOOTH, servo=servo(0.7, 60.0, 0.33))], 3.8),
     # A jump inside a step: third order, with a factor that depends on where it falls.
     "delay alone": ([varied(SMOOTH, servo=servo(delay=float(d))) for d in DELAYS], 2.7),
-    "modulus": ([USV], 2.5),
+    # So does a kink in the second derivative of the yaw rate's drag.
+    "modulus": ([varied(USV, {"N_rr": float(d)}) for d in np.linspace(-700, -500, 6)], 2.5),
 }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_zigzag_converges_through_its_events(case):
     documents, order = CASES[case]
-    steps = np.array([0.2, 0.1, 0.05, 0.025])
+    steps = np.array([0.1, 0.05, 0.025])
     errors = np.zeros((len(documents), len(steps), 2))
     for document, row in zip(documents, errors, strict=True):
         reference = oracle.zigzag(document, THRUST, executes=4, speed=SPEED)
@@ -103,7 +104,6 @@ def test_a_zigzag_converges_through_its_events(case):
             row[k] = disagreement(found, reference.sim.at(t)), np.max(np.abs(times))
     size = np.sqrt(np.mean(errors**2, axis=0))
     slopes = np.polyfit(np.log(steps), np.log(size), 1)[0]
-    print(case, size, slopes)
     assert np.all(slopes > order)
     assert size[-1, 0] < 2e-6
 
@@ -116,7 +116,6 @@ def test_a_boat_with_every_actuator_stage_converges_to_the_independent_simulator
         _, rows = run(*arguments, step, 20.0, 0.15)
         t, found = columns(rows, until=reference.sim.t)
         errors.append(disagreement(found, reference.sim.at(t)))
-    print(errors)
     assert errors[0] < 1e-3
     assert errors[0] / errors[1] > 8**2.5  # |r| r and |v| v change sign: not the full order
 
@@ -208,7 +207,6 @@ def test_derivatives_of_trial_numbers_are_those_of_the_independent_simulator(met
     values = np.array(reference(DRIFTING))
     np.testing.assert_allclose(jax.jit(function)(at), values, rtol=2e-6)
     forward = jax.jit(jax.jacfwd(function))(at)
-    print(largest_error(forward, truth, at, values))
     assert largest_error(forward, truth, at, values) < 1e-5
 
 
@@ -254,8 +252,9 @@ def test_derivatives_are_right_where_no_event_comes():
     def metrics(vessel):
         stages = zigzag(ANGLE, 3.0, 3)
         carry, rows = executed(vessel, stages, state_of(u=SPEED), THRUST, CALM, 0.05, 4.0)
-        last = jnp.sum(rows.accepted) - 1 + 0 * jnp.sum(carry.stage)
-        return jnp.stack([getattr(rows.state, c)[last] for c in MOTION_CHANNELS])
+        end = jnp.sum(rows.accepted) - 1
+        last = jnp.stack([getattr(rows.state, c)[end] for c in MOTION_CHANNELS])
+        return jnp.where(jnp.all(jnp.isnan(carry.switch_times)), last, jnp.nan)
 
     def reference(document):
         command = oracle.twin(document, THRUST, ANGLE)
@@ -264,10 +263,7 @@ def test_derivatives_are_right_where_no_event_comes():
 
     function, at = by_parameters(metrics, build(SMOOTH), names)
     truth, values = differences(SMOOTH, reference, names), np.array(reference(SMOOTH))
-    for mode in (jax.jacfwd, jax.jacrev):
-        assert largest_error(jax.jit(mode(function))(at), truth, at, values) < 1e-5
-    carry, _ = run(build(SMOOTH), zigzag(ANGLE, 3.0, 3), state_of(u=SPEED), THRUST, CALM, 0.05, 4.0)
-    assert np.all(np.isnan(carry.switch_times))
+    assert largest_error(jax.jit(jax.jacrev(function))(at), truth, at, values) < 1e-5
 
 
 def flipped_at_the_sample(vessel, step, seconds):
@@ -304,7 +300,6 @@ def test_only_located_events_have_derivatives_that_converge():
             metrics = functools.partial(scheme, step=step, seconds=6.0)
             function, at = by_parameters(metrics, build(USV), names)
             slopes[scheme, step] = jax.jit(jax.jacfwd(function))(at) / truth
-    print(slopes, truth)
     np.testing.assert_allclose(slopes[located_in_the_step, 0.2], 1, rtol=1e-2)
     np.testing.assert_allclose(slopes[located_in_the_step, 0.02], 1, rtol=1e-5)
     # The factor by which the naive scheme is wrong stays as the step goes to zero.
