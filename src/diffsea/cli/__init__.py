@@ -7,7 +7,6 @@ set before JAX starts.
 import argparse
 import importlib
 import importlib.metadata
-import importlib.util
 import os
 import pathlib
 import sys
@@ -37,6 +36,10 @@ examples:
   diffsea metrics run1.csv run2.csv --length 4.9
   diffsea audit field/*.csv --mapping field.toml
   diffsea predict usv.toml run1.csv
+  diffsea fit usv.toml run1.csv run2.csv --test run3.csv
+  diffsea diagnose usv.toml run*.csv
+  diffsea sensitivity kvlcc2 --manoeuvre zigzag
+  diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
 
 diffsea COMMAND --help tells more. Exit status: 0 done, 1 the work failed (the message says
 what to do), 2 bad usage.
@@ -91,8 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"diffsea {version}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in _MODULES:
-        if importlib.util.find_spec(f"diffsea.cli.{name}") is not None:
-            importlib.import_module(f"diffsea.cli.{name}").register(commands)
+        importlib.import_module(f"diffsea.cli.{name}").register(commands)
     return parser
 
 
@@ -100,6 +102,7 @@ def prepare_jax() -> None:
     """XLA flags, 64-bit numbers and a cache of compiled programs that outlives the command."""
     if "jax" not in sys.modules:
         os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on slow compiling
     import jax
 
     jax.config.update("jax_enable_x64", True)

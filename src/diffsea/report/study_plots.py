@@ -34,7 +34,10 @@ def save_tornado(relative: Mapping[str, Mapping[str, float]], path: Path, title:
     for place, number in enumerate(shown):
         ax = figure.add_subplot((len(shown) + 1) // 2, 2, place + 1)
         row = relative[number]
-        strongest = sorted(row, key=lambda name: -abs(row[name]))[:_BARS][::-1]
+        least = 1e-3 * max(map(abs, row.values()))
+        strongest = sorted(
+            (name for name in row if abs(row[name]) > least), key=lambda name: abs(row[name])
+        )[-_BARS:]
         values = [row[name] for name in strongest]
         ax.barh(strongest, values, color=[BLUE if v > 0 else ORANGE for v in values])
         ax.axvline(0, color="black", lw=0.8)
@@ -70,7 +73,7 @@ def save_map(table: pd.DataFrame, axes: tuple[str, str], path: Path, title: str 
         figure.colorbar(drawn, ax=ax)
         ax.set_title(number, fontsize=10)
         ax.set(xlabel=axes[0], ylabel=axes[1])
-    figure.suptitle(title)
+    figure.suptitle(f"{title} (SI units)")
     figure.savefig(path, dpi=120, format="png")
 
 

@@ -1,0 +1,161 @@
+"""Replays against closed forms: one boat going straight, one turning at rest."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diffsea.errors import UserError
+from diffsea.simulation.replay import (
+    horizon_errors,
+    recorded_actuation,
+    replay,
+    replay_errors,
+)
+from diffsea.types import Outcome, Trajectory
+from diffsea.vessel.catalogue import build
+from diffsea.vessel.sensors import Sensors
+
+
+def boat(**thruster):
+    """Linear drag only: u' = (T - 20 u) / 100, one thruster on the centreline."""
+    hull = {"length": 4.0, "beam": 1.0, "draught": 0.2, "mass": 100.0, "I_z": 50.0}
+    hull |= {"X_u": -20.0, "Y_v": -20.0, "N_r": -50.0}
+    return build({"hull": hull, "thruster": [{"name": "screw", "x": -1.0, **thruster}]})
+
+
+def straight(t, u0=1.0, thrust=60.0, psi=0.4):
+    """The closed form of a straight run from u0 under constant thrust."""
+    end = thrust / 20
+    u = end + (u0 - end) * np.exp(-0.2 * t)
+    way = end * t + (u0 - end) * (1 - np.exp(-0.2 * t)) / 0.2
+    zero = np.zeros_like(t)
+    return Trajectory(
+        t, way * np.cos(psi), way * np.sin(psi), psi + zero, u, zero, zero,
+        {"screw": thrust + zero}, {}, {}, np.ones(t.shape, bool), name="straight",
+    )  # fmt: skip
+
+
+def missing(run, *channels):
+    return dataclasses.replace(run, **{c: np.full(run.t.shape, np.nan) for c in channels})
+
+
+UNEVEN = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.4, 200))
+UNEVEN = UNEVEN - UNEVEN[0]
+
+
+def test_a_straight_run_is_the_closed_form_at_uneven_times():
+    run = straight(UNEVEN)
+    predicted = replay(boat(), run)
+    assert predicted.outcome == Outcome.COMPLETED
+    np.testing.assert_array_equal(predicted.t, run.t)
+    for channel in ("x", "y", "psi", "u", "v", "r"):
+        np.testing.assert_allclose(getattr(predicted, channel), getattr(run, channel), atol=1e-6)
+    assert replay_errors(predicted, run)["position"] < 1e-6
+    assert "reconstructed from the orders" in " ".join(predicted.provenance)
+
+
+def test_coarse_samples_are_stepped_finely():
+    """Samples 5 s apart, four times the time constant of yaw: RK4 in one step diverges."""
+    t = np.arange(0.0, 100.0, 12.0)
+    predicted = replay(boat(), dataclasses.replace(straight(t), r=np.append(0.5, 0 * t[1:])))
+    assert predicted.r[1] == pytest.approx(0.5 * np.exp(-12.0), abs=1e-6)
+    assert predicted.u[-1] == pytest.approx(straight(t).u[-1], abs=1e-5)
+
+
+def test_orders_hold_until_the_next_and_lag_as_the_servo_says():
+    t = np.arange(0.0, 20.0, 0.25)
+    run = dataclasses.replace(straight(t), commanded={"screw": np.where(t < 5, 0.0, 60.0)})
+    late = replay(boat(delay=1.0, time_constant=0.5), run).executed["screw"]
+    expected = np.where(t < 6, 0.0, 60 * (1 - np.exp(-np.maximum(t - 6, 0) / 0.5)))
+    np.testing.assert_allclose(late, expected, atol=1e-9)
+    direct = replay(boat(max_force=40.0), run)
+    np.testing.assert_array_equal(direct.executed["screw"], np.where(t < 5, 0.0, 40.0))
+    np.testing.assert_array_equal(direct.commanded["screw"], run.commanded["screw"])
+
+
+def test_measured_actuation_is_taken_as_measured_unless_told_otherwise():
+    t = np.arange(0.0, 20.0, 0.25)
+    run = dataclasses.replace(straight(t), executed={"screw": np.full(t.shape, 30.0)})
+    slower = straight(t, thrust=30.0)
+    assert replay(boat(), run).u[-1] == pytest.approx(slower.u[-1], abs=1e-6)
+    assert replay(boat(), run, measured_actuation=False).u[-1] == pytest.approx(
+        straight(t).u[-1], abs=1e-6
+    )
+    patchy = dataclasses.replace(run, executed={"screw": np.where(t > 5, 30.0, np.nan)})
+    assert recorded_actuation(boat(), patchy)[1] == {}
+
+
+def test_a_start_that_was_not_measured_is_derived():
+    run = missing(straight(UNEVEN), "u", "v", "r")
+    predicted = replay(boat(), run)
+    assert predicted.u[0] == pytest.approx(1.0, abs=0.02)
+    assert abs(predicted.v[0]) < 0.01 and predicted.r[0] == 0
+    assert "u and v not recorded" in " ".join(predicted.provenance)
+    assert set(replay_errors(predicted, run)) == {"position", "heading"}
+    assert set(replay_errors(predicted, missing(straight(UNEVEN), "x"))) == {
+        "heading", "u", "v", "r"
+    }  # fmt: skip
+
+
+def test_late_samples_start_the_channel_where_it_begins():
+    run = straight(UNEVEN)
+    x = run.x.copy()
+    x[:3] = np.nan
+    predicted = replay(boat(), dataclasses.replace(run, x=x))
+    assert predicted.x[0] == pytest.approx(run.x[3])
+
+
+def test_the_sensors_errors_are_taken_off_and_put_on_again():
+    """A boat that drives straight, seen through a turned compass and a late receiver."""
+    vessel = boat()
+    wrong = Sensors(heading_offset=0.2, gyro_bias=0.01, lever_x=1.0, latency_position=0.5)
+    vessel = dataclasses.replace(vessel, sensors=wrong)
+    t = np.arange(0.0, 60.0, 0.1)
+    true, earlier = straight(t), straight(np.maximum(t - 0.5, 0))
+    seen = dataclasses.replace(
+        true, x=earlier.x + np.cos(0.4), y=earlier.y + np.sin(0.4), psi=true.psi + 0.2,
+        r=true.r + 0.01,
+    )  # fmt: skip
+    predicted = replay(vessel, seen)
+    errors = replay_errors(predicted, seen)
+    assert errors["position"] < 1e-3 and errors["heading"] < 1e-9 and errors["r"] < 1e-9
+    ahead = horizon_errors(vessel, seen, horizons=(20.0,))
+    assert ahead[20.0]["position"] < 1e-3 and ahead[20.0]["heading"] < 1e-9
+
+
+def test_horizons_grow_as_the_closed_form_of_a_wrong_thrust():
+    """Thrust 6 N too small from the right speed: u falls behind by 0.3 (1 - exp(-h / 5))."""
+    t = np.arange(0.0, 100.0, 0.1)
+    run = straight(t)
+    weak = dataclasses.replace(run, commanded={"screw": np.full(t.shape, 54.0)})
+    found = horizon_errors(boat(), weak, horizons=(5.0, 20.0, 60.0, 200.0))
+    assert list(found) == [5.0, 20.0, 60.0]
+    for h, errors in found.items():
+        behind = 0.3 * (1 - np.exp(-h / 5))
+        assert errors["u"] == pytest.approx(behind, abs=1e-5)
+        assert errors["position"] == pytest.approx(0.3 * h - 5 * behind, abs=1e-4)
+        assert errors["starts"] == {5.0: 10, 20.0: 8, 60.0: 4}[h]
+
+
+def test_horizons_count_only_where_there_are_samples_to_compare():
+    t = np.arange(0.0, 61.0, 0.5)
+    run = missing(straight(t), "v")
+    there = (np.arange(t.size) % 2 == 0) & (t < 30)  # positions at 1 Hz, then none
+    x, y = (np.where(there, p, np.nan) for p in (run.x, run.y))
+    found = horizon_errors(boat(), dataclasses.replace(run, x=x, y=y), horizons=(5.0, 30.0))
+    assert "v" not in found[5.0] and found[5.0]["position"] < 1e-3
+    assert "position" not in found[30.0] and found[30.0]["u"] < 1e-5
+    assert horizon_errors(boat(), run, horizons=(100.0,)) == {}
+
+
+def test_divergence_and_missing_orders_are_told():
+    run = straight(np.arange(0.0, 60.0, 0.5))
+    wild = dataclasses.replace(run, commanded={"screw": np.full(run.t.shape, 1e6)})
+    assert replay(boat(), wild).outcome == Outcome.DIVERGED
+    other = dataclasses.replace(run, commanded={"engine": run.t})
+    with pytest.raises(UserError, match="neither a cmd_screw nor an exec_screw.*it has: engine"):
+        replay(boat(), other)
+    empty = dataclasses.replace(run, commanded={"screw": np.full(run.t.shape, np.nan)})
+    with pytest.raises(UserError, match="no value"):
+        replay(boat(), empty)
