@@ -69,7 +69,8 @@ CHOSEN = ("mass", "I_z", "x_G", "length", "draught", "X_uu", "Y_v", "N_r", "N_rd
 @pytest.mark.parametrize("name", CHOSEN)
 def test_derivatives_are_those_of_the_trials_own_numbers(name, derivatives, numbers):
     """Fourth-order central differences, whose own error is far below the tolerance."""
-    by = 1e-3 if name != "Y_rdot" else 0.2
+    # A thruster turned further than this makes the approach last longer.
+    by = {"Y_rdot": 0.2, "starboard.angle": 1e-5}.get(name, 1e-3)
     runs = {k: numbers(changed(name, k * by)[0]) for k in (-2, -1, 1, 2)}
     step = changed(name, by)[1]
     nominal = numbers(DOCUMENT)

@@ -48,15 +48,16 @@ what to do), 2 bad usage.
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    debug = False
     try:
         args = _parser().parse_args(argv)
-    except SystemExit as ended:  # after help, or a usage error that argparse has told
-        return int(ended.code or 0)
-    try:
+        debug = args.debug
         prepare_jax()
         args.run(args)
         sys.stdout.flush()
         return 0
+    except SystemExit as ended:  # after help, or a usage error that argparse has told
+        return int(ended.code or 0)
     except UserError as error:
         print(f"diffsea: error: {error}", file=sys.stderr)
         return 1
@@ -67,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
-        return _bug(error, args.debug)
+        return _bug(error, debug)
 
 
 def _bug(error: Exception, debug: bool) -> int:
