@@ -263,3 +263,27 @@ def test_unknown_parameters_are_told_with_the_nearest(command, ends):
 def test_an_unknown_swept_parameter_is_told_with_the_nearest(ends):
     status, told = ends("sweep", None, None, "--grid", "maas=1:2:2")
     assert status == 1 and "did you mean 'mass'" in told
+
+
+EXCESSIVE = {
+    "--step": ("1e-9", "take a longer step"),
+    "--speed": ("1e-9", "take a longer step"),
+    "--executes": ("1000", "at most 100"),
+}
+
+
+@pytest.mark.parametrize("command", OF_TRIALS)
+@pytest.mark.parametrize("option", EXCESSIVE)
+def test_what_would_never_end_is_refused(command, option, ends):
+    value, message = EXCESSIVE[option]
+    status, told = ends(command, None, None, option, value)
+    assert status == 1 and message in told
+
+
+@pytest.mark.parametrize(
+    "words", [("--grid", "mass=1:2:99999999"), ("--sample", "9999999", "mass=1:2")]
+)
+def test_too_many_designs_are_refused(words, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["sweep", "wamv", *TRIAL, *words, "-o", str(out)]) == 1
+    assert "designs are too many" in capsys.readouterr().err and not out.exists()

@@ -159,3 +159,7 @@ def test_divergence_and_missing_orders_are_told():
     empty = dataclasses.replace(run, commanded={"screw": np.full(run.t.shape, np.nan)})
     with pytest.raises(UserError, match="no value"):
         replay(boat(), empty)
+    with pytest.raises(UserError, match="u was not recorded, nor anything to derive it from"):
+        replay(boat(), missing(run, "x", "y", "u", "v"))
+    with pytest.raises(UserError, match="too long to replay.*unit of its time"):
+        replay(boat(), dataclasses.replace(run, t=1e9 * run.t))

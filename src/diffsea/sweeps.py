@@ -33,6 +33,7 @@ Places = tuple[tuple[str, tuple[str, ...]], ...]
 OF_THE_TRIAL = ("speed", "thrust")  # m/s, N: swept like parameters, though they are no part of it
 IMPOSSIBLE = "impossible"
 _UNFINISHED = (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY)
+_MOST_DESIGNS = 1_000_000
 _LANES = 64  # designs that run side by side; more of them leave the processor's cache
 
 
@@ -45,6 +46,7 @@ class Designs(NamedTuple):
 
 def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
     """All combinations of evenly spaced values: from, to and how many, by name."""
+    _check_count(math.prod(number for *_, number in axes.values()))
     lines = [np.linspace(start, stop, number) for start, stop, number in axes.values()]
     points = np.stack([axis.ravel() for axis in np.meshgrid(*lines, indexing="ij")], axis=-1)
     return Designs(tuple(axes), points)
@@ -52,10 +54,16 @@ def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
 
 def sample(axes: Mapping[str, tuple[float, float]], count: int, seed: int = 0) -> Designs:
     """A Latin hypercube: `count` random designs that cover every axis evenly."""
+    _check_count(count)
     low, high = np.array(list(axes.values()), float).T
     cube = scipy.stats.qmc.LatinHypercube(len(axes), rng=np.random.default_rng(seed))
     points = cube.random(count)
     return Designs(tuple(axes), low + points * (high - low))
+
+
+def _check_count(count: int) -> None:
+    if count > _MOST_DESIGNS:
+        raise UserError(f"{count} designs are too many; at most {_MOST_DESIGNS} are run at once")
 
 
 def sweep(

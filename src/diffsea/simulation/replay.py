@@ -25,6 +25,7 @@ from diffsea.vessel.servo import OrderHistory, Response
 
 HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g)
+_MOST_STEPS = 10_000_000
 _PADDING = 256  # steps are padded to a multiple, so that recordings share a program
 _LATENCY = {
     "x": "latency_position", "y": "latency_position", "psi": "latency_heading",
@@ -203,6 +204,11 @@ def _steps(
     interval = np.diff(t)
     parts = np.maximum(1, np.ceil(interval / longest - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])
+    if rows[-1] > _MOST_STEPS:
+        raise UserError(
+            f"the recording lasts {t[-1] - t[0]:g} s, {rows[-1]:.2g} steps of at most "
+            f"{longest:.2g} s: too long to replay; cut it, or look at the unit of its time"
+        )
     spare = _PADDING - rows[-1] % _PADDING  # at least one: the last row is its start
     row = np.repeat(np.arange(len(t)), np.append(parts, spare))
     dt = np.append(np.repeat(interval / parts, parts), np.zeros(spare))
@@ -322,6 +328,11 @@ def _true_motion(
         elif channel in unmeasured:
             values = np.zeros_like(own_t)
         finite = np.isfinite(values)
+        if not finite.any():
+            raise UserError(
+                f"{recording.name}: {channel} was not recorded, nor anything to derive it from, so "
+                "there is no state to start from; map a velocity (u) or positions (x, y)"
+            )
         lag = float(getattr(sensors, _LATENCY[channel]))
         true[channel] = np.interp(t + lag, times[finite], values[finite])
     return _corrected(sensors, true), notes

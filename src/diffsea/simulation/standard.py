@@ -43,6 +43,8 @@ from diffsea.vessel.base import Vessel
 
 Numbers = dict[str, Float[Array, ""]]
 
+_MOST_STEPS = 2e6  # a run keeps every step in memory
+_MOST_EXECUTES = 100
 PULL_OUT_TURN = math.radians(360)  # heading change after which the rudder is released
 _LENGTHS = (
     "advance", "transfer", "tactical_diameter", "max_advance", "max_transfer",
@@ -107,6 +109,8 @@ def plan(
         UserError: an unknown manoeuvre, or one that the vessel cannot run.
     """
     kind = standard(manoeuvre)
+    if executes > _MOST_EXECUTES:
+        raise UserError(f"{executes} executes are too many; at most {_MOST_EXECUTES} are run")
     helm = Helm(vessel)
     if kind.angle:
         require_helm(vessel, manoeuvre)
@@ -152,6 +156,13 @@ def plan(
         longest_delay=_longest_delay(vessel),
     )
     approach = rounded_up(approach_limit(vessel, speed, settings))
+    steps = (settings.seconds + approach) / settings.step
+    if steps > _MOST_STEPS:
+        raise UserError(
+            f"a step of {settings.step:g} s makes {steps:.2g} steps of up to {approach:g} s of "
+            f"approach and {settings.seconds:g} s of {manoeuvre}: take a longer step, a higher "
+            "speed, or fewer seconds"
+        )
     return dataclasses.replace(settled, settings=settings, approach_seconds=approach)
 
 
