@@ -136,7 +136,9 @@ def stopping_metrics(
     `heading_change` (rad) until then; `approach_speed` (m/s).
     """
     run = _referred(trajectory, execute_time, 1.0, psi0)
-    stop = first_crossing(run.surge, 0.0, -1, after=execute_time)
+    # A simulated run ends at the stop, with a speed that rounding may leave above zero.
+    stopped = 1e-9 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
+    stop = first_crossing(run.surge, stopped, -1, after=execute_time)
     travelled = _travelled(run, stop.time) - _travelled(run, execute_time)
     return {
         "track_reach": known(travelled, stop.found),
