@@ -69,14 +69,7 @@ def first_states(name):
     return np.stack([getattr(states, channel) for channel in MOTION_CHANNELS])
 
 
-STILL_AIR = pytest.mark.xfail(
-    reason="in a calm the wind effect still adds the drag of the vessel's own way", strict=True
-)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=STILL_AIR if n == "wind" else ()) for n in POSSIBLE]
-)
+@pytest.mark.parametrize("name", POSSIBLE)
 def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
     # A servo that lags by nothing rounds once more than one that answers at once.
     tolerance = 1e-13 if name in ("thrust-lag", "thrust-delay") else 0.0

@@ -177,7 +177,9 @@ def test_current_is_a_moving_frame():
 
 def test_wind_on_the_bow_balances_drag():
     """X_uu u^2 = 1/2 rho C A (V - |u|)^2: u = -V q / (1 + q), q^2 = air over water factor."""
-    wind = {"wind": {"speed": 8.0, "direction": 0.6, "C_X": 0.9, "frontal_area": 0.7}}
+    wind = {
+        "wind": {"speed": 8.0, "direction": 0.6, "C_X": 0.9, "frontal_area": 0.7, "still_air": 1}
+    }
     sim = simulate(vessel(X_uu=-20.0), [(0, 0)], 400.0, wind, (0, 0, 0.6, 0, 0, 0))
     q = math.sqrt(0.5 * 1.225 * 0.9 * 0.7 / 20.0)
     assert sim.at([400.0])["u"][0] == pytest.approx(-8 * q / (1 + q), abs=1e-8)
@@ -185,7 +187,7 @@ def test_wind_on_the_bow_balances_drag():
 
 def test_wind_components_and_defaults():
     """From 45 deg on the starboard bow: astern and to port; C_N > 0 turns to starboard."""
-    sim = Simulator(vessel(), {"wind": {"speed": 6.0, "direction": 0.25 * math.pi}})
+    sim = Simulator(vessel(), {"wind": {"speed": 6.0, "direction": 0.25 * math.pi, "still_air": 1}})
     X, Y, N = sim.forces(0.0, 0.0, 0.0, 0.0, 0.0, [])
     a = 6 / math.sqrt(2)
     assert X == pytest.approx(-0.5 * 1.225 * 0.7 * 0.5 * 0.2 * 6 * a)
@@ -195,9 +197,26 @@ def test_wind_components_and_defaults():
     assert max(abs(X), abs(Y), abs(N)) < 1e-12
 
 
+def test_wind_leaves_the_drag_of_still_air_to_the_hull():
+    calm = Simulator(vessel(), {"wind": {"speed": 0.0, "direction": 0.3}})
+    assert calm.forces(0.0, 0.4, 1.3, -0.4, 0.2, []) == pytest.approx((0.0, 0.0, 0.0))
+    wind = {"speed": 6.0, "direction": 0.3}
+    beyond, whole = (Simulator(vessel(), {"wind": wind | {"still_air": s}}) for s in (0, 1))
+    X, Y, N = (
+        w - b
+        for w, b in zip(
+            *(s.forces(0.0, 0.4, 1.3, -0.4, 0.2, []) for s in (whole, beyond)), strict=True
+        )
+    )
+    speed = math.hypot(1.3, 0.4)
+    assert X == pytest.approx(-0.5 * 1.225 * 0.7 * 0.5 * 0.2 * speed * 1.3)
+    assert Y == pytest.approx(0.5 * 1.225 * 0.85 * 2.0 * 0.2 * speed * 0.4)
+    assert N == pytest.approx(-0.5 * 1.225 * 0.1 * 2.0 * 0.2 * 2.0 * 2 * 1.3 * 0.4)
+
+
 def test_wind_acts_on_the_velocity_over_ground():
     both = {
-        "wind": {"speed": 2.0, "direction": math.pi},
+        "wind": {"speed": 2.0, "direction": math.pi, "still_air": 1},
         "current": {"speed": 2.0, "direction": 0.0},
     }
     sim = simulate(vessel(X_u=-1.0, Y_v=-1.0, N_r=-1.0), [(0, 0)], 5.0, both, (0, 0, 0.3, 0, 0, 0))

@@ -182,10 +182,21 @@ def test_commands_hold_through_empty_cells_and_are_unknown_before_the_first(plac
     assert "cmd_b has no value and is left out" in run.provenance
 
 
+def test_rows_of_one_time_stamp_become_one(place):
+    """Sensors that write rows of their own, and an order that changes at an instant."""
+    run = read_recording(
+        place("t,x,psi,cmd_a\n0,1,,5\n0,,0.2,\n1,2,,5\n1,2,,7\n1,,0.3,\n2,3,0.4,\n")
+    )
+    np.testing.assert_array_equal(run.t, [0, 1, 2])
+    np.testing.assert_array_equal(run.x, [1, 2, 3])
+    np.testing.assert_allclose(run.psi, [0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(run.commanded["a"], [5, 7, 7])
+
+
 def test_empty_rows_and_repeated_stamps_are_dropped_and_noted(place):
     run = read_recording(place("t,x\n0,1\n,\n1,2\n1,3\n2,4\n"))
     np.testing.assert_array_equal(run.t, [0, 1, 2])
-    np.testing.assert_array_equal(run.x, [1, 2, 4])
+    np.testing.assert_array_equal(run.x, [1, 3, 4])
     assert any("dropped empty rows: 1, first in line 3" in note for note in run.provenance)
     assert any("repeats the row before: 1 of 4" in note for note in run.provenance)
 

@@ -6,7 +6,8 @@ wind                  air velocity w = -speed (cos, sin)(direction), direction i
                       (u_rw, v_rw) = R' w - (u, v) over ground, V = hypot(u_rw, v_rw);
                       X = 1/2 rho_a A_F C_X V u_rw, Y = 1/2 rho_a A_L C_Y V v_rw,
                       N = 1/2 rho_a A_L L C_N 2 u_rw v_rw;  rho_a = 1.225,
-                      C_X 0.7, C_Y 0.85, C_N 0.1, A_F beam x draught, A_L length x draught
+                      C_X 0.7, C_Y 0.85, C_N 0.1, A_F beam x draught, A_L length x draught;
+                      less the same in still air (w = 0), unless `still_air` is 1
 wave-force            bias + amplitude sin(2 pi frequency t + phase) newtons towards
                       `direction`, fixed in the earth, at amidships
 crossflow-drag        strip theory with cd, or derivatives Y_vv ... added
@@ -156,12 +157,13 @@ def wind_force(hull: dict, values: dict):
     ky = q * side * values.get("C_Y", 0.85)
     kn = q * side * L * values.get("C_N", 0.1)
     north, east = polar(-values["speed"], values["direction"])
+    calm = 1.0 - values.get("still_air", 0.0)
 
     def force(t, psi, u, v, u_r, v_r, r):
         a, b = to_body(north, east, psi)
         a, b = a - u, b - v
-        V = math.hypot(a, b)
-        return kx * V * a, ky * V * b, kn * 2 * a * b
+        V, S = math.hypot(a, b), calm * math.hypot(u, v)
+        return kx * (V * a + S * u), ky * (V * b + S * v), kn * 2 * (a * b - calm * u * v)
 
     return force
 

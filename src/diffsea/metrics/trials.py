@@ -137,7 +137,7 @@ def stopping_metrics(
     """
     run = _referred(trajectory, execute_time, 1.0, psi0)
     # A simulated run ends at the stop, with a speed that rounding may leave above zero.
-    stopped = 1e-9 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
+    stopped = 1e-12 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
     stop = first_crossing(run.surge, stopped, -1, after=execute_time)
     travelled = _travelled(run, stop.time) - _travelled(run, execute_time)
     return {

@@ -27,7 +27,7 @@ from diffsea.types import MOTION_CHANNELS, Series, Trajectory
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
 
 # The first words of the provenance notes that the audit looks for.
-REPEATED_TIMES = "dropped rows whose time stamp repeats the row before"
+REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
 EMPTY_ROWS = "dropped empty rows"
 
 
@@ -36,8 +36,9 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
 
     Without a mapping the file must have the native columns (`t`, `x`, `psi`, `cmd_...`).
     Time keeps its zero, heading is unwrapped, empty cells of motion channels become NaN,
-    and a command holds through empty cells. Rows without any value and rows that repeat a
-    time stamp are dropped; the provenance says how many.
+    and a command holds through empty cells. Rows without any value are dropped, and rows of
+    one time stamp become one, of the last value of each channel: an order that changes at an
+    instant counts from that instant on. The provenance says how many.
 
     Raises `UserError` naming file, line and column for anything that cannot be read as a
     recording: no time, no motion, cells that are no numbers, time that runs backwards.
@@ -152,20 +153,21 @@ def _assemble(
     if np.any(dropped):
         notes.append(f"{EMPTY_ROWS}: {np.sum(dropped)}, first in line {lines[dropped][0]}")
     _check_clock(time[~dropped], lines[~dropped], path)
-    keep = ~dropped
-    keep[np.flatnonzero(~dropped)[1:]] = np.diff(time[~dropped]) > 0
-    repeated = ~keep & ~dropped
-    if np.any(repeated):
+    time, lines = time[~dropped], lines[~dropped]
+    repeated = np.flatnonzero(np.diff(time) == 0) + 1
+    if repeated.size:
         notes.append(
-            f"{REPEATED_TIMES}: {np.sum(repeated)} of {np.sum(~dropped)}, first at "
-            f"t = {time[repeated][0]:g} s in line {lines[repeated][0]}"
+            f"{REPEATED_TIMES}: {repeated.size} of {time.size}, first at "
+            f"t = {time[repeated[0]]:g} s in line {lines[repeated[0]]}"
         )
-    if np.sum(keep) < 2:
-        raise UserError(f"{path} has {np.sum(keep)} usable row(s); a recording needs at least two")
-    values = {name: series[keep] for name, series in values.items()}
+    table = pd.DataFrame({name: series[~dropped] for name, series in values.items()})
+    table = table.groupby(time).last()
+    if len(table) < 2:
+        raise UserError(f"{path} has {len(table)} usable row(s); a recording needs at least two")
+    values = {name: table[name].to_numpy() for name in values}
     if not any(np.any(np.isfinite(values[name])) for name in MOTION_CHANNELS if name in values):
         raise UserError(f"{path} has no finite value in any motion channel")
-    return _trajectory(time[keep], values, path.name, notes)
+    return _trajectory(table.index.to_numpy(), values, path.name, notes)
 
 
 def _check_clock(time: np.ndarray, lines: np.ndarray, path: Path) -> None:

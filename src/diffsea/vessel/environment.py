@@ -8,12 +8,13 @@ from diffsea.vessel.base import AbstractForce, Force
 
 
 class Wind(AbstractForce):
-    """Wind on the superstructure, quadratic in apparent wind.
+    """Wind on the superstructure, quadratic in apparent wind, beyond the drag of still air.
 
     With the air's velocity relative to the vessel (u_a, v_a) and V its size,
     `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = q A_L L C_N 2 u_a v_a`,
     q = rho_air / 2: the cos, sin and sin-2-gamma laws of Isherwood-type coefficients
-    (Fossen 2021, eq. 10.23).
+    (Fossen 2021, eq. 10.23). The same forces in still air are subtracted: drag measured in a
+    calm, which the hull's derivatives stand for, contains them already.
     """
 
     frontal_area: Scalar  # m^2
@@ -25,7 +26,11 @@ class Wind(AbstractForce):
     air_density: Scalar = 1.225  # kg/m^3
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
-        u_a, v_a = through_air(state, environment)
+        blown = self._force(*through_air(state, environment))
+        calm = self._force(-state.u, -state.v)
+        return Force(*(b - c for b, c in zip(blown, calm, strict=True)))
+
+    def _force(self, u_a: Scalar, v_a: Scalar) -> Force:
         # The small constant keeps the speed differentiable in a calm at rest.
         speed = jnp.sqrt(u_a**2 + v_a**2 + 1e-12)
         q = 0.5 * self.air_density
