@@ -26,6 +26,9 @@ class Force(eqx.Module):
     def __add__(self, other: "Force") -> "Force":
         return Force(self.X + other.X, self.Y + other.Y, self.N + other.N)
 
+    def __sub__(self, other: "Force") -> "Force":
+        return Force(self.X - other.X, self.Y - other.Y, self.N - other.N)
+
     @property
     def stacked(self) -> Float[Array, "3"]:
         """Surge force (N), sway force (N) and yaw moment (N m) as one array."""

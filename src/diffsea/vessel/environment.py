@@ -26,9 +26,7 @@ class Wind(AbstractForce):
     air_density: Scalar = 1.225  # kg/m^3
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
-        blown = self._force(*through_air(state, environment))
-        calm = self._force(-state.u, -state.v)
-        return Force(*(b - c for b, c in zip(blown, calm, strict=True)))
+        return self._force(*through_air(state, environment)) - self._force(-state.u, -state.v)
 
     def _force(self, u_a: Scalar, v_a: Scalar) -> Force:
         # The small constant keeps the speed differentiable in a calm at rest.
