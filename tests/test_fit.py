@@ -6,16 +6,26 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
 from diffsea.errors import UserError
 from diffsea.identification.colour import autocorrelation, inflation
-from diffsea.identification.fit import estimate, make_problem, normalised_rms, physical_table
-from diffsea.identification.likelihood import updated
+from diffsea.identification.fit import (
+    _clock,
+    _path,
+    estimate,
+    make_problem,
+    normalised_rms,
+    physical_table,
+)
+from diffsea.identification.likelihood import Noise, gust_model, updated
+from diffsea.identification.noise import _rerun
 from diffsea.parameters import hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
+from diffsea.vessel.effects import EFFECTS
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr", "N_rdot")
@@ -32,8 +42,9 @@ def recordings(document) -> list[Trajectory]:
     return [_run(document, seed) for seed in (1, 2)]
 
 
-def _run(document: dict, seed: int, seconds: float = 80.0) -> Trajectory:
+def _run(document: dict, seed: int, seconds: float = 80.0, gusts: bool = False) -> Trajectory:
     rng = np.random.default_rng(seed)
+    blow = sensors.gust(rng, 0.0, seconds) if gusts else None
     times = np.arange(0.0, seconds, 4.0)
     orders = [
         (
@@ -47,7 +58,7 @@ def _run(document: dict, seed: int, seconds: float = 80.0) -> Trajectory:
         )
         for t in times
     ]
-    sim = simulate(document, orders, seconds)
+    sim = simulate(document, orders, seconds, gust=blow, rtol=1e-8, atol=1e-10)
     t = np.arange(0.0, seconds, 0.25)
     rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
     motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
@@ -103,19 +114,63 @@ def test_a_wrong_start_predicts_worse(fitted):
 
 def test_sequential_update_equals_the_joint_kalman_update():
     rng = np.random.default_rng(0)
-    root = rng.normal(size=(6, 6))
+    root = rng.normal(size=(9, 9))
     P, H, R = root @ root.T, rng.normal(size=(6, 6)), rng.uniform(0.5, 2.0, 6)
     used = np.array([True, True, False, True, True, True])
     C, W, after, variance = updated(jnp.asarray(P), jnp.asarray(H), jnp.asarray(R), used)
-    h = H[used]
+    h = np.hstack([H[used], np.zeros((5, 3))])  # gusts are not measured
     S = h @ P @ h.T + np.diag(R[used])
     K = P @ h.T @ np.linalg.inv(S)
     nu = np.where(used, rng.normal(size=6), 0.0)
     np.testing.assert_allclose(np.asarray(C)[:, used], K, atol=1e-9)
-    np.testing.assert_allclose(after, (np.eye(6) - K @ h) @ P, atol=1e-9)
+    np.testing.assert_allclose(after, (np.eye(9) - K @ h) @ P, atol=1e-9)
     white = np.asarray(W) @ nu
     assert white @ white == pytest.approx(nu[used] @ np.linalg.solve(S, nu[used]))
     assert np.log(np.asarray(variance)).sum() == pytest.approx(np.linalg.slogdet(S)[1])
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.02, 0.5, 3.0])
+def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
+    """Van Loan's matrix exponential of d(speed) = a dt + g dw, d a = -a dt / T + b dw'."""
+    noise = Noise.of(np.log([0.03, 0.02, 0.01, 0.2, 0.1, 0.05, 0.4, 3.0, 12.0, *np.ones(6)]))
+    gusts, Q = gust_model(noise, jnp.array([dt]))
+    for k in range(3):
+        g, s, T = (math.exp(part[k]) for part in (noise.gust, noise.slow, noise.memory))
+        A, L = np.array([[0, 1], [0, -1 / T]]), np.diag([g**2, 2 * s**2 / T])
+        block = expm(np.block([[-A, L], [np.zeros((2, 2)), A.T]]) * dt)
+        F = block[2:, 2:].T
+        assert gusts.decay[0, k] == pytest.approx(F[1, 1])
+        assert 2 * gusts.half[0, k] == pytest.approx(F[0, 1])
+        both = np.ix_([3 + k, 6 + k], [3 + k, 6 + k])
+        np.testing.assert_allclose(np.asarray(Q[0])[both], F @ block[:2, 2:], rtol=1e-6, atol=1e-15)
+
+
+def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
+    problem, result = fitted
+    tuned = problem.tuned(result.coordinates, result.noise)
+    white, variance = _rerun(_path(tuned), _clock(problem), result.noise)
+    np.testing.assert_allclose(white, tuned.white, atol=1e-9)
+    np.testing.assert_allclose(variance, tuned.variance, rtol=1e-9)
+    # With other noise it is another filter's, but for the curvature of the motion.
+    other = Noise.of(result.noise.scales + 0.3 * np.resize([1.0, -1.0], 15))
+    again = problem.tuned(result.coordinates, other)
+    white, variance = _rerun(_path(tuned), _clock(problem), other)
+    np.testing.assert_allclose(white, again.white, atol=0.05)
+    np.testing.assert_allclose(variance, again.variance, rtol=0.02)
+    assert np.abs(np.asarray(white - tuned.white)).max() > 0.5
+
+
+def test_a_lag_is_told_from_gusts_that_last(document):
+    """Gusts taken for white ones bend lag and inertia until they have the gusts' colour."""
+    vessel = document | {"thruster": [t | {"time_constant": 0.8} for t in document["thruster"]]}
+    runs = [_run(vessel, seed, gusts=True) for seed in (3, 4)]
+    lag = EFFECTS["thrust-lag"]
+    problem = make_problem(build(_away(document, 1.2)), runs, HULL, (lag,), room=1)
+    result = estimate(problem, (*HULL, lag.name))
+    found = problem.layout.physical(lag.name, result.coordinates)[0, 0]
+    std = math.sqrt(result.covariance[-1, -1]) * problem.layout.sizes[0][0]
+    assert abs(found - 0.8) < 3 * std < 0.3
+    assert result.inflation < 1.3
 
 
 def test_colour_inflates_the_variance_of_a_mean_as_theory_says():

@@ -153,13 +153,19 @@ def _record(row: dict) -> dict:
 def _noise(problem: "Problem", fitted: "Estimate") -> dict:
     import numpy as np
 
-    gust, sensor = np.exp(fitted.noise.gust), np.exp(fitted.noise.sensor)
-    known = np.asarray(problem.tape.known).any(0)
+    scales = {name: np.exp(part) for name, part in vars(fitted.noise).items()}
     names = ("x", "y", "psi", "u", "v", "r")
+    measured = _by_name(names, np.asarray(problem.tape.known).any(0))
     return {
-        "gust": {n: float(g) for n, g in zip(names[3:], gust, strict=True)},
-        "sensor": {n: float(s) for n, s, k in zip(names, sensor, known, strict=True) if k},
+        "gust": _by_name(names[3:], scales["gust"]),
+        "lasting_gust": _by_name(names[3:], scales["slow"]),
+        "gust_memory": _by_name(names[3:], scales["memory"]),
+        "sensor": {n: s for n, s in _by_name(names, scales["sensor"]).items() if measured[n]},
     }
+
+
+def _by_name(names: tuple[str, ...], values: Any) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _fit_summary(rows: list[dict], quality: dict) -> str:

@@ -21,6 +21,7 @@ from diffsea.identification.fit import Inputs, Problem, Static
 DEGREES = ("surge", "sway", "yaw")
 WINDOWS = 8  # of each run
 CLASSES = 4  # of each regime
+ROOM = 8  # bins the compiled program has room for
 
 
 class Cell(NamedTuple):
@@ -36,11 +37,18 @@ class Cell(NamedTuple):
     p_value: float
 
 
-class Binning(NamedTuple):
-    """Bins of the tape's rows and what each of them is."""
+Label = tuple[int | None, float, float, str]  # run (None: all), start and end (s), regime
 
-    bins: np.ndarray
-    labels: list[tuple[int | None, float, float, str]]
+
+class Binning(NamedTuple):
+    """Bins of the tape's rows and what each of them is.
+
+    A bin may have a label for each of several runs: what happens in one run leaves the
+    others alone, so that one derivative serves them all.
+    """
+
+    members: np.ndarray  # row, bin: whether the row belongs to the bin
+    labels: list[list[Label]]
 
 
 def time_windows(problem: Problem) -> Binning:
@@ -48,15 +56,15 @@ def time_windows(problem: Problem) -> Binning:
     tape = problem.tape
     run, t = np.asarray(tape.run), np.asarray(tape.run_time)
     real = np.asarray(tape.known).any(1)
-    bins = np.full(run.shape, -1)
-    labels: list[tuple[int | None, float, float, str]] = []
+    members = np.zeros((len(run), WINDOWS), bool)
+    labels: list[list[Label]] = [[] for _ in range(WINDOWS)]
     for number in range(tape.runs):
         rows = np.flatnonzero((run == number) & real)
-        for part in np.array_split(rows, WINDOWS):
+        for k, part in enumerate(np.array_split(rows, WINDOWS)):
             if len(part):
-                bins[part] = len(labels)
-                labels.append((number, float(t[part[0]]), float(t[part[-1]]), ""))
-    return Binning(bins, labels)
+                members[part, k] = True
+                labels[k].append((number, float(t[part[0]]), float(t[part[-1]]), ""))
+    return Binning(members, labels)
 
 
 def regimes(problem: Problem) -> list[Binning]:
@@ -84,44 +92,64 @@ def regimes(problem: Problem) -> list[Binning]:
 def _classes(name: str, values: np.ndarray, unit: str, rows: np.ndarray) -> Binning:
     edges = np.unique(np.quantile(values[rows], np.linspace(0, 1, CLASSES + 1)))
     which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
-    bins = np.where(rows, which, -1)
-    labels: list[tuple[int | None, float, float, str]] = []
+    members = rows[:, None] & (which[:, None] == np.arange(len(edges) - 1))
+    labels: list[list[Label]] = []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         text = f"{name} {low:.3g} to {high:.3g} {unit}".strip()
-        labels.append((None, float("nan"), float("nan"), text))
-    return Binning(bins, labels)
+        labels.append([(None, float("nan"), float("nan"), text)])
+    return Binning(members, labels)
 
 
 @eqx.filter_jit
-def _push_jacobian(problem: Inputs, layout: Static, bins: Array, count: int) -> Array:
+def _push_jacobian(problem: Inputs, layout: Static, members: Array) -> Array:
     """Derivative of the whitened innovations by the unnamed accelerations."""
 
     def residual(push: Array) -> Array:
         return likelihood.innovations(
-            problem.base, layout.value, problem.tape, problem.gains, problem.fixed, push, bins
+            problem.base, layout.value, problem.tape, problem.gains, problem.fixed, members @ push
         ).ravel()
 
-    return jax.jacfwd(residual)(jnp.zeros((count, 3)))
+    return jax.jacfwd(residual)(jnp.zeros((ROOM, 3)))
 
 
 def locate(
-    problem: Problem, inputs: Inputs, layout: Static, projection: Projection, binning: Binning
+    problem: Problem,
+    inputs: Inputs,
+    layout: Static,
+    projection: Projection,
+    binnings: list[Binning],
 ) -> list[Cell]:
-    """Test every bin of a binning in every degree of freedom."""
-    count = len(binning.labels)
-    # Room for a round number of bins, so that few programs are compiled.
-    room = max(8, 8 * -(-count // 8))
-    J = np.asarray(_push_jacobian(inputs, layout, jnp.asarray(binning.bins), room))
+    """Test every bin of every binning in every degree of freedom."""
+    members = np.concatenate([binning.members for binning in binnings], axis=1)
+    labels = [labels for binning in binnings for labels in binning.labels]
+    run = np.repeat(np.asarray(problem.tape.run), 6)[:, None]
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
-    J = J[:, :count].reshape(len(J), 3 * count)
+    cells = []
+    for first in range(0, len(labels), ROOM):
+        part = members[:, first : first + ROOM]
+        spare = np.zeros((len(part), ROOM - part.shape[1]))
+        J = _push_jacobian(inputs, layout, jnp.asarray(np.concatenate([part, spare], axis=1)))
+        J = np.asarray(J)
+        columns, named = [], []
+        for k, several in enumerate(labels[first : first + ROOM]):
+            for label in several:
+                columns.append(J[:, k] if label[0] is None else J[:, k] * (run == label[0]))
+                named.append(label)
+        cells += _cells(projection, np.concatenate(columns, axis=1), named, mass)
+    return cells
+
+
+def _cells(
+    projection: Projection, J: np.ndarray, labels: list[Label], mass: np.ndarray
+) -> list[Cell]:
     columns = np.concatenate([J, np.zeros((projection.prior_rows, J.shape[1]))])
-    step, std, p_value = (a.reshape(count, 3) for a in projection.singles(columns))
+    step, std, p_value = (a.reshape(len(labels), 3) for a in projection.singles(columns))
     return [
         Cell(
             degree, *label, float(step[number, degree] * mass[degree]),
             float(std[number, degree] * mass[degree]), float(p_value[number, degree]),
         )
-        for number, label in enumerate(binning.labels)
+        for number, label in enumerate(labels)
         for degree in range(3)
         if np.isfinite(std[number, degree])
     ]  # fmt: skip

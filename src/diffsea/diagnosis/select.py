@@ -6,7 +6,9 @@ until nothing is left to explain or nothing explains it.
 """
 
 import dataclasses
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
 import numpy as np
@@ -172,11 +174,8 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
             position += k
     empty = np.zeros((problem.layout.size, problem.width))
     inputs, layout = traced(problem, tuned.gains, fitted.coordinates, empty)
-    cells = [
-        cell
-        for binning in (time_windows(problem), *regimes(problem))
-        for cell in locate(problem, inputs, layout, projection, binning)
-    ]
+    binnings = [time_windows(problem), *regimes(problem)]
+    cells = locate(problem, inputs, layout, projection, binnings)
     return Screening(scores, columns, projection, tuple(cells))
 
 
@@ -243,11 +242,15 @@ def refit_short_list(
     data: Split, current: Estimate, screening: Screening, progress: Progress
 ) -> list[Fitted]:
     """Refit each candidate of the short list from the prior, best first."""
-    out = []
     names = short_list(screening)
-    for number, name in enumerate(names, start=1):
-        progress(f"refitting {number} of {len(names)}: {name}")
-        out.append(_refit(data, current, name, screening.scores[name]))
+
+    def refit(name: str) -> Fitted:
+        progress(f"refitting {names.index(name) + 1} of {len(names)}: {name}")
+        return _refit(data, current, name, screening.scores[name])
+
+    # A compiled program runs on one core and lets other threads run meanwhile.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        out = list(pool.map(refit, names))
     best = max(out, key=lambda fitted: fitted.drop)
     return sorted(out, key=lambda fitted: -fitted.bic(best.estimate.inflation))
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from diffsea.identification import likelihood
 from diffsea.identification.colour import autocorrelation, long_run
 from diffsea.identification.likelihood import Gains, Layout, Noise, Tuned, deviance
-from diffsea.identification.noise import Path, Prior, noise_prior, refine
+from diffsea.identification.noise import Clock, Path, Prior, noise_prior, refine
 from diffsea.identification.tape import Tape, make_tape
 from diffsea.parameters import Parameter, check_names, hull_prior, named
 from diffsea.types import Trajectory
@@ -60,8 +60,7 @@ class Problem:
 
     def start(self) -> tuple[np.ndarray, Noise]:
         """Prior mean of the coordinates and first guess of the noise."""
-        mean = self.prior.mean
-        return np.zeros(self.layout.size), Noise(jnp.asarray(mean[:3]), jnp.asarray(mean[3:]))
+        return np.zeros(self.layout.size), Noise.of(self.prior.mean)
 
     def tuned(self, coordinates: np.ndarray, noise: Noise) -> Tuned:
         """The filter's run at an estimate."""
@@ -240,7 +239,7 @@ def estimate(
         coordinates[index] = np.asarray(found)[: len(index)]
         tuned = problem.tuned(coordinates, noise)
         if not fixed_noise:
-            noise = refine(_path(problem, tuned), problem.tape, noise, problem.prior)
+            noise = refine(_path(tuned), _clock(problem), noise, problem.prior)
         now = _posterior(problem, coordinates, noise)
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")
         if best is None or now < best[0]:
@@ -253,16 +252,19 @@ def estimate(
     return Estimate(free, coordinates, noise, now, index, *uncertainty)
 
 
-def _path(problem: Problem, tuned: Tuned) -> Path:
-    variance = likelihood.first_variance(problem.base)
+def _path(tuned: Tuned) -> Path:
     g = tuned.gains
-    return Path(tuned.F, tuned.H, g.correction, tuned.nu, g.used, variance)
+    return Path(tuned.F, tuned.H, g.correction, tuned.nu, g.used, tuned.kick)
+
+
+def _clock(problem: Problem) -> Clock:
+    tape = problem.tape
+    return Clock(tape.dt, tape.starts, likelihood.first_variance(problem.base))
 
 
 def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:
     tuned = problem.tuned(coordinates, noise)
-    log = np.concatenate([np.asarray(noise.gust), np.asarray(noise.sensor)])
-    off = (log - problem.prior.mean) / problem.prior.spread
+    off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     away = coordinates / problem.layout.spreads()
     return float(deviance(tuned)) + float(off @ off) + float(away @ away)
 

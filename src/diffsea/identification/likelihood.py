@@ -1,11 +1,16 @@
 """Innovation-form likelihood: how well a model predicts a recording one sample ahead.
 
-An extended Kalman filter runs along the tape. Its gains and innovation covariances are
-found once, at the current estimate (`tune`); the innovations with those gains held fixed
-(`innovations`) are then a plain nonlinear least-squares residual in the parameters, seven
-times cheaper to differentiate than the filter. Repeating the two converges to the
-estimate with the optimal gains: dropping the gains' own derivative costs no asymptotic
-efficiency, because the innovations are uncorrelated with it (Ljung 1999, section 9.4).
+An extended Kalman filter runs along the tape. Its state is the vessel's six numbers and
+three accelerations of gusts that last: first-order Gauss-Markov processes, besides gusts that
+are white. Were lasting gusts taken for white ones, the fit would bend the vessel until its
+own dynamics had their colour (a thruster's lag comes out a quarter too short).
+
+Gains and innovation covariances are found once, at the current estimate (`tune`); the
+innovations with those gains held fixed (`innovations`) are then a plain nonlinear
+least-squares residual in the parameters, seven times cheaper to differentiate than the
+filter. Repeating the two converges to the estimate with the optimal gains: dropping the
+gains' own derivative costs no asymptotic efficiency, because the innovations are
+uncorrelated with it (Ljung 1999, section 9.4).
 """
 
 import dataclasses
@@ -14,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.tape import Tape
 from diffsea.kinematics import wrap
@@ -29,16 +34,36 @@ from diffsea.vessel.servo import OrderHistory, Response
 class Noise(eqx.Module):
     """Logarithms of the noise scales."""
 
-    gust: Float[Array, "3"]  # of u (m/s), v (m/s), r (rad/s), per square root of a second
+    gust: Float[Array, "3"]  # white, of u (m/s), v (m/s), r (rad/s), per square root of a second
+    slow: Float[Array, "3"]  # lasting, standard deviation of the acceleration (m/s^2, rad/s^2)
+    memory: Float[Array, "3"]  # time constant (s) of the lasting ones
     sensor: Float[Array, "6"]  # of x, y (m), psi (rad), u, v (m/s), r (rad/s)
+
+    @staticmethod
+    def of(scales: Float[Array, "15"] | np.ndarray) -> "Noise":
+        """From all logarithms in one array."""
+        return Noise(*(jnp.asarray(part) for part in jnp.split(jnp.asarray(scales), (3, 6, 9))))
+
+    @property
+    def scales(self) -> Float[Array, "15"]:
+        """All logarithms in one array."""
+        return jnp.concatenate([self.gust, self.slow, self.memory, self.sensor])
+
+
+class Gusts(eqx.Module):
+    """What gusts do within each row, exactly for constant velocity of the vessel."""
+
+    decay: Float[Array, "row 3"]  # share of a lasting acceleration left at the end
+    half: Float[Array, "row 3"]  # half the speed it gives, per unit at the start (s)
 
 
 class Gains(eqx.Module):
     """What the filter found: how to correct and how to weigh each innovation."""
 
-    correction: Float[Array, "row 6 6"]  # state from innovation; zero columns where missing
+    correction: Float[Array, "row 9 6"]  # state from innovation; zero columns where missing
     whitening: Float[Array, "row 6 6"]  # innovation to unit covariance; zero where missing
     used: Bool[Array, "row 6"]
+    gusts: Gusts
 
 
 class Tuned(eqx.Module):
@@ -48,8 +73,9 @@ class Tuned(eqx.Module):
     nu: Float[Array, "row 6"]  # innovations, zero where missing
     white: Float[Array, "row 6"]  # the same, whitened
     variance: Float[Array, "row 6"]  # of the sequential innovations; one where missing
-    F: Float[Array, "row 6 6"]  # state to next state
-    H: Float[Array, "row 6 6"]  # state to measurement
+    F: Float[Array, "row 6 6"]  # the vessel's state to its next state
+    H: Float[Array, "row 6 6"]  # the vessel's state to measurement
+    kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,39 +258,44 @@ def innovations(
     tape: Tape,
     gains: Gains,
     coordinates: Float[Array, "coordinate"],
-    push: Float[Array, "bin 3"] | None = None,
-    bins: Int[Array, "row"] | None = None,
+    push: Float[Array, "row 3"] | None = None,
 ) -> Float[Array, "row 6"]:
     """Whitened innovations of every row with the gains held fixed.
 
-    `push` adds accelerations (m/s^2, m/s^2, rad/s^2) during the rows of each bin, the
-    generic candidate of `diagnosis.locate`.
+    `push` adds accelerations (m/s^2, m/s^2, rad/s^2), the generic candidate of
+    `diagnosis.locate`.
     """
     vessel, flows = equipped(base, layout, coordinates)
 
-    def body(x: Float[Array, "6"], inputs: tuple) -> tuple:
-        row, correction, whitening, kick = inputs
+    def body(z: Float[Array, "9"], inputs: tuple) -> tuple:
+        row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
-        x = jnp.where(row["starts"], row["first"], x)
-        nu = _innovation(row, _expected(vessel, x, row, flow))
-        x = x + _applied(correction, nu)
-        x = _propagate(vessel, x, row, flow, tape.substeps)
-        if push is not None:
-            x = x + kick * row["dt"]
-        return x, _applied(whitening, nu)
+        z = jnp.where(row["starts"], _first(row), z)
+        nu = _innovation(row, _expected(vessel, z[:6], row, flow))
+        z = z + _applied(correction, nu)
+        kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
+        x = _propagate(vessel, _faster(z[:6], kick), row, flow, tape.substeps)
+        z = jnp.concatenate([_faster(x, kick), gusts.decay * z[6:]])
+        return z, _applied(whitening, nu)
 
-    kicks = jnp.zeros((tape.t.size, 6)) if push is None else _kicks(push, bins)
-    inputs = (_rows(vessel, flows, tape), gains.correction, gains.whitening, kicks)
-    return jax.lax.scan(body, jnp.zeros(6), inputs)[1]
-
-
-def _kicks(push: Float[Array, "bin 3"], bins: Int[Array, "row"]) -> Float[Array, "row 6"]:
-    """Acceleration of every state in every row; bin -1 is none."""
-    chosen = jnp.where((bins >= 0)[:, None], push[jnp.maximum(bins, 0)], 0.0)
-    return jnp.concatenate([jnp.zeros_like(chosen), chosen], axis=1)
+    push = jnp.zeros((tape.t.size, 3)) if push is None else push
+    inputs = (
+        _rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
+    )  # fmt: skip
+    return jax.lax.scan(body, jnp.zeros(9), inputs)[1]
 
 
-def _applied(matrix: Float[Array, "6 6"], vector: Float[Array, "6"]) -> Float[Array, "6"]:
+def _first(row: dict) -> Float[Array, "9"]:
+    """State at the start of a run."""
+    return jnp.concatenate([row["first"], jnp.zeros(3)])
+
+
+def _faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
+    """The vessel's state with its speeds raised."""
+    return jnp.concatenate([x[:3], x[3:] + kick])
+
+
+def _applied(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
     """Matrix times vector as fused multiplications: a library call per row costs far more."""
     return jnp.sum(matrix * vector, axis=-1)
 
@@ -283,58 +314,90 @@ def tune(
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = equipped(base, layout, coordinates)
-    Q = jnp.diag(jnp.concatenate([jnp.zeros(3), jnp.exp(2 * noise.gust)]))
     R = jnp.exp(2 * noise.sensor)
-    P0 = jnp.diag(first_variance(vessel))
+    P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
 
-    def body(carry: tuple, row: dict) -> tuple:
-        x, P = carry
+    def body(carry: tuple, inputs: tuple) -> tuple:
+        row, gust, Q = inputs
+        z, P = carry
         flow = row["flow"]
-        x = jnp.where(row["starts"], row["first"], x)
+        z = jnp.where(row["starts"], _first(row), z)
         P = jnp.where(row["starts"], P0, P)
-        nu = _innovation(row, _expected(vessel, x, row, flow))
-        H = jax.jacfwd(lambda s: _expected(vessel, s, row, flow))(x)
-        spread = jnp.sqrt(jnp.sum(H * product(P, H.T).T, axis=1) + R)
+        nu = _innovation(row, _expected(vessel, z[:6], row, flow))
+        H = jax.jacfwd(lambda s: _expected(vessel, s, row, flow))(z[:6])
+        spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
         used = row["known"] & ((jnp.abs(nu) < gate * spread) | row["starts"])
         nu = jnp.where(used, nu, 0.0)
         K, W, P, variance = updated(P, H, R, used)
-        x_new = x + _applied(K, nu)
-        F = jax.jacfwd(lambda s: _propagate(vessel, s, row, flow, tape.substeps))(x_new)
-        P = product(product(F, P), F.T) + Q * row["dt"]
-        x_next = _propagate(vessel, x_new, row, flow, tape.substeps)
-        return (x_next, P), (K, W, used, nu, _applied(W, nu), variance, F, H)
+        z = z + _applied(K, nu)
+        kick = gust.half * z[6:]
+        x = _faster(z[:6], kick)
+        F = jax.jacfwd(lambda s: _propagate(vessel, s, row, flow, tape.substeps))(x)
+        P = predicted(P, F, gust, Q)
+        x = _faster(_propagate(vessel, x, row, flow, tape.substeps), kick)
+        out = (K, W, used, nu, _applied(W, nu), variance, F, H, kick)
+        return (jnp.concatenate([x, gust.decay * z[6:]]), P), out
 
-    start = (jnp.zeros(6), P0)
-    _, found = jax.lax.scan(body, start, _rows(vessel, flows, tape))
-    return Tuned(Gains(*found[:3]), *found[3:])
+    gusts, Q = gust_model(noise, tape.dt)
+    _, found = jax.lax.scan(body, (jnp.zeros(9), P0), (_rows(vessel, flows, tape), gusts, Q))
+    return Tuned(Gains(*found[:3], gusts), *found[3:])
 
 
-def product(a: Float[Array, "6 6"], b: Float[Array, "6 6"]) -> Float[Array, "6 6"]:
+def gust_model(noise: Noise, dt: Float[Array, "row"]) -> tuple[Gusts, Float[Array, "row 9 9"]]:
+    """Propagation of lasting gusts over each row, and the covariance that all gusts add.
+
+    Exact integrals of a first-order Gauss-Markov acceleration and of the speed it gives
+    (Jazwinski 1970, section 4.9); as the memory shrinks they become those of white noise.
+    """
+    memory = jnp.exp(noise.memory)
+    share = dt[:, None] / memory
+    decay = jnp.exp(-share)
+    power = jnp.exp(2 * noise.slow)
+    speed = power * memory**2 * (2 * share - 3 + 4 * decay - decay**2)
+    speed = speed + jnp.exp(2 * noise.gust) * dt[:, None]
+    both = power * memory * (1 - decay) ** 2
+    left = power * (1 - decay**2)
+    still = jnp.zeros_like(speed)
+    diagonal = jnp.concatenate([still, speed, left], axis=1)
+    beside = jnp.concatenate([still, both], axis=1)
+    upper = jax.vmap(lambda row: jnp.diag(row, 3))(beside)
+    Q = jax.vmap(jnp.diag)(diagonal) + upper + upper.mT
+    return Gusts(decay, 0.5 * memory * (1 - decay)), Q
+
+
+def predicted(
+    P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: Gusts, Q: Float[Array, "9 9"]
+) -> Float[Array, "9 9"]:
+    """Covariance at the end of a row: gusts act half before and half after the vessel moves."""
+    act = F[:, 3:] * gust.half + jnp.eye(6)[:, 3:] * gust.half
+    keep = jnp.concatenate([jnp.zeros((3, 6)), jnp.eye(3) * gust.decay], axis=1)
+    whole = jnp.concatenate([jnp.concatenate([F, act], axis=1), keep])
+    return product(product(whole, P), whole.T) + Q
+
+
+def product(a: Float[Array, "n n"], b: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Matrix product as fused multiplications, for the reason of `_applied`."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 
 def updated(
-    P: Float[Array, "6 6"], H: Float[Array, "6 6"], R: Float[Array, "6"], used: Bool[Array, "6"]
+    P: Float[Array, "9 9"], H: Float[Array, "6 6"], R: Float[Array, "6"], used: Bool[Array, "6"]
 ) -> tuple:
     """One channel after the other: correction, whitening, covariance and innovation variances.
 
-    Sensors are independent, so six scalar updates equal the joint one (Bierman 1977), and
-    their innovations are the whitened ones, without any factorisation. In terms of the
-    joint innovation nu the state's correction is C nu, built up row by row.
+    Sensors are independent and do not see gusts, so six scalar updates equal the joint one
+    (Bierman 1977), and their innovations are the whitened ones, without any factorisation.
+    In terms of the joint innovation nu the state's correction is C nu, built up row by row.
     """
-    C, rows, variances = jnp.zeros((6, 6)), [], []
+    C, rows, variances = jnp.zeros((9, 6)), [], []
     unit = np.eye(6)
     for j in range(6):
         h = jnp.where(used[j], H[j], 0.0)
-        Ph = jnp.sum(P * h, axis=1)
-        s = jnp.where(used[j], jnp.sum(h * Ph) + R[j], 1.0)
-        fresh = jnp.where(used[j], unit[j] - jnp.sum(h[:, None] * C, axis=0), 0.0)
+        Ph = jnp.sum(P[:, :6] * h, axis=1)
+        s = jnp.where(used[j], jnp.sum(h * Ph[:6]) + R[j], 1.0)
+        fresh = jnp.where(used[j], unit[j] - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
         C = C + (Ph / s)[:, None] * fresh[None, :]
-        # Joseph form: stays positive definite however small the sensor noise.
-        gain = Ph / s
-        left = unit - gain[:, None] * h[None, :]
-        P = product(product(left, P), left.T) + R[j] * gain[:, None] * gain[None, :]
+        P = P - Ph[:, None] * Ph[None, :] / s
         rows.append(fresh / jnp.sqrt(s))
         variances.append(s)
     return C, jnp.stack(rows), P, jnp.stack(variances)

@@ -1,6 +1,6 @@
 """Estimation of gust and sensor noise from the innovations of a filter.
 
-The filter is linearised once along its own path; the likelihood as a function of the nine
+The filter is linearised once along its own path; the likelihood as a function of the
 noise scales then needs no vessel model any more, and Fisher scoring on it is cheap.
 """
 
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.identification.likelihood import Noise, product, updated
+from diffsea.identification.likelihood import Noise, gust_model, predicted, updated
 from diffsea.identification.tape import Tape, natural_time
 from diffsea.vessel.base import Vessel
 
@@ -22,14 +22,22 @@ class Path(eqx.Module):
 
     F: Float[Array, "row 6 6"]
     H: Float[Array, "row 6 6"]  # zero rows where nothing was measured
-    K: Float[Array, "row 6 6"]
+    K: Float[Array, "row 9 6"]
     nu: Float[Array, "row 6"]
     used: Float[Array, "row 6"]
+    kick: Float[Array, "row 3"]
+
+
+class Clock(eqx.Module):
+    """When rows begin and runs start, and how little is known of a run's first state."""
+
+    dt: Float[Array, "row"]
+    starts: Float[Array, "row"]
     first_variance: Float[Array, "6"]
 
 
 class Prior(NamedTuple):
-    """Normal prior on the nine logarithms, in the order gust, sensor."""
+    """Normal prior on the logarithms, in the order of `Noise.scales`."""
 
     mean: np.ndarray
     spread: np.ndarray
@@ -39,17 +47,18 @@ def noise_prior(vessel: Vessel, tape: Tape) -> Prior:
     """Plausible gusts for a vessel of this size, and sensor noise from the series themselves.
 
     Gusts that change the speed by a hundredth of that at Froude number 0.3 within
-    sqrt(L / g), give or take a factor of e. Sensor noise from second differences, which
-    white noise dominates: a rough guess, give or take a factor of e^2.
+    sqrt(L / g), give or take a factor of e. Lasting gusts remember five times as long and are
+    as strong in the long run, each give or take a factor of e. Sensor noise from second
+    differences, which white noise dominates: a rough guess, give or take a factor of e^2.
     """
     time = natural_time(vessel)
     length = float(vessel.rigid_body.length)
     gust = 0.01 * 0.3 * np.sqrt(9.81 * length) / np.sqrt(time)
-    gusts = np.log([gust, gust, 2 * gust / length])
-    return Prior(
-        np.concatenate([gusts, np.log(_sensor_scales(tape, length))]),
-        np.concatenate([np.full(3, 1.0), np.full(6, 2.0)]),
-    )
+    gusts = np.array([gust, gust, 2 * gust / length])
+    memory = np.full(3, 5 * time)
+    slow = gusts / np.sqrt(2 * memory)
+    scales = np.concatenate([gusts, slow, memory, _sensor_scales(tape, length)])
+    return Prior(np.log(scales), np.repeat([1.0, 2.0], [9, 6]))
 
 
 def _sensor_scales(tape: Tape, length: float) -> np.ndarray:
@@ -67,33 +76,37 @@ def _sensor_scales(tape: Tape, length: float) -> np.ndarray:
     return scales
 
 
-def _rerun(path: Path, dt: Array, starts: Array, log: Float[Array, "9"]) -> tuple:
+def _rerun(path: Path, clock: Clock, noise: Noise) -> tuple:
     """Sequential innovations and their variances with other noise."""
-    Q = jnp.diag(jnp.concatenate([jnp.zeros(3), jnp.exp(2 * log[:3])]))
-    R = jnp.exp(2 * log[3:])
-    P0 = jnp.diag(path.first_variance)
+    R = jnp.exp(2 * noise.sensor)
+    P0 = jnp.diag(jnp.concatenate([clock.first_variance, jnp.exp(2 * noise.slow)]))
+    gusts, Q = gust_model(noise, clock.dt)
 
-    def body(carry: tuple, row: tuple) -> tuple:
-        d, P = carry  # d: how far the state is from the one on the path
-        F, H, K, nu0, used, step, start = row
-        d, P = jnp.where(start, 0.0, d), jnp.where(start, P0, P)
-        nu = jnp.where(used, nu0 - jnp.sum(H * d, axis=1), 0.0)
-        C, W, P, variance = updated(P, H, R, used)
+    def body(carry: tuple, inputs: tuple) -> tuple:
+        # d: how far the vessel's state is from the one on the path; a: lasting accelerations
+        d, a, P = carry
+        at, gust, more, start = inputs
+        d, a, P = jnp.where(start, 0.0, d), jnp.where(start, 0.0, a), jnp.where(start, P0, P)
+        nu = jnp.where(at.used, at.nu - jnp.sum(at.H * d, axis=1), 0.0)
+        C, W, P, variance = updated(P, at.H, R, at.used)
         white = jnp.sum(W * nu, axis=1)
-        d = d + jnp.sum(C * nu, axis=1) - jnp.sum(K * nu0, axis=1)
-        P = product(product(F, P), F.T) + Q * step
-        return (jnp.sum(F * d, axis=1), P), (white, variance)
+        change = jnp.sum(C * nu, axis=1)
+        d = d + change[:6] - jnp.sum(at.K * at.nu, axis=1)[:6]
+        a = a + change[6:]
+        kick = jnp.concatenate([jnp.zeros(3), gust.half * a - at.kick])
+        d = jnp.sum(at.F * (d + kick), axis=1) + kick
+        return (d, gust.decay * a, predicted(P, at.F, gust, more)), (white, variance)
 
-    rows = (path.F, path.H, path.K, path.nu, path.used, dt, starts)
-    return jax.lax.scan(body, (jnp.zeros(6), P0), rows)[1]
+    start = (jnp.zeros(6), jnp.zeros(3), P0)
+    return jax.lax.scan(body, start, (path, gusts, Q, clock.starts))[1]
 
 
 @jax.jit
-def _score(path: Path, dt: Array, starts: Array, log: Array, prior: Prior) -> tuple:
+def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
     """Deviance with prior, its gradient and its expected curvature."""
 
     def both(at: Array) -> tuple:
-        white, variance = _rerun(path, dt, starts, at)
+        white, variance = _rerun(path, clock, Noise.of(at))
         return white.ravel(), jnp.log(variance).ravel()
 
     white, _ = value = both(log)
@@ -110,15 +123,15 @@ def _score(path: Path, dt: Array, starts: Array, log: Array, prior: Prior) -> tu
     )
 
 
-def refine(path: Path, tape: Tape, noise: Noise, prior: Prior, steps: int = 6) -> Noise:
-    """Fisher scoring on the nine scales from `noise`, halving a step that makes it worse."""
-    log = np.concatenate([np.asarray(noise.gust), np.asarray(noise.sensor)])
-    value, gradient, curvature = _score(path, tape.dt, tape.starts, jnp.asarray(log), prior)
+def refine(path: Path, clock: Clock, noise: Noise, prior: Prior, steps: int = 3) -> Noise:
+    """Fisher scoring on the scales from `noise`, halving a step that makes it worse."""
+    log = np.asarray(noise.scales)
+    value, gradient, curvature = _score(path, clock, jnp.asarray(log), prior)
     for _ in range(steps):
         step = -np.linalg.solve(np.asarray(curvature), np.asarray(gradient))
         step = np.clip(step, -1.0, 1.0)
         for _ in range(4):
-            trial = _score(path, tape.dt, tape.starts, jnp.asarray(log + step), prior)
+            trial = _score(path, clock, jnp.asarray(log + step), prior)
             if float(trial[0]) <= float(value):
                 break
             step = 0.5 * step
@@ -128,4 +141,4 @@ def refine(path: Path, tape: Tape, noise: Noise, prior: Prior, steps: int = 6) -
         log, (value, gradient, curvature) = log + step, trial
         if gain < 0.1:
             break
-    return Noise(jnp.asarray(log[:3]), jnp.asarray(log[3:]))
+    return Noise.of(log)
