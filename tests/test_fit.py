@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,10 +16,14 @@ from diffsea.identification.colour import autocorrelation, inflation
 from diffsea.identification.fit import (
     _clock,
     _path,
+    _residual,
     estimate,
+    jacobian,
     make_problem,
     normalised_rms,
     physical_table,
+    selection,
+    traced,
 )
 from diffsea.identification.likelihood import Noise, gust_model, updated
 from diffsea.identification.noise import _rerun
@@ -158,6 +163,21 @@ def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
     np.testing.assert_allclose(white, again.white, atol=0.05)
     np.testing.assert_allclose(variance, again.variance, rtol=0.02)
     assert np.abs(np.asarray(white - tuned.white)).max() > 0.5
+
+
+def test_copies_for_each_run_share_directions_without_changing_the_jacobian(document, recordings):
+    effects = EFFECTS["current"], EFFECTS["wind"], EFFECTS["gyro-bias"]
+    problem = make_problem(build(document), recordings, HULL, effects, per_run=True, room=5)
+    start, noise = problem.start()
+    free = (*HULL, *(effect.name for effect in effects))
+    index, matrix = selection(problem.layout, free, problem.width)
+    inputs = traced(problem, problem.tuned(start, noise).gains, start, matrix)
+    at = jnp.asarray(np.random.default_rng(0).normal(0.0, 0.1, problem.width))
+    residual, found = jacobian(at, inputs)
+    plain = jax.jacfwd(lambda free: _residual(free, inputs))(at)
+    assert len(index) == 15 and problem.seeds == 11
+    np.testing.assert_allclose(found, plain, atol=1e-12)
+    np.testing.assert_allclose(residual, _residual(at, inputs), atol=1e-12)
 
 
 def test_a_lag_is_told_from_gusts_that_last(document):

@@ -111,7 +111,7 @@ def _one_way(
     vessel = equipped_vessel(train, coordinates)
     problem = make_problem(
         base, [_imagined(vessel, schedule)], tuple(p.name for p in train.layout.parameters),
-        train.layout.effects, False, train.width - len(train.layout.parameters),
+        train.layout.effects, False, train.seeds - len(train.layout.parameters),
     )  # fmt: skip
     at = true._replace(coordinates=coordinates)
     gains = problem.tuned(coordinates, true.noise).gains

@@ -123,10 +123,9 @@ def diagnose(
     """
     free = free_by_default(vessel) if free is None else free
     effects = candidates(vessel)
-    room = 2 * (max(len(recordings), len(test or [])) if per_run else 1) + 2 * MOST_EFFECTS
 
     def problem_of(runs: list[Trajectory]) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, room)
+        return make_problem(vessel, runs, free, effects, per_run, 2 * MOST_EFFECTS)
 
     data = split(problem_of, recordings, test or [])
     progress("fitting the nominal model")
@@ -183,11 +182,11 @@ def _groups(problem: Problem, free: tuple[str, ...]) -> list[tuple[str, ...]]:
     """Candidates packed into groups that fit the compiled program's room."""
     groups: list[list[str]] = [[]]
     size = 0
-    for effect in problem.layout.effects:
+    for effect, sizes in zip(problem.layout.effects, problem.layout.sizes, strict=True):
         if effect.name in free:
             continue
-        k = len(problem.layout.indices((effect.name,)))
-        if size + k > problem.width:
+        k = len(sizes)
+        if size + k > problem.seeds:
             groups.append([])
             size = 0
         groups[-1].append(effect.name)

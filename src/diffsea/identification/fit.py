@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from diffsea.identification import likelihood
 from diffsea.identification.colour import autocorrelation, long_run
@@ -57,6 +57,7 @@ class Problem:
     tape: Tape
     prior: Prior
     width: int  # free coordinates the compiled program has room for
+    seeds: int  # and directions it differentiates in: copies for each run share one
 
     def start(self) -> tuple[np.ndarray, Noise]:
         """Prior mean of the coordinates and first guess of the noise."""
@@ -111,7 +112,7 @@ def make_problem(
         free: names of the vessel's parameters to estimate; `free_by_default` if None.
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
-        room: how many effect coordinates may be free at once.
+        room: how many effect coordinates may be free at once, copies for each run not counted.
 
     Raises:
         UserError: an unknown name, or a recording that does not fit the vessel.
@@ -124,7 +125,8 @@ def make_problem(
     sizes = tuple(effect.sizes(vessel) for effect in effects)
     layout = Layout(parameters, effects, sizes, tape.runs, per_run)
     tape = jax.tree.map(jnp.asarray, tape)
-    return Problem(vessel, layout, tape, noise_prior(vessel, tape), len(free) + room)
+    width = len(free) + room * (tape.runs if per_run else 1)
+    return Problem(vessel, layout, tape, noise_prior(vessel, tape), width, len(free) + room)
 
 
 @eqx.filter_jit
@@ -141,23 +143,44 @@ class Inputs(eqx.Module):
     fixed: Float[Array, "coordinate"]  # values of the coordinates that are not free
     selection: Float[Array, "coordinate width"]
     spreads: Float[Array, "coordinate"]
+    seeds: Float[Array, "seed width"]  # which free coordinates are differentiated together
+    owner: Int[Array, "width"]  # the run a free coordinate belongs to; -1: all of them
 
 
-def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
-    """Whitened innovations, then deviations from the prior; non-finite ones are large."""
+def _white(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+    """Whitened innovations; non-finite ones are large."""
     problem, layout = args
     coordinates = problem.fixed + problem.selection @ free
     white = likelihood.innovations(
         problem.base, layout.value, problem.tape, problem.gains, coordinates
     )
-    white = jnp.where(jnp.isfinite(white), white, 1e4)
-    # Unused columns of the selection are held at zero by a unit prior.
+    return jnp.where(jnp.isfinite(white), white, 1e4).ravel()
+
+
+def _prior(free: Float[Array, "width"], problem: Inputs) -> Array:
+    """Deviations from the prior; unused columns of the selection have one of their own."""
+    coordinates = problem.fixed + problem.selection @ free
     unused = 1 - jnp.abs(problem.selection).sum(0)
-    return jnp.concatenate([white.ravel(), coordinates / problem.spreads, unused * free])
+    return jnp.concatenate([coordinates / problem.spreads, unused * free])
+
+
+def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+    return jnp.concatenate([_white(free, args), _prior(free, args[0])])
 
 
 def _with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
-    return _residual(free, args), jax.jacfwd(lambda at: _residual(at, args))(free)
+    """Residual and its exact Jacobian.
+
+    What belongs to one run moves the innovations of no other, so that one direction serves
+    the copies of all runs (Curtis, Powell and Reid 1974).
+    """
+    problem, _ = args
+    push = jax.vmap(lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))[1])
+    run = jnp.repeat(problem.tape.run, 6)[:, None]
+    own = (problem.owner < 0) | (problem.owner == run)
+    J = jnp.where(own, push(problem.seeds).T @ problem.seeds, 0.0)
+    prior = jax.jacfwd(lambda at: _prior(at, problem))(free)
+    return _residual(free, args), jnp.concatenate([J, prior])
 
 
 jacobian = eqx.filter_jit(_with_jacobian)
@@ -204,13 +227,23 @@ def traced(
 ) -> tuple[Inputs, Static]:
     """The inputs of the compiled residual, `matrix` selecting what is free."""
     held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
-    return (
-        Inputs(
-            problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
-            jnp.asarray(problem.layout.spreads()),
-        ),
-        Static(problem.layout),
+    seeds, owner = _seeds(problem, matrix)
+    inputs = Inputs(
+        problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
+        jnp.asarray(problem.layout.spreads()), jnp.asarray(seeds), jnp.asarray(owner),
     )  # fmt: skip
+    return inputs, Static(problem.layout)
+
+
+def _seeds(problem: Problem, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Groups of free coordinates to differentiate together, and the runs they belong to."""
+    kind, run = problem.layout.kinds()
+    chosen = matrix.argmax(0)
+    used = matrix.any(0)
+    groups = np.unique(kind[chosen[used]])
+    seeds = np.zeros((problem.seeds, problem.width))
+    seeds[: len(groups)] = used & (kind[chosen] == groups[:, None])
+    return seeds, np.where(used, run[chosen], -1)
 
 
 def estimate(

@@ -110,6 +110,16 @@ class Layout:
         counts = [self.copies(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)]
         return len(self.parameters) + sum(counts)
 
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each coordinate is, the same number for its copies, and its run or -1."""
+        kind, run = list(range(len(self.parameters))), [-1] * len(self.parameters)
+        for effect, sizes in zip(self.effects, self.sizes, strict=True):
+            copies, first = self.copies(effect), len(kind)
+            for copy in range(copies):
+                kind += range(first, first + len(sizes))
+                run += [copy if copies > 1 else -1] * len(sizes)
+        return np.array(kind), np.array(run)
+
     def spreads(self) -> np.ndarray:
         """Prior standard deviation of every coordinate."""
         effects = sum(
