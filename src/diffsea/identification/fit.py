@@ -33,6 +33,8 @@ Progress = Callable[[str], None]
 
 ROUNDS = 8
 STEPS = 12  # of Levenberg-Marquardt in one round
+NOISE_STEPS = 3  # of Fisher scoring in one round
+FIRST_STEPS = 15  # and in the first one
 
 
 class Estimate(NamedTuple):
@@ -255,34 +257,57 @@ def estimate(
     fixed_noise: bool = False,
     progress: Progress = lambda message: None,
 ) -> Estimate:
-    """Fit the free coordinates by name (parameters and effects), from `start`."""
+    """Fit the free coordinates by name (parameters and effects), from `start`.
+
+    Every round lowers the deviance: first by the noise, so that the innovations are weighed
+    rightly, then by the parameters.
+    """
     coordinates, first = problem.start()
     coordinates = coordinates if start is None else np.array(start, float)
-    noise = first if noise is None else noise
+    noise, steps = (first, FIRST_STEPS) if noise is None else (noise, NOISE_STEPS)
     index, matrix = selection(problem.layout, free, problem.width)
-    last = np.inf
-    best = None
+    tuned = problem.tuned(coordinates, noise)
+    now = _posterior(problem, coordinates, noise, tuned)
     for number in range(rounds):
-        tuned = problem.tuned(coordinates, noise)
-        inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
-        begin = np.zeros(problem.width)
-        begin[: len(index)] = coordinates[index]
-        found = _improve(inputs, layout, jnp.asarray(begin), STEPS)
-        coordinates = coordinates.copy()
-        coordinates[index] = np.asarray(found)[: len(index)]
-        tuned = problem.tuned(coordinates, noise)
+        last = now
         if not fixed_noise:
-            noise = refine(_path(tuned), _clock(problem), noise, problem.prior)
-        now = _posterior(problem, coordinates, noise)
+            noise = refine(_path(tuned), _clock(problem), noise, problem.prior, steps)
+            steps = NOISE_STEPS
+            tuned = problem.tuned(coordinates, noise)
+            now = _posterior(problem, coordinates, noise, tuned)
+        target = _target(problem, coordinates, tuned, index, matrix)
+        coordinates, tuned, now = _walk(problem, coordinates, target, noise, tuned, now)
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")
-        if best is None or now < best[0]:
-            best = (now, coordinates, noise)
         if abs(last - now) < 0.05 + 1e-6 * abs(now):
             break
-        last = now
-    now, coordinates, noise = best
     uncertainty = _uncertainty(problem, coordinates, noise, index, matrix)
     return Estimate(free, coordinates, noise, now, index, *uncertainty)
+
+
+def _target(
+    problem: Problem, coordinates: np.ndarray, tuned: Tuned, index: np.ndarray, matrix: np.ndarray
+) -> np.ndarray:
+    """Coordinates that fit best with the gains held fixed."""
+    inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
+    begin = np.zeros(problem.width)
+    begin[: len(index)] = coordinates[index]
+    found = _improve(inputs, layout, jnp.asarray(begin), STEPS)
+    target = coordinates.copy()
+    target[index] = np.asarray(found)[: len(index)]
+    return target
+
+
+def _walk(
+    problem: Problem, start: np.ndarray, target: np.ndarray, noise: Noise, tuned: Tuned, now: float
+) -> tuple[np.ndarray, Tuned, float]:
+    """Go to the target, or part of the way where the filter with its own gains is worse there."""
+    for share in (1.0, 0.5, 0.2, 0.05):
+        coordinates = start + share * (target - start)
+        there = problem.tuned(coordinates, noise)
+        value = _posterior(problem, coordinates, noise, there)
+        if value < now or (np.isfinite(value) and not np.isfinite(now)):
+            return coordinates, there, value
+    return start, tuned, now
 
 
 def _path(tuned: Tuned) -> Path:
@@ -295,8 +320,7 @@ def _clock(problem: Problem) -> Clock:
     return Clock(tape.dt, tape.starts, likelihood.first_variance(problem.base))
 
 
-def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:
-    tuned = problem.tuned(coordinates, noise)
+def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise, tuned: Tuned) -> float:
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     away = coordinates / problem.layout.spreads()
     return float(deviance(tuned)) + float(off @ off) + float(away @ away)

@@ -406,8 +406,12 @@ def updated(
         Ph = jnp.sum(P[:, :6] * h, axis=1)
         s = jnp.where(used[j], jnp.sum(h * Ph[:6]) + R[j], 1.0)
         fresh = jnp.where(used[j], unit[j] - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
-        C = C + (Ph / s)[:, None] * fresh[None, :]
-        P = P - Ph[:, None] * Ph[None, :] / s
+        gain = Ph / s
+        C = C + gain[:, None] * fresh[None, :]
+        # Joseph form: stays positive definite however small the sensor noise.
+        left = P - gain[:, None] * Ph[None, :]
+        spare = jnp.sum(left[:, :6] * h, axis=1) - R[j] * gain
+        P = left - spare[:, None] * gain[None, :]
         rows.append(fresh / jnp.sqrt(s))
         variances.append(s)
     return C, jnp.stack(rows), P, jnp.stack(variances)

@@ -123,7 +123,7 @@ def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
     )
 
 
-def refine(path: Path, clock: Clock, noise: Noise, prior: Prior, steps: int = 3) -> Noise:
+def refine(path: Path, clock: Clock, noise: Noise, prior: Prior, steps: int) -> Noise:
     """Fisher scoring on the scales from `noise`, halving a step that makes it worse."""
     log = np.asarray(noise.scales)
     value, gradient, curvature = _score(path, clock, jnp.asarray(log), prior)
