@@ -1,5 +1,7 @@
 """Vessel files: the ones that ship, what their numbers mean, and what a bad one is told."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
@@ -490,6 +492,16 @@ ADDED = {
         "[[propeller]]\ndiameter = 0\nk_T = [0.3, -0.2, 0]", r"diameter = 0 must be positive",
     ),
     "rudder of negative area": ("[[rudder]]\narea = -0.1", r"area = -0.1 must be positive"),
+    "a thrust curve that pushes backwards": (
+        '[[thruster]]\nname = "third"\ncurve = { c = 0.0, d = -1.0 }', "d = -1 must be positive",
+    ),
+    "limits that get softer than soft": (
+        '[[thruster]]\nname = "third"\nsharpness = -2.0', "sharpness = -2 is negative",
+    ),
+    "late channels that are no list": (
+        '[[effect]]\nname = "sensor-latency"\ndelay = 0.1\nchannels = 5',
+        "channels = 5 is not a list",
+    ),
     "half a thrust curve": (
         '[[thruster]]\nname = "third"\ncurve = { d = 1.0 }', r"'third': curve = ",
     ),
@@ -527,6 +539,40 @@ def test_a_folder_or_a_binary_file_is_not_a_vessel(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(UserError, match="not a text file"):
         read_vessel(binary)
+
+
+# -- effects and limits --------------------------------------------------------------------
+
+
+TWICE = {
+    "current": ({"speed": 0.1, "direction": 0.5},) * 2 + ({"speed": 0.2, "direction": 0.5},),
+    "crossflow-drag": ({"cd": 0.4}, {"cd": 0.6}, {"cd": 1.0}),
+    "sway-yaw-coupling": ({"Y_r": -3.0}, {"Y_r": -1.0, "N_v": 2.0}, {"Y_r": -4.0, "N_v": 2.0}),
+    "wave-force": ({"bias": 20.0}, {"bias": 30.0}, {"bias": 50.0}),
+    "thrust-asymmetry": ({"ratio": 0.05}, {"ratio": 0.1}, {"ratio": 0.15}),
+}
+
+
+@pytest.mark.parametrize("name", TWICE)
+def test_an_effect_given_twice_adds_up(name):
+    first, second, both = ({"name": name} | values for values in TWICE[name])
+    document = dict(read_vessel("wamv").document)
+    vessels = [build(document | {"effect": effects}) for effects in ([first, second], [both])]
+    state, executed = moving(1.2, 0.2, 0.1, 0.4), {"port": 200.0, "starboard": 150.0}
+    rates = [v.rate(state, executed, v.environment, 0.0) for v in vessels]
+    np.testing.assert_allclose(*([float(x) for x in vars(r).values()] for r in rates), rtol=1e-12)
+    plain = build(document)
+    assert rates[0] != plain.rate(state, executed, plain.environment, 0.0)
+
+
+def test_limits_of_force_hold_for_thrusters_with_a_curve():
+    text = '[[thruster]]\nname = "jet"\nmax_force = 50.0\nmin_force = -18.0\n'
+    document = dict(read_vessel("wamv").document)
+    jet = tomllib.loads(text + "curve = { c = -0.1, d = 0.5 }")["thruster"]
+    vessel = build(document | {"thruster": jet})
+    for order, force in ((1e3, 50.0), (-1e3, -18.0)):
+        speed = vessel.servos["jet"].target(order)
+        assert force_of(vessel, "jet", moving(0.0), {"jet": speed})[0] == pytest.approx(force)
 
 
 # -- writing back ----------------------------------------------------------------------------

@@ -142,7 +142,7 @@ def _check_servo(channel: str, servo: Servo) -> None:
         raise UserError(
             f"actuator {channel!r}: its lower limit {low:g} is not below its upper limit {high:g}"
         )
-    for field in ("time_constant", "delay", "deadband"):
+    for field in ("time_constant", "delay", "deadband", "sharpness"):
         value = getattr(servo, field)
         if value is not None and float(value) < 0:
             raise UserError(f"actuator {channel!r}: {field} = {float(value):g} is negative")
@@ -251,19 +251,39 @@ def _position(table: Table, where: str) -> dict[str, float]:
 
 def _thruster(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
     where = f"[[thruster]] {name!r}"
-    limits = ("max_speed", "min_speed") if "curve" in table else ("max_force", "min_force")
-    _known(table, (*_COMMON, *_LOSSES, "x", "y", "angle", "curve", *limits), where)
-    curve = table.get("curve")
-    if curve is not None:
-        if not isinstance(curve, dict) or set(curve) != {"c", "d"}:
-            raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
-        curve = (_needed(curve, "c", where), _needed(curve, "d", where))
-    servo = _servo(table, where, limits[1], limits[0])
+    speeds = ("max_speed", "min_speed") if "curve" in table else ()
+    keys = (*_COMMON, *_LOSSES, "x", "y", "angle", "curve", "max_force", "min_force", *speeds)
+    _known(table, keys, where)
+    curve = _curve(table, where)
+    if curve is None:
+        servo = _servo(table, where, "min_force", "max_force")
+    else:
+        servo = _servo(_in_speeds(table, curve[1], where), where, "min_speed", "max_speed")
     angle = _number(table, "angle", where, 0.0)
     place = _position(table, where)
     return act.FixedThruster(
         {name: servo}, **place, angle=angle, curve=curve, losses=_losses(table, where)
     )
+
+
+def _curve(table: Table, where: str) -> tuple[float, float] | None:
+    curve = table.get("curve")
+    if curve is None:
+        return None
+    if not isinstance(curve, dict) or set(curve) != {"c", "d"}:
+        raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
+    c, d = _needed(curve, "c", where), _positive(curve, "d", where)
+    return c, d
+
+
+def _in_speeds(table: Table, d: float, where: str) -> Table:
+    """The table with limits of force as the speeds (rev/s) that reach them at the bollard."""
+    speeds = {}
+    for side in ("max", "min"):
+        force = _number(table, f"{side}_force", where)
+        if force is not None and f"{side}_speed" not in table:
+            speeds[f"{side}_speed"] = math.copysign(math.sqrt(abs(force) / d), force)
+    return table | speeds
 
 
 def _azimuth(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
@@ -370,6 +390,11 @@ def _apply_latency(vessel: Vessel, table: Table) -> Vessel:
     _known(table, ("name", "delay", "channels"), "[[effect]] 'sensor-latency'")
     delay = _needed(table, "delay", "[[effect]] 'sensor-latency'")
     channels = table.get("channels", ["x", "y"])
+    if not isinstance(channels, list) or not all(isinstance(name, str) for name in channels):
+        raise UserError(
+            f"[[effect]] 'sensor-latency': channels = {channels!r} is not a list of names "
+            'such as ["x", "y"]'
+        )
     groups = [g for g, members in LATENCY_CHANNELS.items() if set(members) & set(channels)]
     if not groups:
         raise UserError("[[effect]] 'sensor-latency': channels are among x, y, psi, u, v, r")

@@ -155,6 +155,8 @@ def _with_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
 
 
 def _cross_flow(vessel: Vessel, cd: Coordinates) -> Vessel:
+    if "crossflow-drag" in vessel.forces:
+        return _shifted(vessel, lambda v: v.forces["crossflow-drag"].cd, cd[0])
     body = vessel.rigid_body
     drag = CrossFlowDrag(cd[0], body.length, body.draught, body.water_density)
     return _with_force(vessel, "crossflow-drag", drag)
@@ -162,8 +164,9 @@ def _cross_flow(vessel: Vessel, cd: Coordinates) -> Vessel:
 
 def _derivatives(effect: str, names: tuple[str, ...]) -> Callable[[Vessel, Coordinates], Vessel]:
     def add(vessel: Vessel, values: Coordinates) -> Vessel:
-        extra = Damping(dict(zip(names, values, strict=True)))
-        return _with_force(vessel, effect, extra)
+        before = getattr(vessel.forces.get(effect), "derivatives", dict.fromkeys(names, 0.0))
+        extra = {name: before[name] + value for name, value in zip(names, values, strict=True)}
+        return _with_force(vessel, effect, Damping(extra))
 
     return add
 
@@ -273,7 +276,10 @@ def _sensor(*fields: str) -> Callable[[Vessel, Coordinates], Vessel]:
 
 
 def _wave(vessel: Vessel, values: Coordinates) -> Vessel:
-    return _with_force(vessel, "wave-force", EarthForce(*values))
+    """One more wave train: unlike other effects, several do not add up to one."""
+    number = sum(isinstance(force, EarthForce) for force in vessel.forces.values())
+    name = "wave-force" if number == 0 else f"wave-force {number + 1}"
+    return _with_force(vessel, name, EarthForce(*values))
 
 
 def _latency(channel: str) -> Plain:
