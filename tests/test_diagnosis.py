@@ -5,6 +5,7 @@ import pytest
 from tests.oracle import make_recordings
 from tests.oracle.simulator import load
 
+from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import diagnose
 from diffsea.diagnosis.summary import summary, vessel_document
@@ -52,6 +53,30 @@ def test_the_vessel_file_holds_the_effect(current, document):
     vessel = build(vessel_document(document, current))
     flow = np.hypot(float(vessel.environment.current_north), float(vessel.environment.current_east))
     assert flow == pytest.approx(0.3, rel=0.1)
+
+
+def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
+    directions = {"random-fast": 2.0, "zigzag-slow": 4.5, "random-slow": 0.5}
+    runs = []
+    for name, direction in directions.items():
+        hidden = {"current": {"speed": 0.3, "direction": direction}}
+        make_recordings.produce(tmp_path, document, 5, hidden, seconds=60.0, runs=(name,))
+        runs.append(read_recording(tmp_path / f"{name}.csv"))
+    found = diagnose(build(document), runs[:2], runs[2:], per_run=True)
+    record = summary(found, [])
+    assert record["verdict"] == "explained"
+    named = {effect["recording"]: effect["parameters"] for effect in record["effects"]}
+    assert set(named) == {"random-fast.csv", "zigzag-slow.csv"}
+    for name, parameters in named.items():
+        truth = directions[name.removesuffix(".csv")]
+        assert parameters["speed"]["value"] == pytest.approx(0.3, rel=0.1)
+        assert parameters["direction"]["value"] == pytest.approx(truth, abs=0.15)
+    # The held-out run's own current is read off its head; what is judged is the rest.
+    flow = transferred(found.split, found.final)[found.split.test.layout.slices()["current"]]
+    north, east = flow * np.array(found.split.test.layout.sizes[0])
+    assert (north, east) == pytest.approx((0.3 * np.cos(0.5), 0.3 * np.sin(0.5)), abs=0.06)
+    assert found.split.held_out[0].t[0] > 23.0
+    assert "first part" in record["held_out"]["how"]
 
 
 def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):

@@ -167,7 +167,7 @@ def diagnosis_of(verdict: str, currents: tuple[float, ...] = ()) -> Diagnosis:
     fitted = Fitted("current", final, 900.0, 2, 1680.0, Gain(1540.0, 130.0), score, True)
     return Diagnosis(
         verdict=verdict,
-        split=Split(problem, problem, runs, held_out, bool(currents)),
+        split=Split(problem, problem, None, runs, held_out, bool(currents)),
         nominal=nominal,
         final=final if found else nominal,
         effects=(Accepted("current", fitted, ()),) if found else (),

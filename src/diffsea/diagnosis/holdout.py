@@ -1,6 +1,7 @@
 """Judging a model on runs that it did not see."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from diffsea.types import Trajectory
 
 
 TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given
+HEAD_SHARE = 0.4  # of a held-out recording, from which its own environment is estimated
 
 
 class Gain(NamedTuple):
@@ -27,55 +29,75 @@ class Gain(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Training and held-out data as two problems with the same layout."""
+    """Training and held-out data as problems of one kind.
+
+    Where each recording has an environment of its own, that of a held-out recording is
+    estimated on its `head`, and only the rest is held out.
+    """
 
     train: Problem
     test: Problem
+    head: Problem | None
     recordings: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...]
     by_time: bool  # held out the end of each recording rather than whole ones
 
 
-def split(problem_of, recordings: list[Trajectory], test: list[Trajectory]) -> Split:
+def split(
+    problem_of: Callable[[list[Trajectory]], Problem],
+    recordings: list[Trajectory],
+    test: list[Trajectory],
+    per_run: bool,
+) -> Split:
     """Hold out `test`, or the end of each recording where there is none.
 
-    `problem_of` makes a problem from recordings.
+    `problem_of` makes a problem from recordings; `per_run` says whether each has an
+    environment of its own.
     """
-    if test:
-        return Split(
-            problem_of(recordings), problem_of(test), tuple(recordings), tuple(test), False
-        )
-    heads, tails = zip(*(_parts(recording) for recording in recordings), strict=True)
-    return Split(problem_of(list(heads)), problem_of(list(tails)), heads, tails, True)
+    if not test:
+        heads, tails = _cut_all(recordings, TRAIN_SHARE)
+        return Split(problem_of(heads), problem_of(tails), None, tuple(heads), tuple(tails), True)
+    train, head = problem_of(recordings), None
+    if per_run:
+        heads, test = _cut_all(test, HEAD_SHARE)
+        head = problem_of(heads)
+    return Split(train, problem_of(test), head, tuple(recordings), tuple(test), False)
 
 
-def _parts(recording: Trajectory) -> tuple[Trajectory, Trajectory]:
+def _cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
+    heads, tails = zip(*(_parts(recording, share) for recording in recordings), strict=True)
+    return list(heads), list(tails)
+
+
+def _parts(recording: Trajectory, share: float) -> tuple[Trajectory, Trajectory]:
     t = np.asarray(recording.t)
-    at = float(t[0] + TRAIN_SHARE * (t[-1] - t[0]))
+    at = float(t[0] + share * (t[-1] - t[0]))
     return cut(recording, float(t[0]), at), cut(recording, at, float(t[-1]))
 
 
 def transferred(split: Split, fitted: Estimate) -> np.ndarray:
     """The fitted coordinates as coordinates of the held-out problem.
 
-    An environment of its own for each run is not transferable to other runs: there it is
-    estimated on the held-out run itself, everything else fixed.
+    An environment of its own is that of the same recording's earlier part: as fitted, or
+    estimated on the head of a held-out recording with everything else fixed.
     """
+    if split.head is None:
+        return fitted.coordinates
     train, test = split.train.layout, split.test.layout
     out = np.zeros(test.size)
     out[: len(test.parameters)] = fitted.coordinates[: len(train.parameters)]
     own = []
     for effect in train.effects:
-        a, b = train.slices()[effect.name], test.slices()[effect.name]
-        if a.stop - a.start == b.stop - b.start:
-            out[b] = fitted.coordinates[a]
+        if effect.group != "environment":
+            place = test.slices()[effect.name]
+            out[place] = fitted.coordinates[train.slices()[effect.name]]
         elif effect.name in fitted.free:
             own.append(effect.name)
-    if own:
-        out = estimate(
-            split.test, tuple(own), start=out, noise=fitted.noise, rounds=2, fixed_noise=True
-        ).coordinates
-    return out
+    if not own:
+        return out
+    return estimate(
+        split.head, tuple(own), start=out, noise=fitted.noise, rounds=2, fixed_noise=True
+    ).coordinates
 
 
 def row_deviance(problem: Problem, coordinates: np.ndarray, fitted: Estimate) -> np.ndarray:

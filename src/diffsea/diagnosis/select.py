@@ -127,7 +127,7 @@ def diagnose(
     def problem_of(runs: list[Trajectory]) -> Problem:
         return make_problem(vessel, runs, free, effects, per_run, 2 * MOST_EFFECTS)
 
-    data = split(problem_of, recordings, test or [])
+    data = split(problem_of, recordings, test or [], per_run)
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")

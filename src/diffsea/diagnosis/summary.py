@@ -31,6 +31,8 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
 
 def _held_out(diagnosis: Diagnosis) -> dict:
     how = "the last part of each recording" if diagnosis.split.by_time else "whole recordings"
+    if diagnosis.split.head is not None:
+        how = "recordings, after a first part that shows their own environment"
     return {"how": how, "recordings": [run.name for run in diagnosis.split.held_out]}
 
 
