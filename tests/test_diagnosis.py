@@ -7,7 +7,7 @@ from tests.oracle.simulator import load
 
 from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.score import Projection
-from diffsea.diagnosis.select import diagnose
+from diffsea.diagnosis.select import Accepted, _verdict, diagnose
 from diffsea.diagnosis.summary import summary, vessel_document
 from diffsea.recordings import read_recording
 from diffsea.vessel.catalogue import build
@@ -83,6 +83,21 @@ def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):
     found = _diagnosed(document, tmp_path_factory.mktemp("clean"), {})
     assert found.verdict == "consistent"
     assert found.names == ()
+
+
+@pytest.mark.parametrize(
+    ("rivals", "left", "verdict"),
+    [
+        (None, 0.4, "consistent"),
+        (None, 1e-5, "unexplained"),
+        ((), 0.4, "explained"),
+        (("wind",), 0.4, "ambiguous"),
+        (("wind",), 1e-5, "unexplained"),  # a name for a part, and a remainder without one
+    ],
+)
+def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, left, verdict):
+    accepted = [] if rivals is None else [Accepted("current", None, rivals)]
+    assert _verdict(accepted, left) == verdict
 
 
 def test_score_has_its_size_under_white_noise_and_sees_a_shift():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffsea.identification.fit import Estimate, Problem, block_sums, estimate
+from diffsea.identification.likelihood import Tuned
 from diffsea.recordings.conditioning import cut
 from diffsea.types import Trajectory
 
@@ -103,6 +104,11 @@ def transferred(split: Split, fitted: Estimate) -> np.ndarray:
 def row_deviance(problem: Problem, coordinates: np.ndarray, fitted: Estimate) -> np.ndarray:
     """-2 log likelihood of each row."""
     tuned = problem.tuned(coordinates, fitted.noise)
+    with np.errstate(invalid="ignore"):  # a model that diverges predicts nothing: NaN
+        return _rows_of(tuned)
+
+
+def _rows_of(tuned: Tuned) -> np.ndarray:
     return (np.asarray(tuned.white) ** 2 + np.log(np.asarray(tuned.variance))).sum(1)
 
 

@@ -28,6 +28,7 @@ from diffsea.identification.fit import (
 )
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import AbstractEffect
 
 
 Progress = Callable[[str], None]
@@ -255,26 +256,39 @@ def refit_short_list(
 
 
 def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
+    """Two starts at the noise of the model without the effect; the better is fitted to its end."""
     problem = data.train
-    place = problem.layout.indices((name,))
-    # The effects found so far start from their estimate, everything else from the prior.
-    start = current.coordinates.copy()
-    start[: len(problem.layout.parameters)] = 0.0
     effect = next(e for e in problem.layout.effects if e.name == name)
+    free = (*current.free, name)
+    starts = [
+        estimate(problem, free, start, current.noise, rounds=3, fixed_noise=True)
+        for start in _starts(problem, current, effect, score)
+    ]
+    better = min(starts, key=lambda fitted: fitted.deviance)
+    fitted = estimate(problem, free, better.coordinates, current.noise)
+    value = problem.layout.physical(name, fitted.coordinates)
+    return Fitted(
+        name, fitted, current.deviance - fitted.deviance, len(problem.layout.indices((name,))),
+        float(problem.tape.count), gain(data, current, fitted), score,
+        not effect.positive or bool((value > 0).all()),
+    )  # fmt: skip
+
+
+def _starts(
+    problem: Problem, current: Estimate, effect: AbstractEffect, score: Score
+) -> list[np.ndarray]:
+    """The prior and the current estimate, both with the effect at its one-step estimate.
+
+    Effects found before start from their estimate in either.
+    """
     guess = np.clip(score.step, -3.0, 3.0)
     if effect.positive:
         guess = np.maximum(guess, 0.1)
-    start[place] = guess
-    fitted = estimate(problem, (*current.free, name), start=start, noise=current.noise)
     warm = current.coordinates.copy()
-    warm[place] = guess
-    other = estimate(problem, (*current.free, name), start=warm, noise=current.noise, rounds=4)
-    fitted = min(fitted, other, key=lambda f: f.deviance)
-    value = problem.layout.physical(name, fitted.coordinates)
-    return Fitted(
-        name, fitted, current.deviance - fitted.deviance, len(place), float(problem.tape.count),
-        gain(data, current, fitted), score, not effect.positive or bool((value > 0).all()),
-    )  # fmt: skip
+    warm[problem.layout.indices((effect.name,))] = guess
+    prior = warm.copy()
+    prior[: len(problem.layout.parameters)] = 0.0
+    return [prior, warm]
 
 
 def decide(tried: list[Fitted]) -> Fitted | None:
@@ -300,8 +314,10 @@ def ambiguous_with(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
 
 
 def _verdict(accepted: list[Accepted], left: float) -> str:
+    if left < ALPHA:
+        return "unexplained"
     if not accepted:
-        return "unexplained" if left < ALPHA else "consistent"
+        return "consistent"
     if any(one.rivals for one in accepted):
         return "ambiguous"
     return "explained"

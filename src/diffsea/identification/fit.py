@@ -32,7 +32,7 @@ from diffsea.vessel.effects import AbstractEffect
 Progress = Callable[[str], None]
 
 ROUNDS = 8
-STEPS = 12  # of Levenberg-Marquardt in one round
+STEPS = 6  # of Levenberg-Marquardt in one round
 NOISE_STEPS = 3  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
@@ -209,7 +209,7 @@ def _improve(inputs: Inputs, layout: Static, start: Array, steps: int) -> Array:
     """Levenberg-Marquardt with the gains held fixed."""
     # Normal equations: columns are scaled alike and regularised by the prior, and a QR of
     # the tall Jacobian in every step would cost more than everything else.
-    solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=lx.Normal(lx.Cholesky()))
+    solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4, linear_solver=lx.Normal(lx.Cholesky()))
     return optx.least_squares(
         lambda free, args: _known_slope(free, args=args), solver, start, (inputs, layout),
         options={"jac": "fwd"}, max_steps=steps, throw=False,

@@ -33,6 +33,7 @@ class AbstractEffect(abc.ABC):
     name: str
     units: dict[str, str]  # parameter name to unit, in order
     group: str  # "sensor", "environment", "actuator" or "hull"
+    positive: bool  # only non-negative values are physical
 
     @abc.abstractmethod
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
@@ -65,7 +66,7 @@ class Plain(AbstractEffect):
     add: Callable[[Vessel, Coordinates], Vessel]
     size: Callable[[Vessel], tuple[float, ...]]
     when: Callable[[Vessel], bool] = lambda vessel: True
-    positive: bool = False  # only non-negative values are physical
+    positive: bool = False
 
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
         return self.size(vessel)
