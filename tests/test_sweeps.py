@@ -40,7 +40,8 @@ def own_cache(tmp_path_factory):
 def swept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "boat.toml").write_text(BOAT)
-    words = ["sweep", str(folder / "boat.toml"), *ORDERED, "--grid", *GRID]
+    first, *others = GRID
+    words = ["sweep", str(folder / "boat.toml"), *ORDERED, "--grid", first, "--grid", *others]
     told = io.StringIO()
     with contextlib.redirect_stderr(told):
         assert main([*words, "-o", str(folder / "out")]) == 0

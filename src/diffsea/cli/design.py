@@ -57,7 +57,7 @@ def register(commands) -> None:
     add_trial_options(sweep)
     group = sweep.add_argument_group("designs")
     group.add_argument(
-        "--grid", metavar="NAME=FROM:TO:COUNT", nargs="+", type=_axis,
+        "--grid", metavar="NAME=FROM:TO:COUNT", nargs="+", type=_axis, action="extend",
         help="all combinations of evenly spaced values",
     )  # fmt: skip
     group.add_argument(
