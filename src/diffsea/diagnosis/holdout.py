@@ -27,6 +27,15 @@ class Gain(NamedTuple):
         """Whether the gain is beyond two standard errors."""
         return self.total > 2 * self.std
 
+    @property
+    def open(self) -> bool:
+        """Whether it may be a gain as well as a loss."""
+        return abs(self.total) <= 2 * self.std
+
+    def pooled(self, other: "Gain") -> "Gain":
+        """Both together, of data that share nothing."""
+        return Gain(self.total + other.total, float(np.hypot(self.std, other.std)))
+
 
 @dataclasses.dataclass(frozen=True)
 class Split:
@@ -121,3 +130,13 @@ def gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     length = max(8, len(difference) // 30)
     sums = block_sums(difference, length)[:, 0]
     return Gain(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
+
+
+def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
+    """The gain the other way round: both models fitted to the held-out data, judged on the rest."""
+    other = dataclasses.replace(split, train=split.test, test=split.train)
+
+    def again(model: Estimate) -> Estimate:
+        return estimate(other.train, model.free, model.coordinates, model.noise)
+
+    return gain(other, again(nominal), again(fitted))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.diagnosis.candidates import candidates, catalogue_name
-from diffsea.diagnosis.holdout import Gain, Split, gain, split
+from diffsea.diagnosis.holdout import Gain, Split, exchanged_gain, gain, split
 from diffsea.diagnosis.locate import Cell, locate, regimes, time_windows
 from diffsea.diagnosis.score import Projection, Score
 from diffsea.identification.fit import (
@@ -141,7 +141,7 @@ def diagnose(
             break
         tried = refit_short_list(data, current, screening, progress)
         shown = shown or tuple(tried)
-        best = decide(tried)
+        best = decide(data, current, tried, progress)
         if best is None:
             break
         rivals = ambiguous_with(best, tried)
@@ -291,13 +291,21 @@ def _starts(
     return [prior, warm]
 
 
-def decide(tried: list[Fitted]) -> Fitted | None:
-    """The best hypothesis, if evidence and held-out data both speak for it."""
-    sound = [fitted for fitted in tried if fitted.possible]
-    if not sound:
+def decide(
+    data: Split, current: Estimate, tried: list[Fitted], progress: Progress
+) -> Fitted | None:
+    """The best hypothesis, if evidence and held-out data both speak for it.
+
+    Where the held-out data leave it open, they and the training data change places.
+    """
+    best = next((fitted for fitted in tried if fitted.possible), None)
+    if best is None or best.bic(best.estimate.inflation) <= EVIDENCE:
         return None
-    best = sound[0]
-    return best if best.bic(best.estimate.inflation) > EVIDENCE and best.gain.clear else None
+    if best.gain.open and data.head is None:
+        progress(f"{best.effect}: held-out data leave it open; exchanging them with the others")
+        other = exchanged_gain(data, current, best.estimate)
+        best = dataclasses.replace(best, gain=best.gain.pooled(other))
+    return best if best.gain.clear else None
 
 
 def ambiguous_with(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
