@@ -256,7 +256,10 @@ def refit_short_list(
 
 
 def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
-    """Two starts at the noise of the model without the effect; the better is fitted to its end."""
+    """Two starts at the noise of the model without the effect; the better is fitted to its end.
+
+    Where both end worse than that model, the effect starts from its absence there.
+    """
     problem = data.train
     effect = next(e for e in problem.layout.effects if e.name == name)
     free = (*current.free, name)
@@ -264,7 +267,8 @@ def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
         estimate(problem, free, start, current.noise, rounds=3, fixed_noise=True)
         for start in _starts(problem, current, effect, score)
     ]
-    better = min(starts, key=lambda fitted: fitted.deviance)
+    sound = [fitted for fitted in starts if fitted.deviance < current.deviance]
+    better = min(sound, key=lambda fitted: fitted.deviance, default=current)
     fitted = estimate(problem, free, better.coordinates, current.noise)
     value = problem.layout.physical(name, fitted.coordinates)
     return Fitted(
