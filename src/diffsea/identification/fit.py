@@ -271,10 +271,12 @@ def estimate(
     for number in range(rounds):
         last = now
         if not fixed_noise:
-            noise = refine(_path(tuned), _clock(problem), noise, problem.prior, steps)
+            better = refine(_path(tuned), _clock(problem), noise, problem.prior, steps)
             steps = NOISE_STEPS
-            tuned = problem.tuned(coordinates, noise)
-            now = _posterior(problem, coordinates, noise, tuned)
+            there = problem.tuned(coordinates, better)
+            value = _posterior(problem, coordinates, better, there)
+            if value < now or (np.isfinite(value) and not np.isfinite(now)):
+                noise, tuned, now = better, there, value
         target = _target(problem, coordinates, tuned, index, matrix)
         coordinates, tuned, now = _walk(problem, coordinates, target, noise, tuned, now)
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")

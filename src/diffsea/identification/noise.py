@@ -17,6 +17,9 @@ from diffsea.identification.tape import Tape, natural_time
 from diffsea.vessel.base import Vessel
 
 
+LEAST = 4.0  # scales stay within this of their prior's logarithm below: rounding is not noise
+
+
 class Path(eqx.Module):
     """A filter's path linearised: enough to run it again with other gains."""
 
@@ -125,11 +128,11 @@ def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
 
 def refine(path: Path, clock: Clock, noise: Noise, prior: Prior, steps: int) -> Noise:
     """Fisher scoring on the scales from `noise`, halving a step that makes it worse."""
-    log = np.asarray(noise.scales)
+    log, lowest = np.asarray(noise.scales), prior.mean - LEAST
     value, gradient, curvature = _score(path, clock, jnp.asarray(log), prior)
     for _ in range(steps):
         step = -np.linalg.solve(np.asarray(curvature), np.asarray(gradient))
-        step = np.clip(step, -1.0, 1.0)
+        step = np.maximum(np.clip(step, -1.0, 1.0), lowest - log)
         for _ in range(4):
             trial = _score(path, clock, jnp.asarray(log + step), prior)
             if float(trial[0]) <= float(value):
