@@ -13,20 +13,10 @@ from tests.oracle.simulator import load, simulate
 
 from diffsea.errors import UserError
 from diffsea.identification.colour import autocorrelation, inflation
-from diffsea.identification.fit import (
-    _clock,
-    _path,
-    _residual,
-    estimate,
-    jacobian,
-    make_problem,
-    normalised_rms,
-    physical_table,
-    selection,
-    traced,
-)
-from diffsea.identification.likelihood import Noise, gust_model, updated
+from diffsea.identification.fit import _clock, _path, estimate, normalised_rms, physical_table
+from diffsea.identification.gusts import Noise, gust_model, updated
 from diffsea.identification.noise import _rerun
+from diffsea.identification.problem import _residual, jacobian, make_problem, selection, traced
 from diffsea.parameters import hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build

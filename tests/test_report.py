@@ -13,7 +13,8 @@ from diffsea.diagnosis.holdout import Gain, Split
 from diffsea.diagnosis.locate import Cell
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted
-from diffsea.identification.fit import Estimate, Problem, make_problem
+from diffsea.identification.fit import Estimate
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.report.comparison import compare, with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report
 from diffsea.report.fit_page import fit_report

@@ -20,7 +20,8 @@ from diffsea.cli.options import (
 
 
 if TYPE_CHECKING:
-    from diffsea.identification.fit import Estimate, Problem
+    from diffsea.identification.fit import Estimate
+    from diffsea.identification.problem import Problem
     from diffsea.types import Trajectory
 
 
@@ -96,12 +97,8 @@ def _source(args: argparse.Namespace, runs: "list[Trajectory]") -> dict:
 
 def _fit(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
-        from diffsea.identification.fit import (
-            estimate,
-            make_problem,
-            normalised_rms,
-            physical_table,
-        )
+        from diffsea.identification.fit import estimate, normalised_rms, physical_table
+        from diffsea.identification.problem import make_problem
         from diffsea.report.fit_page import fit_report
         from diffsea.vessel.catalogue import build, dump, updated_document
 

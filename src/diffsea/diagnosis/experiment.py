@@ -14,8 +14,9 @@ import numpy as np
 from diffsea.diagnosis.candidates import catalogue_name
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted, columns_at
-from diffsea.identification.fit import Estimate, Problem, make_problem
-from diffsea.identification.likelihood import equipped
+from diffsea.identification.fit import Estimate
+from diffsea.identification.layout import equipped
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.simulation.control import Helm, full_throttle, throttle_for
 from diffsea.simulation.replay import replay
 from diffsea.types import Trajectory

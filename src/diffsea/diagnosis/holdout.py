@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffsea.identification.fit import Estimate, Problem, block_sums, estimate
+from diffsea.identification.fit import Estimate, block_sums, estimate
 from diffsea.identification.likelihood import Tuned
+from diffsea.identification.problem import Problem
 from diffsea.recordings.conditioning import cut
 from diffsea.types import Trajectory
 

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from diffsea.diagnosis.score import Projection
 from diffsea.identification import likelihood
-from diffsea.identification.fit import Inputs, Problem, Static
+from diffsea.identification.problem import Inputs, Problem, Static
 
 
 DEGREES = ("surge", "sway", "yaw")

@@ -9,7 +9,8 @@ from diffsea.diagnosis.candidates import catalogue_name, effect_table, reported
 from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis
-from diffsea.identification.fit import Estimate, Problem, physical_table
+from diffsea.identification.fit import Estimate, physical_table
+from diffsea.identification.problem import Problem
 from diffsea.vessel.catalogue import Table, updated_document
 
 

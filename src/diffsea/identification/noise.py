@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.identification.likelihood import Noise, gust_model, predicted, updated
+from diffsea.identification.gusts import Noise, gust_model, predicted, updated
 from diffsea.identification.tape import Tape, natural_time
 from diffsea.vessel.base import Vessel
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.select import Diagnosis
-from diffsea.identification.likelihood import equipped
+from diffsea.identification.layout import equipped
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel

@@ -1,0 +1,103 @@
+"""Gusts and sensor noise, and the covariance of a Kalman filter that knows of both.
+
+The filter's state is the vessel's six numbers and three accelerations of gusts that last:
+first-order Gauss-Markov processes, besides gusts that are white. Were lasting gusts taken
+for white ones, the fit would bend the vessel until its own dynamics had their colour (a
+thruster's lag comes out a quarter too short).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+
+class Noise(eqx.Module):
+    """Logarithms of the noise scales."""
+
+    gust: Float[Array, "3"]  # white, of u (m/s), v (m/s), r (rad/s), per square root of a second
+    slow: Float[Array, "3"]  # lasting, standard deviation of the acceleration (m/s^2, rad/s^2)
+    memory: Float[Array, "3"]  # time constant (s) of the lasting ones
+    sensor: Float[Array, "6"]  # of x, y (m), psi (rad), u, v (m/s), r (rad/s)
+
+    @staticmethod
+    def of(scales: Float[Array, "15"] | np.ndarray) -> "Noise":
+        """From all logarithms in one array."""
+        return Noise(*(jnp.asarray(part) for part in jnp.split(jnp.asarray(scales), (3, 6, 9))))
+
+    @property
+    def scales(self) -> Float[Array, "15"]:
+        """All logarithms in one array."""
+        return jnp.concatenate([self.gust, self.slow, self.memory, self.sensor])
+
+
+class Gusts(eqx.Module):
+    """What gusts do within each row, exactly for constant velocity of the vessel."""
+
+    decay: Float[Array, "row 3"]  # share of a lasting acceleration left at the end
+    half: Float[Array, "row 3"]  # half the speed it gives, per unit at the start (s)
+
+
+def gust_model(noise: Noise, dt: Float[Array, "row"]) -> tuple[Gusts, Float[Array, "row 9 9"]]:
+    """Propagation of lasting gusts over each row, and the covariance that all gusts add.
+
+    Exact integrals of a first-order Gauss-Markov acceleration and of the speed it gives
+    (Jazwinski 1970, section 4.9); as the memory shrinks they become those of white noise.
+    """
+    memory = jnp.exp(noise.memory)
+    share = dt[:, None] / memory
+    decay = jnp.exp(-share)
+    power = jnp.exp(2 * noise.slow)
+    speed = power * memory**2 * (2 * share - 3 + 4 * decay - decay**2)
+    speed = speed + jnp.exp(2 * noise.gust) * dt[:, None]
+    both = power * memory * (1 - decay) ** 2
+    left = power * (1 - decay**2)
+    still = jnp.zeros_like(speed)
+    diagonal = jnp.concatenate([still, speed, left], axis=1)
+    beside = jnp.concatenate([still, both], axis=1)
+    upper = jax.vmap(lambda row: jnp.diag(row, 3))(beside)
+    Q = jax.vmap(jnp.diag)(diagonal) + upper + upper.mT
+    return Gusts(decay, 0.5 * memory * (1 - decay)), Q
+
+
+def predicted(
+    P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: Gusts, Q: Float[Array, "9 9"]
+) -> Float[Array, "9 9"]:
+    """Covariance at the end of a row: gusts act half before and half after the vessel moves."""
+    act = F[:, 3:] * gust.half + jnp.eye(6)[:, 3:] * gust.half
+    keep = jnp.concatenate([jnp.zeros((3, 6)), jnp.eye(3) * gust.decay], axis=1)
+    whole = jnp.concatenate([jnp.concatenate([F, act], axis=1), keep])
+    return product(product(whole, P), whole.T) + Q
+
+
+def product(a: Float[Array, "n n"], b: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Matrix product as fused multiplications, for the reason of `_applied`."""
+    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
+
+
+def updated(
+    P: Float[Array, "9 9"], H: Float[Array, "6 6"], R: Float[Array, "6"], used: Bool[Array, "6"]
+) -> tuple:
+    """One channel after the other: correction, whitening, covariance and innovation variances.
+
+    Sensors are independent and do not see gusts, so six scalar updates equal the joint one
+    (Bierman 1977), and their innovations are the whitened ones, without any factorisation.
+    In terms of the joint innovation nu the state's correction is C nu, built up row by row.
+    """
+    C, rows, variances = jnp.zeros((9, 6)), [], []
+    unit = np.eye(6)
+    for j in range(6):
+        h = jnp.where(used[j], H[j], 0.0)
+        Ph = jnp.sum(P[:, :6] * h, axis=1)
+        s = jnp.where(used[j], jnp.sum(h * Ph[:6]) + R[j], 1.0)
+        fresh = jnp.where(used[j], unit[j] - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
+        gain = Ph / s
+        C = C + gain[:, None] * fresh[None, :]
+        # Joseph form: stays positive definite however small the sensor noise.
+        left = P - gain[:, None] * Ph[None, :]
+        spare = jnp.sum(left[:, :6] * h, axis=1) - R[j] * gain
+        P = left - spare[:, None] * gain[None, :]
+        rows.append(fresh / jnp.sqrt(s))
+        variances.append(s)
+    return C, jnp.stack(rows), P, jnp.stack(variances)

@@ -1,0 +1,102 @@
+"""The coordinates of a fit: which numbers may move, and the vessel that they describe."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffsea.parameters import Parameter, replace
+from diffsea.types import Environment
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import AbstractEffect
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Which coordinates there are: first the parameters, then each effect's.
+
+    Environment effects have one set per run where `per_run`, all others one set.
+    """
+
+    parameters: tuple[Parameter, ...]
+    effects: tuple[AbstractEffect, ...]
+    sizes: tuple[tuple[float, ...], ...]
+    runs: int
+    per_run: bool
+
+    def copies(self, effect: AbstractEffect) -> int:
+        """How many sets of coordinates an effect has."""
+        return self.runs if self.per_run and effect.group == "environment" else 1
+
+    def slices(self) -> dict[str, slice]:
+        """Where each effect's coordinates stand."""
+        out, start = {}, len(self.parameters)
+        for effect, sizes in zip(self.effects, self.sizes, strict=True):
+            stop = start + self.copies(effect) * len(sizes)
+            out[effect.name] = slice(start, stop)
+            start = stop
+        return out
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        counts = [self.copies(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)]
+        return len(self.parameters) + sum(counts)
+
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each coordinate is, the same number for its copies, and its run or -1."""
+        kind, run = list(range(len(self.parameters))), [-1] * len(self.parameters)
+        for effect, sizes in zip(self.effects, self.sizes, strict=True):
+            copies, first = self.copies(effect), len(kind)
+            for copy in range(copies):
+                kind += range(first, first + len(sizes))
+                run += [copy if copies > 1 else -1] * len(sizes)
+        return np.array(kind), np.array(run)
+
+    def spreads(self) -> np.ndarray:
+        """Prior standard deviation of every coordinate."""
+        effects = sum(
+            self.copies(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)
+        )
+        return np.array([p.spread for p in self.parameters] + [3.0] * effects)
+
+    def indices(self, names: tuple[str, ...]) -> list[int]:
+        """Positions of the coordinates of parameters and effects by name."""
+        slices = self.slices()
+        found: list[int] = []
+        for number, parameter in enumerate(self.parameters):
+            found += [number] if parameter.name in names else []
+        for name in names:
+            found += range(slices[name].start, slices[name].stop) if name in slices else []
+        return found
+
+    def physical(self, name: str, coordinates: np.ndarray) -> np.ndarray:
+        """An effect's coordinates in SI units, one row per copy."""
+        index = [effect.name for effect in self.effects].index(name)
+        scaled = np.asarray(coordinates)[self.slices()[name]]
+        return scaled.reshape(-1, len(self.sizes[index])) * np.array(self.sizes[index])
+
+
+def equipped(
+    base: Vessel, layout: Layout, coordinates: Float[Array, "coordinate"]
+) -> tuple[Vessel, Environment]:
+    """The vessel at these coordinates, and the environment of each run (leaves of shape run)."""
+    values = {p.name: p.decode(coordinates[k]) for k, p in enumerate(layout.parameters)}
+    vessel = replace(base, values)
+    zero = jnp.zeros(layout.runs)
+    flow = jax.tree.map(lambda leaf: leaf + zero, vessel.environment)
+    for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
+        scaled = coordinates[layout.slices()[effect.name]].reshape(-1, len(sizes))
+        physical = scaled * jnp.asarray(sizes)
+        if effect.group != "environment":
+            vessel = effect.apply(vessel, physical[0])
+            continue
+        # The parts are attached by applying the effect at zero; the flow is each run's own.
+        still = effect.apply(vessel, jnp.zeros(len(sizes)))
+        changed = jax.vmap(lambda p, e=effect, v=vessel: e.apply(v, p).environment)(physical)
+        added = jax.tree.map(lambda new, old: new - old, changed, vessel.environment)
+        flow = jax.tree.map(lambda now, more: now + more + zero, flow, added)
+        vessel = still
+    return vessel, flow

@@ -1,0 +1,210 @@
+"""A base vessel, what may be estimated in it, and recordings: the residual and its Jacobian.
+
+Which coordinates are free is a selection matrix, an input of the compiled program: screening
+and refitting compile nothing new.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from diffsea.identification import likelihood
+from diffsea.identification.gusts import Noise
+from diffsea.identification.layout import Layout
+from diffsea.identification.likelihood import Gains, Tuned
+from diffsea.identification.noise import Prior, noise_prior
+from diffsea.identification.tape import Tape, make_tape
+from diffsea.parameters import check_names, hull_prior, named
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import AbstractEffect
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """A base vessel, what may be estimated in it, and the recordings."""
+
+    base: Vessel
+    layout: Layout
+    tape: Tape
+    prior: Prior
+    width: int  # free coordinates the compiled program has room for
+    seeds: int  # and directions it differentiates in: copies for each run share one
+
+    def start(self) -> tuple[np.ndarray, Noise]:
+        """Prior mean of the coordinates and first guess of the noise."""
+        return np.zeros(self.layout.size), Noise.of(self.prior.mean)
+
+    def tuned(self, coordinates: np.ndarray, noise: Noise) -> Tuned:
+        """The filter's run at an estimate."""
+        return _tune(self.base, Static(self.layout), self.tape, noise, jnp.asarray(coordinates))
+
+
+class Static:
+    """A hashable wrapper by identity of the value's own equality, for jit."""
+
+    def __init__(self, value: Layout):
+        self.value = value
+
+    def __hash__(self) -> int:
+        value = self.value
+        names = tuple(p.name for p in value.parameters), tuple(e.name for e in value.effects)
+        return hash((names, value.runs, value.per_run))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Static) and self.value == other.value
+
+
+def free_by_default(vessel: Vessel) -> tuple[str, ...]:
+    """Hull derivatives and added masses that the vessel has.
+
+    Mass, moment of inertia, centre of gravity and the actuators stay as they are: they
+    anchor the common factor of mass, drag and thrust that motion alone cannot fix.
+    """
+    added = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+    hull = getattr(vessel.forces.get("damping"), "derivatives", {})
+    return tuple(
+        name
+        for name, value in named(vessel).items()
+        if (name in hull or name in added) and float(value) != 0.0
+    )
+
+
+def make_problem(
+    vessel: Vessel,
+    recordings: list[Trajectory],
+    free: tuple[str, ...] | None = None,
+    effects: tuple[AbstractEffect, ...] = (),
+    per_run: bool = False,
+    room: int = 0,
+) -> Problem:
+    """Set up a fit.
+
+    Arguments:
+        free: names of the vessel's parameters to estimate; `free_by_default` if None.
+        effects: effects whose coordinates may be freed.
+        per_run: whether environment effects differ from run to run.
+        room: how many effect coordinates may be free at once, copies for each run not counted.
+
+    Raises:
+        UserError: an unknown name, or a recording that does not fit the vessel.
+    """
+    free = free_by_default(vessel) if free is None else free
+    check_names(vessel, free)
+    values = named(vessel)
+    parameters = tuple(hull_prior(name, float(values[name])) for name in free)
+    tape = make_tape(vessel, recordings)
+    sizes = tuple(effect.sizes(vessel) for effect in effects)
+    layout = Layout(parameters, effects, sizes, tape.runs, per_run)
+    tape = jax.tree.map(jnp.asarray, tape)
+    width = len(free) + room * (tape.runs if per_run else 1)
+    return Problem(vessel, layout, tape, noise_prior(vessel, tape), width, len(free) + room)
+
+
+@eqx.filter_jit
+def _tune(base: Vessel, layout: Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
+    return likelihood.tune(base, layout.value, tape, noise, coordinates)
+
+
+class Inputs(eqx.Module):
+    """What the residual needs, as one tree."""
+
+    base: Vessel
+    tape: Tape
+    gains: Gains
+    fixed: Float[Array, "coordinate"]  # values of the coordinates that are not free
+    selection: Float[Array, "coordinate width"]
+    spreads: Float[Array, "coordinate"]
+    seeds: Float[Array, "seed width"]  # which free coordinates are differentiated together
+    owner: Int[Array, "width"]  # the run a free coordinate belongs to; -1: all of them
+
+
+def _white(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+    """Whitened innovations; non-finite ones are large."""
+    problem, layout = args
+    coordinates = problem.fixed + problem.selection @ free
+    white = likelihood.innovations(
+        problem.base, layout.value, problem.tape, problem.gains, coordinates
+    )
+    return jnp.where(jnp.isfinite(white), white, 1e4).ravel()
+
+
+def _prior(free: Float[Array, "width"], problem: Inputs) -> Array:
+    """Deviations from the prior; unused columns of the selection have one of their own."""
+    coordinates = problem.fixed + problem.selection @ free
+    unused = 1 - jnp.abs(problem.selection).sum(0)
+    return jnp.concatenate([coordinates / problem.spreads, unused * free])
+
+
+def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+    return jnp.concatenate([_white(free, args), _prior(free, args[0])])
+
+
+def _with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
+    """Residual and its exact Jacobian.
+
+    What belongs to one run moves the innovations of no other, so that one direction serves
+    the copies of all runs (Curtis, Powell and Reid 1974).
+    """
+    problem, _ = args
+    push = jax.vmap(lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))[1])
+    run = jnp.repeat(problem.tape.run, 6)[:, None]
+    own = (problem.owner < 0) | (problem.owner == run)
+    J = jnp.where(own, push(problem.seeds).T @ problem.seeds, 0.0)
+    prior = jax.jacfwd(lambda at: _prior(at, problem))(free)
+    return _residual(free, args), jnp.concatenate([J, prior])
+
+
+jacobian = eqx.filter_jit(_with_jacobian)
+
+
+@eqx.filter_custom_jvp
+def known_slope(free: Array, *, args: tuple[Inputs, Static]) -> Array:
+    """The residual; its derivative is a product with the Jacobian found alongside it.
+
+    The solver differentiates the residual in several places; this way the filter is traced
+    and compiled for one of them.
+    """
+    return _residual(free, args)
+
+
+@known_slope.def_jvp
+def known_slope_jvp(primals: tuple, tangents: tuple, *, args: tuple) -> tuple[Array, Array]:
+    residual, J = _with_jacobian(primals[0], args)
+    return residual, J @ tangents[0]
+
+
+def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the free coordinates and the matrix that spreads them over the layout."""
+    index = np.array(layout.indices(free), int)
+    matrix = np.zeros((layout.size, width))
+    matrix[index, np.arange(len(index))] = 1.0
+    return index, matrix
+
+
+def traced(
+    problem: Problem, gains: Gains, coordinates: np.ndarray, matrix: np.ndarray
+) -> tuple[Inputs, Static]:
+    """The inputs of the compiled residual, `matrix` selecting what is free."""
+    held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
+    seeds, owner = _seeds(problem, matrix)
+    inputs = Inputs(
+        problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
+        jnp.asarray(problem.layout.spreads()), jnp.asarray(seeds), jnp.asarray(owner),
+    )  # fmt: skip
+    return inputs, Static(problem.layout)
+
+
+def _seeds(problem: Problem, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Groups of free coordinates to differentiate together, and the runs they belong to."""
+    kind, run = problem.layout.kinds()
+    chosen = matrix.argmax(0)
+    used = matrix.any(0)
+    groups = np.unique(kind[chosen[used]])
+    seeds = np.zeros((problem.seeds, problem.width))
+    seeds[: len(groups)] = used & (kind[chosen] == groups[:, None])
+    return seeds, np.where(used, run[chosen], -1)
