@@ -12,11 +12,12 @@ standard errors allow for what correlation is left (`regression`).
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
 
-from diffsea.recordings.noise import Whitener
+from diffsea.recordings.noise import Kinds, Whitener
 from diffsea.recordings.regression import significant, solve
 
 
@@ -74,6 +75,11 @@ class Comparison:
     doubt: float
     floor: float
     walk: float
+
+    @functools.cached_property
+    def kinds(self) -> Kinds:
+        """The kinds of noise at the knots."""
+        return Kinds(self.times, self.linked)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,7 +210,7 @@ def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
     allowed = [c for c in comparison.causes if not c.gain or theta[c.parameters[0]] != 0]
     names = _names(tuple(allowed))
     levels = _levels(comparison, theta)
-    known = (comparison.times, comparison.linked, 0.3 * comparison.floor, comparison.walk)
+    known = (comparison.kinds, 0.3 * comparison.floor, comparison.walk)
     for _ in range(2):
         white = Whitener(levels, *known)
         jacobian = _jacobian(comparison, theta, names)
