@@ -13,11 +13,12 @@ from tests.oracle.simulator import load, simulate
 
 from diffsea.errors import UserError
 from diffsea.identification.colour import autocorrelation, inflation
-from diffsea.identification.fit import _clock, _path, estimate, normalised_rms, physical_table
+from diffsea.identification.estimates import physical_table
+from diffsea.identification.fit import _clock, _path, estimate, normalised_rms
 from diffsea.identification.gusts import Noise, gust_model, updated
 from diffsea.identification.noise import _rerun
 from diffsea.identification.problem import _residual, jacobian, make_problem, selection, traced
-from diffsea.parameters import hull_prior
+from diffsea.priors import hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
 from diffsea.vessel.effects import EFFECTS
@@ -80,7 +81,7 @@ def fitted(document, recordings):
 
 def test_derivatives_are_recovered_from_a_start_far_away(document, fitted):
     problem, result = fitted
-    for row in physical_table(problem, result):
+    for row in physical_table(problem.layout.parameters, result):
         truth = document["hull"][row["name"]]
         assert abs(row["value"] - truth) < 4 * row["std"] + 1e-9, row
         assert abs(row["start"] - truth) > 0.25 * abs(truth)

@@ -13,7 +13,7 @@ from diffsea.diagnosis.holdout import Gain, Split
 from diffsea.diagnosis.locate import Cell
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted
-from diffsea.identification.fit import Estimate
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.report.comparison import compare, with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report
@@ -152,7 +152,8 @@ def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estim
     index = np.arange(len(coordinates))
     free = tuple(p.name for p in problem.layout.parameters) + tuple(values)
     covariance, share = 1e-4 * np.eye(len(index)), np.full(len(index), 0.99)
-    return Estimate(free, coordinates, noise, 0.0, index, covariance, share, 1.0)
+    information = np.linalg.inv(covariance)
+    return Estimate(free, coordinates, 0.0, index, covariance, information, share, 1.0, noise)
 
 
 def diagnosis_of(verdict: str, currents: tuple[float, ...] = ()) -> Diagnosis:

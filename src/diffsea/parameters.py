@@ -1,17 +1,13 @@
-"""Names for the numbers in a model, and what is known of each before seeing data.
+"""Names for the numbers in a model.
 
 A model is a tree of numbers; its parameters are named after their place in it. What is
-free, its bounds and its prior stand in `Parameter` records beside the model, so that
-choosing what to estimate never edits the model.
+known of them before seeing data stands beside the model, in `priors`.
 """
 
-import dataclasses
-import re
 from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 import jax
-import numpy as np
 
 from diffsea.errors import UserError, nearest
 from diffsea.types import Scalar
@@ -89,68 +85,3 @@ def check_names(model: Model, names: Iterable[str]) -> None:
                 f"the vessel has no parameter {name!r}{nearest(name, known)}; "
                 f"it has: {', '.join(known)}"
             )
-
-
-@dataclasses.dataclass(frozen=True)
-class Parameter:
-    """What is known of one number before seeing data.
-
-    A positive or negative number is estimated by its logarithm, so that it keeps its
-    sign; any other by its value in units of `scale`. The prior on that coordinate is
-    normal with standard deviation `spread` about `value`.
-    """
-
-    name: str
-    value: float
-    scale: float = 1.0
-    signed: bool = True  # may change sign: linear coordinate
-    spread: float = 1.0
-
-    def decode(self, coordinate: Scalar) -> Scalar:
-        """The number at a coordinate; zero is the prior mean."""
-        if self.signed:
-            return self.value + self.scale * coordinate
-        return self.value * jax.numpy.exp(coordinate)
-
-    def encode(self, value: float) -> float:
-        """The coordinate of a number."""
-        if self.signed:
-            return (value - self.value) / self.scale
-        return float(np.log(value / self.value))
-
-    def slope(self, coordinate: float) -> float:
-        """Derivative of the number by its coordinate."""
-        return self.scale if self.signed else abs(float(self.decode(coordinate)))
-
-
-_SIGN_FREE = re.compile(r"(Y_u*r|N_u*v|Y_rdot|N_vdot|.*_G|x|y|.*\.(x|y|angle|bias))$")
-
-
-def hull_prior(name: str, value: float, spread: float = 0.5) -> Parameter:
-    """Prior of a hull derivative around the vessel file's value.
-
-    Drag and added mass keep their sign; couplings (`Y_r`, `N_v`, ...) and positions may
-    change it. `spread` is relative: 0.5 means that half as much again is unremarkable.
-    """
-    signed = bool(_SIGN_FREE.fullmatch(name)) or value == 0
-    return Parameter(name, value, abs(value) or 1.0, signed, spread)
-
-
-_LETTER_UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "d": "rad"}
-_UNITS = {
-    "mass": "kg", "I_z": "kg m^2", "x_G": "m", "length": "m", "beam": "m", "draught": "m",
-    "water_density": "kg/m^3", "X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m",
-    "N_vdot": "kg m", "N_rdot": "kg m^2",
-}  # fmt: skip
-
-
-def unit(name: str) -> str:
-    """SI unit of a dimensional hull parameter; an empty string where none is known."""
-    if name in _UNITS:
-        return _UNITS[name]
-    match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
-    if match is None:
-        return ""
-    force = "N m" if match[1] == "N" else "N"
-    per = " ".join(f"({_LETTER_UNITS[letter]})" for letter in match[2])
-    return f"{force} / {per}"

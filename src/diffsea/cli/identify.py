@@ -20,7 +20,7 @@ from diffsea.cli.options import (
 
 
 if TYPE_CHECKING:
-    from diffsea.identification.fit import Estimate
+    from diffsea.identification.estimates import Estimate
     from diffsea.identification.problem import Problem
     from diffsea.types import Trajectory
 
@@ -97,7 +97,8 @@ def _source(args: argparse.Namespace, runs: "list[Trajectory]") -> dict:
 
 def _fit(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
-        from diffsea.identification.fit import estimate, normalised_rms, physical_table
+        from diffsea.identification.estimates import physical_table
+        from diffsea.identification.fit import estimate, normalised_rms
         from diffsea.identification.problem import make_problem
         from diffsea.report.fit_page import fit_report
         from diffsea.vessel.catalogue import build, dump, updated_document
@@ -115,7 +116,7 @@ def _fit(args: argparse.Namespace) -> None:
             tell(message)
 
         fitted = estimate(problem, free, progress=follow)
-        rows = physical_table(problem, fitted)
+        rows = physical_table(problem.layout.parameters, fitted)
         document = updated_document(file.document, {r["name"]: r["value"] for r in rows}, [])
         vessel = build(document)
         quality = {"train": normalised_rms(problem, fitted.coordinates, fitted.noise)}
@@ -140,7 +141,7 @@ def _fit(args: argparse.Namespace) -> None:
 
 
 def _record(row: dict) -> dict:
-    from diffsea.parameters import unit
+    from diffsea.priors import unit
 
     return {key: row[key] for key in ("start", "value", "std", "determined")} | {
         "unit": unit(row["name"])
@@ -166,7 +167,7 @@ def _by_name(names: tuple[str, ...], values: Any) -> dict[str, float]:
 
 
 def _fit_summary(rows: list[dict], quality: dict) -> str:
-    from diffsea.parameters import unit
+    from diffsea.priors import unit
 
     lines = [
         (

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.identification.fit import Estimate
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, LATENCY_CHANNELS, AbstractEffect

@@ -14,7 +14,7 @@ import numpy as np
 from diffsea.diagnosis.candidates import catalogue_name
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted, columns_at
-from diffsea.identification.fit import Estimate
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.layout import equipped
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.simulation.control import Helm, full_throttle, throttle_for
@@ -114,7 +114,7 @@ def _one_way(
         base, [_imagined(vessel, schedule)], tuple(p.name for p in train.layout.parameters),
         train.layout.effects, False, train.seeds - len(train.layout.parameters),
     )  # fmt: skip
-    at = true._replace(coordinates=coordinates)
+    at = dataclasses.replace(true, coordinates=coordinates)
     gains = problem.tuned(coordinates, true.noise).gains
     nuisance = tuple(n for n in true.free if n not in (name, other))
     residual, N = columns_at(problem, gains, at, nuisance)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffsea.identification.fit import Estimate, block_sums, estimate
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import block_sums, estimate
 from diffsea.identification.likelihood import Tuned
 from diffsea.identification.problem import Problem
 from diffsea.recordings.conditioning import cut

@@ -17,7 +17,8 @@ from diffsea.diagnosis.candidates import candidates, catalogue_name
 from diffsea.diagnosis.holdout import Gain, Split, exchanged_gain, gain, split
 from diffsea.diagnosis.locate import Cell, locate, regimes, time_windows
 from diffsea.diagnosis.score import Projection, Score
-from diffsea.identification.fit import Estimate, estimate
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, free_by_default, jacobian, make_problem, traced
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel

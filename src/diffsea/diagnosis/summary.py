@@ -9,7 +9,7 @@ from diffsea.diagnosis.candidates import catalogue_name, effect_table, reported
 from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis
-from diffsea.identification.fit import Estimate, physical_table
+from diffsea.identification.estimates import Estimate, physical_table
 from diffsea.identification.problem import Problem
 from diffsea.vessel.catalogue import Table, updated_document
 
@@ -23,7 +23,7 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),
         "fit": _fit(diagnosis),
-        "parameters": physical_table(diagnosis.split.train, diagnosis.final),
+        "parameters": physical_table(diagnosis.split.train.layout.parameters, diagnosis.final),
         "held_out": _held_out(diagnosis),
         "screening": _screening(diagnosis),
         "remainder_p_value": diagnosis.remainder,
@@ -181,7 +181,7 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     An environment of its own for each recording belongs to the recordings, not the vessel.
     """
     problem, final = diagnosis.split.train, diagnosis.final
-    values = {row["name"]: row["value"] for row in physical_table(problem, final)}
+    values = {row["name"]: row["value"] for row in physical_table(problem.layout.parameters, final)}
     tables = []
     for accepted in diagnosis.effects:
         copies = reported(problem, final, accepted.name)
@@ -192,5 +192,5 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
 
 def nominal_document(document: Table, diagnosis: Diagnosis) -> Table:
     """The vessel's document with the nominal model's own fitted derivatives."""
-    rows = physical_table(diagnosis.split.train, diagnosis.nominal)
+    rows = physical_table(diagnosis.split.train.layout.parameters, diagnosis.nominal)
     return updated_document(document, {row["name"]: row["value"] for row in rows}, [])

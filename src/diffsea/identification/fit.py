@@ -5,19 +5,16 @@ Levenberg-Marquardt with the gains held fixed, and re-estimates the noise. A few
 converge.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import equinox as eqx
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array
 
 from diffsea.identification import likelihood
 from diffsea.identification.colour import autocorrelation, long_run
+from diffsea.identification.estimates import Estimate, Progress, made, silent
 from diffsea.identification.gusts import Noise
+from diffsea.identification.least_squares import levenberg_marquardt, with_known_jacobian
 from diffsea.identification.likelihood import Tuned, deviance
 from diffsea.identification.noise import Clock, Path, refine
 from diffsea.identification.problem import (
@@ -25,14 +22,11 @@ from diffsea.identification.problem import (
     Problem,
     Static,
     jacobian,
-    known_slope,
     selection,
     traced,
+    with_jacobian,
 )
-from diffsea.parameters import Parameter
 
-
-Progress = Callable[[str], None]
 
 ROUNDS = 8
 STEPS = 6  # of Levenberg-Marquardt in one round
@@ -40,29 +34,11 @@ NOISE_STEPS = 3  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
 
-class Estimate(NamedTuple):
-    """Where a fit ended."""
-
-    free: tuple[str, ...]
-    coordinates: np.ndarray  # of the whole layout
-    noise: Noise
-    deviance: float  # -2 log posterior, the priors of parameters and noise included
-    index: np.ndarray  # which coordinates were free
-    covariance: np.ndarray  # of the free coordinates
-    shrinkage: np.ndarray  # share of each free coordinate that the data determine, 0 to 1
-    inflation: float  # variance of the scores over the information, at least one
-
-
 @eqx.filter_jit
 def _improve(inputs: Inputs, layout: Static, start: Array, steps: int) -> Array:
     """Levenberg-Marquardt with the gains held fixed."""
-    # Normal equations: columns are scaled alike and regularised by the prior, and a QR of
-    # the tall Jacobian in every step would cost more than everything else.
-    solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4, linear_solver=lx.Normal(lx.Cholesky()))
-    return optx.least_squares(
-        lambda free, args: known_slope(free, args=args), solver, start, (inputs, layout),
-        options={"jac": "fwd"}, max_steps=steps, throw=False,
-    ).value  # fmt: skip
+    residual = with_known_jacobian(with_jacobian)
+    return levenberg_marquardt(residual, start, (inputs, layout), steps)
 
 
 def estimate(
@@ -72,7 +48,7 @@ def estimate(
     noise: Noise | None = None,
     rounds: int = ROUNDS,
     fixed_noise: bool = False,
-    progress: Progress = lambda message: None,
+    progress: Progress = silent,
 ) -> Estimate:
     """Fit the free coordinates by name (parameters and effects), from `start`.
 
@@ -99,8 +75,7 @@ def estimate(
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")
         if abs(last - now) < 0.05 + 1e-6 * abs(now):
             break
-    uncertainty = _uncertainty(problem, coordinates, noise, index, matrix)
-    return Estimate(free, coordinates, noise, now, index, *uncertainty)
+    return _judged(problem, free, coordinates, noise, tuned, now, index, matrix)
 
 
 def _target(
@@ -145,30 +120,32 @@ def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise, tuned: T
     return float(deviance(tuned)) + float(off @ off) + float(away @ away)
 
 
-def _uncertainty(
-    problem: Problem, coordinates: np.ndarray, noise: Noise, index: np.ndarray, matrix: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Covariance of the free coordinates, how much of each is due to the data, inflation.
+def _judged(
+    problem: Problem,
+    free: tuple[str, ...],
+    coordinates: np.ndarray,
+    noise: Noise,
+    tuned: Tuned,
+    deviance: float,
+    index: np.ndarray,
+    matrix: np.ndarray,
+) -> Estimate:
+    """The estimate with its covariance.
 
     The larger of the inverse information and the sandwich with the innovations' own
     autocorrelation, which does not trust them to be white.
     """
-    tuned = problem.tuned(coordinates, noise)
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
     begin = np.zeros(problem.width)
     begin[: len(index)] = coordinates[index]
     residual, J = (np.asarray(a) for a in jacobian(jnp.asarray(begin), (inputs, layout)))
-    J, rows = J[:, : len(index)], problem.tape.measured.size
-    information = J.T @ J
-    plain = np.linalg.inv(information)
-    white = residual[:rows].reshape(-1, 6)
-    correlation = autocorrelation(white, np.asarray(problem.tape.run))
-    coloured = plain @ long_run(J[:rows], correlation) @ plain
-    ratio = np.maximum(np.diag(coloured) / np.diag(plain), 1.0)
-    widen = np.sqrt(ratio)
-    prior = problem.layout.spreads()[index]
-    shrinkage = 1 - np.diag(plain) / prior**2
-    return plain * np.outer(widen, widen), np.clip(shrinkage, 0.0, 1.0), float(np.mean(ratio))
+    rows = problem.tape.measured.size
+    J = J[:rows, : len(index)]
+    correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.tape.run))
+    return made(
+        free, coordinates, deviance, index, problem.layout.spreads(), J.T @ J,
+        long_run(J, correlation), noise,
+    )  # fmt: skip
 
 
 def block_sums(scores: np.ndarray, length: int) -> np.ndarray:
@@ -183,26 +160,3 @@ def normalised_rms(problem: Problem, coordinates: np.ndarray, noise: Noise) -> f
     tuned = problem.tuned(coordinates, noise)
     count = np.asarray(tuned.gains.used).sum()
     return float(np.sqrt((np.asarray(tuned.white) ** 2).sum() / max(count, 1)))
-
-
-def physical_table(problem: Problem, fitted: Estimate) -> list[dict]:
-    """One row per fitted vessel parameter: name, start, value, standard error, determined."""
-    rows = []
-    position = {int(k): n for n, k in enumerate(fitted.index)}
-    for number, parameter in enumerate(problem.layout.parameters):
-        if number not in position:
-            continue
-        n, at = position[number], float(fitted.coordinates[number])
-        std = parameter.slope(at) * float(np.sqrt(fitted.covariance[n, n]))
-        rows.append(_row(parameter, at, std, float(fitted.shrinkage[n])))
-    return rows
-
-
-def _row(parameter: Parameter, at: float, std: float, shrinkage: float) -> dict:
-    return {
-        "name": parameter.name,
-        "start": parameter.value,
-        "value": float(parameter.decode(at)),
-        "std": std,
-        "determined": shrinkage,
-    }

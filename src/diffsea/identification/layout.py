@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.parameters import Parameter, replace
+from diffsea.parameters import replace
+from diffsea.priors import Parameter
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import AbstractEffect

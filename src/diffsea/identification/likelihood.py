@@ -40,6 +40,7 @@ class Tuned(eqx.Module):
     """A filter's run: its gains, innovations, their variances and its linearisation."""
 
     gains: Gains
+    state: Float[Array, "row 6"]  # of the vessel, after the row's measurements
     nu: Float[Array, "row 6"]  # innovations, zero where missing
     white: Float[Array, "row 6"]  # the same, whitened
     variance: Float[Array, "row 6"]  # of the sequential innovations; one where missing
@@ -81,7 +82,7 @@ def _servo_response(vessel: Vessel, channel: str, tape: Tape) -> Response:
     return jax.lax.scan(body, servo.target(orders[0]), rows)[1]
 
 
-def _propagate(
+def propagate(
     vessel: Vessel, x: Float[Array, "6"], row: dict, flow: Environment, substeps: int
 ) -> Float[Array, "6"]:
     """The state at the next row."""
@@ -105,7 +106,7 @@ def _part(response: Response, start: float, share: float) -> Response:
     return Response(at(start), at(start + share / 2), at(start + share), response.final)
 
 
-def _expected(
+def expected(
     vessel: Vessel, x: Float[Array, "6"], row: dict, flow: Environment
 ) -> Float[Array, "6"]:
     """What the sensors should show in a state."""
@@ -120,7 +121,8 @@ def _expected(
     return vessel.sensors.measure(state, first, second)
 
 
-def _innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
+def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
+    """Measured less expected; zero where nothing was measured."""
     nu = row["measured"] - expected
     # Not nu.at[2].set: a scatter in a batched loop is slow on CPUs, and so is a gather.
     nu = jnp.where(_HEADING, wrap(nu), nu)
@@ -130,7 +132,8 @@ def _innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
 _HEADING = np.arange(6) == MOTION_CHANNELS.index("psi")
 
 
-def _rows(vessel: Vessel, flows: Environment, tape: Tape) -> dict:
+def rows(vessel: Vessel, flows: Environment, tape: Tape) -> dict:
+    """What a scan along the tape takes in."""
     return {
         "flow": jax.tree.map(lambda leaf: leaf[tape.run], flows),
         "dt": tape.dt,
@@ -162,16 +165,16 @@ def innovations(
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
         z = jnp.where(row["starts"], _first(row), z)
-        nu = _innovation(row, _expected(vessel, z[:6], row, flow))
+        nu = innovation(row, expected(vessel, z[:6], row, flow))
         z = z + _applied(correction, nu)
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
-        x = _propagate(vessel, _faster(z[:6], kick), row, flow, tape.substeps)
+        x = propagate(vessel, _faster(z[:6], kick), row, flow, tape.substeps)
         z = jnp.concatenate([_faster(x, kick), gusts.decay * z[6:]])
         return z, _applied(whitening, nu)
 
     push = jnp.zeros((tape.t.size, 3)) if push is None else push
     inputs = (
-        _rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
+        rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
     )  # fmt: skip
     return jax.lax.scan(body, jnp.zeros(9), inputs)[1]
 
@@ -214,8 +217,8 @@ def tune(
         flow = row["flow"]
         z = jnp.where(row["starts"], _first(row), z)
         P = jnp.where(row["starts"], P0, P)
-        nu = _innovation(row, _expected(vessel, z[:6], row, flow))
-        H = jax.jacfwd(lambda s: _expected(vessel, s, row, flow))(z[:6])
+        nu = innovation(row, expected(vessel, z[:6], row, flow))
+        H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
         spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
         used = row["known"] & ((jnp.abs(nu) < gate * spread) | row["starts"])
         nu = jnp.where(used, nu, 0.0)
@@ -223,14 +226,14 @@ def tune(
         z = z + _applied(K, nu)
         kick = gust.half * z[6:]
         x = _faster(z[:6], kick)
-        F = jax.jacfwd(lambda s: _propagate(vessel, s, row, flow, tape.substeps))(x)
+        F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
-        x = _faster(_propagate(vessel, x, row, flow, tape.substeps), kick)
-        out = (K, W, used, nu, _applied(W, nu), variance, F, H, kick)
+        x = _faster(propagate(vessel, x, row, flow, tape.substeps), kick)
+        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick)
         return (jnp.concatenate([x, gust.decay * z[6:]]), P), out
 
     gusts, Q = gust_model(noise, tape.dt)
-    _, found = jax.lax.scan(body, (jnp.zeros(9), P0), (_rows(vessel, flows, tape), gusts, Q))
+    _, found = jax.lax.scan(body, (jnp.zeros(9), P0), (rows(vessel, flows, tape), gusts, Q))
     return Tuned(Gains(*found[:3], gusts), *found[3:])
 
 

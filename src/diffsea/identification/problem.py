@@ -5,6 +5,7 @@ and refitting compile nothing new.
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -18,7 +19,8 @@ from diffsea.identification.layout import Layout
 from diffsea.identification.likelihood import Gains, Tuned
 from diffsea.identification.noise import Prior, noise_prior
 from diffsea.identification.tape import Tape, make_tape
-from diffsea.parameters import check_names, hull_prior, named
+from diffsea.parameters import check_names, named
+from diffsea.priors import Parameter, hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import AbstractEffect
@@ -74,6 +76,15 @@ def free_by_default(vessel: Vessel) -> tuple[str, ...]:
     )
 
 
+def default_priors(vessel: Vessel) -> dict[str, Parameter]:
+    """Priors around every number of the vessel, half of it wide."""
+    prime = getattr(vessel.forces.get("damping"), "scaling", None) is not None
+    return {
+        name: hull_prior(name, float(value), nondimensional=prime)
+        for name, value in named(vessel).items()
+    }
+
+
 def make_problem(
     vessel: Vessel,
     recordings: list[Trajectory],
@@ -81,6 +92,7 @@ def make_problem(
     effects: tuple[AbstractEffect, ...] = (),
     per_run: bool = False,
     room: int = 0,
+    priors: Mapping[str, Parameter] | None = None,
 ) -> Problem:
     """Set up a fit.
 
@@ -89,14 +101,15 @@ def make_problem(
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
         room: how many effect coordinates may be free at once, copies for each run not counted.
+        priors: of parameters that have one other than `default_prior`.
 
     Raises:
         UserError: an unknown name, or a recording that does not fit the vessel.
     """
     free = free_by_default(vessel) if free is None else free
     check_names(vessel, free)
-    values = named(vessel)
-    parameters = tuple(hull_prior(name, float(values[name])) for name in free)
+    known = default_priors(vessel) | dict(priors or {})
+    parameters = tuple(known[name] for name in free)
     tape = make_tape(vessel, recordings)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
     layout = Layout(parameters, effects, sizes, tape.runs, per_run)
@@ -144,7 +157,7 @@ def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array
     return jnp.concatenate([_white(free, args), _prior(free, args[0])])
 
 
-def _with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
+def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
     """Residual and its exact Jacobian.
 
     What belongs to one run moves the innovations of no other, so that one direction serves
@@ -159,23 +172,7 @@ def _with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arr
     return _residual(free, args), jnp.concatenate([J, prior])
 
 
-jacobian = eqx.filter_jit(_with_jacobian)
-
-
-@eqx.filter_custom_jvp
-def known_slope(free: Array, *, args: tuple[Inputs, Static]) -> Array:
-    """The residual; its derivative is a product with the Jacobian found alongside it.
-
-    The solver differentiates the residual in several places; this way the filter is traced
-    and compiled for one of them.
-    """
-    return _residual(free, args)
-
-
-@known_slope.def_jvp
-def known_slope_jvp(primals: tuple, tangents: tuple, *, args: tuple) -> tuple[Array, Array]:
-    residual, J = _with_jacobian(primals[0], args)
-    return residual, J @ tangents[0]
+jacobian = eqx.filter_jit(with_jacobian)
 
 
 def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:

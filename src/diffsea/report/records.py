@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsea.parameters import unit
+from diffsea.priors import unit
 from diffsea.report import text as words
 from diffsea.report.page import (
     Html,
