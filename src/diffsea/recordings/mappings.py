@@ -11,6 +11,10 @@ A mapping is a TOML file, one per data set, so that nobody edits data in order t
     columns = ["time", "yaw"]   # names, where the file has none
     time_step = 0.1             # s, where the file has no time column
     velocity_axes = "earth"     # u and v are velocities north and east; default "body"
+    frame = "ENU"               # x east, y north, yaw anticlockwise from east; default "NED"
+    origin = [63.44, 10.39]     # deg, of x and y that come from latitude and longitude
+    clock = "/imu"              # logs: the topic whose samples become the rows
+    stamps = "receive"          # ROS bags: the recorder's clock; default "header"
     [columns]
     t = { column = "time", unit = "ms" }
     psi = { column = "yaw", unit = "deg" }
@@ -19,7 +23,8 @@ A mapping is a TOML file, one per data set, so that nobody edits data in order t
 A channel is `sign * (scale * number + offset)` in the stated unit, then converted to SI:
 an offset of 5 with the unit `deg` turns the heading by five degrees. With `delay = 0.8` the
 channel was stamped 0.8 s late and is shifted to where it belongs; what is shifted, turned or
-rescaled here is a repair that an audit may ask for.
+rescaled here is a repair that an audit may ask for. The channels `latitude` and `longitude`
+become x and y. In logs with several topics a column is named `topic:field`.
 """
 
 import dataclasses
@@ -81,6 +86,12 @@ CHANNEL_DIMENSIONS = {
     "p": "angular rate",
 }
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
+# What a mapping may name besides, and what becomes of it: x and y.
+_GEODETIC = {"latitude": "angle", "longitude": "angle"}
+
+# East-north-up axes with forward-port-up body axes, turned into those of this package.
+_TURNED = {"psi": math.pi / 2, "wind_direction": math.pi / 2, "v": 0.0, "r": 0.0}
+_SWAPPED = {"x": "y", "y": "x"}
 
 _FILE_KEYS = (
     "delimiter",
@@ -90,6 +101,10 @@ _FILE_KEYS = (
     "columns",
     "time_step",
     "velocity_axes",
+    "frame",
+    "origin",
+    "clock",
+    "stamps",
 )
 _COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset", "delay")
 
@@ -115,6 +130,11 @@ class Column:
         """What is added after the gain, in SI."""
         return self.sign * self.offset * self._factor
 
+    def opposite(self, beyond: float) -> "Column":
+        """The column of `beyond` minus this channel, in SI."""
+        offset = self.offset - beyond / (self.sign * self._factor)
+        return dataclasses.replace(self, sign=-self.sign, offset=offset)
+
     @property
     def _factor(self) -> float:
         return 1.0 if self.unit is None else UNITS[self.unit][1]
@@ -133,6 +153,24 @@ class Mapping:
     columns: tuple[str, ...] | None = None
     time_step: float | None = None  # s
     velocity_axes: str = "body"  # or "earth"
+    frame: str = "NED"  # or "ENU": what the channels are as they stand in the file
+    origin: tuple[float, float] | None = None  # latitude and longitude, rad
+    clock: str | None = None  # topic of a log
+    stamps: str = "header"  # or "receive"
+
+    @property
+    def ned_channels(self) -> dict[str, Column]:
+        """The channels in NED and forward-starboard-down axes, whatever the file's frame."""
+        if self.frame == "NED":
+            return self.channels
+        turned, swapped = _TURNED, _SWAPPED
+        if self.velocity_axes == "earth":
+            turned = {name: beyond for name, beyond in _TURNED.items() if name != "v"}
+            swapped = _SWAPPED | {"u": "v", "v": "u"}
+        return {
+            swapped.get(name, name): column.opposite(turned[name]) if name in turned else column
+            for name, column in self.channels.items()
+        }
 
 
 def is_channel(name: str) -> bool:
@@ -196,7 +234,7 @@ def _file_settings(file: dict, channels: dict[str, Column], path: Path) -> dict:
         settings["time_step"] = _number(step, path, "[file] time_step")
         if settings["time_step"] <= 0:
             raise UserError(f"{path}: [file] time_step must be above zero seconds, got {step}")
-    elif "t" not in channels:
+    elif "t" not in channels and not any(":" in entry.column for entry in channels.values()):
         raise UserError(
             f"{path}: no channel t; name the time column under [columns], or give "
             "[file] time_step in seconds"
@@ -214,7 +252,44 @@ def _file_settings(file: dict, channels: dict[str, Column], path: Path) -> dict:
         raise UserError(f"{path}: velocities in earth axes need the channels psi, u and v")
     if "columns" in settings:
         settings["columns"] = _names(settings["columns"], path)
+    _check_choices(settings, path)
+    _check_position(channels, path)
+    if "origin" in settings:
+        settings["origin"] = _origin(settings["origin"], path)
     return settings
+
+
+def _check_choices(settings: dict, path: Path) -> None:
+    for key, choices in (("frame", ("NED", "ENU")), ("stamps", ("header", "receive"))):
+        if settings.get(key, choices[0]) not in choices:
+            raise UserError(
+                f'{path}: [file] {key} must be "{choices[0]}" or "{choices[1]}", '
+                f"got {settings[key]!r}"
+            )
+    clock = settings.get("clock", "topic")
+    if not isinstance(clock, str) or not clock:
+        raise UserError(f"{path}: [file] clock must be the name of a topic, got {clock!r}")
+
+
+def _check_position(channels: dict[str, Column], path: Path) -> None:
+    geodetic = set(_GEODETIC) & set(channels)
+    if not geodetic:
+        return
+    if geodetic != set(_GEODETIC):
+        raise UserError(f"{path}: latitude and longitude belong together; map both of them")
+    if {"x", "y"} & set(channels):
+        raise UserError(f"{path}: latitude and longitude become x and y; leave x and y out")
+
+
+def _origin(value: object, path: Path) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise UserError(
+            f"{path}: [file] origin must be [latitude, longitude] in degrees, got {value!r}"
+        )
+    latitude, longitude = (_number(item, path, "[file] origin") for item in value)
+    if abs(latitude) > 90 or abs(longitude) > 360:
+        raise UserError(f"{path}: [file] origin {value} is no place; latitude comes first")
+    return math.radians(latitude), math.radians(longitude)
 
 
 def _names(names: object, path: Path) -> tuple[str, ...]:
@@ -228,8 +303,8 @@ def _names(names: object, path: Path) -> tuple[str, ...]:
 
 def _column(channel: str, entry: object, path: Path) -> Column:
     where = f"[columns] {channel}"
-    if not is_channel(channel):
-        known = (*CHANNEL_DIMENSIONS, "cmd_<actuator>", "exec_<actuator>")
+    if not (is_channel(channel) or channel in _GEODETIC):
+        known = (*CHANNEL_DIMENSIONS, *_GEODETIC, "cmd_<actuator>", "exec_<actuator>")
         raise UserError(
             f"{path}: {where} is no channel; channels are "
             + ", ".join(known)
@@ -264,7 +339,7 @@ def _unit(channel: str, unit: object, path: Path) -> str | None:
             + ", ".join(UNITS)
             + nearest(str(unit), UNITS)
         )
-    dimension = CHANNEL_DIMENSIONS.get(channel)
+    dimension = (CHANNEL_DIMENSIONS | _GEODETIC).get(channel)
     if dimension not in (None, UNITS[unit][0]):
         fitting = ", ".join(name for name, (kind, _) in UNITS.items() if kind == dimension)
         raise UserError(

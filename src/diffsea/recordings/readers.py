@@ -1,4 +1,4 @@
-"""Recordings in and out: CSV and Parquet files, native or through a mapping.
+"""Recordings in and out: CSV and Parquet files, native or through a mapping, and robots' logs.
 
 Everything that leaves this module is in SI units and radians and NED axes as far as the
 file's labels are right; whether they are is for the audit to find out.
@@ -14,6 +14,9 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
+from diffsea.recordings import logs
+from diffsea.recordings.angles import unwrap
+from diffsea.recordings.geodesy import placed
 from diffsea.recordings.mappings import (
     Column,
     Mapping,
@@ -32,9 +35,13 @@ EMPTY_ROWS = "dropped empty rows"
 
 
 def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None) -> Trajectory:
-    """Read one run from a CSV or Parquet file.
+    """Read one run from a CSV or Parquet file, or from a log.
 
-    Without a mapping the file must have the native columns (`t`, `x`, `psi`, `cmd_...`).
+    Logs are ROS bags (`.bag`, `.db3`, `.mcap` or the folder of a ROS 2 bag), ArduPilot's `.bin`,
+    PX4's `.ulg` and MATLAB's `.mat`; they need a mapping, and `logs.read_log` says what becomes
+    of their several clocks.
+
+    Without a mapping a table must have the native columns (`t`, `x`, `psi`, `cmd_...`).
     Time keeps its zero, heading is unwrapped, empty cells of motion channels become NaN,
     and a command holds through empty cells. Rows without any value are dropped, and rows of
     one time stamp become one, of the last value of each channel: an order that changes at an
@@ -46,6 +53,9 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     path = Path(path)
     if isinstance(mapping, str | Path):
         mapping = read_mapping(mapping)
+    if logs.is_log(path):
+        values, told = logs.read_log(path, mapping)
+        return _assemble(values, path, 1, [*_source(path, mapping), *told])
     table, first_line = read_table(path, mapping)
     channels = _channels(table, mapping, path)
     values: dict[str, np.ndarray] = {}
@@ -54,13 +64,17 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
         values[name] = raw * column.gain + column.shift
     if mapping is not None and mapping.time_step is not None:
         values["t"] = np.arange(len(table)) * mapping.time_step
-    notes = [f"read {path.name}, sha256 {_digest(path)}"]
-    if mapping is not None:
-        notes.append(f"through mapping {mapping.name}")
+    notes = _source(path, mapping)
     used = {column.column for column in channels.values()}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
         notes.append("columns not used: " + ", ".join(unused))
+    if mapping is not None and mapping.frame != "NED":
+        notes.append(f"turned from {mapping.frame} into NED axes")
+    if "latitude" in values and mapping is not None:
+        fixes = values.pop("latitude"), values.pop("longitude")
+        values["x"], values["y"], note = placed(*fixes, mapping.origin, str(path))
+        notes.append(note)
     run = _assemble(values, path, first_line, notes)
     return run if mapping is None else _repaired(run, mapping)
 
@@ -110,8 +124,18 @@ def _native_table(trajectory: Trajectory) -> pd.DataFrame:
     return pd.DataFrame(kept)
 
 
+def _source(path: Path, mapping: Mapping | None) -> list[str]:
+    notes = [f"read {path.name}, sha256 {_digest(path)}"]
+    return notes if mapping is None else [*notes, f"through mapping {mapping.name}"]
+
+
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """SHA-256 of a file; of a folder, that of the names and digests of the files in it."""
+    if path.is_dir():
+        parts = [f"{item.name} {_digest(item)}\n" for item in sorted(path.iterdir())]
+        return hashlib.sha256("".join(parts).encode()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[str, Column]:
@@ -125,14 +149,19 @@ def _channels(table: pd.DataFrame, mapping: Mapping | None, path: Path) -> dict[
                 "or write a mapping that says which columns are which and in which unit"
             )
     else:
-        channels = mapping.channels
+        channels = mapping.ned_channels
+        if "t" not in channels and mapping.time_step is None:
+            raise UserError(
+                f"{path} needs a channel t in {mapping.name}: name its time column under "
+                "[columns], or give [file] time_step in seconds"
+            )
         for channel, column in channels.items():
             if column.column not in table.columns:
                 raise UserError(
                     f"{path} has no column {column.column!r}, which {mapping.name} maps to "
                     f"{channel}; it has {present}" + nearest(column.column, map(str, table.columns))
                 )
-    if not any(name in channels for name in MOTION_CHANNELS):
+    if not any(name in channels for name in (*MOTION_CHANNELS, "latitude")):
         raise UserError(
             f"{path} has no motion channel ({', '.join(MOTION_CHANNELS)}); it has {present}. "
             "Write a mapping that says which columns are which"
@@ -220,7 +249,11 @@ def _trajectory(
 
 def _repaired(run: Trajectory, mapping: Mapping) -> Trajectory:
     """The run with late channels shifted and earth velocities turned into body axes."""
-    late = {name: column.delay for name, column in mapping.channels.items() if column.delay}
+    late = {
+        {"latitude": "x", "longitude": "y"}.get(name, name): column.delay
+        for name, column in mapping.ned_channels.items()
+        if column.delay
+    }
     notes = [f"{name} shifted by {-delay:g} s" for name, delay in late.items()]
 
     def earlier(prefix: str, group: dict) -> dict:
@@ -271,27 +304,3 @@ def _held(channel: str, series: np.ndarray, time: np.ndarray, notes: list[str]) 
     if filled:
         notes.append(f"{channel}: {filled} empty cells hold the value before")
     return np.where(leading, np.nan, series[source])
-
-
-def unwrap(angle: np.ndarray) -> np.ndarray:
-    """The angle (rad) without jumps of a turn, continued through missing samples.
-
-    An angle that is really in degrees is unwrapped as such: by turns of 2 pi it would be
-    garbled beyond repair, and the audit would no longer see what is wrong with it.
-    """
-    finite = np.isfinite(angle)
-    continuous = np.array(angle, dtype=float)
-    period = _period(continuous[finite])
-    if period > 0:
-        continuous[finite] = np.unwrap(continuous[finite], period=period)
-    return continuous
-
-
-def _period(angle: np.ndarray) -> float:
-    """The jump that a wrapped angle makes: 2 pi, or 360; zero where it is not wrapped."""
-    if angle.size < 2 or np.max(np.abs(angle)) <= 4 * np.pi:
-        return 2 * np.pi
-    jumps = np.abs(np.diff(angle))
-    if np.any(jumps > 300):
-        return 360.0
-    return 2 * np.pi if np.any(np.abs(jumps - 2 * np.pi) < 1) else 0.0

@@ -1,0 +1,146 @@
+"""MATLAB's `.mat` files: every structure a stream, with the vectors in it as fields."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import io
+
+from diffsea.errors import UserError
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, listing, unreadable
+from diffsea.recordings.mappings import Mapping
+
+
+@dataclasses.dataclass
+class _Group:
+    """The numeric arrays of one structure, and what else stands in it."""
+
+    arrays: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    unread: dict[str, str] = dataclasses.field(default_factory=dict)
+
+
+def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+    """The arrays of every structure; those that stand in none are under the empty name."""
+    del mapping
+    found = {}
+    for name, group in _groups(path).items():
+        found[name] = []
+        for field, array in group.arrays.items():
+            split = array.ndim == 2 and min(array.shape) <= LONGEST_ARRAY
+            parts = range(min(array.shape)) if split else ()
+            found[name] += [f"{field}.{i}" for i in parts] or [field]
+    return found
+
+
+def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
+    """The streams of those of the structures that the file has.
+
+    A structure's time is the vector that has the name of the mapping's t, in the structure
+    itself, in one around it, or else that of t itself; or samples count by [file] time_step.
+    Matrices give a field per column (or per row, where the rows are as many as columns of
+    others), `pos.0`, `pos.1` ...
+
+    Raises `UserError` for files of MATLAB 7.3 (HDF5) and others that cannot be read, for a
+    missing time, and for structures whose vectors have another length than their time.
+    """
+    groups = _groups(path)
+    if "t" in mapping.channels:
+        _check_time(groups, mapping, path)
+    return {
+        topic: _stream(topic, groups, mapping, path)
+        for topic in topics
+        if topic in groups and groups[topic].arrays
+    }
+
+
+def _groups(path: Path) -> dict[str, _Group]:
+    with path.open("rb") as file:
+        start = file.read(128)
+    if start.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise UserError(
+            f"{path} is a MATLAB 7.3 file (HDF5), which this does not read; load it in MATLAB and "
+            "save it with save(name, '-v7')"
+        )
+    with unreadable(path, "a MATLAB file"):
+        variables = io.loadmat(path, simplify_cells=True)
+    groups: dict[str, _Group] = {}
+    for name, value in variables.items():
+        if not name.startswith("__"):
+            _gather("", name, value, groups)
+    return groups
+
+
+def _gather(topic: str, name: str, value: Any, groups: dict[str, _Group]) -> None:
+    inner = f"{topic}.{name}" if topic else name
+    if isinstance(value, dict):
+        for field, item in value.items():
+            _gather(inner, field, item, groups)
+        return
+    group = groups.setdefault(topic, _Group())
+    array = np.asarray(value) if not isinstance(value, list) else np.array(value, dtype=object)
+    if array.dtype == object:
+        for index, item in enumerate(array.ravel()[:LONGEST_ARRAY]):
+            if isinstance(item, dict):
+                _gather(inner, str(index), item, groups)
+        group.unread[name] = "is no numeric array; timeseries, tables and cells are not read"
+    elif array.dtype.kind in "biuf" and array.size > 1 and array.ndim <= 2:
+        group.arrays[name] = array.astype(float)
+    else:
+        group.unread[name] = "is no series of numbers"
+
+
+def _time_name(mapping: Mapping) -> tuple[str, str]:
+    topic, _, field = mapping.channels["t"].column.rpartition(":")
+    return topic, field
+
+
+def _check_time(groups: dict[str, _Group], mapping: Mapping, path: Path) -> None:
+    topic, field = _time_name(mapping)
+    if topic not in groups or field not in groups[topic].arrays:
+        found = listing({name: list(group.arrays) for name, group in groups.items()})
+        raise UserError(
+            f"{path} has no {mapping.channels['t'].column!r}, which {mapping.name} maps to t. It "
+            f"has\n{found}"
+        )
+
+
+def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping, path: Path) -> Stream:
+    group = groups[topic]
+    if "t" not in mapping.channels:
+        size = max(max(array.shape) for array in group.arrays.values())
+        t, clock = np.arange(size) * mapping.time_step, "[file] time_step"
+    else:
+        owner, time = _time(topic, groups, mapping)
+        column = mapping.channels["t"]
+        t = time.ravel() * column.gain + column.shift
+        clock = f"{owner}:{_time_name(mapping)[1]}".removeprefix(":")
+    fields, unfit = {}, dict(group.unread)
+    for name, array in group.arrays.items():
+        series = _series(name, array, t.size)
+        fields |= series
+        if not series:
+            shape = " x ".join(map(str, array.shape))
+            unfit[name] = f"has {shape} values, but its time ({clock}) has {t.size}"
+    return Stream(topic, t, fields, clock, unfit=unfit)
+
+
+def _time(topic: str, groups: dict[str, _Group], mapping: Mapping) -> tuple[str, np.ndarray]:
+    """The time of a structure: its own, that of one around it, or that which t names."""
+    default, field = _time_name(mapping)
+    parts = topic.split(".")
+    around = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
+    for owner in (*around, default):
+        if owner in groups and field in groups[owner].arrays:
+            return owner, groups[owner].arrays[field]
+    raise AssertionError("the time was checked before")
+
+
+def _series(name: str, array: np.ndarray, size: int) -> dict[str, np.ndarray]:
+    """The array as series of `size`; none where it has no such axis."""
+    if array.ndim == 1:
+        return {name: array} if array.size == size else {}
+    columns = array.T if array.shape[0] == size else array
+    if columns.shape[1] != size or columns.shape[0] > LONGEST_ARRAY:
+        return {}
+    return {f"{name}.{index}": column for index, column in enumerate(columns)}

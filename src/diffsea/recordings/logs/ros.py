@@ -1,0 +1,234 @@
+"""ROS 1 and ROS 2 bags: every topic a stream, messages flattened, quaternions also as angles."""
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsea.errors import UserError
+from diffsea.recordings.logs.streams import (
+    LONGEST_ARRAY,
+    Stream,
+    euler_angles,
+    library,
+    unreadable,
+)
+from diffsea.recordings.mappings import Mapping
+
+
+SUFFIXES = (".bag", ".db3", ".mcap")
+_LOOKED_AT = 50  # messages of a topic in which its fields are looked for
+# A message overtaken on its way comes a few of its topic's intervals late; what falls back
+# further is a clock that was set, or a second publisher.
+_OVERTAKEN = 3.0
+_UNKNOWN = {  # covariance whose first entry is -1 -> what the message then does not measure
+    "orientation_covariance": "orientation",
+    "angular_velocity_covariance": "angular_velocity",
+    "linear_acceleration_covariance": "linear_acceleration",
+}
+
+
+def is_bag(path: Path) -> bool:
+    """Whether `path` is named like a bag, or is the folder of a ROS 2 bag."""
+    if path.is_dir():
+        return (path / "metadata.yaml").exists() or any(
+            item.suffix in (".db3", ".mcap") for item in path.iterdir()
+        )
+    return path.suffix.lower() in SUFFIXES
+
+
+def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+    """The numeric fields of every topic, from its first messages."""
+    del mapping
+    found = {}
+    with _opened(path) as reader:
+        for topic in _topics(reader):
+            try:
+                first = [message for _, message in _messages(reader, topic, path, _LOOKED_AT)]
+            except UserError:  # a type that the bag does not define is no reason not to list
+                first = []
+            names = list(_flat(first))
+            for base in _quaternions(names):
+                names += [f"{base}.{angle}" for angle in ("roll", "pitch", "yaw")]
+            found[topic] = names
+    return found
+
+
+def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
+    """The streams of those of the topics that the bag has.
+
+    Time is that of the header stamps where messages have them, else that at which the
+    recorder received the message. It counts from the first message of these topics.
+
+    Raises `UserError` for a broken bag, a type that is not defined, and stamps that jump back.
+    """
+    with _opened(path) as reader:
+        read = {
+            topic: _read(reader, topic, path, mapping.stamps)
+            for topic in topics
+            if topic in _topics(reader)
+        }
+    zero = min((int(stamps[0]) for stamps, *_ in read.values() if stamps.size), default=0)
+    day = np.datetime64(zero, "ns").astype("datetime64[ms]")
+    made = {}
+    for topic, (stamps, fields, clock, notes) in read.items():
+        words = f"{clock}, from {zero / 1e9:.9f} s ({day} UTC)"
+        made[topic] = Stream(topic, (stamps - zero) * 1e-9, fields, words, notes)
+    return made
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    highlevel = library("rosbags.highlevel", "ros", path)
+    typesys = library("rosbags.typesys", "ros", path)
+    default = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        raise UserError(
+            f"{path} is a ROS 2 bag without metadata.yaml; restore it with `ros2 bag reindex`, or "
+            "name the .db3 or .mcap file in the folder"
+        )
+    tool = "rosbag reindex" if path.suffix.lower() == ".bag" else "ros2 bag reindex"
+    hint = f"; if its recording was cut off, `{tool}` may restore it"
+    with unreadable(path, "a ROS bag", hint):
+        reader = highlevel.AnyReader([path], default_typestore=default)
+        reader.open()
+    try:
+        with unreadable(path, "a ROS bag", hint):
+            yield reader
+    finally:
+        reader.close()
+
+
+def _topics(reader: Any) -> list[str]:
+    return sorted({connection.topic for connection in reader.connections})
+
+
+def _messages(
+    reader: Any, topic: str, path: Path, most: int | None = None
+) -> Iterator[tuple[int, Any]]:
+    """Receive times (ns) and messages of one topic."""
+    connections = [item for item in reader.connections if item.topic == topic]
+    kinds = sorted({connection.msgtype for connection in connections})
+    if len(kinds) > 1:
+        raise UserError(f"{path}: {topic} carries messages of several types: {', '.join(kinds)}")
+    if kinds[0] not in reader.typestore.fielddefs:
+        raise UserError(
+            f"{path}: {topic} has messages of type {kinds[0]}, which the bag does not define; "
+            "convert it to MCAP, which carries its definitions"
+        )
+    every = reader.messages(connections=connections)
+    for connection, received, raw in itertools.islice(every, most):
+        yield received, reader.deserialize(raw, connection.msgtype)
+
+
+def _read(
+    reader: Any, topic: str, path: Path, stamps: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], str, tuple[str, ...]]:
+    """Time stamps (ns), fields, what clock they are of, and notes."""
+    received, messages = [], []
+    for time, message in _messages(reader, topic, path):
+        received.append(time)
+        messages.append(message)
+    times = np.array(received, dtype=np.int64)
+    fields = _table(messages)
+    header = _header_stamps(messages) if stamps == "header" else None
+    if header is None:
+        return times, fields, "receive time", ()
+    if not np.all(header):
+        unset = f"header stamps not set in {np.sum(header == 0)} of {header.size} messages"
+        return times, fields, "receive time", (f"{topic}: {unset}",)
+    steps = np.diff(header)
+    if not np.any(steps < 0):
+        return header, fields, "header stamps", ()
+    usual = float(np.median(steps[steps > 0], axis=0)) if np.any(steps > 0) else 0.0
+    if np.min(steps) < -_OVERTAKEN * usual:
+        raise UserError(
+            f"{path}: the header stamps of {topic} jump back by {-np.min(steps) * 1e-9:.6g} s, "
+            f"{usual * 1e-9:.6g} s being their usual interval: a clock was set, or two publishers "
+            'share the topic; split the bag, or give [file] stamps = "receive"'
+        )
+    order = np.argsort(header, kind="stable")
+    fields = {name: series[order] for name, series in fields.items()}
+    note = f"{topic}: {np.sum(steps < 0)} messages received late, put in the order of their stamps"
+    return header[order], fields, "header stamps", (note,)
+
+
+def _header_stamps(messages: list) -> np.ndarray | None:
+    if not messages or not hasattr(messages[0], "header"):
+        return None
+    stamps = [message.header.stamp for message in messages]
+    return np.array([stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps], dtype=np.int64)
+
+
+def _table(messages: list) -> dict[str, np.ndarray]:
+    fields = _flat(messages[:_LOOKED_AT])
+    table = {name: _column(messages, *where) for name, where in fields.items()}
+    _mask(table, messages)
+    for base in _quaternions(list(table)):
+        for angle, series in euler_angles(*(table[f"{base}.{part}"] for part in "wxyz")).items():
+            table[f"{base}.{angle}"] = series
+    return table
+
+
+def _quaternions(names: list[str]) -> list[str]:
+    """The groups x, y, z, w; no message of the usual ones has such a group that is no rotation."""
+    bases = [name.removesuffix(".w") for name in names if name.endswith(".w")]
+    return [base for base in bases if all(f"{base}.{part}" in names for part in "xyz")]
+
+
+def _flat(messages: list) -> dict[str, tuple[str, tuple]]:
+    """Names of the numeric fields, and where they stand: attributes, then an index and rest."""
+    found: dict[str, tuple[str, tuple]] = {}
+    for message in messages:
+        _gather(message, "", (), found)
+    return found
+
+
+def _gather(value: Any, name: str, path: tuple, found: dict) -> None:
+    if isinstance(value, bool | int | float | np.number | np.bool_):
+        found.setdefault(name, path)
+    elif isinstance(value, list | np.ndarray):
+        if len(value) <= LONGEST_ARRAY and not name.endswith("covariance"):
+            for index, item in enumerate(value):
+                _gather(item, f"{name}.{index}", (*path, index), found)
+    elif hasattr(value, "__msgtype__"):
+        for part, item in vars(value).items():
+            if not part.startswith("__"):
+                _gather(item, f"{name}.{part}" if name else part, (*path, part), found)
+
+
+def _column(messages: list, *path: str | int) -> np.ndarray:
+    """One field of every message; NaN where an array is shorter."""
+    if all(isinstance(part, str) for part in path):
+        get = attrgetter(".".join(map(str, path)))
+        return np.array([get(message) for message in messages], dtype=float)
+    return np.array([_item(message, path) for message in messages], dtype=float)
+
+
+def _item(value: Any, path: tuple) -> float:
+    for part in path:
+        if isinstance(part, str):
+            value = getattr(value, part)
+        elif part < len(value):
+            value = value[part]
+        else:
+            return float("nan")
+    return value
+
+
+def _mask(table: dict[str, np.ndarray], messages: list) -> None:
+    """Empties what a message says it does not know: no fix, orientation not measured."""
+    for name in [name for name in table if name.endswith("status.status")]:
+        place = name.removesuffix("status.status")
+        for field in ("latitude", "longitude", "altitude"):
+            if place + field in table:
+                table[place + field] = np.where(table[name] < 0, np.nan, table[place + field])
+    for covariance, measured in _UNKNOWN.items():
+        if messages and hasattr(messages[0], covariance):
+            unknown = np.array([getattr(message, covariance)[0] == -1 for message in messages])
+            for field in [field for field in table if field.startswith(f"{measured}.")]:
+                table[field] = np.where(unknown, np.nan, table[field])
