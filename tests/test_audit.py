@@ -460,7 +460,7 @@ def test_findings_are_json_with_the_promised_fields():
     assert record["recording"] == "run.csv" and record["kind"] in KINDS
     assert "psi = " in record["repair"]
     labelled = only(recording("random", 1, earth_axes), "axes").as_dict()
-    assert labelled["value"] is None and labelled["std"] is None
+    assert labelled["value"] > 10 * labelled["std"] > 0  # share left unexplained as labelled
 
 
 def test_runs_with_few_channels_or_samples_are_judged_by_what_they_have():

@@ -12,6 +12,7 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
+    from diffsea.recordings.repair import Repair
     from diffsea.types import Trajectory
     from diffsea.vessel.base import Vessel
 
@@ -31,11 +32,16 @@ _METRICS_EXAMPLES = """\
   diffsea metrics model.csv --mapping tank.toml --length 7.0 --scale 45.7"""
 _AUDIT = """\
 Check recordings for faults of labels, units, frames, signs, clocks and sensors, by kinematics
-alone and before any physics is blamed. Writes audit.json, the list of findings.
+alone and before any physics is blamed. Writes audit.json, the list of findings. With --repair,
+what is certain is put right, the recording audited again, and a repair that is no better undone:
+this writes NAME.repaired.csv per recording with native columns, repairs.json (what was applied,
+undone or left, and why) and, where a mapping can say it, repaired_mapping.toml, or one
+NAME.repaired_mapping.toml per recording where their repairs differ. Inputs are never changed.
 """
 _AUDIT_EXAMPLES = """\
   diffsea audit run1.csv run2.csv
-  diffsea audit field/*.csv --mapping field.toml --json"""
+  diffsea audit field/*.csv --mapping field.toml --json
+  diffsea audit run1.csv --repair -o out/repaired"""
 _PREDICT = """\
 Replay a recording's orders through a vessel, open loop, from the recorded initial state.
 Actuation that was measured (exec_ columns) is used as measured, any other goes through the
@@ -71,6 +77,10 @@ def register(commands) -> None:
         _AUDIT, _AUDIT_EXAMPLES,
     )  # fmt: skip
     options.add_recordings(audit)
+    audit.add_argument(
+        "--repair", action="store_true",
+        help="repair what is certain and write repaired recordings, never over the inputs",
+    )  # fmt: skip
     predict = options.add_command(
         commands, "predict", _predict, "replay a recording's orders through a vessel", _PREDICT,
         _PREDICT_EXAMPLES,
@@ -122,11 +132,64 @@ def _as_thrust(vessel: "Vessel", run: "Trajectory") -> "Trajectory":
 def _audit(args: argparse.Namespace) -> None:
     from diffsea.recordings import audit
 
+    if args.repair:
+        _repair(args)
+        return
     runs = options.read_recordings(args.recordings, args.mapping)
     with options.Outputs(args.output) as out:
         found = [(run, audit(run)) for run in runs]
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
     out.present(args, "\n\n".join(_findings_text(run.name, items) for run, items in found))
+
+
+def _repair(args: argparse.Namespace) -> None:
+    from diffsea.recordings import read_mapping, write_recording
+    from diffsea.recordings.repair import mapping_text, repair
+
+    stems = _repaired_stems(args)
+    mapping = read_mapping(args.mapping) if args.mapping else None
+    runs = options.read_recordings(args.recordings, args.mapping)
+    with options.Outputs(args.output) as out:
+        repairs = [repair(run, mapping) for run in runs]
+        for stem, done in zip(stems, repairs, strict=True):
+            write_recording(done.run, out.path(f"{stem}.repaired.csv"))
+        mapped = [any(step.in_mapping for step in done.applied) for done in repairs]
+        alike = all(done.mapping == repairs[0].mapping for done in repairs)
+        for stem, done, said in zip(stems, repairs, mapped, strict=True):
+            name = "repaired_mapping.toml" if alike else f"{stem}.repaired_mapping.toml"
+            if said and out.folder / name not in out.files:
+                notes = [f"{s.finding.message} ({'' if s.in_mapping else 'not '}repaired here)"
+                         for s in done.applied]  # fmt: skip
+                text = mapping_text(done.mapping, notes)
+                out.path(name).write_text(text, encoding="utf-8")
+        out.json("repairs.json", [
+            done.as_dict() | {"repaired": f"{stem}.repaired.csv"}
+            for stem, done in zip(stems, repairs, strict=True)
+        ])  # fmt: skip
+        out.json("audit.json", [item.as_dict() for done in repairs for item in done.before])
+    out.present(args, "\n\n".join(_repair_text(done) for done in repairs))
+
+
+def _repaired_stems(args: argparse.Namespace) -> list[str]:
+    """The inputs' names without suffix; raises where an output would replace anything."""
+    stems = [path.stem for path in args.recordings]
+    inputs = {path.resolve() for path in args.recordings}
+    for stem in stems:
+        written = args.output / f"{stem}.repaired.csv"
+        if written.resolve() in inputs:
+            raise UserError(f"{written} would be written over a recording; choose a folder with -o")
+        if stems.count(stem) > 1:
+            raise UserError(f"two recordings would be repaired into {written}; do them in turn")
+    return stems
+
+
+def _repair_text(done: "Repair") -> str:
+    lines = [f"{done.run.name}:" if done.steps else f"{done.run.name}: nothing found"]
+    for step in done.steps:
+        lines.append(f"  {step.outcome:8s} {step.finding.kind:18s} {_size(step.finding)}")
+        lines.append(f"    {step.finding.message}")
+        lines += [f"    why {step.outcome}: {step.reason}"] if step.outcome != "applied" else []
+    return "\n".join(lines)
 
 
 def _findings_text(name: str, findings: "list[Finding]") -> str:

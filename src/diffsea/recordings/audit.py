@@ -12,6 +12,7 @@ import numpy as np
 
 from diffsea.recordings.channels import frozen, order_findings, outliers, rounding_findings
 from diffsea.recordings.clocks import clock_findings
+from diffsea.recordings.edits import Affine
 from diffsea.recordings.consistency import heading_comparison, velocity_comparison
 from diffsea.recordings.finding import KINDS, Finding
 from diffsea.recordings.frames import read_frames
@@ -50,8 +51,11 @@ def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
     """What parts heading from yaw rate and position from velocity."""
     heading = _explained(heading_comparison(motion)) if motion.has("psi", "r") else None
     turned = heading.causes if heading else ()
+    swung = False
     if heading and "iron" in turned:
+        recorded = motion
         motion = _clearer(motion, _without_iron(motion.values["psi"], heading.theta))
+        swung = motion is recorded
     velocity, reversed_sway = None, []
     if motion.has("x", "y", "psi", "u", "v"):
         late = "delay" in turned and heading is not None and heading.theta["delay"] < 0
@@ -59,7 +63,7 @@ def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
         doubtful = heading is None or "gain" in turned
         velocity = _explained(velocity_comparison(motion, iron=doubtful, psi_late=late))
         motion, velocity, reversed_sway = _sway_sign(motion, velocity, doubtful, late)
-    findings = disagreement_findings(heading, velocity) + reversed_sway
+    findings = disagreement_findings(heading, velocity, swung) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.replaced(psi=motion.values["psi"] - velocity.theta["angle"])
     return motion, findings
@@ -105,16 +109,18 @@ def _sway_sign(
     other = _explained(velocity_comparison(turned, iron=iron, psi_late=psi_late))
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []
+    gained = max(velocity.deviance - other.deviance, 0.0)
     finding = Finding(
         "axes",
-        float("nan"),
-        float("nan"),
-        "",
+        gained,
+        2 * float(np.sqrt(gained)),
+        "1",
         "v is positive to port, not to starboard: with the opposite sign position and velocity "
-        "agree better, and the vessel drifts outwards in turns (or x, y and heading are those of "
-        "an east-north-up frame)",
+        "agree better (value: drop of the deviance), and the vessel drifts outwards in turns (or "
+        "x, y and heading are those of an east-north-up frame)",
         "v = { ..., sign = -1 } in the mapping",
         ("v",),
+        edits=(Affine(("v",), -1.0),),
     )
     return turned, other, [finding]
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from diffsea.recordings.edits import Blank, Order
 from diffsea.recordings.finding import Finding
 from diffsea.recordings.motion import Motion, integral
 from diffsea.types import MOTION_CHANNELS, Trajectory
@@ -70,7 +71,7 @@ def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
         if not np.any(wild):
             continue
         values[channel] = np.interp(motion.t, motion.t[~wild], values[channel][~wild])
-        first = motion.t[np.argmax(wild)]
+        first, at = motion.t[np.argmax(wild)], motion.t[wild]
         findings.append(
             Finding(
                 "outliers",
@@ -80,6 +81,7 @@ def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
                 f"{np.sum(wild)} wild values in {channel}, the first at t = {first:.6g} s",
                 "empty these cells: missing samples do no harm, wild ones do",
                 (channel,),
+                edits=(Blank((channel,), tuple(zip(at.tolist(), at.tolist(), strict=True))),),
             )
         )
     return motion.replaced(**values), findings
@@ -156,6 +158,7 @@ def _stuck(motion: Motion, span: tuple[int, int], channels: list[str]) -> Findin
         "the other channels say that the vessel moved",
         "empty these cells, or cut the recording there",
         tuple(channels),
+        edits=(Blank(tuple(channels), ((float(start), float(end)),)),),
     )
 
 
@@ -251,6 +254,7 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
                 "these are orders, not motion",
                 f"map it to cmd_{name}; what was executed has to be reconstructed",
                 (f"exec_{name}",),
+                edits=(Order(name),),
             )
         )
     return findings

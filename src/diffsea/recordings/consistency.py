@@ -55,6 +55,7 @@ def heading_comparison(motion: Motion) -> Comparison | None:
         doubt=0.02,
         floor=floor,
         walk=_walk(motion, "r"),
+        middle=float(fine.t.mean()),
     )
 
 
@@ -117,6 +118,7 @@ def velocity_comparison(
         doubt=0.01,
         floor=max(0.02, _unresolved(motion, fine, _travelled)),
         walk=max(_walk(motion, "u"), _walk(motion, "v")),
+        middle=float(fine.t.mean()),
     )
 
 
@@ -131,15 +133,21 @@ class _Position:
     def __call__(self, theta: dict[str, float]) -> np.ndarray:
         t = self.t
         past = t - t.mean()
-        late = t + theta["nu_delay"] + theta["nu_rate"] * past
-        flow = np.interp(late, t, self.values["u"]) + 1j * np.interp(late, t, self.values["v"])
-        psi = np.interp(t + theta["psi_delay"] + theta["psi_rate"] * past, t, self.values["psi"])
+        late = theta["nu_delay"] + theta["nu_rate"] * past
+        flow = _advanced(t, self.values["u"] + 1j * self.values["v"], late)
+        psi = _advanced(t, self.values["psi"], theta["psi_delay"] + theta["psi_rate"] * past)
         psi = psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi) - theta["angle"]
         turn = np.exp(1j * psi)
         velocity = (1 + theta["gain"]) * flow * turn + theta["north"] + 1j * theta["east"]
         place = integral(t, velocity) + (theta["lever_x"] + 1j * theta["lever_y"]) * turn
         seen = self.knots - theta["p_delay"] - theta["p_rate"] * (self.knots - t.mean())
-        return np.stack([np.interp(seen, t, place.real), np.interp(seen, t, place.imag)])
+        place = np.interp(seen, t, place)
+        return np.stack([place.real, place.imag])
+
+
+def _advanced(t: np.ndarray, series: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """What the series will be `late` s later."""
+    return np.interp(t + late, t, series) if np.any(late) else series
 
 
 def _velocity_causes(motion: Motion, iron: bool, psi_late: bool) -> tuple[Cause, ...]:

@@ -3,6 +3,8 @@
 import dataclasses
 import math
 
+from diffsea.recordings.edits import Edit
+
 
 KINDS = (
     "sensor-latency",
@@ -34,7 +36,8 @@ class Finding:
 
     `value` and `std` are in `unit`; where a fault is a matter of yes or no, `value` is what
     the message explains and `std` is NaN. `channels` are the columns it concerns, `parameters`
-    what the catalogue of effects calls them by. `repair` says what to do about it.
+    what the catalogue of effects calls them by. `repair` says what to do about it, `edits` do
+    it; `doubt` says why the fault might have to be repaired otherwise, or not here at all.
     """
 
     kind: str
@@ -46,6 +49,8 @@ class Finding:
     channels: tuple[str, ...] = ()
     parameters: dict[str, float] = dataclasses.field(default_factory=dict)
     recording: str = ""
+    edits: tuple[Edit, ...] = ()
+    doubt: str = ""
 
     def as_dict(self) -> dict:
         """The finding as it stands in audit.json; a size or error that is unknown is null."""

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from diffsea.recordings.edits import Affine, BodyAxes, Edit, Swap
 from diffsea.recordings.finding import Finding
 from diffsea.recordings.motion import Motion, integral, knots
 
@@ -37,7 +38,8 @@ class Reading:
     repair: str = ""
     transform: Callable[..., tuple] = lambda *values: values
     mirrored: bool = False  # heading turns the other way
-    value: float = float("nan")
+    value: float = 0.0  # size of the fault; zero: how much the labels leave unexplained
+    edits: tuple[Edit, ...] = ()
 
 
 _POSITIONS = (
@@ -48,6 +50,7 @@ _POSITIONS = (
         "x and y are swapped: x is east and y is north",
         "exchange the columns of x and y in the mapping",
         lambda x, y: (y, x),
+        edits=(Swap("x", "y"),),
     ),
     Reading(
         "axes",
@@ -55,6 +58,7 @@ _POSITIONS = (
         "y is positive to the west (to port), not to the east",
         "y = { ..., sign = -1 } in the mapping",
         lambda x, y: (x, -y),
+        edits=(Affine(("y",), -1.0),),
     ),
     Reading(
         "sign",
@@ -62,6 +66,7 @@ _POSITIONS = (
         "x is positive to the south",
         "x = { ..., sign = -1 } in the mapping",
         lambda x, y: (-x, y),
+        edits=(Affine(("x",), -1.0),),
     ),
 )
 _HEADINGS = (
@@ -73,6 +78,7 @@ _HEADINGS = (
         "psi = { ..., sign = -1 } in the mapping",
         lambda psi: (-psi,),
         mirrored=True,
+        edits=(Affine(("psi",), -1.0),),
     ),
     Reading(
         "axes",
@@ -81,6 +87,7 @@ _HEADINGS = (
         "psi = { ..., sign = -1, offset = -90 } with unit deg in the mapping",
         lambda psi: (np.pi / 2 - psi,),
         mirrored=True,
+        edits=(Affine(("psi",), -1.0, np.pi / 2),),
     ),
     Reading(
         "unit",
@@ -89,6 +96,7 @@ _HEADINGS = (
         'psi = { ..., unit = "deg" } in the mapping',
         lambda psi: (np.radians(psi),),
         value=180 / np.pi,
+        edits=(Affine(("psi",), np.pi / 180, unit="deg"),),
     ),
 )
 
@@ -109,6 +117,7 @@ _VELOCITIES = (
         "v is positive to port, not to starboard",
         "v = { ..., sign = -1 } in the mapping",
         _body("u", "v", (1, -1)),
+        edits=(Affine(("v",), -1.0),),
     ),
     Reading(
         "sign",
@@ -116,6 +125,7 @@ _VELOCITIES = (
         "u is positive astern",
         "u = { ..., sign = -1 } in the mapping",
         _body("u", "v", (-1, 1)),
+        edits=(Affine(("u",), -1.0),),
     ),
     Reading(
         "sign",
@@ -123,6 +133,7 @@ _VELOCITIES = (
         "u and v have the wrong sign",
         "u and v = { ..., sign = -1 } in the mapping",
         _body("u", "v", (-1, -1)),
+        edits=(Affine(("u", "v"), -1.0),),
     ),
     Reading(
         "swapped-channels",
@@ -130,6 +141,7 @@ _VELOCITIES = (
         "u and v are swapped",
         "exchange the columns of u and v in the mapping",
         _body("v", "u", (1, 1)),
+        edits=(Swap("u", "v"),),
     ),
 )
 _EARTH = (
@@ -138,6 +150,7 @@ _EARTH = (
         ("u", "v"),
         "u and v are velocities north and east (earth axes), not along the ship and to starboard",
         'velocity_axes = "earth" under [file] of the mapping',
+        edits=(BodyAxes(),),
     ),
     Reading(
         "axes",
@@ -145,6 +158,7 @@ _EARTH = (
         "u and v are velocities east and north (earth axes), not along the ship and to starboard",
         'exchange their columns, and velocity_axes = "earth" under [file] of the mapping',
         _body("v", "u", (1, 1)),
+        edits=(Swap("u", "v"), BodyAxes()),
     ),
 )
 
@@ -159,6 +173,9 @@ class _Choice:
     scale: float  # displacement per integrated velocity
     rivals: tuple[str, ...]  # other readings that explain the motion as well
     changes: float  # how many, the less usual ones counting a little more
+    error: float = 0.0  # standard error of the scale
+    labelled: float = 0.0  # misfit of the labels as they stand, and its standard error
+    labelled_error: float = 0.0
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -192,7 +209,7 @@ def _windows(motion: Motion, channels: tuple[str, ...]) -> tuple[np.ndarray, np.
 
 def _choose(motion: Motion) -> _Choice:
     start, end = _windows(motion, ("x", "y", "psi", "u", "v"))
-    turning, ratio = _rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0)
+    turning, ratio, _ = _rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0, 0.0)
     values = motion.values
     choices = []
     for position, heading in itertools.product(_POSITIONS, _HEADINGS):
@@ -239,13 +256,13 @@ def _simplest(
     motion: Motion, choices: list[_Choice], start: np.ndarray, end: np.ndarray
 ) -> _Choice:
     """The labels as they are, unless another reading is far better; then the least changed."""
-    labelled = choices[0]
     values = motion.values
     moved = (values["x"][end] - values["x"][start]) + 1j * (values["y"][end] - values["y"][start])
     flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
     path = integral(motion.t, flow)
-    seconds = motion.t[end] - motion.t[start]
-    own = _tolerant_misfit(moved, path[end] - path[start], seconds)
+    predicted, seconds = path[end] - path[start], motion.t[end] - motion.t[start]
+    labelled = dataclasses.replace(choices[0], error=_scale_error(choices[0], moved.size))
+    own = _tolerant_misfit(moved, predicted, seconds)
     best = min(choices, key=lambda choice: choice.misfit)
     if own < _CLEARLY_WRONG or best.misfit > min(_GOOD, _BETTER * own):
         return labelled
@@ -256,7 +273,27 @@ def _simplest(
         for choice in good[1:3]
         if choice.changes < good[0].changes + 0.5
     ]
-    return dataclasses.replace(good[0], rivals=tuple(rivals))
+    share, error = _share_left(moved, labelled.scale * predicted)
+    return dataclasses.replace(
+        good[0],
+        rivals=tuple(rivals),
+        error=_scale_error(good[0], moved.size),
+        labelled=share,
+        labelled_error=error,
+    )
+
+
+def _scale_error(choice: _Choice, count: int) -> float:
+    """Standard error of the scale from what it leaves; windows have two components each."""
+    explained = max(1 - choice.misfit, 1e-12)
+    return float(choice.scale * np.sqrt(choice.misfit / explained / max(2 * count - 1, 1)))
+
+
+def _share_left(moved: np.ndarray, predicted: np.ndarray) -> tuple[float, float]:
+    """Share of squared displacement that a prediction leaves, and its standard error."""
+    left, total = np.abs(moved - predicted) ** 2, np.abs(moved) ** 2
+    share = float(np.sum(left) / np.sum(total))
+    return share, float(np.sqrt(np.sum((left - share * total) ** 2)) / np.sum(total))
 
 
 def _tolerant_misfit(moved: np.ndarray, predicted: np.ndarray, seconds: np.ndarray) -> float:
@@ -288,36 +325,57 @@ def _applied(motion: Motion, choice: _Choice) -> Motion:
     return motion.replaced(x=x, y=y, psi=psi, u=u, v=v)
 
 
-def _finding(
-    kind: str, channels: tuple[str, ...], message: str, repair: str, value: float, unit: str
-) -> Finding:
-    return Finding(kind, value, float("nan"), unit, message, repair, channels)
-
-
 def _fault(choice: _Choice, reading: Reading) -> Finding:
-    left = f"; read so, {100 * choice.misfit:.2g} % of the squared displacement is unexplained"
+    left = (
+        f"; as labelled, velocity leaves {100 * choice.labelled:.2g} % of the squared displacement "
+        f"unexplained, read so {100 * choice.misfit:.2g} %"
+    )
     rivals = "".join(f"; as well possible: {rival}" for rival in choice.rivals)
-    message = reading.message + left + rivals
-    unit = "1" if np.isfinite(reading.value) else ""
-    return _finding(reading.kind, reading.channels, message, reading.repair, reading.value, unit)
+    return Finding(
+        reading.kind,
+        reading.value or choice.labelled,
+        0.0 if reading.value else choice.labelled_error,
+        "1",
+        reading.message + left + rivals,
+        reading.repair,
+        reading.channels,
+        edits=reading.edits,
+        doubt=" or ".join(f"as well possible: {rival}" for rival in choice.rivals),
+    )
 
 
-# displacement per integrated velocity -> what is wrong
+def _relabelled(
+    gain: float, channels: tuple[str, ...], message: str, unit: str, value: float, std: float
+) -> Finding:
+    """A wrong unit: the channels are in another, `gain` times SI; `value` is what was measured."""
+    return Finding(
+        "unit",
+        value,
+        std,
+        "1",
+        message,
+        f'unit = "{unit}" for {" and ".join(channels)} in the mapping',
+        channels,
+        edits=(Affine(channels, gain, unit=unit),),
+    )
+
+
+# displacement per integrated velocity -> channels in another unit, which, and its size in SI
 _SPEED_UNITS = {
-    1852 / 3600: (("u", "v"), "u and v are in knots", 'unit = "kn" for u and v'),
-    1 / 3.6: (("u", "v"), "u and v are in km/h", 'unit = "km/h" for u and v'),
-    0.3048: (("u", "v"), "u and v are in ft/s", 'unit = "ft/s" for u and v'),
-    1 / 0.3048: (("x", "y"), "x and y are in feet", 'unit = "ft" for x and y'),
-    100.0: (("x", "y"), "x and y are in centimetres", 'unit = "cm" for x and y'),
-    1e3: (("x", "y"), "x and y are in millimetres", 'unit = "mm" for x and y'),
-    1e-3: (("x", "y"), "x and y are in kilometres", 'unit = "km" for x and y'),
-    1 / 1852: (("x", "y"), "x and y are in nautical miles", 'unit = "nmi" for x and y'),
+    1852 / 3600: (("u", "v"), "knots", "kn", 1852 / 3600),
+    1 / 3.6: (("u", "v"), "km/h", "km/h", 1 / 3.6),
+    0.3048: (("u", "v"), "ft/s", "ft/s", 0.3048),
+    1 / 0.3048: (("x", "y"), "feet", "ft", 0.3048),
+    100.0: (("x", "y"), "centimetres", "cm", 0.01),
+    1e3: (("x", "y"), "millimetres", "mm", 1e-3),
+    1e-3: (("x", "y"), "kilometres", "km", 1e3),
+    1 / 1852: (("x", "y"), "nautical miles", "nmi", 1852.0),
 }
-# heading per integrated yaw rate -> what is wrong
+# heading per integrated yaw rate -> the same
 _RATE_UNITS = {
-    np.pi / 180: (("r",), "r is in deg/s, not in rad/s", 'unit = "deg/s" for r'),
-    180 / np.pi: (("psi",), "psi is in degrees, not in radians", 'unit = "deg" for psi'),
-    1e-3: (("t",), "t is in milliseconds, not in seconds", 'unit = "ms" for t'),
+    np.pi / 180: (("r",), "deg/s, not in rad/s", "deg/s", np.pi / 180),
+    180 / np.pi: (("psi",), "degrees, not in radians", "deg", np.pi / 180),
+    1e-3: (("t",), "milliseconds, not in seconds", "ms", 1e-3),
 }
 
 
@@ -327,45 +385,60 @@ def _near(ratio: float, known: dict[float, tuple]) -> float | None:
 
 
 def _speed_unit(motion: Motion, choice: _Choice) -> tuple[Motion, list[Finding]]:
-    unit = _near(choice.scale, _SPEED_UNITS)
-    if unit is None or choice.misfit > _GOOD:
+    near = _near(choice.scale, _SPEED_UNITS)
+    if near is None or choice.misfit > _GOOD:
         return motion, []
-    channels, message, repair = _SPEED_UNITS[unit]
+    channels, name, unit, gain = _SPEED_UNITS[near]
     # Velocities are what is rescaled either way: only the comparison matters from here on.
     values = motion.values
-    motion = motion.replaced(u=unit * values["u"], v=unit * values["v"])
-    text = f"{message}: displacement is {choice.scale:.4g} times the integrated velocity"
-    return motion, [_finding("unit", channels, text, repair + " in the mapping", choice.scale, "1")]
+    motion = motion.replaced(u=near * values["u"], v=near * values["v"])
+    text = (
+        f"{' and '.join(channels)} are in {name}: displacement is {choice.scale:.4g} times the "
+        "integrated velocity"
+    )
+    return motion, [_relabelled(gain, channels, text, unit, choice.scale, choice.error)]
 
 
-def _rate_fit(motion: Motion) -> tuple[float, float]:
-    """Correlation and ratio of heading increments to integrated yaw rate."""
+def _rate_fit(motion: Motion) -> tuple[float, float, float]:
+    """Correlation of heading increments with integrated yaw rate, their ratio and its error."""
     start, end = _windows(motion, ("psi", "r"))
     psi, turned = motion.values["psi"], integral(motion.t, motion.values["r"])
     left, right = psi[end] - psi[start], turned[end] - turned[start]
     power = np.sqrt(np.sum(left**2) * np.sum(right**2))
     if left.size < 10 or power <= 0:
-        return 0.0, 1.0
+        return 0.0, 1.0, 0.0
     correlation = float(np.sum(left * right) / power)
-    return correlation, float(np.sqrt(np.sum(left**2) / np.sum(right**2)))
+    ratio = float(np.sqrt(np.sum(left**2) / np.sum(right**2)))
+    return correlation, ratio, ratio * float(np.sqrt(max(1 - correlation**2, 0.0) / left.size))
 
 
 def _yaw_rate(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Sign and unit of yaw rate against heading."""
-    correlation, ratio = _rate_fit(motion)
+    correlation, ratio, error = _rate_fit(motion)
     if abs(correlation) < 0.8:
         return motion, []
     faults = []
-    unit = _near(ratio, _RATE_UNITS)
-    if unit is not None:
-        channels, message, repair = _RATE_UNITS[unit]
-        text = f"{message}: heading changes {ratio:.4g} times as fast as the yaw rate says"
-        faults.append(_finding("unit", channels, text, repair + " in the mapping", ratio, "1"))
-        motion = motion.replaced(r=unit * motion.values["r"])
+    near = _near(ratio, _RATE_UNITS)
+    if near is not None:
+        channels, name, unit, gain = _RATE_UNITS[near]
+        text = (
+            f"{channels[0]} is in {name}: heading changes {ratio:.4g} times as fast as the yaw "
+            "rate says"
+        )
+        faults.append(_relabelled(gain, channels, text, unit, ratio, error))
+        motion = motion.replaced(r=near * motion.values["r"])
     if correlation < 0:
-        text = "yaw rate has the opposite sign of the rate of change of heading"
-        repair = "r = { ..., sign = -1 } in the mapping"
-        faults.append(_finding("sign", ("r",), text, repair, float("nan"), ""))
+        finding = Finding(
+            "sign",
+            -ratio,
+            error,
+            "1",
+            "yaw rate has the opposite sign of the rate of change of heading",
+            "r = { ..., sign = -1 } in the mapping",
+            ("r",),
+            edits=(Affine(("r",), -1.0),),
+        )
+        faults.append(finding)
         motion = motion.replaced(r=-motion.values["r"])
     return motion, faults
 
@@ -382,6 +455,6 @@ def _clock_unit(motion: Motion, faults: list[Finding]) -> tuple[Motion, list[Fin
     rescaled = dataclasses.replace(motion, t=1e-3 * motion.t)
     scaled = [("r",)] * by_yaw + [("u", "v")] * any(f.channels == ("x", "y") for f in late)
     values = {name: 1e3 * motion.values[name] for names in scaled for name in names}
-    channels, message, repair = _RATE_UNITS[1e-3]
-    fault = _finding("unit", channels, message, repair + " in the mapping", 1e-3, "1")
+    channels, name, unit, gain = _RATE_UNITS[1e-3]
+    fault = _relabelled(gain, channels, f"t is in {name}", unit, 1e-3, late[0].std)
     return rescaled.replaced(**values), [f for f in faults if f not in late] + [fault]

@@ -75,6 +75,7 @@ class Comparison:
     doubt: float
     floor: float
     walk: float
+    middle: float  # s, from where a growing delay is counted
 
     @functools.cached_property
     def kinds(self) -> Kinds:
@@ -88,7 +89,8 @@ class Explanation:
 
     `theta` holds every fitted parameter and `std` its standard error; `alternatives` names,
     for each cause, those that would have explained the same misfit nearly as well.
-    `deviance` is minus twice the log-likelihood of what is left, with a price on causes.
+    `deviance` is minus twice the log-likelihood of what is left, with a price on causes. A delay
+    that grows is counted from `middle` (s).
     """
 
     causes: tuple[str, ...]
@@ -96,6 +98,7 @@ class Explanation:
     std: dict[str, float]
     alternatives: dict[str, tuple[str, ...]]
     deviance: float
+    middle: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +122,7 @@ def explain(comparison: Comparison) -> Explanation:
     white = _whitener(comparison, theta)
     trials = _believable(comparison, _trials(comparison, white, theta, ()))
     if not trials:
-        return Explanation((), theta, {}, {}, _deviance(comparison, (), theta))
+        return Explanation((), theta, {}, {}, _deviance(comparison, (), theta), comparison.middle)
     ends = [_continued(comparison, trial) for trial in trials[:_STARTS]]
     white = _whitener(comparison, ends[0].theta)
     best = min(ends, key=lambda end: _cost(comparison, white, end.causes, end.theta))
@@ -128,7 +131,8 @@ def explain(comparison: Comparison) -> Explanation:
     rivals = {cause.name: _rivals(comparison, white, theta, chosen, cause) for cause in named}
     std = _std(comparison, theta, chosen) if chosen else {}
     names = tuple(cause.name for cause in named)
-    return Explanation(names, theta, std, rivals, _deviance(comparison, chosen, theta))
+    deviance = _deviance(comparison, chosen, theta)
+    return Explanation(names, theta, std, rivals, deviance, comparison.middle)
 
 
 def _deviance(comparison: Comparison, causes: tuple[Cause, ...], theta: dict[str, float]) -> float:

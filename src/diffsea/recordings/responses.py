@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 from scipy import signal
 
+from diffsea.recordings.edits import Affine, Swap
 from diffsea.recordings.finding import Finding
 from diffsea.recordings.motion import Motion
 from diffsea.types import Series, Trajectory
@@ -113,6 +114,7 @@ def _sign(channel: str, effect: _Effect, message: str) -> Finding:
         message,
         f"{channel} = {{ ..., sign = -1 }} in the mapping",
         (channel,),
+        edits=(Affine((channel,), -1.0),),
     )
 
 
@@ -150,6 +152,7 @@ def _swapped(names: tuple[str, str], yaw: _Effect) -> list[Finding]:
             "mirrored (x east, y north, heading counter-clockwise)",
             f"exchange the columns of {names[0]} and {names[1]} in the mapping",
             names,
+            edits=(Swap(*names),),
         )
     ]
 
