@@ -1,0 +1,323 @@
+"""How far an online estimate can be trusted, from 0 to 1, and why.
+
+Four questions, each a statistical test with the same false-alarm rate; trust is the lowest of
+the four answers:
+
+- *innovations*: are they as large as the filter thinks, and free of bias? Sums over a fading
+  window are compared with their chi-squared and normal distributions, channel by channel
+  (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+- *excitation*: have the data said anything? The volume of the uncertainty is compared with the
+  prior's, and no parameter may be known less than beforehand.
+- *bounds*: is the estimate possible (positive mass, no energy from drag) and within the prior?
+- *steadiness*: has it moved by more than the information that came in? The corrections of a
+  sound filter are uncorrelated, each with the variance that it took away (Kailath 1968), so
+  that their sum over the window has a known distribution.
+
+An answer of 1 stands for what is seen in 95 of 100 windows of a sound filter, 0.5 for the alarm
+level, which a sound filter reaches once in `false_alarm_interval`, 0 for as far again.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from diffsea.identification.tape import natural_time
+from diffsea.parameters import replace
+from diffsea.priors import Parameter
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Force, Vessel
+
+
+ALARM = 0.5  # trust at the alarm level
+_ROOT = np.sqrt(2 * np.pi)
+_USUAL = 0.05  # share of a sound filter's windows beyond which trust falls below one
+
+
+class Evidence(eqx.Module):
+    """What one step of an estimator says about itself. EKF and RLS both give it."""
+
+    white: Float[Array, "channel"]  # whitened innovations, zero where missing
+    used: Bool[Array, "channel"]
+    change: Float[Array, "parameter"]  # of the coordinates by the data
+    settled: Float[Array, "parameter"]  # variance of the coordinates that the data took away
+    coordinates: Float[Array, "parameter"]
+    covariance: Float[Array, "parameter parameter"]
+
+
+class Limits(eqx.Module):
+    """What is compared with what."""
+
+    vessel: Vessel  # at its prior
+    spread: Float[Array, "parameter"]  # prior standard deviations
+    window: Scalar  # s, time constant with which the past fades
+    false_alarm_interval: Scalar  # s
+    width: "Scores"  # spread of the scores of sound runs, one in theory: see `calibrated`
+    motions: Float[Array, "motion 3"]  # (u, v, r) at which drag must brake
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    channels: tuple[str, ...] = eqx.field(static=True)
+
+    def level(self, tests: int) -> tuple[Scalar, Scalar]:
+        """Scores of the usual and of the alarm level for the largest of so many two-sided tests.
+
+        A fading sum of white noise is a Gauss-Markov process with the window as time constant,
+        which leaves +-z every T / (2 z phi(z)) seconds (Leadbetter, Lindgren and Rootzen 1983,
+        section 12.2).
+        """
+        rate = self.window / (2 * tests * self.false_alarm_interval)
+        alarm = jnp.sqrt(-2 * jnp.log(rate))
+        for _ in range(8):  # z phi(z) = rate, a contraction for z above one
+            alarm = jnp.sqrt(2 * jnp.log(alarm / (rate * _ROOT)))
+        return jax.scipy.stats.norm.isf(_USUAL / (2 * tests)), alarm
+
+
+class Scores(eqx.Module):
+    """Test statistics, standard normal for a sound filter."""
+
+    size: Float[Array, "channel"]  # of the innovations; positive where too large
+    bias: Float[Array, "channel"]
+    moved: Float[Array, "parameter"]
+
+
+class Memory(eqx.Module):
+    """Fading sums over the past."""
+
+    count: Float[Array, "channel"]  # of weights
+    squares: Float[Array, "channel"]  # of squared weights
+    white: Float[Array, "channel"]
+    white_squared: Float[Array, "channel"]
+    change: Float[Array, "parameter"]
+    settled: Float[Array, "parameter"]  # with squared weights
+
+
+class Trust(eqx.Module):
+    """The verdict of one instant, with what it rests on."""
+
+    innovations: Scalar
+    excitation: Scalar
+    bounds: Scalar
+    steadiness: Scalar
+    scores: Scores
+    determined: Scalar  # share of the prior's uncertainty gone, geometric mean over directions
+    least: Float[Array, "parameter"]  # variance over the prior's
+    far: Float[Array, "parameter"]  # coordinate over the prior's standard deviation
+    inertia: Bool[Array, ""]  # mass matrix positive definite
+    drag: Bool[Array, ""]  # drag brakes
+
+    @property
+    def value(self) -> Scalar:
+        """Trust, 0 to 1: the lowest of the four answers."""
+        return jnp.minimum(
+            jnp.minimum(self.innovations, self.excitation),
+            jnp.minimum(self.bounds, self.steadiness),
+        )
+
+
+def limits(
+    vessel: Vessel,
+    parameters: Sequence[Parameter],
+    channels: Sequence[str],
+    window: float = 15.0,
+    false_alarm_interval: float = 7200.0,
+) -> Limits:
+    """Limits for an estimator of these parameters.
+
+    Arguments:
+        vessel: at its prior mean.
+        channels: names of the innovations, for the reasons in words.
+        window: s over which innovations are looked at together: shorter finds a fault sooner,
+            longer a smaller one.
+        false_alarm_interval: mean time between false alarms of each of the tests, s.
+    """
+    spread = jnp.array([parameter.spread for parameter in parameters])
+    width = Scores(jnp.ones(len(channels)), jnp.ones(len(channels)), jnp.ones(len(parameters)))
+    return Limits(
+        vessel, spread, jnp.asarray(float(window)), jnp.asarray(float(false_alarm_interval)), width,
+        _braked(vessel), tuple(parameters), tuple(channels),
+    )  # fmt: skip
+
+
+def begin(limits: Limits) -> Memory:
+    """Nothing remembered."""
+    channel, parameter = jnp.zeros(len(limits.channels)), jnp.zeros(len(limits.parameters))
+    return Memory(channel, channel, channel, channel, parameter, parameter)
+
+
+def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tuple[Memory, Trust]:
+    """The trust after one more step of `dt` s. Pure, for `jit` and `lax.scan`."""
+    keep = jnp.exp(-dt / limits.window)
+    used = evidence.used.astype(float)
+    memory = Memory(
+        keep * memory.count + used,
+        keep**2 * memory.squares + used,
+        keep * memory.white + evidence.white,
+        keep * memory.white_squared + evidence.white**2,
+        keep * memory.change + evidence.change,
+        keep**2 * memory.settled + evidence.settled,
+    )
+    raw = scores(memory)
+    found = jax.tree.map(lambda score, width: score / width, raw, limits.width)
+    far = evidence.coordinates / limits.spread
+    least = jnp.diag(evidence.covariance) / limits.spread**2
+    scaled = evidence.covariance / jnp.outer(limits.spread, limits.spread)
+    determined = 1 - jnp.exp(jnp.linalg.slogdet(scaled)[1] / len(limits.parameters))
+    # Twice the prior's variance is the alarm level.
+    known = jnp.minimum(jnp.clip(determined, 0.0, 1.0), 1 / jnp.maximum(jnp.max(least), 1.0))
+    vessel = replace(
+        limits.vessel,
+        {p.name: p.decode(evidence.coordinates[k]) for k, p in enumerate(limits.parameters)},
+    )
+    inertia, drag = _positive(vessel.mass_matrix()), _brakes(vessel, limits.motions)
+    within = _answer(limits, far)
+    both = jnp.concatenate([found.size, found.bias])
+    return memory, Trust(
+        innovations=_answer(limits, both),
+        excitation=known,
+        bounds=jnp.where(inertia & drag, within, 0.0),
+        steadiness=_answer(limits, found.moved),
+        scores=found,
+        determined=determined,
+        least=least,
+        far=far,
+        inertia=inertia,
+        drag=drag,
+    )
+
+
+def scores(memory: Memory) -> Scores:
+    """Test statistics of fading sums.
+
+    A weighted sum of squares with weights w has mean A = sum w and variance 2 sum w^2 = 2 B: as
+    A^2 / B degrees of freedom of chi-squared (Satterthwaite 1946), whose cube root is very
+    nearly normal (Wilson and Hilferty 1931).
+    """
+    some = memory.squares > 0
+    A, B = (jnp.where(some, part, 1.0) for part in (memory.count, memory.squares))
+    scatter = 2 * B / (9 * A**2)
+    size = (jnp.cbrt(memory.white_squared / A) - (1 - scatter)) / jnp.sqrt(scatter)
+    moved = memory.change / jnp.sqrt(jnp.where(memory.settled > 0, memory.settled, 1.0))
+    return Scores(
+        jnp.where(some, size, 0.0),
+        jnp.where(some, memory.white / jnp.sqrt(B), 0.0),
+        jnp.where(memory.settled > 0, moved, 0.0),
+    )
+
+
+def calibrated(limits: Limits, sound: Scores) -> Limits:
+    """Limits whose scores have unit spread on sound runs.
+
+    `sound` are scores along runs that are known to be sound, found with limits that are not
+    calibrated; leaves of shape (run or time, channel or parameter), beginnings of the runs left
+    out. A width below one, from a filter that expects too much noise, is not used: the test
+    would only become stricter than theory.
+    """
+
+    def width(values: Float[Array, "sample test"]) -> Float[Array, "test"]:
+        values = jnp.asarray(values)
+        return jnp.maximum(1.0, jnp.sqrt(jnp.mean(values**2, axis=0)))
+
+    return eqx.tree_at(lambda at: at.width, limits, jax.tree.map(width, sound))
+
+
+def reasons(limits: Limits, trust: Trust) -> tuple[str, ...]:
+    """What lowers the trust to the alarm level or below, in words; the worst first."""
+    found = [
+        (float(trust.innovations), _of_innovations(limits, trust)),
+        (float(trust.excitation), _of_excitation(limits, trust)),
+        (float(trust.bounds), _of_bounds(limits, trust)),
+        (float(trust.steadiness), _of_steadiness(limits, trust)),
+    ]
+    return tuple(text for answer, text in sorted(found) if not answer > ALARM)
+
+
+def _answer(limits: Limits, scores: Float[Array, "test"]) -> Scalar:
+    """From the largest score to [0, 1]; a score that is not finite is no trust."""
+    usual, alarm = limits.level(scores.size)
+    largest = jnp.max(jnp.abs(scores))
+    trust = jnp.clip(1 - (1 - ALARM) * (largest - usual) / (alarm - usual), 0.0, 1.0)
+    return jnp.where(jnp.isfinite(largest), trust, 0.0)
+
+
+def _positive(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
+    """Whether the symmetric part is positive definite, by its leading minors."""
+    m = 0.5 * (matrix + matrix.T)
+    return (m[0, 0] > 0) & (m[1, 1] > 0) & (m[1, 1] * m[2, 2] > m[1, 2] * m[2, 1])
+
+
+def _power(vessel: Vessel, motion: Float[Array, "3"]) -> Scalar:
+    """Power (W) that the hull's forces put into a motion (u, v, r) through still water."""
+    u, v, r = motion
+    zero = jnp.zeros(())
+    state = State(zero, zero, zero, u, v, r)
+    drag = sum((force(state, Environment(), zero) for force in vessel.forces.values()), Force())
+    return drag.X * u + drag.Y * v + drag.N * r
+
+
+def _brakes(vessel: Vessel, motions: Float[Array, "motion 3"]) -> Bool[Array, ""]:
+    return jnp.all(jax.vmap(lambda motion: _power(vessel, motion))(motions) < 0)
+
+
+def _braked(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
+    """Motions at which the vessel's own drag brakes.
+
+    Derivative sets that hold inertial terms as well (Abkowitz) put power into some motions at
+    no fault of theirs; nothing is asked of an estimate there.
+    """
+    length = float(vessel.rigid_body.length)
+    speed = 0.3 * length / natural_time(vessel)
+    ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
+    grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
+    grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])
+    power = np.asarray(jax.vmap(lambda motion: _power(vessel, motion))(jnp.asarray(grid)))
+    return grid[power < 0]
+
+
+def _of_innovations(limits: Limits, trust: Trust) -> str:
+    size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
+    both = np.abs(np.concatenate([size, bias]))
+    k = int(np.argmax(np.where(np.isfinite(both), both, np.inf)))
+    channel = limits.channels[k % size.size]
+    fault = "is biased" if k >= size.size else ("scatters too little" if size[k] < 0 else
+                                                "scatters too much")  # fmt: skip
+    alarm = float(limits.level(both.size)[1])
+    return (
+        f"the innovation of {channel} {fault}: {both[k]:.1f} standard deviations from a sound "
+        f"filter's, alarm at {alarm:.1f}; a sensor or the model is not what the filter assumes"
+    )
+
+
+def _of_excitation(limits: Limits, trust: Trust) -> str:
+    least = np.asarray(trust.least)
+    k = int(np.argmax(least))
+    name = limits.parameters[k].name
+    if least[k] > 1 and 1 / least[k] <= float(trust.determined):
+        return f"{name} is known less than beforehand: {least[k]:.1f} times the prior's variance"
+    return (
+        f"the data have removed {100 * float(trust.determined):.0f} % of the prior's "
+        f"uncertainty, less than half; {name} is known least: manoeuvre more"
+    )
+
+
+def _of_bounds(limits: Limits, trust: Trust) -> str:
+    if not bool(trust.inertia):
+        return "the estimated mass matrix is not positive definite"
+    if not bool(trust.drag):
+        return "the estimated drag would put energy into the motion"
+    far = np.abs(np.asarray(trust.far))
+    k = int(np.argmax(far))
+    return (
+        f"{limits.parameters[k].name} is {far[k]:.1f} standard deviations of its prior away "
+        f"from {limits.parameters[k].value:.4g}"
+    )
+
+
+def _of_steadiness(limits: Limits, trust: Trust) -> str:
+    moved = np.abs(np.asarray(trust.scores.moved))
+    k = int(np.argmax(moved))
+    return (
+        f"{limits.parameters[k].name} has moved by {moved[k]:.1f} times the standard deviation "
+        "that the data account for"
+    )
