@@ -15,6 +15,7 @@ from diffsea.recordings.mappings import Column, Mapping
 from diffsea.types import MOTION_CHANNELS
 
 
+_HEADINGS = ("yaw", "heading", "psi")  # what a field for the example may be called
 _FORMATS = {".bin": ardupilot, ".ulg": px4, ".mat": matlab} | dict.fromkeys(ros.SUFFIXES, ros)
 
 
@@ -77,14 +78,15 @@ def _check_file(path: Path) -> None:
 def _proposal(path: Path) -> str:
     """What to say where there is no mapping: all there is, and how a mapping begins."""
     found = contents(path)
-    topic, fields = max(found.items(), key=lambda item: len(item[1]), default=("topic", []))
-    field = next(iter(fields), "field")
-    column = f"{topic}:{field}" if topic else field
+    fields = [(topic, field) for topic, names in found.items() for field in names]
+    headings = [pair for pair in fields if pair[1].lower().split(".")[-1] in _HEADINGS]
+    column = ":".join((headings or fields or [("topic", "field")])[0]).removeprefix(":")
+    time = '  t = { column = "...", unit = "s" }\n' if _format(path) is matlab else ""
     return (
         f"{path} is a log and needs a mapping that says which fields are which channels. "
         f"Topics and fields:\n{listing(found)}\nWrite, for instance in boat.toml,\n"
-        f'  [columns]\n  psi = {{ column = "{column}", unit = "deg" }}\n'
-        "with a line per channel, and name it with --mapping boat.toml"
+        f'  [columns]\n{time}  psi = {{ column = "{column}", unit = "rad" }}\n'
+        "with a line per channel and its unit in the log, and name it with --mapping boat.toml"
     )
 
 

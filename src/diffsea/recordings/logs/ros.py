@@ -197,7 +197,8 @@ def _gather(value: Any, name: str, path: tuple, found: dict) -> None:
                 _gather(item, f"{name}.{index}", (*path, index), found)
     elif hasattr(value, "__msgtype__"):
         for part, item in vars(value).items():
-            if not part.startswith("__"):
+            # Constants of the type are in capitals; a header has the clock, and no channel.
+            if not (part.startswith("__") or part.isupper() or part == "header"):
                 _gather(item, f"{name}.{part}" if name else part, (*path, part), found)
 
 
