@@ -5,7 +5,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
-from diffsea.cli import options
+from diffsea.cli import options, proposals
 from diffsea.cli.trial import metrics_text
 from diffsea.errors import UserError
 
@@ -37,10 +37,13 @@ what is certain is put right, the recording audited again, and a repair that is 
 this writes NAME.repaired.csv per recording with native columns, repairs.json (what was applied,
 undone or left, and why) and, where a mapping can say it, repaired_mapping.toml, or one
 NAME.repaired_mapping.toml per recording where their repairs differ. Inputs are never changed.
+For files without native columns and without --mapping a mapping is proposed: STEM.mapping.toml
+of the first file, one for files of one layout, to be checked and edited.
 """
 _AUDIT_EXAMPLES = """\
   diffsea audit run1.csv run2.csv
   diffsea audit field/*.csv --mapping field.toml --json
+  diffsea audit logged_by_others.csv
   diffsea audit run1.csv --repair -o out/repaired"""
 _PREDICT = """\
 Replay a recording's orders through a vessel, open loop, from the recorded initial state.
@@ -135,11 +138,13 @@ def _audit(args: argparse.Namespace) -> None:
     if args.repair:
         _repair(args)
         return
-    runs = options.read_recordings(args.recordings, args.mapping)
     with options.Outputs(args.output) as out:
-        found = [(run, audit(run)) for run in runs]
+        runs, unread, told = proposals.read_recordings(args, out)
+        found = [(run.name, audit(run)) for run in runs] + unread
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
-    out.present(args, "\n\n".join(_findings_text(run.name, items) for run, items in found))
+    if told and args.json:
+        options.progress(told)
+    out.present(args, told + "\n\n".join(_findings_text(name, items) for name, items in found))
 
 
 def _repair(args: argparse.Namespace) -> None:
