@@ -1,4 +1,10 @@
-"""An online estimator with its trust and its gate, step by step or along a recording."""
+"""An online estimator with its trust and its gate, step by step or along a recording.
+
+An estimator that followed a fault is sure of what is wrong, and would take long to find back.
+So it starts again, from what the controller has and with the prior's uncertainty, when the gate
+closes, and every two windows after that while its trust is at the alarm level. The same lets it
+follow a real change of the vessel that is faster than its random walk.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
 from diffsea.identification.gusts import Noise
@@ -50,6 +56,7 @@ class Standing(eqx.Module):
     belief: ekf.Belief | rls.Running
     memory: Memory
     passage: Passage
+    closed: Scalar  # s since the estimator last started, while the gate is closed
 
 
 def guarded(
@@ -65,7 +72,7 @@ def guarded(
     if limits is None:
         channels = EKF_CHANNELS if isinstance(estimator, ekf.Filter) else RLS_CHANNELS
         limits = trust.limits(estimator.vessel, estimator.parameters, channels)
-    standing = Standing(belief, trust.begin(limits), shut(len(estimator.parameters)))
+    standing = Standing(belief, trust.begin(limits), shut(len(estimator.parameters)), jnp.zeros(()))
     return Guarded(estimator, limits, Gate(limits.window)), standing
 
 
@@ -75,7 +82,8 @@ class Step(eqx.Module):
     evidence: Evidence
     trust: Trust
     handed: Float[Array, "parameter"]  # coordinates for the controller
-    open: Scalar
+    open: Bool[Array, ""]
+    restarted: Bool[Array, ""]  # the estimator started again after this step
 
 
 def step(
@@ -86,16 +94,23 @@ def step(
     dt: Scalar,
 ) -> tuple[Standing, Step]:
     """One step of estimator, trust and gate; arguments as of `ekf.step`. Pure."""
-    advance = ekf.step if isinstance(guard.estimator, ekf.Filter) else rls.step
-    belief, news = advance(guard.estimator, standing.belief, orders, measurement, dt)
+    kind = ekf if isinstance(guard.estimator, ekf.Filter) else rls
+    belief, news = kind.step(guard.estimator, standing.belief, orders, measurement, dt)
     evidence = Evidence(
         news.white, news.used, news.change, news.settled, belief.coordinates, belief.spread
     )
     memory, verdict = trust.assess(guard.limits, standing.memory, evidence, dt)
     passage = passed(guard.gate, standing.passage, belief.coordinates, verdict.value, dt)
+    closed = jnp.where(passage.open, 0.0, standing.closed + dt)
+    wrong = ~(verdict.fault > guard.gate.close) & (closed >= 2 * guard.gate.quarantine)
+    again = (standing.passage.open & ~passage.open) | wrong
+    fresh = kind.reset(guard.estimator, belief, passage.handed), trust.begin(guard.limits)
+    belief, memory = jax.tree.map(
+        lambda new, old: jnp.where(again, new, old), fresh, (belief, memory)
+    )
     return (
-        Standing(belief, memory, passage),
-        Step(evidence, verdict, passage.handed, passage.open),
+        Standing(belief, memory, passage, jnp.where(again, 0.0, closed)),
+        Step(evidence, verdict, passage.handed, passage.open, again),
     )
 
 

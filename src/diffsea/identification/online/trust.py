@@ -108,12 +108,14 @@ class Trust(eqx.Module):
     drag: Bool[Array, ""]  # drag brakes
 
     @property
+    def fault(self) -> Scalar:
+        """The lowest of the answers that tell of a fault, 0 to 1: all but excitation."""
+        return jnp.minimum(jnp.minimum(self.innovations, self.bounds), self.steadiness)
+
+    @property
     def value(self) -> Scalar:
         """Trust, 0 to 1: the lowest of the four answers."""
-        return jnp.minimum(
-            jnp.minimum(self.innovations, self.excitation),
-            jnp.minimum(self.bounds, self.steadiness),
-        )
+        return jnp.minimum(self.fault, self.excitation)
 
 
 def limits(
