@@ -10,15 +10,17 @@ import dataclasses
 
 import numpy as np
 
+from diffsea.recordings.actuation import actuation_findings
 from diffsea.recordings.channels import frozen, order_findings, outliers, rounding_findings
 from diffsea.recordings.clocks import clock_findings
-from diffsea.recordings.edits import Affine
 from diffsea.recordings.consistency import heading_comparison, velocity_comparison
+from diffsea.recordings.edits import Affine
 from diffsea.recordings.finding import KINDS, Finding
 from diffsea.recordings.frames import read_frames
 from diffsea.recordings.increments import Explanation, explain
 from diffsea.recordings.motion import Motion, integral, motion_of
 from diffsea.recordings.naming import disagreement_findings
+from diffsea.recordings.regression import SIGNIFICANCE
 from diffsea.recordings.responses import response_findings
 from diffsea.types import Trajectory
 
@@ -27,12 +29,13 @@ from diffsea.types import Trajectory
 _OUTWARDS = 10.0
 
 
-def audit(trajectory: Trajectory) -> list[Finding]:
+def audit(trajectory: Trajectory, level: float = SIGNIFICANCE) -> list[Finding]:
     """Everything that is wrong with one recording, as far as kinematics can tell.
 
     Each finding has a size, a standard error where it is a number, and a repair. An empty
     list means that nothing was found, not that nothing is wrong: what a run does not excite
-    (a latency at constant speed, a compass error on one heading) it cannot show.
+    (a latency at constant speed, a compass error on one heading) it cannot show. `level` is how
+    improbable by chance a latency, a bias or another number must be to be reported.
     """
     findings = clock_findings(trajectory) + rounding_findings(trajectory)
     findings += order_findings(trajectory)
@@ -40,16 +43,16 @@ def audit(trajectory: Trajectory) -> list[Finding]:
     motion, mislabelled = read_frames(motion)
     motion, stuck = frozen(motion)
     findings += wild + mislabelled + stuck
-    motion, disagreements = _disagreements(motion)
+    motion, disagreements = _disagreements(motion, level)
     findings += disagreements
-    findings += response_findings(trajectory, motion)
+    findings += actuation_findings(trajectory) + response_findings(trajectory, motion)
     findings.sort(key=lambda finding: KINDS.index(finding.kind))
     return [dataclasses.replace(finding, recording=trajectory.name) for finding in findings]
 
 
-def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
+def _disagreements(motion: Motion, level: float) -> tuple[Motion, list[Finding]]:
     """What parts heading from yaw rate and position from velocity."""
-    heading = _explained(heading_comparison(motion)) if motion.has("psi", "r") else None
+    heading = _explained(heading_comparison(motion, level)) if motion.has("psi", "r") else None
     turned = heading.causes if heading else ()
     swung = False
     if heading and "iron" in turned:
@@ -61,8 +64,9 @@ def _disagreements(motion: Motion) -> tuple[Motion, list[Finding]]:
         late = "delay" in turned and heading is not None and heading.theta["delay"] < 0
         # A yaw rate that agrees with heading has cleared the compass already.
         doubtful = heading is None or "gain" in turned
-        velocity = _explained(velocity_comparison(motion, iron=doubtful, psi_late=late))
-        motion, velocity, reversed_sway = _sway_sign(motion, velocity, doubtful, late)
+        options = {"level": level, "iron": doubtful, "psi_late": late}
+        velocity = _explained(velocity_comparison(motion, **options))
+        motion, velocity, reversed_sway = _sway_sign(motion, velocity, options)
     findings = disagreement_findings(heading, velocity, swung) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.replaced(psi=motion.values["psi"] - velocity.theta["angle"])
@@ -94,7 +98,7 @@ def _misfit(motion: Motion) -> float:
 
 
 def _sway_sign(
-    motion: Motion, velocity: Explanation | None, iron: bool, psi_late: bool
+    motion: Motion, velocity: Explanation | None, options: dict
 ) -> tuple[Motion, Explanation | None, list[Finding]]:
     """Whether v is positive to port, where it goes with the turn and something is amiss.
 
@@ -106,7 +110,7 @@ def _sway_sign(
     if velocity is None or not velocity.causes or np.mean(inwards * values["v"]) <= 0:
         return motion, velocity, []
     turned = motion.replaced(v=-values["v"])
-    other = _explained(velocity_comparison(turned, iron=iron, psi_late=psi_late))
+    other = _explained(velocity_comparison(turned, **options))
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []
     gained = max(velocity.deviance - other.deviance, 0.0)

@@ -30,7 +30,7 @@ def rounding_findings(trajectory: Trajectory) -> list[Finding]:
             Finding(
                 "quantised",
                 step,
-                float("nan"),
+                _step_error(series, step),
                 unit,
                 f"{channel} comes in steps of {step:.4g} {unit}, "
                 f"{int(round(np.ptp(series) / step)) + 1} levels in all",
@@ -58,6 +58,13 @@ def _step(series: np.ndarray) -> float:
     return step if np.max(np.abs(steps - np.round(steps))) < 0.02 else 0.0
 
 
+def _step_error(series: np.ndarray, step: float) -> float:
+    """Standard error of a step, from how far the values are from its multiples."""
+    multiples = np.round((series - series.min()) / step)
+    rest = series - series.min() - step * multiples
+    return float(np.std(rest) / max(np.sqrt(np.sum(multiples**2)), 1.0))
+
+
 def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Wild values: motion without them, and a finding per channel that has any.
 
@@ -76,7 +83,7 @@ def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
             Finding(
                 "outliers",
                 float(np.sum(wild)),
-                float("nan"),
+                0.0,
                 "1",
                 f"{np.sum(wild)} wild values in {channel}, the first at t = {first:.6g} s",
                 "empty these cells: missing samples do no harm, wild ones do",
@@ -237,7 +244,7 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
     for name, series in trajectory.executed.items():
         values = np.asarray(series, dtype=float)[valid]
         ordered = trajectory.commanded.get(name)
-        if ordered is not None and not _is_angle(name):
+        if ordered is not None and not is_angle(name):
             if np.array_equal(np.asarray(ordered, dtype=float)[valid], values, equal_nan=True):
                 continue
         finite = np.isfinite(values)
@@ -248,8 +255,8 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
             Finding(
                 "order-not-motion",
                 jump,
-                float("nan"),
-                "rad" if _is_angle(name) else "1",
+                0.0,
+                "rad" if is_angle(name) else "1",
                 f"exec_{name} moves in jumps of up to {_shown(name, jump)} within one sample: "
                 "these are orders, not motion",
                 f"map it to cmd_{name}; what was executed has to be reconstructed",
@@ -260,12 +267,13 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
     return findings
 
 
-def _is_angle(name: str) -> bool:
+def is_angle(name: str) -> bool:
+    """Whether an actuator's channel is an angle, by its name."""
     return any(word in name.lower() for word in _ANGLES)
 
 
 def _shown(name: str, jump: float) -> str:
-    return f"{np.degrees(jump):.3g} deg" if _is_angle(name) else f"{jump:.4g}"
+    return f"{np.degrees(jump):.3g} deg" if is_angle(name) else f"{jump:.4g}"
 
 
 def _typical_jump(name: str, time: np.ndarray, values: np.ndarray) -> float | None:
@@ -274,7 +282,7 @@ def _typical_jump(name: str, time: np.ndarray, values: np.ndarray) -> float | No
         return None
     change, step = np.abs(np.diff(values)), np.diff(time)
     large = change > 0.2 * np.ptp(values)
-    if _is_angle(name):
+    if is_angle(name):
         large &= change > np.radians(35.0) * step
     else:
         large &= step <= 0.5

@@ -1,15 +1,17 @@
-"""Time stamps: repeated, irregular, missing."""
+"""Time stamps: repeated, irregular, rounded, missing; rows and samples that are not there."""
 
 import numpy as np
 
+from diffsea.recordings.edits import Clock, Merge
 from diffsea.recordings.finding import Finding
-from diffsea.recordings.readers import REPEATED_TIMES
+from diffsea.recordings.readers import EMPTY_ROWS, REPEATED_TIMES
 from diffsea.types import MOTION_CHANNELS, Trajectory
 
 
 _IRREGULAR = 0.2  # an interval this far (relative) from the usual one is irregular
 _MANY = 0.02  # share of irregular intervals that is worth a finding
 _GAP = 3.0  # times the usual interval
+_LOST = 0.05  # share of single samples lost that is worth a finding
 
 
 def clock_findings(trajectory: Trajectory) -> list[Finding]:
@@ -17,13 +19,34 @@ def clock_findings(trajectory: Trajectory) -> list[Finding]:
     valid = np.asarray(trajectory.valid, dtype=bool)
     time = np.asarray(trajectory.t, dtype=float)[valid]
     steps = np.diff(time)
-    findings = _duplicates(trajectory, time)
+    findings = _duplicates(trajectory, time) + _empty_rows(trajectory)
     ahead = steps[steps > 0]
     if ahead.size < 3:
         return findings
     usual = float(np.median(ahead))
-    findings += _irregular(ahead, usual) + _gaps(time, steps, usual)
+    findings += _rounded(time) or _irregular(ahead, usual)
+    findings += _gaps(time, steps, usual)
     return findings + _channel_gaps(trajectory, time, valid, usual)
+
+
+def _empty_rows(trajectory: Trajectory) -> list[Finding]:
+    """Rows without any value that were dropped while reading."""
+    notes = [note for note in trajectory.provenance if note.startswith(EMPTY_ROWS)]
+    if not notes:
+        return []
+    count = float(notes[0].removeprefix(f"{EMPTY_ROWS}:").split(",")[0])
+    return [
+        Finding(
+            "gap",
+            count,
+            0.0,
+            "1",
+            f"{count:.0f} empty rows ({notes[0]})",
+            "nothing to repair: they are left out; if samples were lost there, the time stamps of "
+            "the other rows show it",
+            ("t",),
+        )
+    ]
 
 
 def _duplicates(trajectory: Trajectory, time: np.ndarray) -> list[Finding]:
@@ -48,11 +71,12 @@ def _duplicate(count: int, what: str, where: str) -> Finding:
     return Finding(
         "duplicate",
         float(count),
-        float("nan"),
+        0.0,
         "1",
         f"{count} {what} repeat the one before ({where})",
         "delete them, or give [file] time_step if the stamps were merely rounded",
         ("t",),
+        edits=(Merge(REPEATED_TIMES),) * (what == "time stamps"),
     )
 
 
@@ -72,6 +96,53 @@ def _repeated_rows(trajectory: Trajectory) -> np.ndarray:
 def _held(rows: np.ndarray) -> bool:
     """Whether the repetitions are one long standstill, which is another finding."""
     return rows.size >= 10 and rows[-1] - rows[0] < 1.5 * rows.size
+
+
+def _rounded(time: np.ndarray) -> list[Finding]:
+    """Time stamps of an even clock, rounded to so few digits that the steps come out uneven.
+
+    All stamps are multiples of one resolution, and half of that is as far as any of them is
+    from a straight line: what jitters does not stay that near, what drifts neither.
+    """
+    if time.size < 30:
+        return []
+    resolution = _resolution(time)
+    steps = np.diff(time)
+    usual = (time[-1] - time[0]) / (time.size - 1)
+    uneven = np.abs(steps / usual - 1) > _IRREGULAR
+    if resolution <= 0 or np.mean(uneven) < _MANY:
+        return []
+    rows = np.arange(time.size)
+    slope, start = np.polyfit(rows, time - time[0], 1)
+    rest = time - time[0] - start - slope * rows
+    if np.ptp(rest) > 1.2 * resolution:
+        return []
+    spread = float(np.std(steps))
+    return [
+        Finding(
+            "time-step",
+            spread,
+            spread / np.sqrt(2 * steps.size),
+            "s",
+            f"time stamps are rounded to {resolution:.4g} s: the rows are {slope:.6g} s apart "
+            f"throughout, the stamps unevenly (standard deviation {spread:.3g} s)",
+            f"[file] time_step = {slope:.6g} in the mapping instead of the time column",
+            ("t",),
+            {"resolution": resolution, "time_step": float(slope)},
+            edits=(Clock(float(slope)),),
+        )
+    ]
+
+
+def _resolution(time: np.ndarray) -> float:
+    """The largest step of which all time stamps are multiples; zero where there is none."""
+    steps = np.diff(time)
+    step = float(np.min(steps[steps > 0], initial=np.inf))
+    for part in (1, 2, 3, 4, 5):
+        multiples = (time - time[0]) / (step / part)
+        if np.max(np.abs(multiples - np.round(multiples))) < 0.02:
+            return step / part
+    return 0.0
 
 
 def _irregular(steps: np.ndarray, usual: float) -> list[Finding]:
@@ -121,6 +192,7 @@ def _channel_gaps(
 ) -> list[Finding]:
     """Stretches in which a channel that is otherwise measured has no sample."""
     longest: dict[str, tuple[float, float]] = {}
+    lost: dict[str, int] = {}
     for channel in MOTION_CHANNELS:
         series = np.asarray(getattr(trajectory, channel), dtype=float)[valid]
         times = time[np.isfinite(series)]
@@ -131,6 +203,15 @@ def _channel_gaps(
         at = int(np.argmax(steps))
         if steps[at] > max(5 * own, _GAP * usual, 1.0):
             longest[channel] = (float(steps[at]), float(np.concatenate([time[:1], times])[at]))
+        # A slower sensor has a rhythm of its own; a sample is lost where that is broken.
+        missing = np.round(np.diff(times) / own) - 1
+        missing = np.sum(missing[(missing >= 1) & (missing < 5)])
+        if missing > _LOST * times.size:
+            lost[channel] = int(missing)
+    return _long_gaps(longest, usual) + _lost_samples(lost, usual)
+
+
+def _long_gaps(longest: dict[str, tuple[float, float]], usual: float) -> list[Finding]:
     if not longest:
         return []
     channel = max(longest, key=lambda name: longest[name][0])
@@ -145,5 +226,22 @@ def _channel_gaps(
             f"{channel}, begins at t = {start:.6g} s",
             "nothing to repair: nothing is interpolated across the gap",
             tuple(longest),
+        )
+    ]
+
+
+def _lost_samples(lost: dict[str, int], usual: float) -> list[Finding]:
+    if not lost:
+        return []
+    counts = ", ".join(f"{count} of {channel}" for channel, count in lost.items())
+    return [
+        Finding(
+            "gap",
+            usual * max(lost.values()),
+            usual,
+            "s",
+            f"single samples are lost all along the recording: {counts}",
+            "nothing to repair: missing samples stay missing",
+            tuple(lost),
         )
     ]

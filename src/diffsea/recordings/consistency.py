@@ -24,7 +24,7 @@ _IRON_RANGE = 2.0
 _IRON_RANGE_BY_VELOCITY = 0.5
 
 
-def heading_comparison(motion: Motion) -> Comparison | None:
+def heading_comparison(motion: Motion, level: float) -> Comparison | None:
     """Measured heading against integrated yaw rate; None where too little is known."""
     index, linked = knots(motion, ("psi", "r"), 2.0)
     if np.sum(linked) < _FEWEST:
@@ -56,6 +56,7 @@ def heading_comparison(motion: Motion) -> Comparison | None:
         floor=floor,
         walk=_walk(motion, "r"),
         middle=float(fine.t.mean()),
+        level=level,
     )
 
 
@@ -86,7 +87,7 @@ class _Heading:
 
 
 def velocity_comparison(
-    motion: Motion, iron: bool = True, psi_late: bool = False
+    motion: Motion, level: float, iron: bool = True, psi_late: bool = False
 ) -> Comparison | None:
     """Measured position against integrated velocity; None where too little is known.
 
@@ -119,6 +120,7 @@ def velocity_comparison(
         floor=max(0.02, _unresolved(motion, fine, _travelled)),
         walk=max(_walk(motion, "u"), _walk(motion, "v")),
         middle=float(fine.t.mean()),
+        level=level,
     )
 
 

@@ -104,8 +104,8 @@ class Swap:
 
     def apply(self, run: Trajectory) -> Trajectory:
         """The two exchanged."""
-        names = (self.first, self.second)
-        return replaced(run, dict(zip(names, map(lambda n: channel(run, n), names[::-1]))))
+        first, second = channel(run, self.first), channel(run, self.second)
+        return replaced(run, {self.first: second, self.second: first})
 
     def mapped(self, mapping: Mapping) -> Mapping | None:
         """The two columns exchanged."""
@@ -300,6 +300,8 @@ class Clock:
 
     def mapped(self, mapping: Mapping) -> Mapping | None:
         """time_step in place of the time column; time then starts at zero."""
+        if "t" not in mapping.channels:
+            return None
         columns = {name: column for name, column in mapping.channels.items() if name != "t"}
         return dataclasses.replace(mapping, channels=columns, time_step=self.step)
 

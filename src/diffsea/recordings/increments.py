@@ -76,6 +76,7 @@ class Comparison:
     floor: float
     walk: float
     middle: float  # s, from where a growing delay is counted
+    level: float  # how improbable by chance a cause must be to be believed
 
     @functools.cached_property
     def kinds(self) -> Kinds:
@@ -256,7 +257,7 @@ def _trials(
         columns = white(_jacobian(comparison, theta, names))
         estimate, cov = solve(columns, target, doubt)
         index = [names.index(name) for name in cause.parameters]
-        if significant(estimate[index], cov[np.ix_(index, index)], _freedom(comparison)):
+        if _significant(comparison, estimate[index], cov[np.ix_(index, index)]):
             left = np.sum((target - np.tensordot(estimate, columns, 1)) ** 2)
             promising.append((left, cause))
     promising.sort(key=lambda item: item[0])
@@ -295,11 +296,12 @@ def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str
     return ["gain", *names], comparison.doubt
 
 
-def _freedom(comparison: Comparison) -> float:
-    """Degrees of freedom: no more than one window per two seconds is independent."""
+def _significant(comparison: Comparison, estimate: np.ndarray, cov: np.ndarray) -> bool:
+    """Whether it is beyond chance; no more than one window per two seconds is independent."""
     windows = int(np.sum(comparison.linked))
     duration = comparison.times[-1] - comparison.times[0]
-    return max(min(windows, 0.5 * duration) - 8.0, 4.0)
+    freedom = max(min(windows, 0.5 * duration) - 8.0, 4.0)
+    return significant(estimate, cov, freedom, comparison.level)
 
 
 def _refit(
@@ -354,7 +356,7 @@ def _holds(comparison: Comparison, trial: _Trial) -> bool:
     values = np.array([theta[name] for name in cause.parameters])
     if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
-    if not significant(values, cov[np.ix_(index, index)], _freedom(comparison)):
+    if not _significant(comparison, values, cov[np.ix_(index, index)]):
         return False
     return not cause.gain or _gain_holds(columns, rest, index[0], values[0])
 

@@ -43,10 +43,10 @@ def solve(
     return estimate / norms, cov / np.outer(norms, norms)
 
 
-def significant(estimate: np.ndarray, cov: np.ndarray, freedom: float) -> bool:
+def significant(estimate: np.ndarray, cov: np.ndarray, freedom: float, level: float) -> bool:
     """Whether the estimate is beyond chance; short runs make for heavier tails."""
     wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
-    return bool(stats.f.sf(wald, estimate.size, freedom) < SIGNIFICANCE)
+    return bool(stats.f.sf(wald, estimate.size, freedom) < level)
 
 
 def _long_run(scores: np.ndarray) -> np.ndarray:
