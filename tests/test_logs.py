@@ -1,5 +1,6 @@
 """Logs of robots and of MATLAB: what they hold comes out in SI, NED and on one clock."""
 
+import sqlite3
 import struct
 import sys
 
@@ -282,6 +283,20 @@ def test_arrays_that_change_length_and_types_without_definition(bag, mapped):
     assert contents(path)["/thrust"] == ["thrusters.0", "thrusters.1"]
 
 
+def test_bags_that_define_no_messages(bag, mapped):
+    """Those of the usual packages are known, others are refused by name."""
+    make = Messages("db3")
+    messages = [("/imu", i, make.imu(i, 0.5)) for i in range(4)]
+    path = bag([*messages, *(("/thrust", 4 + i, make.thrust(i, [1.0])) for i in range(4))], "db3")
+    with sqlite3.connect(next(path.glob("*.db3"))) as database:
+        database.execute("DELETE FROM message_definitions")
+    text = '[columns]\nr = "/imu:angular_velocity.z"\n'
+    np.testing.assert_array_equal(mapped(path, text).r, 0.5)
+    assert contents(path)["/thrust"] == []
+    with pytest.raises(UserError, match="/thrust has messages of type boat_msgs/msg/Thrust, which"):
+        mapped(path, text + 'cmd_a = "/thrust:thrusters.0"\n')
+
+
 # ArduPilot: a writer of the published format. Each message is A3 95, its number, its fields;
 # number 128 (FMT) defines the others: number, length, name, characters of the types, names.
 
@@ -523,6 +538,19 @@ def test_matlab_structures_vectors_and_matrices(tmp_path, mapped):
         mapped(tmp_path / "run.mat", text + 'cmd_port = "nav.att:note"\n')
     with pytest.raises(UserError, match="no 'nav:tim', which map.toml maps to t. It has"):
         mapped(tmp_path / "run.mat", text.replace("nav:time", "nav:tim"))
+
+
+def test_matlab_arrays_of_structures_and_a_missing_time(tmp_path, mapped):
+    t = np.arange(4.0)
+    signals = np.empty(2, dtype=object)
+    signals[:] = [{"values": t**2, "label": "x"}, {"values": -t, "label": "y"}]
+    savemat(tmp_path / "run.mat", {"out": {"time": t, "signals": signals}})
+    text = '[columns]\nx = "out.signals.0:values"\ny = "out.signals.1:values"\n'
+    run = mapped(tmp_path / "run.mat", text + 't = "out:time"\n')
+    np.testing.assert_array_equal(run.x, t**2)
+    np.testing.assert_array_equal(run.y, -t)
+    with pytest.raises(UserError, match="needs a channel t, or .*time_step.*\n  out: time"):
+        mapped(tmp_path / "run.mat", text)
 
 
 def test_matlab_with_time_step_and_plain_vectors(tmp_path, mapped):

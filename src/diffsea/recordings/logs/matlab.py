@@ -47,6 +47,11 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     groups = _groups(path)
     if "t" in mapping.channels:
         _check_time(groups, mapping, path)
+    elif mapping.time_step is None:
+        raise UserError(
+            f"{mapping.name}: {path} needs a channel t, or [file] time_step in seconds; it has\n"
+            + _listed(groups)
+        )
     return {
         topic: _stream(topic, groups, mapping, path)
         for topic in topics
@@ -98,11 +103,14 @@ def _time_name(mapping: Mapping) -> tuple[str, str]:
 def _check_time(groups: dict[str, _Group], mapping: Mapping, path: Path) -> None:
     topic, field = _time_name(mapping)
     if topic not in groups or field not in groups[topic].arrays:
-        found = listing({name: list(group.arrays) for name, group in groups.items()})
         raise UserError(
             f"{path} has no {mapping.channels['t'].column!r}, which {mapping.name} maps to t. It "
-            f"has\n{found}"
+            f"has\n{_listed(groups)}"
         )
+
+
+def _listed(groups: dict[str, _Group]) -> str:
+    return listing({name: list(group.arrays) for name, group in groups.items()})
 
 
 def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping, path: Path) -> Stream:

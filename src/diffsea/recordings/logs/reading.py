@@ -65,13 +65,14 @@ def _check_file(path: Path) -> None:
     if not path.exists():
         siblings = [item.name for item in path.parent.glob("*")] if path.parent.is_dir() else []
         raise UserError(f"there is no recording {path}{nearest(path.name, siblings)}")
+    if path.is_dir():
+        return
     try:
-        size = path.stat().st_size
-        if not path.is_dir():
-            path.open("rb").close()
+        with path.open("rb") as file:
+            first = file.read(1)
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from error
-    if size == 0:
+    if not first:
         raise UserError(f"{path} is empty; copy the log again")
 
 
