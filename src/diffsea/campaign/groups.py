@@ -68,8 +68,7 @@ def _difference(one: Segment, other: Segment, settings: Settings) -> float:
 
 def _label(members: list[Segment]) -> str:
     first = members[0]
-    trial = first.manoeuvre if first.manoeuvre not in ("unknown", first.kind) else ""
-    words = [first.kind, trial, first.side or ""]
+    words = [first.kind if first.manoeuvre == "unknown" else first.manoeuvre, first.side or ""]
     if math.isfinite(first.order):
         words.append(f"{math.degrees(np.mean([m.order for m in members])):.0f} deg")
     if math.isfinite(first.approach.speed):

@@ -26,6 +26,7 @@ from diffsea.vessel.servo import OrderHistory, Servo
 MEASURED, RECONSTRUCTED, ORDERED, NOTHING = "measured", "reconstructed", "commanded", "none"
 _GAP = 5.0  # median time steps: a longer one is a hole in the recording
 _USUAL = 0.98  # quantile of push that stands for the largest: orders have peaks
+_SIDES = ("port", "left", "starboard", "stbd", "right")
 _SLACK = 0.1  # of the largest thrust: below it a pair of thrusters does not steer
 
 Samples = Float[np.ndarray, "time"]
@@ -256,7 +257,12 @@ def _steered(
 
 
 def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
-    push = propulsion(dataclasses.replace(run, commanded=grouped, executed={}))
+    """Sum of the push of a group, about one at its largest; None where nothing pushes."""
+    driving = {n: s for n, s in grouped.items() if not _steers(n) and np.isfinite(s).any()}
+    if len(driving) == 2 and all(any(w in n.lower() for w in _SIDES) for n in driving):
+        push = np.nan_to_num(sum(driving.values()))  # one unit: what is more to port is push too
+    else:
+        push = propulsion(dataclasses.replace(run, commanded=driving, executed={}))
     if push is None or not np.max(np.abs(push)) > 0:
         return None
     usual = np.quantile(np.abs(push), _USUAL)

@@ -140,7 +140,8 @@ def _text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> 
         [
             str(number), item.kind, f"{item.onset:.2f}", f"{item.end:.2f}", item.side or "",
             _number(math.degrees(item.order), ".1f"),
-            _number(math.degrees(item.heading_change), ".0f"), _number(item.approach.speed, ".3g"), item.approach.verdict, item.group,
+            _number(math.degrees(item.heading_change), ".0f"),
+            _number(item.approach.speed, ".3g"), item.approach.verdict, item.group,
         ]
         for number, item in enumerate(found, 1)
     ]  # fmt: skip

@@ -87,5 +87,5 @@ def _names(ax: Axes, signals: Signals, found: Sequence[Segment]) -> None:
             ax.axvline(segment.onset, color="black", lw=0.7)
         ax.text(
             middle, 1.02, text, transform=ax.get_xaxis_transform(), rotation=60, fontsize=8,
-            ha="left", va="bottom", color=_COLOURS[segment.kind],
+            ha="left", va="bottom", color="#333333",
         )  # fmt: skip
