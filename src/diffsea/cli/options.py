@@ -59,7 +59,7 @@ def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> Non
     """The positional argument RECORDING, and `--mapping`."""
     parser.add_argument(
         "recordings" if several else "recording", metavar="RECORDING", type=pathlib.Path,
-        nargs="+" if several else None, help="run as CSV or Parquet",
+        nargs="+" if several else None, help="run as CSV or Parquet, or a log (needs --mapping)",
     )  # fmt: skip
     parser.add_argument(
         "--mapping", metavar="M", type=pathlib.Path,

@@ -48,7 +48,7 @@ def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
     with _opened(path) as reader:
         for topic in _topics(reader):
             try:
-                first = [message for _, message in _messages(reader, topic, path, _LOOKED_AT)]
+                first = [message for *_, message in _messages(reader, [topic], path, _LOOKED_AT)]
             except UserError:  # a type that the bag does not define is no reason not to list
                 first = []
             names = list(_flat(first))
@@ -67,11 +67,22 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     Raises `UserError` for a broken bag, a type that is not defined, and stamps that jump back.
     """
     with _opened(path) as reader:
-        read = {
-            topic: _read(reader, topic, path, mapping.stamps)
-            for topic in topics
-            if topic in _topics(reader)
-        }
+        there = [topic for topic in topics if topic in _topics(reader)]
+        received: dict[str, list[int]] = {topic: [] for topic in there}
+        messages: dict[str, list] = {topic: [] for topic in there}
+        for topic, time, message in _messages(reader, there, path):
+            received[topic].append(time)
+            messages[topic].append(message)
+    read = {
+        topic: _read(
+            topic,
+            np.array(received[topic], dtype=np.int64),
+            messages.pop(topic),
+            path,
+            mapping.stamps,
+        )
+        for topic in there
+    }
     zero = min((int(stamps[0]) for stamps, *_ in read.values() if stamps.size), default=0)
     day = np.datetime64(zero, "ns").astype("datetime64[ms]")
     made = {}
@@ -108,32 +119,30 @@ def _topics(reader: Any) -> list[str]:
 
 
 def _messages(
-    reader: Any, topic: str, path: Path, most: int | None = None
-) -> Iterator[tuple[int, Any]]:
-    """Receive times (ns) and messages of one topic."""
-    connections = [item for item in reader.connections if item.topic == topic]
-    kinds = sorted({connection.msgtype for connection in connections})
-    if len(kinds) > 1:
-        raise UserError(f"{path}: {topic} carries messages of several types: {', '.join(kinds)}")
-    if kinds[0] not in reader.typestore.fielddefs:
-        raise UserError(
-            f"{path}: {topic} has messages of type {kinds[0]}, which the bag does not define; "
-            "convert it to MCAP, which carries its definitions"
-        )
+    reader: Any, topics: list[str], path: Path, most: int | None = None
+) -> Iterator[tuple[str, int, Any]]:
+    """Topics, receive times (ns) and messages, in one pass over the bag."""
+    connections = [item for item in reader.connections if item.topic in topics]
+    for topic in topics:
+        kinds = sorted({item.msgtype for item in connections if item.topic == topic})
+        if len(kinds) > 1:
+            raise UserError(f"{path}: {topic} carries several types: {', '.join(kinds)}")
+        if kinds[0] not in reader.typestore.fielddefs:
+            raise UserError(
+                f"{path}: {topic} has messages of type {kinds[0]}, which the bag does not define; "
+                "convert it to MCAP, which carries its definitions"
+            )
+    if not connections:  # rosbags would read them all
+        return
     every = reader.messages(connections=connections)
     for connection, received, raw in itertools.islice(every, most):
-        yield received, reader.deserialize(raw, connection.msgtype)
+        yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 
 
 def _read(
-    reader: Any, topic: str, path: Path, stamps: str
+    topic: str, times: np.ndarray, messages: list, path: Path, stamps: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], str, tuple[str, ...]]:
     """Time stamps (ns), fields, what clock they are of, and notes."""
-    received, messages = [], []
-    for time, message in _messages(reader, topic, path):
-        received.append(time)
-        messages.append(message)
-    times = np.array(received, dtype=np.int64)
     fields = _table(messages)
     header = _header_stamps(messages) if stamps == "header" else None
     if header is None:
