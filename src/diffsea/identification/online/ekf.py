@@ -114,6 +114,11 @@ class Innovation(eqx.Module):
     settled: Float[Array, "parameter"]  # variance of the coordinates that it took away
 
     @property
+    def share(self) -> Float[Array, "6"]:
+        """Independent samples in every channel: one where it was measured."""
+        return self.used.astype(float)
+
+    @property
     def nis(self) -> Scalar:
         """Normalised innovation squared, `nu' S^-1 nu`: chi-squared, `used` degrees of freedom."""
         return jnp.sum(self.white**2)

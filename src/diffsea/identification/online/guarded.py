@@ -6,7 +6,7 @@ closes, and every two windows after that while its trust is at the alarm level. 
 follow a real change of the vessel that is faster than its random walk.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -97,7 +97,7 @@ def step(
     kind = ekf if isinstance(guard.estimator, ekf.Filter) else rls
     belief, news = kind.step(guard.estimator, standing.belief, orders, measurement, dt)
     evidence = Evidence(
-        news.white, news.used, news.change, news.settled, belief.coordinates, belief.spread
+        news.white, news.share, news.change, news.settled, belief.coordinates, belief.spread
     )
     memory, verdict = trust.assess(guard.limits, standing.memory, evidence, dt)
     passage = passed(guard.gate, standing.passage, belief.coordinates, verdict.value, dt)
@@ -198,6 +198,18 @@ def run_least_squares(
     return _along(*guarded(regression, running, limits), rows)
 
 
+def calibrated(runs: Sequence[OnlineRun]) -> Limits:
+    """Limits of the trust by which these runs, known to be sound, are sound: `trust.calibrated`.
+
+    Raises:
+        UserError: no run, or none long enough.
+    """
+    if not any(run.t[-1] - run.t[0] > 6 * run.guard.limits.window for run in runs):
+        raise UserError("calibration needs a sound run of at least six windows of the trust")
+    steps = [np.diff(run.t, prepend=run.t[0]) for run in runs]
+    return trust.calibrated(runs[0].guard.limits, [run.steps.evidence for run in runs], steps)
+
+
 class _Rows(NamedTuple):
     """A recording as steps: what held before each measurement, and the measurement."""
 
@@ -258,6 +270,6 @@ def _along(guard: Guarded, standing: Standing, rows: _Rows) -> OnlineRun:
         handed[p.name] = np.asarray(p.decode(steps.handed[:, k]))
     return OnlineRun(
         rows.t, estimate, std, handed, (steps.evidence.white**2).sum(1),
-        steps.evidence.used.sum(1), np.asarray(steps.trust.value), steps.open, steps, guard,
+        (steps.evidence.share > 0).sum(1), np.asarray(steps.trust.value), steps.open, steps, guard,
         standing,
     )  # fmt: skip

@@ -109,7 +109,7 @@ class Residual(eqx.Module):
     regressor: Float[Array, "3 parameter"]  # Phi, per unit of coordinate
     weight: Float[Array, "3"]  # inverse variance times the row's share; zero where not used
     white: Float[Array, "3"]  # y less its prediction, in unit variance
-    used: Bool[Array, "3"]
+    share: Float[Array, "3"]  # independent samples that the row counts for, 0 to 1
     change: Float[Array, "parameter"]  # of the coordinates, by this row
     settled: Float[Array, "parameter"]  # variance of the coordinates that it took away
 
@@ -243,6 +243,18 @@ def step(
     return _learned(regression, moved, jnp.where(complete & ~first, since, 0.0))
 
 
+def reset(
+    regression: Regression, running: Running, coordinates: Float[Array, "parameter"]
+) -> Running:
+    """The same filters, the parameters back at `coordinates` with their prior's uncertainty.
+
+    Forgetting still leads back to the prior mean.
+    """
+    prior = regression.prior
+    learned = lambda r: (r.information, r.vector)
+    return eqx.tree_at(learned, running, (prior, prior @ coordinates))
+
+
 def _learned(regression: Regression, running: Running, span: Scalar) -> tuple[Running, Residual]:
     """One row of the regression that stands for `span` s; nothing where that is zero."""
     b = regression.bandwidth
@@ -271,7 +283,7 @@ def _learned(regression: Regression, running: Running, span: Scalar) -> tuple[Ru
     variance = jnp.where(regression.fixed, running.variance, pooled)
     white = jnp.where(used, error / jnp.sqrt(running.variance * (1 + known)), 0.0)
     residual = Residual(
-        target, regressor, weight, white, jnp.broadcast_to(used, (3,)),
+        target, regressor, weight, white, jnp.full(3, share),
         after @ vector - predicted, jnp.maximum(jnp.diag(before) - jnp.diag(after), 0.0),
     )  # fmt: skip
     fields = lambda r: (r.information, r.vector, r.variance, r.samples)

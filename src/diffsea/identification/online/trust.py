@@ -3,7 +3,7 @@
 Four questions, each a statistical test with the same false-alarm rate; trust is the lowest of
 the four answers:
 
-- *innovations*: are they as large as the filter thinks, and free of bias? Sums over a fading
+- *innovations*: are they no larger than the filter thinks, and free of bias? Sums over a fading
   window are compared with their chi-squared and normal distributions, channel by channel
   (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
 - *excitation*: have the data said anything? The volume of the uncertainty is compared with the
@@ -41,7 +41,7 @@ class Evidence(eqx.Module):
     """What one step of an estimator says about itself. EKF and RLS both give it."""
 
     white: Float[Array, "channel"]  # whitened innovations, zero where missing
-    used: Bool[Array, "channel"]
+    share: Float[Array, "channel"]  # independent samples that the row counts for, 0 to 1
     change: Float[Array, "parameter"]  # of the coordinates by the data
     settled: Float[Array, "parameter"]  # variance of the coordinates that the data took away
     coordinates: Float[Array, "parameter"]
@@ -55,7 +55,8 @@ class Limits(eqx.Module):
     spread: Float[Array, "parameter"]  # prior standard deviations
     window: Scalar  # s, time constant with which the past fades
     false_alarm_interval: Scalar  # s
-    width: "Scores"  # spread of the scores of sound runs, one in theory: see `calibrated`
+    scale: Float[Array, "channel"]  # of the innovations of sound runs, one in theory
+    width: "Scores"  # spread of the scores of sound runs, one in theory
     motions: Float[Array, "motion 3"]  # (u, v, r) at which drag must brake
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
@@ -77,7 +78,7 @@ class Limits(eqx.Module):
 class Scores(eqx.Module):
     """Test statistics, standard normal for a sound filter."""
 
-    size: Float[Array, "channel"]  # of the innovations; positive where too large
+    size: Float[Array, "channel"]  # of the innovations: positive where they are too large
     bias: Float[Array, "channel"]
     moved: Float[Array, "parameter"]
 
@@ -137,7 +138,8 @@ def limits(
     spread = jnp.array([parameter.spread for parameter in parameters])
     width = Scores(jnp.ones(len(channels)), jnp.ones(len(channels)), jnp.ones(len(parameters)))
     return Limits(
-        vessel, spread, jnp.asarray(float(window)), jnp.asarray(float(false_alarm_interval)), width,
+        vessel, spread, jnp.asarray(float(window)), jnp.asarray(float(false_alarm_interval)),
+        jnp.ones(len(channels)), width,
         _braked(vessel), tuple(parameters), tuple(channels),
     )  # fmt: skip
 
@@ -151,12 +153,12 @@ def begin(limits: Limits) -> Memory:
 def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tuple[Memory, Trust]:
     """The trust after one more step of `dt` s. Pure, for `jit` and `lax.scan`."""
     keep = jnp.exp(-dt / limits.window)
-    used = evidence.used.astype(float)
+    share, white = evidence.share, evidence.white / limits.scale
     memory = Memory(
-        keep * memory.count + used,
-        keep**2 * memory.squares + used,
-        keep * memory.white + evidence.white,
-        keep * memory.white_squared + evidence.white**2,
+        keep * memory.count + share,
+        keep**2 * memory.squares + share,
+        keep * memory.white + share * white,
+        keep * memory.white_squared + share * white**2,
         keep * memory.change + evidence.change,
         keep**2 * memory.settled + evidence.settled,
     )
@@ -174,7 +176,8 @@ def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tu
     )
     inertia, drag = _positive(vessel.mass_matrix()), _brakes(vessel, limits.motions)
     within = _answer(limits, far)
-    both = jnp.concatenate([found.size, found.bias])
+    # Innovations that are too small make an estimate slow, not wrong.
+    both = jnp.concatenate([jnp.maximum(found.size, 0.0), found.bias])
     return memory, Trust(
         innovations=_answer(limits, both),
         excitation=known,
@@ -192,7 +195,7 @@ def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tu
 def scores(memory: Memory) -> Scores:
     """Test statistics of fading sums.
 
-    A weighted sum of squares with weights w has mean A = sum w and variance 2 sum w^2 = 2 B: as
+    A sum of squares with fading weights w has mean A = sum w and variance 2 sum w^2 = 2 B: as
     A^2 / B degrees of freedom of chi-squared (Satterthwaite 1946), whose cube root is very
     nearly normal (Wilson and Hilferty 1931).
     """
@@ -208,20 +211,43 @@ def scores(memory: Memory) -> Scores:
     )
 
 
-def calibrated(limits: Limits, sound: Scores) -> Limits:
-    """Limits whose scores have unit spread on sound runs.
+def calibrated(
+    limits: Limits, sound: Sequence[Evidence], dt: Sequence[Array], settling: float = 3.0
+) -> Limits:
+    """Limits by which sound runs have innovations and scores of unit size.
 
-    `sound` are scores along runs that are known to be sound, found with limits that are not
-    calibrated; leaves of shape (run or time, channel or parameter), beginnings of the runs left
-    out. A width below one, from a filter that expects too much noise, is not used: the test
-    would only become stricter than theory.
+    For a filter whose noise is a guess, and for residuals that are not white. Neither is made
+    smaller than in theory, which would only find fault with a filter that is too careful.
+
+    Arguments:
+        sound: evidence along each of several runs known to be sound, leaves (time, ...).
+        dt: the steps of each run, s, (time,).
+        settling: how many windows at the start of each run are left out.
     """
+    late = [np.cumsum(np.asarray(steps)) > settling * float(limits.window) for steps in dt]
+    white = [np.where(e.share > 0, e.white, np.nan)[k] for e, k in zip(sound, late, strict=True)]
+    scale = np.maximum(1.0, np.sqrt(np.nanmean(np.concatenate(white) ** 2, axis=0)))
+    ones = jax.tree.map(jnp.ones_like, limits.width)
+    limits = eqx.tree_at(lambda at: (at.scale, at.width), limits, (jnp.asarray(scale), ones))
 
-    def width(values: Float[Array, "sample test"]) -> Float[Array, "test"]:
-        values = jnp.asarray(values)
-        return jnp.maximum(1.0, jnp.sqrt(jnp.mean(values**2, axis=0)))
+    @jax.jit
+    def along(evidence: Evidence, dt: Array) -> Scores:
+        def body(memory: Memory, row: tuple) -> tuple[Memory, Scores]:
+            memory, verdict = assess(limits, memory, *row)
+            return memory, verdict.scores
 
-    return eqx.tree_at(lambda at: at.width, limits, jax.tree.map(width, sound))
+        return jax.lax.scan(body, begin(limits), (evidence, dt))[1]
+
+    found = [jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], along(e, jnp.asarray(steps)))
+             for e, steps, k in zip(sound, dt, late, strict=True)]  # fmt: skip
+    together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+    width = jax.tree.map(
+        lambda leaf: jnp.asarray(np.maximum(1.0, np.sqrt(np.mean(leaf**2, axis=0)))), together
+    )
+    # Only the upper side of the size counts.
+    upper = np.sqrt(np.mean(np.maximum(together.size, 0.0) ** 2, axis=0) * 2)
+    width = eqx.tree_at(lambda w: w.size, width, jnp.asarray(np.maximum(1.0, upper)))
+    return eqx.tree_at(lambda at: at.width, limits, width)
 
 
 def reasons(limits: Limits, trust: Trust) -> tuple[str, ...]:
@@ -279,11 +305,10 @@ def _braked(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
 
 def _of_innovations(limits: Limits, trust: Trust) -> str:
     size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
-    both = np.abs(np.concatenate([size, bias]))
+    both = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
     k = int(np.argmax(np.where(np.isfinite(both), both, np.inf)))
     channel = limits.channels[k % size.size]
-    fault = "is biased" if k >= size.size else ("scatters too little" if size[k] < 0 else
-                                                "scatters too much")  # fmt: skip
+    fault = "is biased" if k >= size.size else "scatters too much"
     alarm = float(limits.level(both.size)[1])
     return (
         f"the innovation of {channel} {fault}: {both[k]:.1f} standard deviations from a sound "
