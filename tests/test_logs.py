@@ -494,10 +494,33 @@ def test_px4_logs_are_read_with_attitude_flags_and_instances(px4, mapped):
     np.testing.assert_array_equal(run.commanded["port"], np.repeat(marked, 20))
 
 
+def test_px4_fixes_in_whole_numbers(px4, mapped):
+    formats = {
+        "vehicle_gps_position": "uint64_t timestamp;int32_t lat;int32_t lon;uint8_t fix_type;"
+    }
+    fixes = [(0, 0, 1), (600000000, 50000000, 2), (600010000, 50000000, 3)]
+    data = [
+        ("vehicle_gps_position", 0, struct.pack("<QiiB", 100_000 * i, *fix))
+        for i, fix in enumerate(fixes)
+    ]
+    text = """
+    [columns]
+    latitude = { column = "vehicle_gps_position:lat", unit = "deg", scale = 1e-7 }
+    longitude = { column = "vehicle_gps_position:lon", unit = "deg", scale = 1e-7 }
+    """
+    run = mapped(px4(ulog(formats, data)), text)
+    np.testing.assert_allclose(run.x, [np.nan, 0, 111.412], atol=1e-3)
+    with pytest.raises(UserError, match="with scale = 1e-7 for whole numbers"):
+        mapped(px4(ulog(formats, data)), text.replace(", scale = 1e-7", ""))
+
+
 def test_px4_logs_cut_off_say_so(px4, mapped):
     text = '[columns]\npsi = "vehicle_attitude:q.yaw"\n'
-    run = mapped(px4(ulog(PX4, px4_data())[:-3000]), text)
+    run = mapped(px4(ulog(PX4, px4_data())[:-3003]), text)
     assert 100 < run.t.size < 200
+    assert "log.ulg ends within a message; what is before it is used" in run.provenance
+    whole = mapped(px4(ulog(PX4, px4_data())), text)
+    assert not any("log.ulg ends" in note for note in whole.provenance)
     for part in (3, 20, 30):
         with pytest.raises(UserError, match=r"log.ulg cannot be read as a PX4 log \(ULog\)"):
             mapped(px4(ulog(PX4, px4_data())[:part]), text)
@@ -657,6 +680,15 @@ def test_mappings_that_do_not_fit_are_refused_with_what_there_is(bag, mapped, te
         return
     with pytest.raises(UserError, match="(?s)" + message):
         mapped(path, "[columns]\n" + text)
+
+
+def test_messages_name_channels_as_the_mapping_does(bag, mapped):
+    make = Messages("mcap")
+    path = bag([("/imu", i, make.imu(i, 0.0)) for i in range(5)])
+    text = '[file]\nframe = "ENU"\n[columns]\nr = "/imu:angular_velocity.z"\n'
+    for column, message in (("/gps:x", "'/gps'.*to x"), ("/imu:q", "map.toml, x: '/imu' has no")):
+        with pytest.raises(UserError, match=message):
+            mapped(path, text + f'x = "{column}"\n')
 
 
 def test_a_clock_that_is_not_mapped_is_refused(bag, mapped):

@@ -58,9 +58,20 @@ def _read(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]]:
         log = pyulog.ULog(str(path), names)
         if not log.message_formats:
             raise ValueError("it ends before its definitions")
-    if not log.file_corruption:
-        return log, ()
-    return log, (f"{path.name} is damaged or cut off; what could be read of it is used",)
+    if log.file_corruption:
+        return log, (f"{path.name} is damaged; what could be read of it is used",)
+    if _cut_off(path):
+        return log, (f"{path.name} ends within a message; what is before it is used",)
+    return log, ()
+
+
+def _cut_off(path: Path) -> bool:
+    """Whether the last message is incomplete; each begins with its length and its kind."""
+    log = path.read_bytes()
+    at = 16  # bytes of the file's header
+    while at + 3 <= len(log):
+        at += 3 + int.from_bytes(log[at : at + 2], "little")
+    return at != len(log)
 
 
 def _named(log: Any) -> dict[str, Any]:

@@ -96,6 +96,13 @@ def _split(column: Column) -> tuple[str, str]:
     return topic, field
 
 
+def _written(mapping: Mapping, column: Column) -> str:
+    """The channel under which the mapping has a column, before a frame turned it."""
+    return next(
+        name for name, written in mapping.channels.items() if written.column == column.column
+    )
+
+
 def _check_columns(columns: dict[str, Column], mapping: Mapping, path: Path) -> None:
     if "t" in columns or mapping.time_step is not None:
         raise UserError(
@@ -120,13 +127,14 @@ def _streams(path: Path, mapping: Mapping, columns: dict[str, Column]) -> dict[s
         )
     topics = list(dict.fromkeys(_split(column)[0] for column in channels.values()))
     read = _format(path).streams(path, mapping, topics)
-    for name, column in channels.items():
+    for column in channels.values():
         topic = _split(column)[0]
         if topic not in read:
             found = contents(path, mapping)
+            known = [*found, *(name.partition("[")[0] for name in found)]
             raise UserError(
-                f"{path} has no {topic!r}, which {mapping.name} maps to {name}"
-                + nearest(topic, found)
+                f"{path} has no {topic!r}, which {mapping.name} maps to {_written(mapping, column)}"
+                + nearest(topic, known)
                 + f". It has\n{listing(found)}"
             )
     return {topic: checked(read[topic], path) for topic in topics}
@@ -141,10 +149,12 @@ def _channels(
         topic, field = _split(column)
         if name == "t":
             continue
-        full, series = streams[topic].field(field, f"{path}, {mapping.name}, {name}")
+        where = f"{path}, {mapping.name}, {_written(mapping, column)}"
+        full, series = streams[topic].field(field, where)
         series = np.where(np.isfinite(series), series, np.nan) * column.gain + column.shift
         if not np.any(np.isfinite(series)):
-            raise UserError(f"{path}: {column.column}, mapped to {name}, has no valid value")
+            channel = _written(mapping, column)
+            raise UserError(f"{path}: {column.column}, mapped to {channel}, has no valid value")
         channels[name] = Channel(topic, streams[topic].t - column.delay, series)
         sources[topic].append(f"{name} from {full}")
     notes = [
