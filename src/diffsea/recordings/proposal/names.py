@@ -74,8 +74,8 @@ _VOCABULARY: dict[str, dict[str, float]] = {
     "velocity east": {"ve": 0.97}, "velocity n": {"vn": 0.95}, "velocity e": {"ve": 0.95},
     "north speed": {"vn": 0.97}, "east speed": {"ve": 0.97}, "speed north": {"vn": 0.97},
     "speed east": {"ve": 0.97}, "sog": {"u": 0.1, "other": 0.85},
-    "speed": {"u": 0.5, "other": 0.4},
-    "speed over ground": {"u": 0.1, "other": 0.85}, "geschwindigkeit": {"u": 0.5, "other": 0.4},
+    "speed": {"u": 0.5, "other": 0.3},
+    "speed over ground": {"u": 0.1, "other": 0.85}, "geschwindigkeit": {"u": 0.5, "other": 0.3},
     "vitesse": {"u": 0.5, "other": 0.4}, "velocity": {"u": 0.3, "other": 0.4},
     "phi": {"phi": 0.9}, "roll": {"phi": 0.93}, "p": {"p": 0.85}, "roll rate": {"p": 0.95},
     "phi dot": {"p": 0.9}, "roulis": {"phi": 0.9}, "gyro x": {"p": 0.8},
@@ -84,7 +84,8 @@ _VOCABULARY: dict[str, dict[str, float]] = {
     "true wind speed": {"wind_speed": 0.97}, "tws": {"wind_speed": 0.95},
     "wind direction": {"wind_direction": 0.9}, "wind dir": {"wind_direction": 0.9},
     "true wind direction": {"wind_direction": 0.97}, "twd": {"wind_direction": 0.95},
-    "wind angle": {"wind_direction": 0.3, "other": 0.6}, "windspeed": {"wind_speed": 0.9}, "wind velo": {"wind_speed": 0.9},
+    "wind angle": {"wind_direction": 0.3, "other": 0.6}, "windspeed": {"wind_speed": 0.9},
+    "wind velo": {"wind_speed": 0.9},
     "winddirection": {"wind_direction": 0.9}, "apparent wind": {"other": 0.97},
     "apparent wind speed": {"other": 0.97}, "apparent wind direction": {"other": 0.97},
     "relative wind speed": {"other": 0.97}, "relative wind direction": {"other": 0.97},
@@ -134,6 +135,7 @@ _UNIT_TAILS = {
 }  # fmt: skip
 # What these words add to the odds of a right-handed frame with z up.
 _FRAMES = {"enu": "enu", "ned": "ned", "odom": "enu", "ros": "enu", "utm": "enu", "rep": "enu"}
+_LETTER = 0.3  # what a single letter's weight is lessened by beside words
 _RARE = 0.003  # the weight of a label that a name does not suggest
 _ANY = 0.035  # the same, of a name that says nothing
 
@@ -204,13 +206,18 @@ def _unit_tail(words: tuple[str, ...]) -> str:
 
 
 def _entry(words: tuple[str, ...]) -> dict[str, float] | None:
-    """The vocabulary's entry for a name: of the most words, and then nearest the end."""
+    """The vocabulary's entry for a name: of the most words, then the plainest, then the last."""
     for length in (4, 3, 2, 1):
+        found = []
         for start in range(len(words) - length, -1, -1):
             entry = _VOCABULARY.get(" ".join(words[start : start + length]))
-            tail = length == 1 and start == len(words) - 1 and words[start] in _UNIT_TAILS
-            if entry is not None and not (tail and len(words) > 1):
-                return entry
+            unit = length == 1 < len(words) == start + 1 and words[start] in _UNIT_TAILS
+            if entry is not None and not unit:
+                # A letter beside a word is more often an index or an abbreviated quantity.
+                letter = _LETTER if length == 1 and len(words[start]) == 1 else 0.0
+                found.append((max(entry.values()) - letter, entry))
+        if found:
+            return max(found, key=lambda item: item[0])[1]
     return None
 
 

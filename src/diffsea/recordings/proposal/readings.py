@@ -55,7 +55,7 @@ class Convention:
 NED = Convention("north-east-down", 0.0)
 CONVENTIONS = (
     NED,
-    Convention("east-north-up", -2.5, True, (1, 1), -1, 1, -1, -1),
+    Convention("east-north-up", -2.2, True, (1, 1), -1, 1, -1, -1),
     Convention("positions east and north, compass heading", -2.5, True),
     Convention("north-west-up", -3.5, False, (1, -1), -1, 0, -1, -1),
     Convention("east and north, heading counter-clockwise, sway and rate not", -5.0, True,

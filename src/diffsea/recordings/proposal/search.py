@@ -14,6 +14,12 @@ import numpy as np
 
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.proposal.clock import Clock
+from diffsea.recordings.proposal.displacements import (
+    component_shares,
+    correlation,
+    ridge,
+    shares_left,
+)
 from diffsea.recordings.proposal.ratios import ratio_cost, unit_odds
 from diffsea.recordings.proposal.readings import Prior, Reading, orientations
 from diffsea.recordings.proposal.survey import COARSE, Draft, Headed, Survey, worth
@@ -21,8 +27,8 @@ from diffsea.recordings.proposal.windows import Relation, Windows, effective
 
 
 _WITHIN = 25.0  # log odds behind the best that a reading may be and still count
-_FINEST = 1e-5  # share of squared displacement that is never explained
 _COURSE = 3.0  # effective displacements that say that vessels move ahead
+_SIGNS = 40  # readings of the same columns that are looked at further
 _PLACED = 15.0  # the most that agreement with geographic positions counts
 
 
@@ -99,7 +105,7 @@ class _Comparison:
             moved = np.stack([_ordered(a, b, pair) for pair in pairs])
         for turn, quarter in turns if headed.column else turns[:1]:
             flows = np.stack([self._flow(draft, turn, quarter, option) for option in options])
-            shares, scales = _shares(moved, flows)
+            shares, scales = shares_left(moved, flows)
             course = self._course(headed, moved, turn, quarter)
             gains = COARSE * np.log(1 / np.clip(shares, 1e-4, 1.0))
             for i, pair in enumerate(pairs):
@@ -108,6 +114,7 @@ class _Comparison:
                     found.append((reading, gains[i, j], course[i], scales[i, j]))
         top = max(gain for _, gain, _, _ in found)
         near = [entry for entry in found if entry[1] >= top - _WITHIN]
+        near = heapq.nlargest(_SIGNS, near, key=lambda entry: self.prior.of(entry[0]) + entry[2])
         kept = [item for entry in near for item in self._with_rates(headed, *entry)]
         return heapq.nlargest(60, kept, key=lambda item: item.odds)
 
@@ -219,7 +226,7 @@ class _Comparison:
         moved, flow = self.displacement(reading), self.flow(reading)
         if key not in self._fits:
             rest, penalty, scale = ridge(moved, flow, self._nuisances(reading, flow))
-            self._fits[key] = reading, _component_shares(moved, rest, penalty), scale
+            self._fits[key] = reading, component_shares(moved, rest, penalty), scale
         first, shares, scale = self._fits[key]
         if first.x != reading.x:
             shares = shares[::-1]
@@ -262,7 +269,7 @@ class _Comparison:
             rate = reading.turn * np.gradient(psi, record.t)
             forward = reading.speeds[0] * record.columns[reading.u]
             sideways = reading.speeds[1] * record.columns[reading.v]
-            inwards.append(_correlation(rate * forward, sideways))
+            inwards.append(correlation(rate * forward, sideways))
         return -1.5 * float(np.tanh(4 * np.mean(inwards)))
 
     def _placed(self, reading: Reading, number: float) -> float:
@@ -273,7 +280,7 @@ class _Comparison:
         true, moved = north + 1j * east, self.displacement(reading)
         if not np.any(np.abs(true) > 0) or not np.any(np.abs(moved) > 0):
             return 0.0
-        share = max(float(_shares(true[None], moved[None])[0][0, 0]), 0.01)
+        share = max(float(shares_left(true[None], moved[None])[0][0, 0]), 0.01)
         return min(number * math.log(1 / share), _PLACED)
 
 
@@ -302,58 +309,6 @@ def _reading(draft: Draft, pair, turn: int, quarter: int, option: tuple) -> Read
         x, y, (first, second), draft.headed.column, draft.headed.period, turn, quarter, u, v,
         (su, sv), draft.earth,
     )  # fmt: skip
-
-
-def _shares(moved: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of squared displacement (R, F) left by the best positive scale, and the scales."""
-    cross = np.maximum(np.real(moved @ np.conj(flow).T), 0.0)
-    power = np.sum(np.abs(flow) ** 2, axis=1)[None]
-    total = np.sum(np.abs(moved) ** 2, axis=1)[:, None]
-    scale = cross / np.maximum(power, 1e-300)
-    return 1 - cross * scale / np.maximum(total, 1e-300), scale
-
-
-def ridge(
-    moved: np.ndarray, flow: np.ndarray, causes: list[np.ndarray]
-) -> tuple[np.ndarray, float, float]:
-    """Residuals (W,), penalty and scale of displacements explained by a flow and nuisances.
-
-    Each nuisance is held to its size as a prior does, relative to residuals whose variance is
-    estimated in turn. The scale is NaN, and nothing explained, where it would not be positive.
-    """
-    columns = [flow, *causes]
-    matrix = np.stack([np.concatenate([c.real, c.imag]) for c in columns], axis=1)
-    target = np.concatenate([moved.real, moved.imag])
-    total = float(target @ target)
-    # Nuisances are in the numbers of the velocities: they go with the scale.
-    crude = float(matrix[:, 0] @ target) / max(float(matrix[:, 0] @ matrix[:, 0]), 1e-300)
-    if crude <= 0:
-        return moved, 0.0, math.nan
-    matrix[:, 1:] *= crude
-    variance, solution, rest = total / target.size, np.zeros(len(columns)), target
-    for _ in range(6):
-        held = np.diag([0.0, *([variance] * len(causes))])
-        solution = np.linalg.lstsq(matrix.T @ matrix + held, matrix.T @ target, rcond=None)[0]
-        rest = target - matrix @ solution
-        variance = max(float(rest @ rest), _FINEST * total) / target.size
-    if solution[0] <= 0:
-        return moved, 0.0, math.nan
-    half = moved.size
-    penalty = variance * float(solution[1:] @ solution[1:])
-    return rest[:half] + 1j * rest[half:], penalty, float(solution[0])
-
-
-def _component_shares(moved: np.ndarray, rest: np.ndarray, penalty: float) -> tuple[float, float]:
-    """Shares left along x and y, each with half of the penalty."""
-    return tuple(
-        min(max((np.sum(b**2) + 0.5 * penalty) / max(np.sum(a**2), 1e-300), _FINEST), 1.0)
-        for a, b in ((moved.real, rest.real), (moved.imag, rest.imag))
-    )
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    spread = float(np.std(a) * np.std(b))
-    return float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
 
 
 def _close(items: list, within: float) -> list:

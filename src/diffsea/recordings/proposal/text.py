@@ -6,8 +6,9 @@ import textwrap
 
 from diffsea.recordings.mappings import Column
 from diffsea.recordings.proposal.actuators import Actuator
+from diffsea.recordings.proposal.guesses import Guess
 from diffsea.recordings.proposal.names import LABELS, Suggestion
-from diffsea.recordings.proposal.proposing import Evidence, Guess
+from diffsea.recordings.proposal.proposing import Evidence
 from diffsea.recordings.proposal.readings import NED
 
 
@@ -106,6 +107,9 @@ def _file_lines(evidence: Evidence) -> list[str]:
         lines.append(f"columns = [{names}]")
     if evidence.clock.column is None:
         lines += _step_lines(evidence)
+    if evidence.origin is not None:
+        lines += _comment("The first fix, from where positions count.")
+        lines.append(f"origin = [{evidence.origin[0]!r}, {evidence.origin[1]!r}]")
     reading = evidence.best.reading
     if reading.earth and reading.psi:
         lines += _comment("u and v are the derivatives of x and y: velocities along earth axes.")
