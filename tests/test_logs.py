@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from diffsea.cli import main
 from diffsea.errors import UserError
-from diffsea.recordings import read_mapping, read_recording
+from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
 from diffsea.recordings.logs.joining import Channel, joined
@@ -449,6 +449,7 @@ u = "vehicle_local_position:vx"
 v = "vehicle_local_position:vy"
 psi = "vehicle_attitude:q.yaw"
 cmd_port = "actuator_outputs[1]:output.2"
+cmd_first = "actuator_outputs:output.2"
 """
 
 
@@ -492,6 +493,7 @@ def test_px4_logs_are_read_with_attitude_flags_and_instances(px4, mapped):
     np.testing.assert_allclose(run.u[marked], 1.2 * np.cos(psi[marked]) + 0.9 * np.sin(psi[marked]))
     np.testing.assert_allclose(run.v[marked], 0.9 * np.cos(psi[marked]) - 1.2 * np.sin(psi[marked]))
     np.testing.assert_array_equal(run.commanded["port"], np.repeat(marked, 20))
+    np.testing.assert_array_equal(run.commanded["first"], 9)
 
 
 def test_px4_fixes_in_whole_numbers(px4, mapped):
@@ -866,6 +868,8 @@ def test_delays_move_stamps_and_repeated_stamps_become_one(dataflash, mapped):
     np.testing.assert_allclose(run.r, [0, 1, 2, 3, 4, np.nan])
     np.testing.assert_allclose(run.psi[:4], [0, 1, 2.5, 3])
     assert "r shifted by -0.5 s" in run.provenance
+    (repeated,) = [finding for finding in audit(run) if finding.kind == "duplicate"]
+    assert repeated.value == 1 and "1 of 7, first at t = 2 s in ATT" in repeated.message
 
 
 def test_commands_take_logs_through_mappings(bag, tmp_path, capsys):

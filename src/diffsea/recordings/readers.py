@@ -24,14 +24,12 @@ from diffsea.recordings.mappings import (
     read_mapping,
 )
 from diffsea.recordings.tables import PARQUET_SUFFIXES, numbers, read_table
+from diffsea.recordings.vocabulary import EMPTY_ROWS as EMPTY_ROWS
+from diffsea.recordings.vocabulary import REPEATED_TIMES as REPEATED_TIMES
 from diffsea.types import MOTION_CHANNELS, Series, Trajectory
 
 
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
-
-# The first words of the provenance notes that the audit looks for.
-REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
-EMPTY_ROWS = "dropped empty rows"
 
 
 def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None) -> Trajectory:

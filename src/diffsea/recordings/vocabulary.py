@@ -55,6 +55,10 @@ CHANNEL_DIMENSIONS = {
 }
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
 
+# The first words of the provenance notes that the audit looks for.
+REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
+EMPTY_ROWS = "dropped empty rows"
+
 
 def is_channel(name: str) -> bool:
     """Whether `name` is a column of the native recording format."""

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
+from diffsea.recordings.vocabulary import REPEATED_TIMES
 
 
 # What an array may hold and still be numbers to choose from; images and point clouds are longer.
@@ -83,7 +84,13 @@ def checked(stream: Stream, path: Path) -> Stream:
         return stream
     table = pd.DataFrame(stream.fields).groupby(stream.t).last()
     fields = {name: table[name].to_numpy(dtype=float) for name in stream.fields}
-    return dataclasses.replace(stream, t=table.index.to_numpy(), fields=fields)
+    note = (
+        f"{REPEATED_TIMES}: {stream.t.size - samples} of {stream.t.size}, first at "
+        f"t = {stream.t[1:][steps == 0][0]:g} s in {stream.topic or 'the top level'}"
+    )
+    return dataclasses.replace(
+        stream, t=table.index.to_numpy(), fields=fields, notes=(*stream.notes, note)
+    )
 
 
 def euler_angles(w, x, y, z) -> dict[str, np.ndarray]:
