@@ -254,6 +254,16 @@ def test_a_transit_turn_is_turning_motion_but_no_trial(days):
     assert math.degrees(inside[0].heading_change) == pytest.approx(100, abs=15)
 
 
+def test_a_straight_run_begins_when_the_turning_is_over(days):
+    run = days["lag"].run()
+    fastest = np.max(np.abs(run.r))
+    found = segments(run)
+    assert any(s.kind == "straight" for s in found)
+    for s in found:
+        rows = (run.t >= s.start) & (run.t <= s.end)
+        assert s.kind != "straight" or np.max(np.abs(run.r[rows])) < 0.15 * fastest
+
+
 def test_a_vessel_that_has_stopped_is_on_station(days):
     log = days["at once"]
     stop = next(item for item in log.truth if item["kind"] == "station")
@@ -310,17 +320,39 @@ def test_a_rudder_that_turns_to_port_is_told():
 
 
 def test_a_hole_in_the_recording_ends_a_segment():
-    log = Log(Ship()).straight(200)
-    run = log.run()
-    keep = (run.t < 80) | (run.t > 120)
-    cutting = {n: getattr(run, n)[keep] for n in ("t", "x", "y", "psi", "u", "v", "r", "valid")}
-    groups = {
-        group: {n: s[keep] for n, s in getattr(run, group).items()}
-        for group in ("commanded", "executed")
-    }
-    found = segments(dataclasses.replace(run, **cutting, **groups))
+    run = Log(Ship()).straight(200).run()
+    found = segments(without(run, (run.t >= 80) & (run.t <= 120)))
     assert [s.kind for s in found] == ["straight", "straight"]
     assert found[0].end < 80.05 and found[1].start > 119.95
+
+
+def without(run, lost):
+    """The run without some rows."""
+    kept = {n: getattr(run, n)[~lost] for n in ("t", "x", "y", "psi", "u", "v", "r", "valid")}
+    groups = {
+        group: {n: s[~lost] for n, s in getattr(run, group).items()}
+        for group in ("commanded", "executed")
+    }
+    return dataclasses.replace(run, **kept, **groups)
+
+
+def test_an_approach_does_not_reach_across_a_hole():
+    log = Log(Ship()).straight(60).circle(20)
+    run = log.run()
+    (whole,) = trials(segments(run))
+    assert whole.start < 55
+    (circle,) = trials(segments(without(run, (run.t > 50) & (run.t < 58))))
+    assert circle.onset == pytest.approx(whole.onset) and circle.start >= 58
+
+
+def test_a_flicker_of_the_steering_does_not_part_a_trial():
+    log = Log(Ship()).straight(60).circle(20, 180)
+    log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0)
+    log.circle(20, 180).straight(30)
+    (circle,) = trials(segments(log.run()))
+    assert circle.onset == pytest.approx(log.truth[1]["start"], abs=0.11)
+    assert circle.end == pytest.approx(log.truth[2]["end"], abs=0.3)
+    assert len(circle.switches) == 1
 
 
 def test_the_window_is_the_time_of_a_quarter_turn():

@@ -9,7 +9,7 @@ from diffsea.campaign.holds import white_noise
 from diffsea.campaign.settings import Settings
 from diffsea.campaign.signals import Signals
 from diffsea.campaign.spans import Span, hold_rows, window_of
-from diffsea.campaign.turning import turning_motions, turning_rate
+from diffsea.campaign.turning import turning_motions, turning_rate, turning_rows
 
 
 _NOISE = 3.0  # standard deviations: less push than this is none
@@ -87,9 +87,15 @@ def _steered(signals: Signals, settings: Settings, first: int, last: int) -> tup
 def rest_in(signals: Signals, settings: Settings, taken: list[Span]) -> list[Span]:
     """What is left, by speed and push."""
     code = _codes(signals, settings)
+    turning = turning_rows(signals.t, signals.r, window_of(settings), settings)
+    swing = max(1, round(settings.piece * window_of(settings) / signals.interval))
+    turning = np.asarray(ndimage.binary_closing(turning, np.ones(swing)), bool)
     free = np.ones(signals.t.shape, bool)
     for span in taken:
         free[span.first : span.last + 1] = False
+        # What is left of the turning belongs to what turned the vessel, not to a straight run.
+        calm = np.flatnonzero(~turning[span.last + 1 :])
+        free[span.last + 1 : span.last + 1 + (int(calm[0]) if calm.size else 0)] = False
     edges = np.flatnonzero(np.diff(np.where(free & signals.known, code, -1))) + 1
     edges = np.unique([0, *edges, *signals.breaks, len(code)])
     spans = []

@@ -46,14 +46,9 @@ def turning_motions(
     stay in which the heading changes by `settings.least_turn`. Only rows that count do: a vessel
     that drifts turns too.
     """
-    count = max(1, round(settings.averaging * window / float(np.median(np.diff(t)))))
-    mean = np.abs(_average(r, count))
-    threshold = max(
-        settings.turning_share * math.pi / 2 / window,
-        _SIGNIFICANT * white_noise(r) / math.sqrt(count),
-    )
+    turning = turning_rows(t, r, window, settings) & counts
     pieces: list[tuple[int, int]] = []
-    numbers, number = ndimage.label((mean > threshold) & counts)
+    numbers, number = ndimage.label(turning)
     for (rows,) in ndimage.find_objects(numbers, number):
         if pieces and t[rows.start] - t[pieces[-1][1]] < settings.merging * window:
             pieces[-1] = (pieces[-1][0], rows.stop - 1)
@@ -64,6 +59,15 @@ def turning_motions(
         for first, last in pieces
         if np.ptp(psi[first : last + 1]) >= settings.least_turn
     ]
+
+
+def turning_rows(
+    t: Samples, r: Samples, window: float, settings: Settings
+) -> Bool[np.ndarray, "time"]:
+    """Where yaw rate, averaged over a part of the window, is that of turning."""
+    count = max(1, round(settings.averaging * window / float(np.median(np.diff(t)))))
+    noise = white_noise(r) / math.sqrt(count)
+    return np.abs(_average(r, count)) > max(turning_rate(window, settings), _SIGNIFICANT * noise)
 
 
 def turning_rate(window: float, settings: Settings) -> float:

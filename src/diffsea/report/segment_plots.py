@@ -70,7 +70,7 @@ def _steering(ax: Axes, signals: Signals) -> None:
     if signals.steer is None:
         ax.text(0.5, 0.5, "no steering was recorded", transform=ax.transAxes, color=GREY)
     else:
-        ax.legend(frameon=False, loc="upper right", fontsize=8)
+        ax.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 0.98), ncol=2, fontsize=8)
     limit = min(1.15 * largest, 90.0)
     ax.set_ylim(-limit, limit)
     ax.set_ylabel("rudder angle, deg\n(or equivalent)")
