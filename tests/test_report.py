@@ -153,7 +153,7 @@ def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estim
     free = tuple(p.name for p in problem.layout.parameters) + tuple(values)
     covariance, share = 1e-4 * np.eye(len(index)), np.full(len(index), 0.99)
     information = np.linalg.inv(covariance)
-    return Estimate(free, coordinates, 0.0, index, covariance, information, share, 1.0, noise)
+    return Estimate(free, coordinates, 0.0, index, covariance, information, information, share, 1.0, noise)
 
 
 def diagnosis_of(verdict: str, currents: tuple[float, ...] = ()) -> Diagnosis:

@@ -14,10 +14,10 @@ LAGS = 40  # rows
 
 
 def autocorrelation(
-    white: Float[np.ndarray, "row 6"], run: Int[np.ndarray, "row"]
+    white: Float[np.ndarray, "row 6"], run: Int[np.ndarray, "row"], lags: int = LAGS
 ) -> Float[np.ndarray, "lag 6"]:
     """Tapered correlation of each channel's innovations at lags 1, 2, ... within runs."""
-    lags = min(LAGS, len(white) // 4)
+    lags = min(lags, len(white) // 4)
     power = np.maximum((white**2).sum(0), 1e-300)
     out = np.zeros((lags, 6))
     for lag in range(1, lags + 1):

@@ -30,6 +30,7 @@ class Estimate:
     index: Int[np.ndarray, "free"]  # which coordinates were free
     covariance: Float[np.ndarray, "free free"]
     information: Float[np.ndarray, "free free"]  # of the data alone
+    precision: Float[np.ndarray, "free free"]  # of data and prior, misfits taken for white
     shrinkage: Float[np.ndarray, "free"]  # share that the data determine, 0 to 1
     inflation: float  # variance of the scores over the information, at least one
     noise: Any = None  # what the objective estimated besides: scales of noise, weights
@@ -55,7 +56,8 @@ def made(
     `coloured` is the variance of the score where misfits are not white (the middle of the
     sandwich): each standard error is the larger of the two.
     """
-    plain = np.linalg.inv(information + np.diag(1 / spreads[index] ** 2))
+    precision = information + np.diag(1 / spreads[index] ** 2)
+    plain = np.linalg.inv(precision)
     ratio = np.ones(len(index))
     if coloured is not None:
         middle = coloured + np.diag(1 / spreads[index] ** 2)
@@ -64,7 +66,7 @@ def made(
     shrinkage = np.clip(1 - np.diag(plain) / spreads[index] ** 2, 0.0, 1.0)
     return Estimate(
         free, coordinates, deviance, index, plain * np.outer(widen, widen), information,
-        shrinkage, float(np.mean(ratio)), noise,
+        precision, shrinkage, float(np.mean(ratio)), noise,
     )  # fmt: skip
 
 

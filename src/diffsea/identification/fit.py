@@ -34,11 +34,13 @@ NOISE_STEPS = 3  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
 
-@eqx.filter_jit
-def _improve(inputs: Inputs, layout: Static, start: Array, steps: int) -> Array:
-    """Levenberg-Marquardt with the gains held fixed."""
+def improved(inputs: Inputs, layout: Static, start: Array) -> Array:
+    """Free coordinates after Levenberg-Marquardt with the gains held fixed."""
     residual = with_known_jacobian(with_jacobian)
-    return levenberg_marquardt(residual, start, (inputs, layout), steps)
+    return levenberg_marquardt(residual, start, (inputs, layout), STEPS)
+
+
+_improve = eqx.filter_jit(improved)
 
 
 def estimate(
@@ -60,14 +62,14 @@ def estimate(
     noise, steps = (first, FIRST_STEPS) if noise is None else (noise, NOISE_STEPS)
     index, matrix = selection(problem.layout, free, problem.width)
     tuned = problem.tuned(coordinates, noise)
-    now = _posterior(problem, coordinates, noise, tuned)
+    now = posterior(problem, coordinates, noise, tuned)
     for number in range(rounds):
         last = now
         if not fixed_noise:
             better = refine(_path(tuned), _clock(problem), noise, problem.prior, steps)
             steps = NOISE_STEPS
             there = problem.tuned(coordinates, better)
-            value = _posterior(problem, coordinates, better, there)
+            value = posterior(problem, coordinates, better, there)
             if value < now or (np.isfinite(value) and not np.isfinite(now)):
                 noise, tuned, now = better, there, value
         target = _target(problem, coordinates, tuned, index, matrix)
@@ -85,7 +87,7 @@ def _target(
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
     begin = np.zeros(problem.width)
     begin[: len(index)] = coordinates[index]
-    found = _improve(inputs, layout, jnp.asarray(begin), STEPS)
+    found = _improve(inputs, layout, jnp.asarray(begin))
     target = coordinates.copy()
     target[index] = np.asarray(found)[: len(index)]
     return target
@@ -98,7 +100,7 @@ def _walk(
     for share in (1.0, 0.5, 0.2, 0.05):
         coordinates = start + share * (target - start)
         there = problem.tuned(coordinates, noise)
-        value = _posterior(problem, coordinates, noise, there)
+        value = posterior(problem, coordinates, noise, there)
         if value < now or (np.isfinite(value) and not np.isfinite(now)):
             return coordinates, there, value
     return start, tuned, now
@@ -114,7 +116,11 @@ def _clock(problem: Problem) -> Clock:
     return Clock(tape.dt, tape.starts, likelihood.first_variance(problem.base))
 
 
-def _posterior(problem: Problem, coordinates: np.ndarray, noise: Noise, tuned: Tuned) -> float:
+def posterior(
+    problem: Problem, coordinates: np.ndarray, noise: Noise, tuned: Tuned | None = None
+) -> float:
+    """-2 log posterior without its constant; `tuned` is the filter's run there, if known."""
+    tuned = problem.tuned(coordinates, noise) if tuned is None else tuned
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     away = coordinates / problem.layout.spreads()
     return float(deviance(tuned)) + float(off @ off) + float(away @ away)

@@ -53,8 +53,9 @@ def thinning(vessel: Vessel, interval: float) -> int:
 def make_tape(vessel: Vessel, recordings: list[Trajectory]) -> Tape:
     """Lay recordings on a tape.
 
-    Recordings sampled much faster than the vessel moves are thinned to 0.15 sqrt(L / g);
-    orders between kept rows take effect at the next kept row.
+    Recordings sampled much faster than the vessel moves are thinned to 0.15 sqrt(L / g), all
+    rows that hold a slowly sampled channel kept; orders between kept rows take effect at the
+    next kept row.
 
     Raises:
         UserError: a recording lacks a channel's orders, or has fewer than ten rows.
@@ -104,11 +105,10 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
             f"{recording.name}: {len(t)} samples are too few to estimate anything; record at "
             "least ten, better a whole manoeuvre"
         )
-    every = thinning(vessel, float(np.median(np.diff(t))))
-    keep = slice(None, None, every)
-    t = t[keep]
     motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
-    motion = motion[valid][keep]
+    motion = motion[valid]
+    keep = _kept(np.isfinite(motion), thinning(vessel, float(np.median(np.diff(t)))))
+    t, motion = t[keep], motion[keep]
     known = np.isfinite(motion)
     if not known.any():
         raise UserError(f"{recording.name}: no motion channel has any value")
@@ -128,6 +128,14 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
         "orders": {channel: series[keep] for channel, series in orders.items()},
         "executed": {channel: series[keep] for channel, series in executed.items()},
     }
+
+
+def _kept(known: np.ndarray, every: int) -> np.ndarray:
+    """Rows to keep: one in `every`, and those with a value of a channel that is sampled slowly."""
+    rows = np.zeros(len(known), bool)
+    rows[::every] = True
+    slow = (known.sum(0) * every < 1.5 * len(known)) & (every > 1)
+    return np.flatnonzero(rows | known[:, slow].any(1))
 
 
 def _first_state(t: np.ndarray, motion: np.ndarray) -> np.ndarray:
