@@ -189,6 +189,8 @@ def words_of(name: str) -> tuple[str, ...]:
 def known_unit(text: str) -> str:
     """A unit as mappings spell it, `"?"` for one that they do not know, `""` for none."""
     text = text.strip()
+    if text == "-":  # said of numbers without a unit, and of units that nobody looked up
+        return ""
     exact = {"Nm": "?", "N m": "?", "N·m": "?", "kN": "kN", "NM": "nmi", "V": "?", "A": "?"}
     if text in exact:
         return exact[text]

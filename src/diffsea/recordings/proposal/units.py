@@ -61,7 +61,7 @@ class SettledUnits:
             steps.append(best.scale * UNITS[self.x][1] / UNITS[self.u][1])
         if not steps or max(steps) > 1.2 * min(steps):
             return math.nan
-        return float(f"{np.mean(steps):.2g}")
+        return float(f"{sum(steps) / len(steps):.2g}")
 
 
 def unit_costs(
