@@ -67,7 +67,9 @@ def find_clock(columns: dict[str, np.ndarray], suggestions: dict[str, Suggestion
     steps = np.diff(columns[best][np.isfinite(columns[best])])
     step = float(np.median(steps[steps > 0]))
     units = _unit_odds(suggestions[best].unit, step, float(np.nanmax(columns[best])))
-    why = "it advances in equal steps" if _evenness(columns[best]) < _EVEN else "it advances"
+    evenness = _evenness(columns[best])
+    even = evenness is not None and evenness < _EVEN
+    why = "it advances in equal steps" if even else "it always advances"
     return Clock(best, sure, units, why)
 
 

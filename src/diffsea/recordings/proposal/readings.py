@@ -64,7 +64,8 @@ CONVENTIONS = (
 # What one departure from a convention costs, in log odds.
 _COSTS = {"x": 5.0, "y": 4.0, "turn": 4.0, "quarter": 4.5, "u": 5.0, "v": 3.0, "spin": 3.5}
 _COMPASS = 4.0  # cost of reading a compass as anything but clockwise from north
-_GEOGRAPHIC = 20.0  # cost of reading latitude as anything but north
+# Cost of reading latitude as anything but north, or with another column than longitude.
+_GEOGRAPHIC = 20.0
 _COMPASS_WORDS = {"heading", "hdg", "compass", "kurs", "steuerkurs", "cap", "rumbo", "head"}
 
 
@@ -162,6 +163,11 @@ class Prior:
                 cost += (_GEOGRAPHIC if sign < 0 else 1.0) if weights[label] > 0.5 else 0.0
                 absolute = "north" if label == "lat" else "east"
                 cost += 4.0 if sign < 0 and weights[absolute] > 0.5 else 0.0
+        fixes = [
+            column is not None and self.suggestions[column].weights[label] > 0.5
+            for column, label in ((reading.x, "lat"), (reading.y, "lon"))
+        ]
+        cost += _GEOGRAPHIC if fixes[0] != fixes[1] else 0.0
         if reading.psi is not None and (reading.turn, reading.quarter) != (1, 0):
             named = _COMPASS_WORDS & set(self.suggestions[reading.psi].words)
             cost += _COMPASS * bool(named) + 1.5 * (reading.psi in self.wrapped)
