@@ -17,7 +17,7 @@ from diffsea.errors import UserError
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-_MODULES = ("trial", "recordings", "identify", "design", "segments")
+_MODULES = ("trial", "recordings", "fit", "identify", "design", "segments")
 # Measured on jaxlib 0.10: the first is worth eight times on a single run. Users' own win.
 XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000 "

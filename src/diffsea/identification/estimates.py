@@ -34,6 +34,7 @@ class Estimate:
     shrinkage: Float[np.ndarray, "free"]  # share that the data determine, 0 to 1
     inflation: float  # variance of the scores over the information, at least one
     noise: Any = None  # what the objective estimated besides: scales of noise, weights
+    path: tuple[float, ...] = ()  # the cost after each round
 
     @property
     def stds(self) -> Float[np.ndarray, "free"]:
@@ -50,6 +51,7 @@ def made(
     information: np.ndarray,
     coloured: np.ndarray | None = None,
     noise: Any = None,
+    path: Sequence[float] = (),
 ) -> Estimate:
     """An estimate from the information of the data and the spreads of the priors.
 
@@ -66,7 +68,7 @@ def made(
     shrinkage = np.clip(1 - np.diag(plain) / spreads[index] ** 2, 0.0, 1.0)
     return Estimate(
         free, coordinates, deviance, index, plain * np.outer(widen, widen), information,
-        precision, shrinkage, float(np.mean(ratio)), noise,
+        precision, shrinkage, float(np.mean(ratio)), noise, tuple(path),
     )  # fmt: skip
 
 

@@ -5,6 +5,8 @@ Levenberg-Marquardt with the gains held fixed, and re-estimates the noise. A few
 converge.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -63,6 +65,7 @@ def estimate(
     index, matrix = selection(problem.layout, free, problem.width)
     tuned = problem.tuned(coordinates, noise)
     now = posterior(problem, coordinates, noise, tuned)
+    path = [now]
     for number in range(rounds):
         last = now
         if not fixed_noise:
@@ -74,10 +77,12 @@ def estimate(
                 noise, tuned, now = better, there, value
         target = _target(problem, coordinates, tuned, index, matrix)
         coordinates, tuned, now = _walk(problem, coordinates, target, noise, tuned, now)
+        path.append(now)
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")
         if abs(last - now) < 0.05 + 1e-6 * abs(now):
             break
-    return _judged(problem, free, coordinates, noise, tuned, now, index, matrix)
+    fitted = _judged(problem, free, coordinates, noise, tuned, now, index, matrix)
+    return dataclasses.replace(fitted, path=tuple(path))
 
 
 def _target(

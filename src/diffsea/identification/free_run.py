@@ -69,16 +69,17 @@ class FreeRun:
         states = np.asarray(problem.tuned(coordinates, noise).state)[self.windows.begins]
         self._guess = states.copy()
         sigma = np.exp(np.asarray(noise.sensor))
-        point = Point(coordinates, states, sigma, sigma)
+        point, path = Point(coordinates, states, sigma, sigma), []
         for joint in JOINTS:
             point = self._rescaled(point, joint)
             for number in range(3):
                 point, cost = self._descend(point, index)
+                path.append(cost)
                 progress(f"windows {joint:g} apart, round {number + 1}: misfit {cost:.1f}")
                 old, point = point.sigma, self._rescaled(point, joint)
                 if np.all(np.abs(np.log(point.sigma / old)) < 0.02):
                     break
-        return self._judged(free, point, index)
+        return dataclasses.replace(self._judged(free, point, index), path=tuple(path))
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
         """Fit with the scales of an earlier fit, from its first states."""

@@ -86,6 +86,10 @@ class Innovations:
         """Fit with the noise of an earlier fit."""
         return estimate(self.problem, free, start, fitted.noise, fixed_noise=True)
 
+    def cost(self, coordinates: np.ndarray, fitted: Estimate) -> float:
+        """-2 log posterior with the noise of a fit."""
+        return posterior(self.problem, coordinates, fitted.noise)
+
     def explore(
         self, starts: Float[np.ndarray, "start coordinate"]
     ) -> tuple[np.ndarray, np.ndarray]:

@@ -65,17 +65,19 @@ class TrialNumbers:
         index = np.array([k for k, p in enumerate(self.parameters) if p.name in free], int)
         chosen = np.zeros(len(self.parameters))
         chosen[index] = 1.0
-        cost = np.inf
+        cost = self.cost(coordinates)
+        path = [cost]
         for number in range(ROUNDS):
             held = np.where(chosen > 0, 0.0, coordinates)
             problem = self._given, jnp.asarray(chosen), jnp.asarray(held)
             coordinates = np.asarray(_improve(jnp.asarray(coordinates), problem))
             last, cost = cost, self.cost(coordinates)
+            path.append(cost)
             progress(f"round {number + 1}: misfit {cost:.3f}")
             if last - cost < 1e-3:
                 break
         J = np.asarray(_evaluated(jnp.asarray(coordinates), self._given)[1])[:, index]
-        return made(free, coordinates, cost, index, self.spreads, J.T @ J)
+        return made(free, coordinates, cost, index, self.spreads, J.T @ J, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
         """Fit again; a sheet's uncertainties are given, so that nothing is kept."""

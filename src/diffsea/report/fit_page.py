@@ -1,10 +1,26 @@
-"""A fit as one page for people: parameters, and predictions beside what was measured."""
+"""A fit as one page for people: parameters, what is not known, predictions beside the data."""
 
 from collections.abc import Sequence
 
+from matplotlib.figure import Figure
+
+from diffsea.identification.study import Study
+from diffsea.report import figures
 from diffsea.report.comparison import Comparison, horizon_table, predict
-from diffsea.report.page import Html, element, folded, joined, page, paragraph, section, verbatim
+from diffsea.report.page import (
+    Html,
+    bullets,
+    element,
+    folded,
+    joined,
+    page,
+    paragraph,
+    section,
+    table,
+    verbatim,
+)
 from diffsea.report.predictions import predictions
+from diffsea.report.quantities import rounded, significant, with_error
 from diffsea.report.records import parameter_table, provenance
 from diffsea.report.text import capital, error_line, headline_horizon, listed
 from diffsea.types import Trajectory
@@ -15,7 +31,8 @@ _MODEL = "fitted"
 
 
 def fit_report(
-    table: Sequence[dict],
+    study: Study,
+    quality: dict[str, float],
     history: Sequence[str],
     vessel: Vessel,
     recordings: Sequence[Trajectory],
@@ -25,37 +42,42 @@ def fit_report(
     """The page.
 
     Arguments:
-        table: one row per parameter, as `physical_table` makes them.
-        history: how the fit converged, one line per round.
+        quality: normalised misfit of what was fitted and of what was held out.
+        history: how the fit converged, one line per step.
         vessel: with the fitted parameters.
-        recordings: what was fitted.
+        recordings: what was fitted; none for a sheet of trial numbers.
         test: what was held out; predictions are judged on it where there is any.
         source: what was run on what; shown as it is.
     """
     shown = test or recordings
     runs = [Comparison(run, {_MODEL: predict(vessel, run)}) for run in shown]
-    judged = "runs held out" if test else "the runs it was fitted to; none were held out"
     sections = [
-        _summary(table, runs, bool(test)),
-        section("parameters", "Parameters of the vessel", parameter_table(table)),
-        section(
-            "predictions", f"Predictions of {judged}", *predictions(runs, {_MODEL: "predicted"})
-        ),
-        _convergence(history),
+        _summary(study, quality, runs, bool(test)),
+        section("parameters", "Parameters of the vessel", parameter_table(study.rows),
+                paragraph(verbatim(study.anchor + "."), "note")),
+        _open_questions(study),
+        _trial_numbers(study),
+        _predictions(runs, bool(test)),
+        _convergence(study, history),
         provenance(source, [(r, "fitted") for r in recordings] + [(r, "held out") for r in test]),
-    ]
+    ]  # fmt: skip
     subtitle = f"{_count(recordings)} fitted, {_count(test)} held out"
-    return page(f"Fit of {vessel.name}", subtitle, sections)
+    if not recordings:
+        subtitle = "trial numbers fitted"
+    return page(f"Fit of {vessel.name}", subtitle, [part for part in sections if part])
 
 
 def _count(runs: Sequence[Trajectory]) -> str:
     return "1 recording" if len(runs) == 1 else f"{len(runs)} recordings"
 
 
-def _summary(table: Sequence[dict], runs: Sequence[Comparison], held_out: bool) -> Html:
-    weak = [row["name"] for row in table if row["determined"] < 0.5]
-    count = "1 parameter was" if len(table) == 1 else f"{len(table)} parameters were"
-    lead = f"{count} fitted; the recordings determine "
+def _summary(
+    study: Study, quality: dict[str, float], runs: Sequence[Comparison], held_out: bool
+) -> Html:
+    rows = study.rows
+    weak = [row["name"] for row in rows if row["determined"] < 0.5]
+    count = "1 parameter was" if len(rows) == 1 else f"{len(rows)} parameters were"
+    lead = f"{count} fitted; the data determine "
     if weak:
         rest = "rests" if len(weak) == 1 else "rest"
         lead += f"all but {len(weak)}: {listed(weak)} {rest} mostly on the vessel file."
@@ -64,12 +86,68 @@ def _summary(table: Sequence[dict], runs: Sequence[Comparison], held_out: bool) 
     row = headline_horizon(horizon_table(runs), (_MODEL,))
     where = "on runs held out" if held_out else "on the runs it was fitted to"
     errors = f"{capital(where)}, errors {error_line(row, (_MODEL,))}." if row else ""
-    body = joined([paragraph(verbatim(lead), "lead"), paragraph(errors)])
+    told = f"Misfits are {significant(quality['train'], 3)} times the noise in what was fitted"
+    if "test" in quality:
+        told += f" and {significant(quality['test'], 3)} times in what was held out"
+    body = joined([paragraph(verbatim(lead), "lead"), paragraph(errors), paragraph(told + ".")])
     return Html(f'<section id="summary" class="verdict fit">\n{body}\n</section>')
 
 
-def _convergence(history: Sequence[str]) -> Html:
-    if not history:
+def _open_questions(study: Study) -> Html:
+    """What the data do not tell, and what to record next."""
+    told = [verbatim(capital(sentence) + ".") for sentence in study.identifiability.sentences]
+    if study.outliers:
+        lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
+        told.append(verbatim(f"Lone outliers left out of the fit: {lost}."))
+    if study.agreement is not None:
+        told.append(verbatim(capital(study.agreement.sentence) + "."))
+    if study.next is not None:
+        told.append(verbatim(f"To record next: {study.next.sentence}."))
+    if not told:
+        return Html("")
+    return section("open", "What these data leave open", bullets(told))
+
+
+def _trial_numbers(study: Study) -> Html:
+    if study.problem is not None:
+        return Html("")
+    cells = [
+        [
+            row["trial"],
+            row["number"].replace("_", " "),
+            with_error(row["given"], row["std"]),
+            rounded(row["fitted"], 0.3 * row["std"]),
+            significant((row["fitted"] - row["given"]) / row["std"], 2),
+        ]
+        for row in study.objective.residuals(study.estimate.coordinates)
+    ]
+    columns = ["trial", "number", "given", "fitted", "difference / std"]
+    title = "Trial numbers in SI units"
+    return section("numbers", "Given and fitted", table(columns, cells, title, numeric=(2, 3, 4)))
+
+
+def _predictions(runs: Sequence[Comparison], held_out: bool) -> Html:
+    if not runs:
+        return Html("")
+    judged = "runs held out" if held_out else "the runs it was fitted to; none were held out"
+    parts = predictions(runs, {_MODEL: "predicted"})
+    return section("predictions", f"Predictions of {judged}", *parts)
+
+
+def _convergence(study: Study, history: Sequence[str]) -> Html:
+    path = study.estimate.path
+    if not history and len(path) < 2:
         return Html("")
     lines = joined(element("div", verbatim(line)) for line in history)
-    return section("convergence", "How it converged", folded(f"{len(history)} rounds", lines))
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        above = [cost - min(path) for cost in path]
+        axes.plot(range(len(path)), above, "o-", color=figures.AFTER)
+        axes.set_yscale("symlog", linthresh=1.0)
+        axes.set(xlabel="round", ylabel="cost above its minimum")
+
+    parts: list = [figures.picture(draw, "The cost of the fit falling from round to round")]
+    return section(
+        "convergence", "How it converged", *parts, folded(f"{len(history)} steps", lines)
+    )

@@ -1,12 +1,12 @@
 """Parts that every report has: fitted parameters, and where a result comes from."""
 
 import importlib.metadata
+import math
 import platform
 from collections.abc import Sequence
 
 import numpy as np
 
-from diffsea.priors import unit
 from diffsea.report import text as words
 from diffsea.report.page import (
     Html,
@@ -30,16 +30,27 @@ def parameter_table(rows: Sequence[dict]) -> Html:
     cells = [
         [
             verbatim(row["name"]),
+            row["meaning"],
             rounded(row["start"]),
             with_error(row["value"], row["std"]),
-            unit(row["name"]),
+            _interval(row),
+            row["unit"],
             _determined(row["determined"]),
         ]
         for row in rows
     ]
-    columns = ["name", "start", "estimate", "unit", "determined by"]
+    columns = ["symbol", "name", "start", "estimate", "90 % interval", "unit", "determined by"]
     title = "Fitted with everything else in the model; +- is one standard error"
-    return table(columns, cells, title, numeric=(1, 2))
+    return table(columns, cells, title, numeric=(2, 3, 4))
+
+
+def _interval(row: dict) -> str:
+    low, high = (_end(value, row["std"]) for value in row["interval"])
+    return f"{low} to {high}"
+
+
+def _end(value: float, std: float) -> str:
+    return rounded(value, 0.3 * std) if math.isfinite(value) else "open"
 
 
 def _determined(share: float) -> str:

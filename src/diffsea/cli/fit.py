@@ -1,0 +1,208 @@
+"""`fit`: from recordings, or a sheet of trial numbers, to a vessel file."""
+
+import argparse
+import dataclasses
+import pathlib
+from typing import TYPE_CHECKING, Any
+
+from diffsea.cli.identify import add_common, clock, read_all, source
+from diffsea.cli.options import Outputs, add_command, count, names, one_of, read_vessel, table
+from diffsea.errors import UserError
+
+
+if TYPE_CHECKING:
+    from diffsea.identification.study import Settings, Study
+    from diffsea.types import Trajectory
+    from diffsea.vessel.base import Vessel
+
+
+# Written out because asking the library would import JAX; a test compares the two.
+OBJECTIVES = ("innovation", "free-run", "trial-numbers")
+ANCHORS = ("mass", "thrust")
+
+_FIT = """\
+Fits a vessel's parameters, with standard errors, and predicts runs that were held out. By
+default hull derivatives and added masses to recordings by an innovation-form likelihood, gusts
+and sensor noise estimated; --objective free-run by multiple shooting instead. A TOML sheet of
+trial numbers (advance, diameters, overshoots) in place of recordings is fitted as it is.
+Says which combinations the data do not determine, and the manoeuvre to record next.
+"""
+_EXAMPLES = """\
+  diffsea fit usv.toml run1.csv run2.csv --test run3.csv
+  diffsea fit usv.toml run*.csv --free X_u,X_uu,N_r,Y_v --starts 8
+  diffsea fit usv.toml run*.csv --priors known.toml --anchor thrust
+  diffsea fit ship.toml sea_trial.toml"""
+
+
+def register(commands: Any) -> None:
+    """Add the command to the parser."""
+    fit = add_command(
+        commands, "fit", _fit, "identify a vessel's derivatives from recordings", _FIT, _EXAMPLES
+    )
+    add_common(fit)
+    fit.add_argument(
+        "--objective", metavar="O", type=one_of(OBJECTIVES, "objective"),
+        help=f"{' | '.join(OBJECTIVES)} (default: innovation; trial-numbers for a sheet)",
+    )  # fmt: skip
+    fit.add_argument(
+        "--priors", metavar="FILE", type=pathlib.Path,
+        help="TOML file of starts, prior widths and bounds by parameter",
+    )  # fmt: skip
+    fit.add_argument(
+        "--anchor", choices=ANCHORS, default="mass",
+        help="what fixes the scale of forces; with thrust, mass and inertia are fitted "
+        "(default: %(default)s)",
+    )  # fmt: skip
+    fit.add_argument(
+        "--starts", metavar="N", type=count, default=1,
+        help="starts drawn from the priors, explored at once (default: %(default)s)",
+    )  # fmt: skip
+    fit.add_argument(
+        "--profile", metavar="NAMES", type=names,
+        help="parameters whose intervals come from the profile likelihood, `none` for none "
+        "(default: those whose likelihood is asymmetric)",
+    )  # fmt: skip
+
+
+def _fit(args: argparse.Namespace) -> None:
+    with Outputs(args.output) as out:
+        from diffsea.identification.study import identify
+        from diffsea.report.fit_page import fit_report
+        from diffsea.vessel.catalogue import build, dump, updated_document
+
+        tell = clock()
+        file = read_vessel(args)
+        data, test = _data(args, file.vessel)
+        runs = [] if _from_sheet(args) else data
+        settings = _settings(args, file.vessel)
+        tell(f"reading: {len(data)} to fit, {len(test)} held out; compiling")
+        history: list[str] = []
+
+        def follow(message: str) -> None:
+            history.append(message)
+            tell(message)
+
+        study = identify(file.vessel, data, settings, follow)
+        document = updated_document(file.document, study.values, [])
+        vessel = build(document)
+        quality = study.quality(test)
+        told = source(args, [*runs, *test])
+        out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
+        out.json("fit.json", _record(study, settings, quality, told))
+        tell("predicting and writing the report")
+        page = fit_report(study, quality, history, vessel, runs, test, told)
+        out.path("report.html").write_text(page, encoding="utf-8")
+    out.present(args, _summary(study, quality))
+
+
+def _from_sheet(args: argparse.Namespace) -> bool:
+    from diffsea.identification.trial_sheet import is_sheet
+
+    sheets = [is_sheet(path) for path in args.recordings]
+    if any(sheets) and not all(sheets):
+        raise UserError("give either recordings or sheets of trial numbers (TOML), not both")
+    if all(sheets) and args.test:
+        raise UserError("--test takes recordings, and a fit to trial numbers has none to hold out")
+    return all(sheets)
+
+
+def _data(args: argparse.Namespace, vessel: "Vessel") -> "tuple[list, list[Trajectory]]":
+    from diffsea.identification.trial_sheet import read_sheet
+
+    if _from_sheet(args):
+        return [sheet for path in args.recordings for sheet in read_sheet(path, vessel)], []
+    return read_all(args)
+
+
+def _settings(args: argparse.Namespace, vessel: "Vessel") -> "Settings":
+    from diffsea.identification.problem import default_priors
+    from diffsea.identification.study import Settings
+    from diffsea.priors import read_priors
+
+    objective = args.objective or ("trial-numbers" if _from_sheet(args) else "innovation")
+    priors = read_priors(args.priors, default_priors(vessel)) if args.priors else {}
+    profiles = () if args.profile == ("none",) else args.profile
+    return Settings(objective, args.free, args.anchor, priors, args.starts, profiles)
+
+
+def _record(study: "Study", settings: "Settings", quality: dict, told: dict) -> dict:
+    record = {
+        "format": 1,
+        "objective": settings.objective,
+        "parameters": {row["name"]: _without_name(row) for row in study.rows},
+        "anchor": study.anchor,
+        "fit": quality,
+        "deviance": study.estimate.deviance,
+        "path": list(study.estimate.path),
+        "identifiability": study.identifiability.as_dict(),
+        "next_manoeuvre": None if study.next is None else study.next.as_dict(),
+        "starts": None if study.agreement is None else study.agreement.as_dict(),
+        "outliers": study.outliers,
+        "source": told,
+    }
+    if settings.objective == "innovation":
+        record["noise"] = _noise(study)
+    if settings.objective == "trial-numbers":
+        record["trial_numbers"] = study.objective.residuals(study.estimate.coordinates)
+    return record
+
+
+def _without_name(row: dict) -> dict:
+    return {key: value for key, value in row.items() if key != "name"}
+
+
+def _noise(study: "Study") -> dict:
+    import numpy as np
+
+    scales = {field.name: np.exp(getattr(study.noise, field.name)) for field in
+              dataclasses.fields(study.noise)}  # fmt: skip
+    channels = ("x", "y", "psi", "u", "v", "r")
+    measured = _by_name(channels, np.asarray(study.problem.tape.known).any(0))
+    return {
+        "gust": _by_name(channels[3:], scales["gust"]),
+        "lasting_gust": _by_name(channels[3:], scales["slow"]),
+        "gust_memory": _by_name(channels[3:], scales["memory"]),
+        "sensor": {n: s for n, s in _by_name(channels, scales["sensor"]).items() if measured[n]},
+    }
+
+
+def _by_name(names: tuple[str, ...], values: Any) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _summary(study: "Study", quality: dict) -> str:
+    lines = [
+        (
+            row["name"], row["meaning"], row["unit"], f"{row['start']:.4g}",
+            f"{row['value']:.4g}", f"{row['std']:.2g}", _interval(row), determined(row),
+        )
+        for row in study.rows
+    ]  # fmt: skip
+    header = (
+        "symbol", "name", "unit", "start", "estimate", "+-", "90 % interval", "determined by"
+    )  # fmt: skip
+    told = ", ".join(f"{name} {value:.2f}" for name, value in quality.items())
+    parts = [table(lines, header), "", f"normalised misfit (1 = noise level): {told}"]
+    parts.append(study.anchor)
+    if study.agreement is not None:
+        parts.append(study.agreement.sentence)
+    if study.outliers:
+        lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
+        parts.append(f"outliers left out: {lost}")
+    parts += study.identifiability.sentences
+    if study.next is not None:
+        parts.append(f"next: {study.next.sentence}")
+    return "\n".join(parts)
+
+
+def _interval(row: dict) -> str:
+    low, high = row["interval"]
+    return f"{low:.4g} to {high:.4g}" + (" (profile)" if row["profiled"] else "")
+
+
+def determined(row: dict) -> str:
+    """What an estimate rests on, in words."""
+    share = row["determined"]
+    if share > 0.9:
+        return "the data"
+    return "mostly the data" if share > 0.5 else "mostly the prior"

@@ -1,0 +1,215 @@
+"""Identification from start to end: what to free, fit, judge, and what to record next."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diffsea.errors import UserError
+from diffsea.identification.design import NextManoeuvre, next_manoeuvre
+from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
+from diffsea.identification.fit import normalised_rms
+from diffsea.identification.free_run import FreeRun
+from diffsea.identification.gusts import Noise
+from diffsea.identification.identifiability import Identifiability, identifiability
+from diffsea.identification.objectives import Innovations, Objective
+from diffsea.identification.problem import (
+    Problem,
+    default_priors,
+    free_by_default,
+    make_problem,
+)
+from diffsea.identification.profile import Profile, asymmetric, profile
+from diffsea.identification.starts import Agreement, multistart
+from diffsea.identification.trial_numbers import TrialNumbers
+from diffsea.identification.trial_sheet import Sheet
+from diffsea.parameters import check_names
+from diffsea.priors import Parameter
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+
+
+OBJECTIVES = ("innovation", "free-run", "trial-numbers")
+ANCHORS = ("mass", "thrust")
+DETERMINED = 0.9  # share below which a manoeuvre is looked for that would tell more
+_INERTIA = ("mass", "I_z")
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How to identify.
+
+    `anchor` says what fixes the common factor of mass, drag and thrust: the masses of the
+    vessel file, or its thrusts, mass and moment of inertia then being free.
+    """
+
+    objective: str = "innovation"
+    free: tuple[str, ...] | None = None
+    anchor: str = "mass"
+    priors: Mapping[str, Parameter | None] = dataclasses.field(default_factory=dict)
+    starts: int = 1
+    profiles: tuple[str, ...] | None = None  # None: the asymmetric ones
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """Everything found."""
+
+    objective: Objective
+    estimate: Estimate
+    anchor: str  # a sentence
+    identifiability: Identifiability
+    agreement: Agreement | None
+    profiles: dict[str, Profile]
+    next: NextManoeuvre | None
+    outliers: dict[str, int]
+
+    @property
+    def rows(self) -> list[dict]:
+        """The table of parameters; `interval` is the profile's where there is one."""
+        rows = physical_table(self.objective.parameters, self.estimate)
+        for row in rows:
+            found = self.profiles.get(row["name"])
+            row["profiled"] = found is not None
+            if found is not None:
+                row["interval"] = list(found.interval)
+        return rows
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values by name, in SI units."""
+        return {row["name"]: row["value"] for row in self.rows}
+
+    @property
+    def problem(self) -> Problem | None:
+        """The recordings' problem; None for trial numbers."""
+        return getattr(self.objective, "problem", None)
+
+    def quality(self, test: Sequence[Trajectory] = ()) -> dict[str, float]:
+        """Root-mean-square normalised misfit of what was fitted, and of runs held out."""
+        problem = self.problem
+        if problem is None:
+            rows = self.objective.residuals(self.estimate.coordinates)
+            white = [(row["fitted"] - row["given"]) / row["std"] for row in rows]
+            return {"train": float(np.sqrt(np.mean(np.square(white))))}
+        noise = self.noise
+        found = {"train": normalised_rms(problem, self.estimate.coordinates, noise)}
+        if test:
+            priors = {p.name: p for p in problem.layout.parameters}
+            held = make_problem(problem.base, list(test), tuple(priors), priors=priors)
+            found["test"] = normalised_rms(held, self.estimate.coordinates, noise)
+        return found
+
+    @property
+    def noise(self) -> Noise:
+        """Noise of the filter, as expected beforehand where the objective has none."""
+        noise = self.estimate.noise
+        return noise if isinstance(noise, Noise) else self.problem.start()[1]
+
+
+def identify(
+    vessel: Vessel,
+    data: Sequence[Trajectory] | Sequence[Sheet],
+    settings: Settings = Settings(),
+    progress: Progress = silent,
+) -> Study:
+    """Fit a vessel's parameters to recordings or to sheets of trial numbers.
+
+    Raises:
+        UserError: an unknown parameter, objective or anchor, or data that do not suit.
+    """
+    parameters = chosen(vessel, settings)
+    names = tuple(p.name for p in parameters)
+    objective = _objective(vessel, parameters, data, settings.objective)
+    agreement = None
+    if settings.starts > 1:
+        fitted, agreement = multistart(objective, names, settings.starts, settings.seed, progress)
+    else:
+        fitted = objective.fit(names, progress=progress)
+    if not np.isfinite(fitted.deviance):
+        raise UserError(
+            "the model diverges on these data and no step of the fit mends it; check units and "
+            "signs with `diffsea audit`, or start nearer (vessel file, --priors)"
+        )
+    wanted = settings.profiles
+    if wanted is None:
+        wanted = asymmetric(objective, fitted)
+    profiles = {name: profile(objective, fitted, name, progress) for name in wanted}
+    return Study(
+        objective,
+        fitted,
+        anchored(vessel, names),
+        identifiability(parameters, fitted),
+        agreement,
+        profiles,
+        _next(objective, fitted, progress),
+        getattr(objective, "outliers", {}),
+    )
+
+
+def chosen(vessel: Vessel, settings: Settings) -> tuple[Parameter, ...]:
+    """The free parameters with their priors."""
+    if settings.anchor not in ANCHORS:
+        raise UserError(f"the anchor is one of {', '.join(ANCHORS)}, not {settings.anchor!r}")
+    known = default_priors(vessel) | dict(settings.priors)
+    names = settings.free
+    if names is None:
+        names = free_by_default(vessel) + (_INERTIA if settings.anchor == "thrust" else ())
+        names += tuple(n for n, p in settings.priors.items() if p is not None and n not in names)
+    check_names(vessel, names)
+    free = tuple(known[name] for name in dict.fromkeys(names))
+    left = tuple(p for p in free if p is not None)
+    if not left:
+        raise UserError("nothing is free to be estimated; name parameters with --free")
+    return left
+
+
+def anchored(vessel: Vessel, free: Sequence[str]) -> str:
+    """What fixes the common factor of mass, drag and thrust, as a sentence."""
+    heavy = any(name in _INERTIA for name in free)
+    pushing = any(name.split(".")[0] in vessel.actuators for name in free)
+    if heavy and pushing:
+        return (
+            "mass and actuators are both free: motion alone fixes mass, drag and thrust only up to "
+            "one common factor, which rests on the priors here"
+        )
+    if heavy:
+        return "anchored by the thrust: actuators stay as in the vessel file, masses are fitted"
+    if pushing:
+        return "anchored by the mass: mass and moment of inertia stay as in the vessel file"
+    return (
+        "anchored by mass, moment of inertia and actuators, which stay as in the vessel file: "
+        "motion alone fixes mass, drag and thrust only up to one common factor"
+    )
+
+
+def _objective(
+    vessel: Vessel,
+    parameters: tuple[Parameter, ...],
+    data: Sequence[Trajectory] | Sequence[Sheet],
+    name: str,
+) -> Objective:
+    if name not in OBJECTIVES:
+        raise UserError(f"there is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}")
+    sheets = [one for one in data if isinstance(one, Sheet)]
+    if (name == "trial-numbers") != (len(sheets) == len(data)) or 0 < len(sheets) < len(data):
+        raise UserError(
+            "trial numbers are fitted to sheets (TOML), the other objectives to recordings; give "
+            "one kind, and the objective that goes with it"
+        )
+    if name == "trial-numbers":
+        return TrialNumbers(vessel, parameters, sheets)
+    priors = {p.name: p for p in parameters}
+    problem = make_problem(vessel, list(data), tuple(priors), priors=priors)
+    return Innovations(problem) if name == "innovation" else FreeRun(problem)
+
+
+def _next(objective: Objective, fitted: Estimate, progress: Progress) -> NextManoeuvre | None:
+    """A manoeuvre that would tell more, where the data leave something open."""
+    problem = getattr(objective, "problem", None)
+    if problem is None or float(fitted.shrinkage.min()) > DETERMINED:
+        return None
+    progress("looking for the manoeuvre that would tell most")
+    noise = fitted.noise if isinstance(fitted.noise, Noise) else problem.start()[1]
+    return next_manoeuvre(problem, fitted, noise)
