@@ -21,9 +21,7 @@ def rounding_findings(trajectory: Trajectory) -> list[Finding]:
     for channel in MOTION_CHANNELS:
         series = _finite(trajectory, channel)
         step = _step(series)
-        if step <= _FINE[channel] or np.ptp(series) > 200 * step:
-            continue
-        if np.mean(np.diff(series) == 0) < 0.3:
+        if step <= _FINE[channel] or not _coarse(series, step):
             continue
         unit = {"psi": "rad", "r": "rad/s", "u": "m/s", "v": "m/s"}.get(channel, "m")
         findings.append(
@@ -58,11 +56,26 @@ def _step(series: np.ndarray) -> float:
     return step if np.max(np.abs(steps - np.round(steps))) < 0.02 else 0.0
 
 
+def _coarse(series: np.ndarray, step: float) -> bool:
+    """Whether rounding is most of how the channel jitters, or it often does not change at all.
+
+    Rounding alone makes second differences of 0.7 steps (root mean square). What advances by one
+    step throughout is not rounded but even.
+    """
+    if np.unique(np.round(np.diff(series) / step)).size < 3:
+        return False
+    if np.ptp(series) <= 200 * step and np.mean(np.diff(series) == 0) >= 0.3:
+        return True
+    bends = np.sort(np.abs(np.diff(series, 2)))[: int(0.9 * series.size)]
+    return bool(np.sqrt(np.mean(bends**2)) < step)
+
+
 def _step_error(series: np.ndarray, step: float) -> float:
     """Standard error of a step, from how far the values are from its multiples."""
     multiples = np.round((series - series.min()) / step)
     rest = series - series.min() - step * multiples
-    return float(np.std(rest) / max(np.sqrt(np.sum(multiples**2)), 1.0))
+    error = np.std(rest) / max(np.sqrt(np.sum(multiples**2)), 1.0)
+    return float(max(error, 1e-9 * step))
 
 
 def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:

@@ -16,6 +16,7 @@ from diffsea.recordings.motion import Motion, integral, knots, refined
 
 
 MAX_DELAY = 6.0  # s, the longest latency looked for
+_STARTS = tuple(sign * late for late in (0.7, 1.4, 2.8, 5.0) for sign in (1, -1))  # s
 _TURN = 0.03  # rad per step of the clock that integrals are taken on
 _FEWEST = 15  # windows that a comparison needs
 # A heading error periodic in heading is told from a scale of the yaw rate only over a wide
@@ -35,7 +36,7 @@ def heading_comparison(motion: Motion, level: float) -> Comparison | None:
     causes = (
         Cause("gain", ("gain",), 0.03, gain=True),
         Cause("bias", ("bias",), 5e-4),
-        Cause("delay", ("delay",), delay),
+        Cause("delay", ("delay",), delay, starts=_STARTS),
         Cause("rate", ("rate",), drift, beside=("delay",)),
     )
     if np.ptp(prediction.course) > _IRON_RANGE:
@@ -183,7 +184,9 @@ def _delay_causes(delay: float, drift: float, psi_late: bool) -> tuple[Cause, ..
         others = [other for other in likely if other != name]
         all_three = frozenset(f"{other}_delay" for other in likely)
         rates = tuple(frozenset({rate, f"{other}_rate"}) for other in others)
-        causes.append(Cause(late, (late,), delay, likely=sign, excludes=(all_three,)))
+        causes.append(
+            Cause(late, (late,), delay, likely=sign, excludes=(all_three,), starts=_STARTS)
+        )
         causes.append(Cause(rate, (rate,), drift, beside=(late,), excludes=rates))
     return tuple(causes)
 
