@@ -509,3 +509,154 @@ def test_repaired_mappings_leave_only_what_no_mapping_can_repair(name):
         pytest.skip(f"{DATA / name} is absent: the published recordings stay outside")
     mapping = ROOT / "experiments" / name.split("/")[0] / "mapping_repaired.toml"
     assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron"}
+
+
+def test_a_latency_of_a_whole_turn_is_still_found():
+    finding = only(recording("random", 1, late={"r": 2.5}, noise=0.5), "sensor-latency")
+    assert finding.value == pytest.approx(2.5, abs=0.1) and finding.channels == ("r",)
+
+
+def test_a_fast_heading_may_be_coarse_too():
+    """At 8 deg/s no two samples are alike, and the heading takes hundreds of values."""
+    run = recording("circle", 1, noise=0.1)
+    finding = only(edited(run, psi=0.05 * np.round(run.psi / 0.05)), "quantised")
+    assert finding.channels == ("psi",) and finding.value == pytest.approx(0.05)
+
+
+def test_rounded_time_stamps_are_told_from_jitter():
+    t, true, orders = motion("zigzag", 1)
+    run = sampled(t, true, orders, 1, dt=0.26)
+    finding = only(edited(run, t=np.round(run.t, 1)), "time-step")
+    assert finding.parameters["resolution"] == pytest.approx(0.1)
+    assert finding.parameters["time_step"] == pytest.approx(0.26, abs=1e-4)
+    assert finding.value == pytest.approx(np.std(np.diff(np.round(run.t, 1)))) and finding.std > 0
+    assert "time_step = 0.26" in finding.repair
+    jittered = np.sort(run.t + np.random.default_rng(0).uniform(-0.1, 0.1, run.t.size))
+    (found,) = (f for f in audit(edited(run, t=jittered)) if f.kind == "time-step")
+    assert not found.edits
+
+
+def test_empty_rows_are_counted(tmp_path):
+    run = recording("zigzag", 1)
+    rows = [f"{t},{psi},{r}" for t, psi, r in zip(run.t, run.psi, run.r, strict=True)]
+    rows[100:100] = [",,"] * 7
+    (tmp_path / "a.csv").write_text("\n".join(["t,psi,r", *rows]) + "\n")
+    finding = only(read_recording(tmp_path / "a.csv"), "gap")
+    assert finding.value == 7 and "empty rows" in finding.message
+
+
+def test_samples_lost_all_along_are_counted():
+    run = recording("zigzag", 1)
+    lost = np.random.default_rng(0).random(run.t.size) < 0.15
+    finding = only(edited(run, x=np.where(lost, np.nan, run.x)), "gap")
+    assert finding.channels == ("x",)
+    assert finding.value == pytest.approx(0.2 * np.sum(lost), rel=0.1)
+
+
+def random_steps(count, seed, every=30):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(-1, 1, count // every + 1), every)[:count]
+
+
+def test_a_dead_thruster():
+    """Only the starboard one turns the vessel; the other's orders have nothing to do with it."""
+    run = recording("zigzag", 1, seconds=400.0)
+    orders = dict(run.commanded) | {"port": 60 + 15 * random_steps(run.t.size, 3)}
+    finding = only(edited(run, commanded=orders), "stuck")
+    assert finding.channels == ("cmd_port",)
+    assert abs(finding.value) < 3 * finding.std + 0.05 and 0 < finding.std < 0.1
+    weak = run.commanded | {"port": 60 + 0.4 * (run.commanded["port"] - 60)}
+    assert kinds(edited(run, commanded=weak)) == []
+
+
+def test_a_dead_rudder():
+    run = recording("zigzag", 1)
+    turns = {"rudder": 0.3 * np.sign(random_steps(run.t.size, 5))}
+    straight = recording("speeds", 1)
+    finding = only(edited(straight, commanded=turns), "stuck")
+    assert finding.channels == ("cmd_rudder",) and finding.value < 0.02
+    assert kinds(edited(run, commanded={"rudder": run.commanded["rudder"]})) == []
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_tunnel_thruster_turns_by_where_it_is(side):
+    run = recording("zigzag", 1)
+    force = side * run.commanded["rudder"]
+    assert kinds(edited(run, commanded={"bow_thruster": force})) == ["sign"] * (side < 0)
+    assert kinds(edited(run, commanded={"stern_thruster": force})) == ["sign"] * (side > 0)
+
+
+def zigzag_with_rare_rudder():
+    """A zig-zag of 20 deg in which nothing but heading was measured, and that rarely."""
+    t = np.arange(0, 200, 0.5)
+    psi, rudder = np.zeros(t.size), np.zeros(t.size)
+    rate, side = 0.0, 1.0
+    for i in range(1, t.size):
+        side = -side if side * psi[i - 1] > np.radians(20) else side
+        rudder[i] = 0.35 * side
+        rate += 0.5 * (0.04 * side - rate) / 20.0
+        psi[i] = psi[i - 1] + 0.5 * rate
+    blank = np.full(t.size, np.nan)
+    return Trajectory(
+        t=t, x=blank, y=blank, psi=psi, u=blank, v=blank, r=blank,
+        commanded={"rudder": rudder}, executed={}, extra={}, valid=np.ones(t.size, dtype=bool),
+    )  # fmt: skip
+
+
+def test_a_zigzag_goes_against_the_heading():
+    run = zigzag_with_rare_rudder()
+    assert kinds(run) == []
+    finding = only(edited(run, commanded={"rudder": -run.commanded["rudder"]}), "sign")
+    assert finding.channels == ("cmd_rudder",)
+
+
+def test_rudder_and_thrust_that_both_turn_the_wrong_way_accuse_the_axes():
+    run = recording("zigzag", 1)
+    mirrored = {name: -getattr(run, name) for name in ("y", "psi", "v", "r")}
+    finding = only(edited(run, **mirrored), "axes")
+    assert finding.channels == ("y", "psi", "v", "r")
+
+
+def test_an_angle_beyond_half_a_turn_is_in_degrees():
+    run = recording("zigzag", 1)
+    degrees = {"rudder": np.degrees(run.commanded["rudder"])}
+    finding = only(edited(run, commanded=degrees), "unit")
+    assert finding.channels == ("cmd_rudder",)
+
+
+def steps_and_answer(gain, limit=np.inf):
+    """A run with long steps of rudder, and a rudder that follows them within a second."""
+    run = recording("zigzag", 1)
+    ordered = 0.4 * random_steps(run.t.size, 8, every=50)
+    answer, out = 0.0, np.zeros(run.t.size)
+    for i, order in enumerate(ordered):
+        answer += np.clip(order - answer, -0.06, 0.06)
+        out[i] = np.clip(answer, -limit, limit)
+    blank = np.full(run.t.size, np.nan)
+    alone = {name: blank for name in NOISE if name != "u"}
+    return edited(run, **alone, commanded={"rudder": ordered}, executed={"rudder": gain * out})
+
+
+def test_executed_actuation_is_compared_with_its_orders():
+    assert kinds(steps_and_answer(1.0)) == []
+    assert kinds(steps_and_answer(1.0, limit=0.25)) == []  # a limit is no fault
+    assert only(steps_and_answer(-1.0), "sign").value == pytest.approx(-1, abs=0.05)
+    finding = only(steps_and_answer(0.8, limit=0.25), "scale")
+    assert finding.value == pytest.approx(0.8, abs=0.02)
+    assert "never exceeds 0.2" in finding.message
+    assert only(steps_and_answer(np.pi / 180), "unit").unit == "1"
+    finding = only(steps_and_answer(0.0), "stuck")
+    assert finding.channels == ("exec_rudder",)
+
+
+def test_every_finding_has_size_error_and_repair():
+    run = recording("random", 6, earth_axes, late={"r": 0.6})
+    wild, coarse = run.x.copy(), 0.05 * np.round(run.psi / 0.05)
+    wild[[50, 200]] += 4000
+    time = run.t.copy()
+    time[300] = time[299]
+    found = audit(edited(run, x=wild, psi=coarse, t=time)) + audit(recording("random", 6))
+    assert len({finding.kind for finding in found}) >= 4
+    for finding in found:
+        assert np.isfinite(finding.value) and np.isfinite(finding.std), finding.kind
+        assert finding.repair, finding.kind

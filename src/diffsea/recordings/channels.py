@@ -62,7 +62,7 @@ def _coarse(series: np.ndarray, step: float) -> bool:
     Rounding alone makes second differences of 0.7 steps (root mean square). What advances by one
     step throughout is not rounded but even.
     """
-    if np.unique(np.round(np.diff(series) / step)).size < 3:
+    if np.unique(np.round(np.diff(series) / step)).size < 2:
         return False
     if np.ptp(series) <= 200 * step and np.mean(np.diff(series) == 0) >= 0.3:
         return True
