@@ -22,6 +22,9 @@ from diffsea.types import Series, Trajectory
 ROLES = ("rudder", "propeller", "port", "starboard", "thrust")
 _NAMED = 0.5  # weight of a label above which a name is believed
 _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
+# Probabilities that a column is an order, or was realised, for each reason to think so: what moves
+# gradually may also be an order from a lever that somebody moves, or from a controller.
+_JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
 _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 
 
@@ -81,7 +84,7 @@ def _chosen(
 
     kept: dict[bool, str] = {}
     for column in sorted(columns, key=rank, reverse=True):
-        ordered, _ = _ordered(column, suggestions[column], runs)
+        ordered, _, _ = _ordered(column, suggestions[column], runs)
         kept.setdefault(ordered, column)
     best = max(kept.values(), key=rank, default=None)
     if best is None:
@@ -91,13 +94,13 @@ def _chosen(
 
 
 def _judged(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> Actuator:
-    ordered, reason = _ordered(column, suggestion, runs)
+    ordered, reason, chance = _ordered(column, suggestion, runs)
     push = 0
     if role in ("rudder", "propeller"):
         push = _vote([_alone(run, role, run.commanded[column]) for run in runs])
     return Actuator(
-        column, role, suggestion.weights[role], _unit(column, role, suggestion, runs), ordered,
-        reason, push,
+        column, role, chance * suggestion.weights[role], _unit(column, role, suggestion, runs),
+        ordered, reason, push,
     )  # fmt: skip
 
 
@@ -114,8 +117,10 @@ def _unit(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]
     return ""
 
 
-def _ordered(column: str, suggestion: Suggestion, runs: list[Trajectory]) -> tuple[bool, str]:
-    """Whether the column holds orders, and why."""
+def _ordered(
+    column: str, suggestion: Suggestion, runs: list[Trajectory]
+) -> tuple[bool, str, float]:
+    """Whether the column holds orders, why, and how probable that is."""
     angle = suggestion.weights["rudder"] > _NAMED
     name = "rudder" if angle else "thrust"
     for run in runs:
@@ -125,12 +130,12 @@ def _ordered(column: str, suggestion: Suggestion, runs: list[Trajectory]) -> tup
         tested = dataclasses.replace(run, commanded={}, executed={name: series})
         for finding in order_findings(tested):
             size = f"{np.degrees(finding.value):.3g} deg" if angle else f"{finding.value:.3g}"
-            return True, f"it jumps by up to {size} within one sample, as only orders do"
+            return True, f"it jumps by up to {size} within one sample, as only orders do", _JUMPS
     if suggestion.ordered is not None:
-        return suggestion.ordered, "so its name says"
+        return suggestion.ordered, "so its name says", _SAID
     if all(np.nanmax(run.commanded[column]) == np.nanmin(run.commanded[column]) for run in runs):
-        return True, "it never changes, as only orders can"
-    return False, "it moves gradually, as what was realised does"
+        return True, "it never changes, as orders may", _CONSTANT
+    return False, "it moves gradually, as what was realised does", _GRADUAL
 
 
 def _alone(run: Trajectory, role: str, series: Series) -> tuple[int, float]:
@@ -186,10 +191,10 @@ def _guessed(
     best = max(strength, key=lambda column: strength[column], default=None)
     if best is None or strength[best] <= 0:
         return []
-    ordered, reason = _ordered(best, suggestions[best], runs)
+    ordered, reason, chance = _ordered(best, suggestions[best], runs)
     return [
         Actuator(
-            best, "rudder", 0.5, _unit(best, "rudder", suggestions[best], runs), ordered,
+            best, "rudder", 0.5 * chance, _unit(best, "rudder", suggestions[best], runs), ordered,
             f"yaw rate answers it best of the unnamed columns; {reason}", _vote(verdicts[best]),
         )
     ]  # fmt: skip

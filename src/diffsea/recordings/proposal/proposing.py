@@ -32,6 +32,7 @@ from diffsea.types import Trajectory
 _FILES = 6  # that the evidence is taken from
 _ANSWERS = 3  # files that actuators are tried on
 _FEWEST = 20  # rows
+_NAMED = 0.55  # how sure a rudder must be to have a say in what is starboard
 _TELLING = 0.5  # weight of "other" above which a name says that it is something else
 # Log odds for a rudder, and for a pair of thrusters, that act the way their labels say.
 _RUDDER, _THRUSTERS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
@@ -169,7 +170,7 @@ def _hand(reading: Reading) -> int:
 
 def _answered(weighed: list[Weighed], best: Weighed, actuators: list[Actuator]) -> list[Weighed]:
     """Weights after the actuators: of two mirrored records, labels that are right count."""
-    gain = sum(_RUDDER * a.push for a in actuators if a.role == "rudder" and a.sure > 0.5)
+    gain = sum(_RUDDER * a.push for a in actuators if a.role == "rudder" and a.sure > _NAMED)
     gain += sum(_THRUSTERS * a.push for a in actuators if a.role == "port")
     if gain == 0:
         return weighed
