@@ -14,7 +14,11 @@ from diffsea.diagnosis.locate import Cell
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.identifiability import identifiability
+from diffsea.identification.objectives import Innovations
 from diffsea.identification.problem import Problem, make_problem
+from diffsea.identification.starts import Agreement
+from diffsea.identification.study import Study
 from diffsea.report.comparison import compare, with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report
 from diffsea.report.fit_page import fit_report
@@ -131,8 +135,8 @@ def summary_of(verdict: str) -> dict:
             "diagnosed": {"train": 1.02, "test": 1.13},
         },
         "parameters": [
-            {"name": "X_u", "start": -52.0, "value": -63.91, "std": 1.42, "determined": 0.98},
-            {"name": "N_rdot", "start": -240.0, "value": -231.0, "std": 80.0, "determined": 0.3},
+            parameter("X_u", "linear damping in surge", -52.0, -63.91, 1.42, 0.98),
+            parameter("N_rdot", "added moment of inertia in yaw", -240.0, -231.0, 80.0, 0.3),
         ],
         "held_out": {"how": "whole recordings", "recordings": ["circle"]},
         "screening": screening,
@@ -140,6 +144,30 @@ def summary_of(verdict: str) -> dict:
         "next_experiment": {"manoeuvre": "turning-circle", "why": "separates current from wind"}
         if verdict == "ambiguous" else None,
     }  # fmt: skip
+
+
+def parameter(
+    name: str, meaning: str, start: float, value: float, std: float, share: float
+) -> dict:
+    """A row of a table of fitted parameters."""
+    return {
+        "name": name, "meaning": meaning, "unit": "kg m^2", "start": start, "value": value,
+        "std": std, "interval": [value - 1.645 * std, value + 1.645 * std], "determined": share,
+    }  # fmt: skip
+
+
+def study() -> Study:
+    """A fit as if made: all at the start, N_rdot known by the vessel file alone."""
+    objective = Innovations(make_problem(usv(0.3), list(recordings()[0]), ("X_u", "N_rdot")))
+    fitted = estimate_of(objective.problem, {})
+    information = np.diag([1e4, 0.1])
+    fitted = dataclasses.replace(
+        fitted, covariance=np.diag([1e-4, 0.24]), information=information,
+        shrinkage=np.array([0.99, 0.04]), path=(50.0, 2.0, 1.0),
+    )  # fmt: skip
+    told = identifiability(objective.parameters, fitted)
+    agreement = Agreement(8, 7, 3.5)
+    return Study(objective, fitted, "anchored by <mass>", told, agreement, {}, None, {"x": 2})
 
 
 def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estimate:
@@ -153,7 +181,9 @@ def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estim
     free = tuple(p.name for p in problem.layout.parameters) + tuple(values)
     covariance, share = 1e-4 * np.eye(len(index)), np.full(len(index), 0.99)
     information = np.linalg.inv(covariance)
-    return Estimate(free, coordinates, 0.0, index, covariance, information, information, share, 1.0, noise)
+    return Estimate(
+        free, coordinates, 0.0, index, covariance, information, information, share, 1.0, noise
+    )
 
 
 def diagnosis_of(verdict: str, currents: tuple[float, ...] = ()) -> Diagnosis:
@@ -319,14 +349,21 @@ def test_one_model_where_nothing_was_found():
 
 @pytest.mark.parametrize("held_out", [True, False])
 def test_fit_page(held_out):
-    table = summary_of("explained")["parameters"]
     runs, test = recordings()
+    quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})
     history = ["round 1: -2 log posterior -20.1", "round 2: <done>"]
-    page = fit_report(table, history, usv(0.3), list(runs), list(test) * held_out, SOURCE)
+    page = fit_report(
+        study(), quality, history, usv(0.3), list(runs), list(test) * held_out, SOURCE
+    )
     reader = assert_sound(page)
-    sections = ("summary", "parameters", "predictions", "convergence", "provenance")
+    sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
     assert tuple(reader.ids) == sections
-    assert "N_rdot" in reader.text("summary") and "−63.9 ± 1.4" in reader.text("parameters")
+    assert "N_rdot" in reader.text("summary") and "−52.0 ± 0.5" in reader.text("parameters")
+    assert "Anchored by <mass>" in reader.text("parameters")
+    assert "linear damping in surge" in reader.text("parameters")
+    assert "7 of 8 starts" in reader.text("open") and "2 of x" in reader.text("open")
+    assert "1.00 N_rdot (the data determine" in reader.text("open")
+    assert ("1.31 times in what was held out" in reader.text("summary")) is held_out
     assert ("none were held out" in reader.text("predictions")) is not held_out
     assert "round 2: <done>" in reader.text("convergence")
     assert ("circle" in reader.text("predictions")) is held_out

@@ -54,7 +54,7 @@ def fit_report(
     sections = [
         _summary(study, quality, runs, bool(test)),
         section("parameters", "Parameters of the vessel", parameter_table(study.rows),
-                paragraph(verbatim(study.anchor + "."), "note")),
+                paragraph(verbatim(capital(study.anchor) + "."), "note")),
         _open_questions(study),
         _trial_numbers(study),
         _predictions(runs, bool(test)),
