@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from diffsea.recordings import KINDS, audit, read_recording
+from diffsea.recordings.helm import zigzag_findings
+from diffsea.recordings.motion import motion_of
 from diffsea.types import Trajectory
 
 
@@ -511,9 +513,11 @@ def test_repaired_mappings_leave_only_what_no_mapping_can_repair(name):
     assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron"}
 
 
-def test_a_latency_of_a_whole_turn_is_still_found():
-    finding = only(recording("random", 1, late={"r": 2.5}, noise=0.5), "sensor-latency")
-    assert finding.value == pytest.approx(2.5, abs=0.1) and finding.channels == ("r",)
+@pytest.mark.parametrize("channels, shape", [(("r",), "zigzag"), (("x", "y"), "random")])
+def test_a_latency_of_a_whole_turn_is_still_found(channels, shape):
+    late = dict.fromkeys(channels, 5.0)
+    finding = only(recording(shape, 1, seconds=60.0, late=late, noise=0.5), "sensor-latency")
+    assert finding.value == pytest.approx(5.0, abs=0.15) and finding.channels == channels
 
 
 def test_a_fast_heading_may_be_coarse_too():
@@ -608,6 +612,11 @@ def test_a_zigzag_goes_against_the_heading():
     assert kinds(run) == []
     finding = only(edited(run, commanded={"rudder": -run.commanded["rudder"]}), "sign")
     assert finding.channels == ("cmd_rudder",)
+    rudder, psi = run.commanded["rudder"], motion_of(run)
+    (told,) = zigzag_findings(psi, "cmd_rudder", -rudder)
+    assert told.value == pytest.approx(np.radians(20), abs=0.05) and 0 < told.std < 0.02
+    assert zigzag_findings(psi, "cmd_rudder", rudder) == []
+    assert zigzag_findings(psi, "cmd_rudder", np.sign(random_steps(rudder.size, 2))) == []
 
 
 def test_rudder_and_thrust_that_both_turn_the_wrong_way_accuse_the_axes():

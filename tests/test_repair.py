@@ -13,6 +13,7 @@ import pytest
 
 from diffsea.cli import main
 from diffsea.recordings import audit, read_mapping, read_recording, write_recording
+from diffsea.recordings.edits import Affine
 from diffsea.recordings.mappings import Column, Mapping
 from diffsea.recordings.repair import mapping_text, repair
 from test_audit import earth_axes, edited, motion, recording, sampled
@@ -208,20 +209,25 @@ def test_what_has_no_repair_is_left_and_said():
     assert [(step.outcome, step.finding.kind) for step in done.steps] == [("left", "quantised")]
 
 
-def test_a_repair_that_does_not_help_is_undone(monkeypatch):
-    """An edit that shifts heading the wrong way makes the audit no better."""
-    import diffsea.recordings.repair as module
+MISLED = {
+    "the wrong way": lambda edit: dataclasses.replace(edit, offset=-edit.offset),
+    "the wrong channel": lambda edit: Affine(("r",), -1.0),
+}
+
+
+@pytest.mark.parametrize("name", MISLED)
+def test_a_repair_that_does_not_help_is_undone(name, monkeypatch):
+    """A larger offset, or a coarser fault in place of the offset."""
 
     def misled(run):
         return [
-            dataclasses.replace(
-                finding,
-                edits=tuple(dataclasses.replace(e, offset=-e.offset) for e in finding.edits),
-            )
-            for finding in audit(run)
+            dataclasses.replace(f, edits=tuple(map(MISLED[name], f.edits)))
+            if f.kind == "heading-offset"
+            else dataclasses.replace(f, edits=())
+            for f in audit(run)
         ]
 
-    monkeypatch.setattr(module, "audit", misled)
+    monkeypatch.setattr("diffsea.recordings.repair.audit", misled)
     run = recording("random", 1, lambda true: {"psi": true["psi"] + 0.2})
     done = repair(run)
     assert done.run is run

@@ -14,6 +14,7 @@ from diffsea.recordings.motion import Motion
 
 
 _CERTAIN = 4.0  # standard errors
+_ALIKE = 0.35  # spread of the headings at which a zig-zag's rudder is reversed
 _NOTHING = 0.02  # share of the yaw rate's variance below which a rudder does nothing
 _IDLE = 0.3  # effect of a thruster, relative to its partner's, below which it is dead
 MIRRORED = (
@@ -34,7 +35,8 @@ def zigzag_findings(motion: Motion, channel: str, angle: np.ndarray) -> list[Fin
         heading = motion.values["psi"][at] - np.mean(motion.values["psi"][at[:-1]])
     reached = heading * np.sign(angle[at])  # negative where the rudder goes against the heading
     error = float(np.std(reached) / np.sqrt(at.size))
-    if np.mean(reached) < _CERTAIN * error or np.min(reached) <= 0:
+    alike = np.std(reached) < _ALIKE * np.mean(reached)
+    if not alike or np.mean(reached) < _CERTAIN * error or np.min(reached) <= 0:
         return []
     return [
         Finding(
