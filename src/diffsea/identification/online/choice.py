@@ -48,7 +48,7 @@ def _prior(vessel: Vessel, name: str, value: float) -> Parameter:
     if value == 0:
         raise UserError(
             f"{name} is zero in the vessel, which says nothing of its size: give a Parameter "
-            "with a scale, for example Parameter('gyro_bias', 0.0, scale=0.01)"
+            "with a scale, for example Parameter('sensors.gyro_bias', 0.0, scale=0.01)"
         )
     return linear(hull_prior(name, value))
 

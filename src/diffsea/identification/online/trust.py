@@ -6,15 +6,17 @@ the four answers:
 - *innovations*: are they no larger than the filter thinks, and free of bias? Sums over a fading
   window are compared with their chi-squared and normal distributions, channel by channel
   (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
-- *excitation*: have the data said anything? The volume of the uncertainty is compared with the
-  prior's, and no parameter may be known less than beforehand.
+- *excitation*: have the data said anything? The mean share of the prior's variance that they
+  took away (degrees of freedom for signal: Rodgers 2000, section 2.4) answers; and no parameter
+  may be known less than beforehand.
 - *bounds*: is the estimate possible (positive mass, no energy from drag) and within the prior?
 - *steadiness*: has it moved by more than the information that came in? The corrections of a
   sound filter are uncorrelated, each with the variance that it took away (Kailath 1968), so
   that their sum over the window has a known distribution.
 
 An answer of 1 stands for what is seen in 95 of 100 windows of a sound filter, 0.5 for the alarm
-level, which a sound filter reaches once in `false_alarm_interval`, 0 for as far again.
+level, which a sound filter reaches once in `false_alarm_interval`, 0 for as far again. For
+excitation 0.5 means that half of the variance is gone, 1 three quarters.
 """
 
 from collections.abc import Sequence
@@ -102,7 +104,7 @@ class Trust(eqx.Module):
     bounds: Scalar
     steadiness: Scalar
     scores: Scores
-    determined: Scalar  # share of the prior's uncertainty gone, geometric mean over directions
+    determined: Scalar  # share of the prior's variance that the data took, mean over directions
     least: Float[Array, "parameter"]  # variance over the prior's
     far: Float[Array, "parameter"]  # coordinate over the prior's standard deviation
     inertia: Bool[Array, ""]  # mass matrix positive definite
@@ -166,10 +168,9 @@ def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tu
     found = jax.tree.map(lambda score, width: score / width, raw, limits.width)
     far = evidence.coordinates / limits.spread
     least = jnp.diag(evidence.covariance) / limits.spread**2
-    scaled = evidence.covariance / jnp.outer(limits.spread, limits.spread)
-    determined = 1 - jnp.exp(jnp.linalg.slogdet(scaled)[1] / len(limits.parameters))
-    # Twice the prior's variance is the alarm level.
-    known = jnp.minimum(jnp.clip(determined, 0.0, 1.0), 1 / jnp.maximum(jnp.max(least), 1.0))
+    determined = 1 - jnp.mean(least)
+    # Alarm levels: half of the prior's variance left, or twice of it in one parameter.
+    known = jnp.clip(2 * determined - ALARM, 0.0, 1 / jnp.maximum(jnp.max(least), 1.0))
     vessel = replace(
         limits.vessel,
         {p.name: p.decode(evidence.coordinates[k]) for k, p in enumerate(limits.parameters)},
@@ -320,11 +321,11 @@ def _of_excitation(limits: Limits, trust: Trust) -> str:
     least = np.asarray(trust.least)
     k = int(np.argmax(least))
     name = limits.parameters[k].name
-    if least[k] > 1 and 1 / least[k] <= float(trust.determined):
+    if least[k] > 1:
         return f"{name} is known less than beforehand: {least[k]:.1f} times the prior's variance"
     return (
         f"the data have removed {100 * float(trust.determined):.0f} % of the prior's "
-        f"uncertainty, less than half; {name} is known least: manoeuvre more"
+        f"variance, less than half; {name} is known least: manoeuvre more"
     )
 
 
