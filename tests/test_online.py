@@ -500,7 +500,7 @@ def _loop(document, vessel, seed: int, fault: str, gated: bool, seconds: float =
     return worst, float(np.mean(opened))
 
 
-@pytest.mark.parametrize(("fault", "seeds"), [("frozen heading", (1, 2, 3)), ("gyro bias", (1, 2))])
+@pytest.mark.parametrize(("fault", "seeds"), [("frozen heading", (1, 2)), ("gyro bias", (1,))])
 def test_a_bad_estimate_does_not_reach_the_controller(document, vessel, fault, seeds):
     for seed in seeds:
         nominal = max(
