@@ -114,16 +114,12 @@ class FreeRun:
         )
 
     def _rescaled(self, point: Point, joint: float) -> Point:
-        """Scales from the misfits themselves, by the soft loss's own weights."""
+        """Scales from the misfits themselves."""
         misfit = np.asarray(self._shot(point).misfit)
         known = np.asarray(self.problem.tape.known)
         sigma = point.sigma.copy()
         for k in np.flatnonzero(known.any(0)):
-            values = misfit[known[:, k], k]
-            scale = max(1.4826 * np.median(np.abs(values)), 1e-9)
-            for _ in range(10):
-                scale = np.sqrt(np.mean(_weight(values / scale) * values**2))
-            sigma[k] = scale
+            sigma[k] = _scale(misfit[known[:, k], k])
         return dataclasses.replace(point, sigma=sigma, joint=joint * sigma)
 
     def _cost(self, point: Point) -> float:
@@ -239,6 +235,18 @@ class FreeRun:
         return made(
             free, point.coordinates, self._cost(point), index, spreads, information, coloured, point
         )
+
+
+def _scale(values: np.ndarray) -> float:
+    """Standard deviation of the bulk of some misfits: each counts for nine variances at most."""
+    scale = max(1.4826 * float(np.median(np.abs(values))), 1e-9)
+    grid = np.linspace(-8, 8, 2001)
+    normal = np.exp(-(grid**2) / 2) / np.exp(-(grid**2) / 2).sum()
+    usual = float(normal @ (grid * _weight(grid)) ** 2)
+    for _ in range(20):
+        white = values / scale
+        scale *= float(np.sqrt(np.mean((white * _weight(white)) ** 2) / usual))
+    return scale
 
 
 def _weight(white: np.ndarray) -> np.ndarray:

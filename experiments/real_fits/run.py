@@ -1,0 +1,196 @@
+"""Fits to part of each real set, predictions of the rest, beside the data's own noise.
+
+python experiments/real_fits/run.py kvlcc2 kcs blueboat esso
+"""
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from diffsea.cli import prepare_jax
+
+
+prepare_jax()
+
+import numpy as np
+
+from diffsea.errors import UserError
+from diffsea.identification.study import Settings, Study, identify
+from diffsea.metrics import recording_metrics
+from diffsea.recordings import read_mapping, read_recording
+from diffsea.report.comparison import Comparison, horizon_table, predict
+from diffsea.simulation import standard
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.catalogue import build, dump, read_vessel, updated_document
+
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+DATA = ROOT.parent / "shared" / "data"
+NUMBERS = ("overshoot_1", "overshoot_2", "advance", "transfer", "tactical_diameter",
+           "peak_yaw_rate")  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Set:
+    """One set of recordings: what is fitted and what is held out, by file name."""
+
+    vessel: str
+    mapping: str
+    pattern: str
+    held_out: tuple[str, ...]
+    train: tuple[str, ...] = ()  # all others if empty
+    settings: Settings = Settings(profiles=())
+    circles: float | None = None  # approach speed (m/s) of 35 deg circles to predict
+
+
+SETS = {
+    "kvlcc2": Set(
+        "kvlcc2", "kvlcc2_hsva", "kvlcc2_hsva/*.dat",
+        tuple(f"HSVA_CPMC_KVLCC2_Z_{z}.dat" for z in ("10_10_S", "25_05", "30_05")),
+        circles=1.179,
+    ),
+    "kcs": Set(
+        str(HERE / "kcs.toml"), "kcs_marin", "kcs_marin/*.txt",
+        ("SIMMAN2020_container_KCS_MARIN_zigzag_port_20_FS.txt",),
+    ),
+    "blueboat": Set(
+        "blueboat", "blueboat", "blueboat/*.csv",
+        ("fixed_00000228.csv", "fixed_00000232.csv"),
+        ("fixed_00000218.csv", "fixed_00000223.csv", "fixed_00000226.csv", "fixed_00000230.csv"),
+    ),
+    "esso": Set(
+        "esso_osaka", "esso_osaka", "esso_osaka/recordings/*.csv",
+        ("zigzag_31-Jul-2020_13_42_53.csv", "turn_14-Oct-2020_14_56_07.csv"),
+        ("zigzag_31-Jul-2020_13_04_24.csv", "zigzag_31-Jul-2020_13_22_52.csv",
+         "zigzag_31-Jul-2020_14_03_39.csv", "turn_14-Sep-2020_13_51_45.csv"),
+    ),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Fit and predict the sets that are named."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sets", nargs="*", default=list(SETS), metavar="SET")
+    for name in parser.parse_args().sets:
+        study_set(name, SETS[name])
+
+
+def study_set(name: str, case: Set) -> None:
+    """Fit, predict, print and write one set."""
+    began = time.monotonic()
+
+    def tell(message: str) -> None:
+        print(f"[{time.monotonic() - began:5.0f} s] {name}: {message}", file=sys.stderr, flush=True)
+
+    runs = load(case)
+    train = [r for k, r in runs.items() if k not in case.held_out and k in (case.train or runs)]
+    test = [runs[k] for k in case.held_out]
+    file = read_vessel(case.vessel)
+    study = identify(file.vessel, train, case.settings, tell)
+    document = updated_document(file.document, study.values, [])
+    vessel = build(document)
+    record = {
+        "rows": study.rows,
+        "quality": study.quality(test),
+        "noise": noise(study),
+        "horizons": errors(test, file.vessel, vessel),
+        "numbers": [row for run in test for row in numbers(run, file.vessel, vessel)],
+        "identifiability": study.identifiability.as_dict(),
+        "circles": circles(case, file.vessel, vessel),
+    }
+    show(name, record)
+    out = ROOT / "out" / "real_fits"
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.toml").write_text(dump(document), encoding="utf-8")
+    text = json.dumps(record, indent=1, default=lambda value: np.asarray(value).tolist())
+    (out / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+
+
+def load(case: Set) -> dict[str, Trajectory]:
+    """Recordings by file name, as repaired after the audit."""
+    files = sorted(DATA.glob(case.pattern))
+    if not files:
+        sys.exit(f"no recordings match {case.pattern} under ../shared/data; nothing was done")
+    mapping = read_mapping(ROOT / "experiments" / case.mapping / _mapping(case))
+    return {file.name: read_recording(file, mapping) for file in files}
+
+
+def _mapping(case: Set) -> str:
+    repaired = ROOT / "experiments" / case.mapping / "mapping_repaired.toml"
+    return repaired.name if repaired.exists() else "mapping.toml"
+
+
+def errors(test: Sequence[Trajectory], before: Vessel, after: Vessel) -> list[dict]:
+    """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit."""
+    both = {"file": before, "fit": after}
+    runs = [Comparison(r, {k: predict(v, r) for k, v in both.items()}) for r in test]
+    return horizon_table(runs)
+
+
+def noise(study: Study) -> dict[str, float]:
+    """Standard deviations of the sensors, as estimated."""
+    channels = ("x", "y", "psi", "u", "v", "r")
+    return dict(zip(channels, np.exp(np.asarray(study.noise.sensor)).tolist(), strict=True))
+
+
+def numbers(run: Trajectory, before: Vessel, after: Vessel) -> list[dict]:
+    """Trial numbers of a run as measured, and of its open-loop predictions."""
+    length = float(after.rigid_body.length)
+    found = []
+    for one in (run, predict(before, run).run, predict(after, run).run):
+        try:
+            found.append(recording_metrics(one, length))
+        except UserError:
+            return []
+    measured, file, fit = found
+    return [
+        {"run": run.name, "number": k, "measured": measured[k], "file": file.get(k), "fit": fit[k]}
+        for k in NUMBERS
+        if all(isinstance(one.get(k), float) for one in (measured, fit))
+    ]
+
+
+def circles(case: Set, before: Vessel, after: Vessel) -> list[dict]:
+    """35 deg turning circles, which are not among the recordings, in ship lengths."""
+    rows = []
+    for side in (1.0, -1.0) if case.circles else ():
+        for label, vessel in (("file", before), ("fit", after)):
+            plan = standard.plan(
+                vessel, "turning-circle", angle=math.radians(35), side=side, speed=case.circles
+            )
+            values = standard.measured(vessel, plan)[1]
+            length = float(vessel.rigid_body.length)
+            rows.append({"side": side, "model": label} | {
+                k: float(values[k]) / length for k in ("advance", "tactical_diameter")
+            })  # fmt: skip
+    return rows
+
+
+def show(name: str, record: dict) -> None:
+    """The tables of one set."""
+    print(f"\n{name}: misfit over noise {record['quality']}")
+    for row in record["horizons"]:
+        told = []
+        for quantity, factor in (("position", 1), ("heading", 57.3), ("u", 1), ("r", 57.3)):
+            if quantity in row["fit"]:
+                pair = [f"{factor * row[m][quantity]:.2g}" for m in ("file", "fit")]
+                told.append(f"{quantity} {' -> '.join(pair)}")
+        print(f"  {row['seconds']:g} s ahead ({row['starts']} starts): {', '.join(told)}")
+    print("  noise: " + ", ".join(f"{k} {v:.2g}" for k, v in record["noise"].items()))
+    for row in record["numbers"]:
+        file = "-" if row["file"] is None else f"{row['file']:.4g}"
+        print(f"  {row['run']} {row['number']}: {row['measured']:.4g}, {file} -> {row['fit']:.4g}")
+    for row in record["circles"]:
+        print(f"  circle {row['side']:+.0f} {row['model']}: advance {row['advance']:.3f} L, "
+              f"tactical diameter {row['tactical_diameter']:.3f} L")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
