@@ -131,13 +131,6 @@ SHEET = """
 format = 1
 relative_std = 0.005
 [[trial]]
-manoeuvre = "turning-circle"
-angle = 20.0
-thrust = 200.0
-[trial.numbers]
-advance = {advance}
-tactical_diameter_over_L = {diameter}
-[[trial]]
 manoeuvre = "zigzag"
 angle = 20.0
 heading = 20.0
@@ -146,30 +139,26 @@ thrust = 200.0
 [trial.numbers]
 overshoot_1 = {{ value = {first}, unit = "deg", std = 0.05 }}
 overshoot_2 = {{ value = {second}, unit = "deg", std = 0.05 }}
+approach_speed = {speed}
 """
 
 
 def test_parameters_come_straight_from_trial_numbers(document, tmp_path):
-    turn = trials.circle(document, 200.0, math.radians(20), turns=1.0).metrics
-    zigzag = trials.zigzag(document, 200.0, side="port", executes=3).metrics
-    text = SHEET.format(
-        advance=turn["advance"],
-        diameter=turn["tactical_diameter"] / document["hull"]["length"],
-        first=math.degrees(zigzag["overshoot_1"]),
-        second=math.degrees(zigzag["overshoot_2"]),
-    )
+    found = trials.zigzag(document, 200.0, side="port", executes=3).metrics
+    first, second = (math.degrees(found[f"overshoot_{k}"]) for k in (1, 2))
     path = tmp_path / "trial.toml"
+    text = SHEET.format(first=first, second=second, speed=found["approach_speed"])
     path.write_text(text, encoding="utf-8")
-    hull = document["hull"] | {"N_r": -1200.0, "Y_v": -180.0}
+    hull = document["hull"] | {"N_rdot": -160.0, "X_u": -80.0}
     vessel = build(document | {"hull": hull})
     priors = default_priors(vessel)
-    objective = TrialNumbers(vessel, [priors["N_r"], priors["Y_v"]], read_sheet(path, vessel))
-    fitted = objective.fit(("N_r", "Y_v"))
+    objective = TrialNumbers(vessel, [priors["N_rdot"], priors["X_u"]], read_sheet(path, vessel))
+    fitted = objective.fit(("N_rdot", "X_u"))
     for row in physical_table(objective.parameters, fitted):
         assert abs(row["value"] - document["hull"][row["name"]]) < 3 * row["std"], row
-        assert row["determined"] > 0.95
+        assert row["determined"] > 0.9
     for row in objective.residuals(fitted.coordinates):
-        assert abs(row["fitted"] - row["given"]) < 2 * row["std"], row
+        assert abs(row["fitted"] - row["given"]) < row["std"], row
 
 
 @pytest.mark.parametrize(
@@ -180,13 +169,13 @@ def test_parameters_come_straight_from_trial_numbers(document, tmp_path):
         (("side", "sides"), "unknown key 'sides'"),
         (('"port"', '"left"'), "neither starboard nor port"),
         (("std = 0.05", "std = 0"), "above zero"),
-        (("[[trial]]", "[[trials]]"), "is no sheet"),
-        (("advance = 1.0", "advance = true"), "True is not a number"),
+        (("format = 1", "format = 2"), "is no sheet"),
+        (("approach_speed = 1.0", "approach_speed = true"), "True is not a number"),
     ],
 )
 def test_mistakes_in_a_sheet_are_told(document, tmp_path, change, told):
     path = tmp_path / "trial.toml"
-    text = SHEET.format(advance=1.0, diameter=1.0, first=1.0, second=1.0).replace(*change)
+    text = SHEET.format(first=1.0, second=1.0, speed=1.0).replace(*change)
     path.write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=told):
         read_sheet(path, build(document))

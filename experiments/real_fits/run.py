@@ -78,8 +78,13 @@ def main() -> None:
     """Fit and predict the sets that are named."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sets", nargs="*", default=list(SETS), metavar="SET")
-    for name in parser.parse_args().sets:
-        study_set(name, SETS[name])
+    parser.add_argument("--objective", choices=("innovation", "free-run"), nargs="+",
+                        default=["innovation", "free-run"])  # fmt: skip
+    args = parser.parse_args()
+    for name in args.sets:
+        for objective in args.objective:
+            settings = dataclasses.replace(SETS[name].settings, objective=objective)
+            study_set(f"{name}-{objective}", dataclasses.replace(SETS[name], settings=settings))
 
 
 def study_set(name: str, case: Set) -> None:

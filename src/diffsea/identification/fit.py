@@ -1,7 +1,7 @@
 """Fitting a vessel to recordings: estimates, standard errors, and how well they predict.
 
 One round tunes the filter at the current estimate, improves the parameters by
-Levenberg-Marquardt with the gains held fixed, and re-estimates the noise. A few rounds
+Gauss-Newton steps with the gains held fixed, and re-estimates the noise. A few rounds
 converge.
 """
 
@@ -16,7 +16,7 @@ from diffsea.identification import likelihood
 from diffsea.identification.colour import autocorrelation, long_run
 from diffsea.identification.estimates import Estimate, Progress, made, silent
 from diffsea.identification.gusts import Noise
-from diffsea.identification.least_squares import levenberg_marquardt, with_known_jacobian
+from diffsea.identification.least_squares import least_squares, with_known_jacobian
 from diffsea.identification.likelihood import Tuned, deviance
 from diffsea.identification.noise import Clock, Path, refine
 from diffsea.identification.problem import (
@@ -31,15 +31,15 @@ from diffsea.identification.problem import (
 
 
 ROUNDS = 8
-STEPS = 6  # of Levenberg-Marquardt in one round
+STEPS = 6  # of Gauss-Newton in one round
 NOISE_STEPS = 3  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
 
 def improved(inputs: Inputs, layout: Static, start: Array) -> Array:
-    """Free coordinates after Levenberg-Marquardt with the gains held fixed."""
+    """Free coordinates after Gauss-Newton steps with the gains held fixed."""
     residual = with_known_jacobian(with_jacobian)
-    return levenberg_marquardt(residual, start, (inputs, layout), STEPS)
+    return least_squares(residual, start, (inputs, layout), STEPS)
 
 
 _improve = eqx.filter_jit(improved)

@@ -25,7 +25,7 @@ from diffsea.priors import Parameter
 WINDOW = 20.0  # sqrt(L / g)
 SOFT = 3.0  # standard deviations beyond which a misfit counts less and less
 JOINTS = (1.0, 0.1, 0.01)  # how far windows may be apart, in standard deviations of sensors
-STEPS = 15  # of Levenberg-Marquardt for each of them
+STEPS = 40  # of Levenberg-Marquardt for each of them
 
 
 @dataclasses.dataclass(frozen=True)

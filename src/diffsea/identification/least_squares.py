@@ -9,7 +9,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 
-def levenberg_marquardt(
+def least_squares(
     residual: Callable[[Float[Array, "free"], Any], Float[Array, "value"]],
     start: Float[Array, "free"],
     args: Any,
@@ -18,12 +18,14 @@ def levenberg_marquardt(
 ) -> Float[Array, "free"]:
     """Minimise the sum of squares from `start`; it ends after `steps` at the latest.
 
+    Gauss-Newton steps inside a trust region that begins at one unit of the coordinates, about
+    a prior's width (Powell's dogleg). The damping of Levenberg and Marquardt, which begins at
+    one unit of the normal matrix, takes many rejected steps to matter beside precise data.
+
     Columns are scaled alike and regularised by priors, so that normal equations are accurate
     enough; a QR of the tall Jacobian in every step would cost more than everything else.
     """
-    solver = optx.LevenbergMarquardt(
-        rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky())
-    )
+    solver = optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
     return optx.least_squares(
         residual, solver, start, args, options={"jac": "fwd"}, max_steps=steps, throw=False
     ).value

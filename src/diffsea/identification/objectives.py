@@ -93,7 +93,7 @@ class Innovations:
     def explore(
         self, starts: Float[np.ndarray, "start coordinate"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Levenberg-Marquardt from all starts together, the noise as expected beforehand."""
+        """Gauss-Newton from all starts together, the noise as expected beforehand."""
         names = tuple(p.name for p in self.parameters)
         index, matrix = selection(self.problem.layout, names, self.problem.width)
         _, noise = self.problem.start()
@@ -139,7 +139,7 @@ def _gated(problem_base, layout: Static, tape, noise: Noise, coordinates: Array)
 
 @eqx.filter_jit
 def _explored(inputs: Inputs, layout: Static, noise: Noise, starts: Array) -> Array:
-    """One pass from every start: the filter tuned there, then Levenberg-Marquardt."""
+    """One pass from every start: the filter tuned there, then Gauss-Newton steps."""
 
     def one(start: Array) -> Array:
         tuned = likelihood.tune(inputs.base, layout.value, inputs.tape, noise, start)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.identification.estimates import Estimate, Progress, made, silent
-from diffsea.identification.least_squares import levenberg_marquardt, with_known_jacobian
+from diffsea.identification.least_squares import least_squares, with_known_jacobian
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import designed, replace
 from diffsea.priors import Parameter
@@ -19,7 +19,7 @@ from diffsea.simulation.standard import Plan
 from diffsea.vessel.base import Vessel
 
 
-STEPS = 10  # of Levenberg-Marquardt in one round
+STEPS = 30  # of Gauss-Newton in one round
 ROUNDS = 4
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
 
@@ -46,7 +46,7 @@ class TrialNumbers:
 
     def numbers(self, coordinates: Float[np.ndarray, "coordinate"]) -> list[dict[str, float]]:
         """The numbers of each trial at an estimate; NaN where the trial does not reach one."""
-        found = _evaluated(jnp.asarray(coordinates), self._given)[2]
+        found = _evaluated(jnp.asarray(coordinates, float), self._given)[2]
         return [
             dict(zip(names, map(float, row), strict=True))
             for names, row in zip(self._names, found, strict=True)
@@ -76,7 +76,7 @@ class TrialNumbers:
             progress(f"round {number + 1}: misfit {cost:.3f}")
             if last - cost < 1e-3:
                 break
-        J = np.asarray(_evaluated(jnp.asarray(coordinates), self._given)[1])[:, index]
+        J = np.asarray(_evaluated(jnp.asarray(coordinates, float), self._given)[1])[:, index]
         return made(free, coordinates, cost, index, self.spreads, J.T @ J, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
@@ -85,7 +85,7 @@ class TrialNumbers:
 
     def cost(self, coordinates: np.ndarray, fitted: Estimate | None = None) -> float:
         """-2 log posterior without its constant."""
-        white = np.asarray(_evaluated(jnp.asarray(coordinates), self._given)[0])
+        white = np.asarray(_evaluated(jnp.asarray(coordinates, float), self._given)[0])
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
     def explore(
@@ -160,7 +160,7 @@ _evaluated = eqx.filter_jit(_with_slopes)
 
 
 def _solved(start: Array, problem: tuple) -> Array:
-    """Levenberg-Marquardt on the coordinates that `chosen` marks; the others stay as held."""
+    """Gauss-Newton steps on the coordinates that `chosen` marks; the others stay as held."""
 
     def residual(at: Array, problem: tuple) -> tuple[Array, Array]:
         given, chosen, held = problem
@@ -174,7 +174,7 @@ def _solved(start: Array, problem: tuple) -> Array:
 
     given, chosen, held = problem
     begin = chosen * start
-    found = levenberg_marquardt(with_known_jacobian(residual), begin, problem, STEPS)
+    found = least_squares(with_known_jacobian(residual), begin, problem, STEPS)
     return held + chosen * found
 
 
