@@ -5,7 +5,7 @@ import pytest
 from tests.oracle import make_recordings
 from tests.oracle.simulator import load
 
-from diffsea.diagnosis.holdout import transferred
+from diffsea.identification.holdout import transferred
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import Accepted, _verdict, diagnose
 from diffsea.diagnosis.summary import summary, vessel_document

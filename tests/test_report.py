@@ -9,11 +9,11 @@ import pathlib
 import numpy as np
 import pytest
 
-from diffsea.diagnosis.holdout import Gain, Split
 from diffsea.diagnosis.locate import Cell
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.holdout import Gain, Split
 from diffsea.identification.identifiability import identifiability
 from diffsea.identification.objectives import Innovations
 from diffsea.identification.problem import Problem, make_problem
@@ -167,7 +167,9 @@ def study() -> Study:
     )  # fmt: skip
     told = identifiability(objective.parameters, fitted)
     agreement = Agreement(8, 7, 3.5)
-    return Study(objective, fitted, "anchored by <mass>", told, agreement, {}, None, {"x": 2})
+    return Study(
+        "usv", objective, fitted, "anchored by <mass>", told, agreement, {}, None, {"x": 2}
+    )
 
 
 def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estimate:
@@ -352,9 +354,9 @@ def test_fit_page(held_out):
     runs, test = recordings()
     quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})
     history = ["round 1: -2 log posterior -20.1", "round 2: <done>"]
-    page = fit_report(
-        study(), quality, history, usv(0.3), list(runs), list(test) * held_out, SOURCE
-    )
+    seen = list(test) if held_out else list(runs)
+    shown = seen, [usv(0.3)] * len(seen)
+    page = fit_report(study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE)
     reader = assert_sound(page)
     sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
     assert tuple(reader.ids) == sections

@@ -70,6 +70,7 @@ SETS = {
         ("zigzag_31-Jul-2020_13_42_53.csv", "turn_14-Oct-2020_14_56_07.csv"),
         ("zigzag_31-Jul-2020_13_04_24.csv", "zigzag_31-Jul-2020_13_22_52.csv",
          "zigzag_31-Jul-2020_14_03_39.csv", "turn_14-Sep-2020_13_51_45.csv"),
+        Settings(profiles=(), effects=("current", "wind"), per_recording=True),
     ),
 }  # fmt: skip
 
@@ -101,12 +102,18 @@ def study_set(name: str, case: Set) -> None:
     study = identify(file.vessel, train, case.settings, tell)
     document = updated_document(file.document, study.values, [])
     vessel = build(document)
+    judged, fitted = study.held_out(test)
     record = {
         "rows": study.rows,
+        "effects": study.effects,
         "quality": study.quality(test),
         "noise": noise(study),
-        "horizons": errors(test, file.vessel, vessel),
-        "numbers": [row for run in test for row in numbers(run, file.vessel, vessel)],
+        "horizons": errors(judged, file.vessel, fitted),
+        "numbers": [
+            row
+            for run, after in zip(judged, fitted, strict=True)
+            for row in numbers(run, file.vessel, after)
+        ],
         "identifiability": study.identifiability.as_dict(),
         "circles": circles(case, file.vessel, vessel),
     }
@@ -132,10 +139,12 @@ def _mapping(case: Set) -> str:
     return repaired.name if repaired.exists() else "mapping.toml"
 
 
-def errors(test: Sequence[Trajectory], before: Vessel, after: Vessel) -> list[dict]:
-    """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit."""
-    both = {"file": before, "fit": after}
-    runs = [Comparison(r, {k: predict(v, r) for k, v in both.items()}) for r in test]
+def errors(test: Sequence[Trajectory], before: Vessel, after: Sequence[Vessel]) -> list[dict]:
+    """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit to each run."""
+    runs = [
+        Comparison(run, {"file": predict(before, run), "fit": predict(fitted, run)})
+        for run, fitted in zip(test, after, strict=True)
+    ]
     return horizon_table(runs)
 
 

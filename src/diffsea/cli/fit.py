@@ -62,6 +62,14 @@ def register(commands: Any) -> None:
         help="parameters whose intervals come from the profile likelihood, `none` for none "
         "(default: those whose likelihood is asymmetric)",
     )  # fmt: skip
+    fit.add_argument(
+        "--effects", metavar="NAMES", type=names, default=(),
+        help="effects of the catalogue to estimate besides, for example current,wind",
+    )  # fmt: skip
+    fit.add_argument(
+        "--environment", choices=("shared", "per-recording"), default="shared",
+        help="whether wind and current are the same in all recordings (default: %(default)s)",
+    )  # fmt: skip
 
 
 def _fit(args: argparse.Namespace) -> None:
@@ -83,14 +91,15 @@ def _fit(args: argparse.Namespace) -> None:
             tell(message)
 
         study = identify(file.vessel, data, settings, follow)
-        document = updated_document(file.document, study.values, [])
+        document = updated_document(file.document, study.values, study.effect_tables)
         vessel = build(document)
         quality = study.quality(test)
         told = source(args, [*runs, *test])
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
         out.json("fit.json", _record(study, settings, quality, told))
         tell("predicting and writing the report")
-        page = fit_report(study, quality, history, vessel, runs, test, told)
+        shown = study.held_out(test) if test else (runs, [vessel] * len(runs))
+        page = fit_report(study, quality, history, shown, (runs, test), told)
         out.path("report.html").write_text(page, encoding="utf-8")
     out.present(args, _summary(study, quality))
 
@@ -122,7 +131,10 @@ def _settings(args: argparse.Namespace, vessel: "Vessel") -> "Settings":
     objective = args.objective or ("trial-numbers" if _from_sheet(args) else "innovation")
     priors = read_priors(args.priors, default_priors(vessel)) if args.priors else {}
     profiles = () if args.profile == ("none",) else args.profile
-    return Settings(objective, args.free, args.anchor, priors, args.starts, profiles)
+    return Settings(
+        objective, args.free, args.anchor, priors, args.starts, profiles,
+        effects=args.effects, per_recording=args.environment == "per-recording",
+    )  # fmt: skip
 
 
 def _record(study: "Study", settings: "Settings", quality: dict, told: dict) -> dict:
@@ -130,6 +142,7 @@ def _record(study: "Study", settings: "Settings", quality: dict, told: dict) -> 
         "format": 1,
         "objective": settings.objective,
         "parameters": {row["name"]: _without_name(row) for row in study.rows},
+        "effects": study.effects,
         "anchor": study.anchor,
         "fit": quality,
         "deviance": study.estimate.deviance,
@@ -183,6 +196,7 @@ def _summary(study: "Study", quality: dict) -> str:
     )  # fmt: skip
     told = ", ".join(f"{name} {value:.2f}" for name, value in quality.items())
     parts = [table(lines, header), "", f"normalised misfit (1 = noise level): {told}"]
+    parts += _effect_lines(study)
     parts.append(study.anchor)
     if study.agreement is not None:
         parts.append(study.agreement.sentence)
@@ -193,6 +207,12 @@ def _summary(study: "Study", quality: dict) -> str:
     if study.next is not None:
         parts.append(f"next: {study.next.sentence}")
     return "\n".join(parts)
+
+
+def _effect_lines(study: "Study") -> list[str]:
+    from diffsea.report.text import effect_lines
+
+    return [line for name, copies in study.effects.items() for line in effect_lines(name, copies)]
 
 
 def _interval(row: dict) -> str:

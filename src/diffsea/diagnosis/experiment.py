@@ -10,7 +10,6 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import catalogue_name
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted, columns_at
 from diffsea.identification.design import (
@@ -22,6 +21,7 @@ from diffsea.identification.design import (
     imagined,
 )
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.found_effects import catalogue_name
 from diffsea.identification.problem import make_problem
 from diffsea.identification.tape import natural_time
 

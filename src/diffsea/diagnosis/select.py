@@ -13,12 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.diagnosis.candidates import candidates, catalogue_name
-from diffsea.diagnosis.holdout import Gain, Split, exchanged_gain, gain, split
+from diffsea.diagnosis.candidates import candidates
 from diffsea.diagnosis.locate import Cell, locate, regimes, time_windows
 from diffsea.diagnosis.score import Projection, Score
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
+from diffsea.identification.found_effects import catalogue_name
+from diffsea.identification.holdout import Gain, Split, exchanged_gain, gain, split
 from diffsea.identification.problem import Problem, free_by_default, jacobian, make_problem, traced
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import catalogue_name, effect_table, reported
-from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis
 from diffsea.identification.estimates import Estimate, physical_table
+from diffsea.identification.found_effects import catalogue_name, effect_table, reported
+from diffsea.identification.holdout import transferred
 from diffsea.identification.problem import Problem
 from diffsea.vessel.catalogue import Table, updated_document
 

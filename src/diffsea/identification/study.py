@@ -3,15 +3,20 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from diffsea.errors import UserError
+from diffsea.errors import UserError, nearest
 from diffsea.identification.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
 from diffsea.identification.fit import normalised_rms
+from diffsea.identification.found_effects import effect_table, reported
 from diffsea.identification.free_run import FreeRun
 from diffsea.identification.gusts import Noise
+from diffsea.identification.holdout import HEAD_SHARE, Split, cut_all, transferred
 from diffsea.identification.identifiability import Identifiability, identifiability
+from diffsea.identification.layout import equipped
 from diffsea.identification.objectives import Innovations, Objective
 from diffsea.identification.problem import (
     Problem,
@@ -27,6 +32,7 @@ from diffsea.parameters import check_names
 from diffsea.priors import Parameter
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS, AbstractEffect
 
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
@@ -49,6 +55,8 @@ class Settings:
     priors: Mapping[str, Parameter | None] = dataclasses.field(default_factory=dict)
     starts: int = 1
     profiles: tuple[str, ...] | None = None  # None: the asymmetric ones
+    effects: tuple[str, ...] = ()  # of the catalogue, estimated besides
+    per_recording: bool = False  # whether wind and current are each recording's own
     seed: int = 0
 
 
@@ -56,6 +64,7 @@ class Settings:
 class Study:
     """Everything found."""
 
+    vessel_name: str
     objective: Objective
     estimate: Estimate
     anchor: str  # a sentence
@@ -82,6 +91,19 @@ class Study:
         return {row["name"]: row["value"] for row in self.rows}
 
     @property
+    def effects(self) -> dict[str, list[dict]]:
+        """Parameters of each effect with standard errors, one dictionary for each copy."""
+        problem = self.problem
+        named = () if problem is None else problem.layout.effects
+        return {e.name: reported(problem, self.estimate, e.name) for e in named}
+
+    @property
+    def effect_tables(self) -> list[dict]:
+        """Tables for the vessel file of the effects that all recordings share."""
+        shared = {name: copies[0] for name, copies in self.effects.items() if len(copies) == 1}
+        return [effect_table(name, parameters) for name, parameters in shared.items()]
+
+    @property
     def problem(self) -> Problem | None:
         """The recordings' problem; None for trial numbers."""
         return getattr(self.objective, "problem", None)
@@ -96,10 +118,42 @@ class Study:
         noise = self.noise
         found = {"train": normalised_rms(problem, self.estimate.coordinates, noise)}
         if test:
-            priors = {p.name: p for p in problem.layout.parameters}
-            held = make_problem(problem.base, list(test), tuple(priors), priors=priors)
-            found["test"] = normalised_rms(held, self.estimate.coordinates, noise)
+            data = self.split(test)
+            coordinates = transferred(data, dataclasses.replace(self.estimate, noise=noise))
+            found["test"] = normalised_rms(data.test, coordinates, noise)
         return found
+
+    def split(self, test: Sequence[Trajectory]) -> Split:
+        """What was fitted and runs held out, as problems of one kind."""
+        problem = self.problem
+        layout = problem.layout
+        own = layout.per_run and any(e.group == "environment" for e in layout.effects)
+        priors = {p.name: p for p in layout.parameters}
+        room = problem.seeds - len(priors)
+
+        def problem_of(runs: list[Trajectory]) -> Problem:
+            return make_problem(
+                problem.base, runs, tuple(priors), layout.effects, layout.per_run, room, priors
+            )
+
+        heads, tails = cut_all(list(test), HEAD_SHARE) if own else ([], list(test))
+        head = problem_of(heads) if own else None
+        return Split(problem, problem_of(tails), head, (), tuple(tails), False)
+
+    def held_out(self, test: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Vessel]]:
+        """Runs to judge predictions by, and the fitted vessel in the environment of each.
+
+        Where each recording has its own, it is estimated on the first part of a run held out,
+        and the rest is judged.
+        """
+        data = self.split(test)
+        fitted = dataclasses.replace(self.estimate, noise=self.noise)
+        vessel, flow = equipped(
+            data.test.base, data.test.layout, jnp.asarray(transferred(data, fitted))
+        )
+        flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
+        vessel = jax.tree.map(float, vessel)
+        return list(data.held_out), [dataclasses.replace(vessel, environment=f) for f in flows]
 
     @property
     def noise(self) -> Noise:
@@ -121,8 +175,9 @@ def identify(
     """
     parameters = chosen(vessel, settings)
     names = tuple(p.name for p in parameters)
-    objective = _objective(vessel, parameters, data, settings.objective)
+    objective = _objective(vessel, parameters, data, settings)
     agreement = None
+    names += settings.effects
     if settings.starts > 1:
         fitted, agreement = multistart(objective, names, settings.starts, settings.seed, progress)
     else:
@@ -137,6 +192,7 @@ def identify(
         wanted = asymmetric(objective, fitted)
     profiles = {name: profile(objective, fitted, name, progress) for name in wanted}
     return Study(
+        vessel.name,
         objective,
         fitted,
         anchored(vessel, names),
@@ -188,8 +244,9 @@ def _objective(
     vessel: Vessel,
     parameters: tuple[Parameter, ...],
     data: Sequence[Trajectory] | Sequence[Sheet],
-    name: str,
+    settings: Settings,
 ) -> Objective:
+    name = settings.objective
     if name not in OBJECTIVES:
         raise UserError(f"there is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}")
     sheets = [one for one in data if isinstance(one, Sheet)]
@@ -199,10 +256,26 @@ def _objective(
             "one kind, and the objective that goes with it"
         )
     if name == "trial-numbers":
+        if settings.effects:
+            raise UserError("effects are estimated from recordings, not from trial numbers")
         return TrialNumbers(vessel, parameters, sheets)
     priors = {p.name: p for p in parameters}
-    problem = make_problem(vessel, list(data), tuple(priors), priors=priors)
+    effects = tuple(_effect(vessel, name) for name in settings.effects)
+    room = sum(len(effect.sizes(vessel)) for effect in effects)
+    problem = make_problem(
+        vessel, list(data), tuple(priors), effects, settings.per_recording, room, priors
+    )
     return Innovations(problem) if name == "innovation" else FreeRun(problem)
+
+
+def _effect(vessel: Vessel, name: str) -> AbstractEffect:
+    if name not in EFFECTS:
+        raise UserError(
+            f"there is no effect {name!r}{nearest(name, EFFECTS)}; choose of {', '.join(EFFECTS)}"
+        )
+    if not EFFECTS[name].possible(vessel):
+        raise UserError(f"{vessel.name!r} cannot have {name} estimated: it has it, or lacks parts")
+    return EFFECTS[name]
 
 
 def _next(objective: Objective, fitted: Estimate, progress: Progress) -> NextManoeuvre | None:

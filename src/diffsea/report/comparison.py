@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from diffsea.diagnosis.holdout import transferred
 from diffsea.diagnosis.select import Diagnosis
+from diffsea.identification.holdout import transferred
 from diffsea.identification.layout import equipped
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.types import Trajectory

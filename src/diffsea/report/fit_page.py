@@ -22,7 +22,7 @@ from diffsea.report.page import (
 from diffsea.report.predictions import predictions
 from diffsea.report.quantities import rounded, significant, with_error
 from diffsea.report.records import parameter_table, provenance
-from diffsea.report.text import capital, error_line, headline_horizon, listed
+from diffsea.report.text import capital, effect_lines, error_line, headline_horizon, listed
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -34,9 +34,8 @@ def fit_report(
     study: Study,
     quality: dict[str, float],
     history: Sequence[str],
-    vessel: Vessel,
-    recordings: Sequence[Trajectory],
-    test: Sequence[Trajectory],
+    shown: tuple[Sequence[Trajectory], Sequence[Vessel]],
+    data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
     source: dict,
 ) -> str:
     """The page.
@@ -44,17 +43,17 @@ def fit_report(
     Arguments:
         quality: normalised misfit of what was fitted and of what was held out.
         history: how the fit converged, one line per step.
-        vessel: with the fitted parameters.
-        recordings: what was fitted; none for a sheet of trial numbers.
-        test: what was held out; predictions are judged on it where there is any.
+        shown: runs to predict, and the fitted vessel in the environment of each.
+        data: recordings that were fitted, none for a sheet of trial numbers, and held out.
         source: what was run on what; shown as it is.
     """
-    shown = test or recordings
-    runs = [Comparison(run, {_MODEL: predict(vessel, run)}) for run in shown]
+    recordings, test = data
+    runs = [Comparison(r, {_MODEL: predict(v, r)}) for r, v in zip(*shown, strict=True)]
     sections = [
         _summary(study, quality, runs, bool(test)),
         section("parameters", "Parameters of the vessel", parameter_table(study.rows),
                 paragraph(verbatim(capital(study.anchor) + "."), "note")),
+        _effects(study),
         _open_questions(study),
         _trial_numbers(study),
         _predictions(runs, bool(test)),
@@ -64,7 +63,7 @@ def fit_report(
     subtitle = f"{_count(recordings)} fitted, {_count(test)} held out"
     if not recordings:
         subtitle = "trial numbers fitted"
-    return page(f"Fit of {vessel.name}", subtitle, [part for part in sections if part])
+    return page(f"Fit of {study.vessel_name}", subtitle, [part for part in sections if part])
 
 
 def _count(runs: Sequence[Trajectory]) -> str:
@@ -91,6 +90,13 @@ def _summary(
         told += f" and {significant(quality['test'], 3)} times in what was held out"
     body = joined([paragraph(verbatim(lead), "lead"), paragraph(errors), paragraph(told + ".")])
     return Html(f'<section id="summary" class="verdict fit">\n{body}\n</section>')
+
+
+def _effects(study: Study) -> Html:
+    lines = [line for name, copies in study.effects.items() for line in effect_lines(name, copies)]
+    if not lines:
+        return Html("")
+    return section("effects", "Effects estimated besides", bullets(map(verbatim, lines)))
 
 
 def _open_questions(study: Study) -> Html:

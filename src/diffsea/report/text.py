@@ -293,6 +293,16 @@ def parameter_lines(effect: Record) -> list[str]:
     return lines
 
 
+def effect_lines(name: str, copies: Sequence[Record]) -> list[str]:
+    """A fitted effect in a line, or in one line for each recording."""
+    lines = []
+    for number, parameters in enumerate(copies, start=1):
+        told = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
+        where = f", recording {number}" if len(copies) > 1 else ""
+        lines.append(f"{title(name)}{where}: {told}")
+    return lines
+
+
 def direction_note(effect: Record, parameter: str) -> str:
     """Whether a direction is where something flows to or comes from."""
     notes = {"current": " (flows to)", "wind": " (comes from)"}

@@ -67,16 +67,17 @@ def split(
     environment of its own.
     """
     if not test:
-        heads, tails = _cut_all(recordings, TRAIN_SHARE)
+        heads, tails = cut_all(recordings, TRAIN_SHARE)
         return Split(problem_of(heads), problem_of(tails), None, tuple(heads), tuple(tails), True)
     train, head = problem_of(recordings), None
     if per_run:
-        heads, test = _cut_all(test, HEAD_SHARE)
+        heads, test = cut_all(test, HEAD_SHARE)
         head = problem_of(heads)
     return Split(train, problem_of(test), head, tuple(recordings), tuple(test), False)
 
 
-def _cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
+def cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
+    """Every recording in two at a share of its duration."""
     heads, tails = zip(*(_parts(recording, share) for recording in recordings), strict=True)
     return list(heads), list(tails)
 
