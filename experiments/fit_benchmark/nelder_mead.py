@@ -1,0 +1,118 @@
+"""Nelder and Mead's simplex: on the common cost, and in the stages published for such a craft.
+
+J. Yoon and R. Kim, Identifying Kinetic Model Parameters and Implementing 3-DOF Control for a
+Dual-Thruster USV (sections 2.3 and 2.4): drag X_u from steady straight runs, N_r from turning on
+the spot, Y_v from steady turns, masses from main dimensions, then X_u and N_r once more from
+accelerations at more than 70 % of the highest speed. README.md says what the paper leaves open.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import plain
+from data import NAMES, Data
+from outcome import Outcome
+from scipy.optimize import minimize
+from with_scipy import compiled_residual
+
+
+WATER = 1025.0  # kg/m^3
+SETTLED = 6.0  # s after a change of thrust; the craft's own times are below 2 s
+STRAIGHT, TURNING, ON_THE_SPOT = 0.03, 0.1, 0.4  # rad/s, rad/s, m/s
+
+
+def output_error(data: Data) -> Outcome:
+    """The common cost over the eight derivatives, what was measured first taken for known.
+
+    Over all 44 unknowns the simplex, adapted to their number or not, is still on its way after
+    forty thousand runs.
+    """
+    residual, z, count = compiled_residual(data), plain.begin(data), [0]
+
+    def cost(ratios: np.ndarray) -> float:
+        count[0] += 1
+        r = residual(np.concatenate([ratios, z[len(NAMES) :]]))
+        total = float(r @ r)
+        return total if np.isfinite(total) else 1e300
+
+    options = {"maxfev": 8000, "maxiter": 8000, "xatol": 1e-6, "fatol": 0.01}
+    found = minimize(cost, z[: len(NAMES)], method="Nelder-Mead", options=options).x
+    return Outcome(data.start * found, None, count[0], 0)
+
+
+def published(data: Data) -> Outcome:
+    """Linear drag and masses from main dimensions, as in the paper."""
+    return _stages(data, _masses(data), quadratic=False)
+
+
+def own_terms(data: Data) -> Outcome:
+    """The same stages with this craft's quadratic drag and its file's masses."""
+    mass, I_z = data.hull["mass"], data.hull["I_z"]
+    added = dict(zip(NAMES, data.start, strict=True))
+    masses = mass - added["X_udot"], mass - added["Y_vdot"], I_z - added["N_rdot"]
+    return _stages(data, masses, quadratic=True)
+
+
+def _masses(data: Data) -> tuple[float, float, float]:
+    """m11, m22, m33 after the paper's equations 13 to 15."""
+    m, L, W, D = (data.hull[k] for k in ("mass", "length", "beam", "draught"))
+    B = data.arms[1] - data.arms[0]
+    water = WATER * np.pi * D**2
+    m33 = (m * (L**2 + W**2) + 0.5 * (0.1 * m * B**2 + water * L**3)) / 12
+    return 1.05 * m, m + 0.5 * water * L, m33
+
+
+def _stages(data: Data, masses: tuple[float, float, float], quadratic: bool) -> Outcome:
+    m11, m22, m33 = masses
+    force, moment = (push.T for push in plain.pushes(data))
+    u, v, r = (data.measured[..., k] for k in (3, 4, 5))
+    du, dv, dr = (np.gradient(w, data.dt, axis=1) for w in (u, v, r))
+    straight, spot, turn, trials = _parts(data)
+    start, count = dict(zip(NAMES, data.start, strict=True)), [0]
+
+    def drag(w: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return values[0] * w + (values[1] * np.abs(w) * w if quadratic else 0.0)
+
+    def least(error: Callable, begin: list[float], use: np.ndarray) -> np.ndarray:
+        def cost(values: np.ndarray) -> float:
+            count[0] += 1
+            return float(np.mean(error(values)[use] ** 2))
+
+        return minimize(cost, begin, method="Nelder-Mead").x
+
+    terms = 2 if quadratic else 1
+    X = least(lambda d: force + drag(u, d), [start["X_u"], start["X_uu"]][:terms], straight)
+    N = least(lambda d: moment + drag(r, d), [start["N_r"], start["N_rr"]][:terms], spot)
+    (Y,) = least(lambda d: m22 * dv + m11 * u * r - d[0] * v, [start["Y_v"]], turn)
+    fast = trials & (np.abs(u) > 0.7 * np.abs(u[trials]).max())
+    X = least(lambda d: (force + m22 * v * r + drag(u, d)) / m11 - du, list(X), fast)
+    quick = trials & (np.abs(r) > 0.7 * np.abs(r[trials]).max())
+    N = least(lambda d: (moment + (m11 - m22) * u * v + drag(r, d)) / m33 - dr, list(N), quick)
+    X_uu, N_rr = (float(d[1]) if quadratic else 0.0 for d in (X, N))
+    mass, I_z = data.hull["mass"], data.hull["I_z"]
+    found = [mass - m11, mass - m22, I_z - m33, X[0], X_uu, Y, N[0], N_rr]
+    return Outcome(np.array(found), None, count[0], 0)
+
+
+def _parts(data: Data) -> tuple[np.ndarray, ...]:
+    """Rows (run, row) of steady straight runs, of turns on the spot, of turns, and of trials.
+
+    Trials are the runs that have any of these. Steady means thrust held for `SETTLED` s.
+    """
+    changed = np.any(np.diff(data.thrust, axis=1, prepend=data.thrust[:, :1]) != 0, -1)
+    rows = np.arange(len(data.t))
+    last = np.maximum.accumulate(np.where(changed, rows, -len(rows)), axis=1)
+    steady = (rows - last) * data.dt > SETTLED
+    u, r = np.abs(data.measured[..., 3]), np.abs(_smooth(data.measured[..., 5]))
+    port, starboard = data.thrust[..., 0], data.thrust[..., 1]
+    ahead = (port > 0) & (starboard > 0)
+    straight = steady & ahead & (r < STRAIGHT)
+    spot = steady & (port * starboard < 0) & (u < ON_THE_SPOT)
+    turn = steady & ahead & (r > TURNING)
+    trials = np.repeat((straight | spot | turn).any(1)[:, None], len(rows), axis=1)
+    return straight, spot, turn, trials
+
+
+def _smooth(values: np.ndarray, width: int = 5) -> np.ndarray:
+    kernel = np.ones(width) / width
+    return np.apply_along_axis(lambda row: np.convolve(row, kernel, "same"), 1, values)

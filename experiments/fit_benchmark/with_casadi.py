@@ -1,0 +1,97 @@
+"""CasADi multiple shooting, solved by IPOPT with the Gauss-Newton Hessian.
+
+Unknowns are the derivatives and the states at the beginning of every window of 4 s; windows of
+0.2 s (every row) and of 12 s, and the exact Hessian, took longer. Windows meet exactly.
+"""
+
+import casadi as ca
+import numpy as np
+import plain
+from data import NAMES, SIGMA, Data
+from outcome import Outcome
+
+
+WINDOW = 20  # rows; they divide the run
+
+
+def multiple_shooting(data: Data) -> Outcome:
+    """Build and solve, CasADi's own virtual machine evaluating."""
+    solver, windows = _built(data)
+    start = np.zeros(solver.sparsity_in("x0").numel())
+    start[: len(NAMES)] = 1.0
+    found = np.array(solver(x0=start, lbg=0, ubg=0)["x"]).ravel()
+    nodes = found[len(NAMES) :].reshape(len(data.measured), windows + 1, 6)
+    stats = solver.stats()
+    if not stats["success"]:
+        raise RuntimeError(stats["return_status"])
+    return Outcome(
+        data.start * found[: len(NAMES)], data.measured[:, 0] + SIGMA * nodes[:, 0],
+        stats["n_call_nlp_f"], stats["n_call_nlp_hess_l"],
+    )  # fmt: skip
+
+
+def _step(data: Data) -> ca.Function:
+    """One Runge-Kutta step: state, (force, moment) and derivatives to the next state."""
+    x, push, p = ca.SX.sym("x", 6), ca.SX.sym("push", 2), ca.SX.sym("p", len(NAMES))
+    mass, I_z = data.hull["mass"], data.hull["I_z"]
+    m11, m22, m33 = mass - p[0], mass - p[1], I_z - p[2]
+    _, _, psi, u, v, r = ca.vertsplit(x)
+    rate = ca.vertcat(
+        u * ca.cos(psi) - v * ca.sin(psi),
+        u * ca.sin(psi) + v * ca.cos(psi),
+        r,
+        (push[0] + m22 * v * r + (p[3] + p[4] * ca.fabs(u)) * u) / m11,
+        (p[5] * v - m11 * u * r) / m22,
+        (push[1] + (m11 - m22) * u * v + (p[6] + p[7] * ca.fabs(r)) * r) / m33,
+    )
+    f, h = ca.Function("rate", [x, push, p], [rate]), data.dt
+    a = f(x, push, p)
+    b = f(x + h / 2 * a, push, p)
+    c = f(x + h / 2 * b, push, p)
+    d = f(x + h * c, push, p)
+    return ca.Function("step", [x, push, p], [x + h / 6 * (a + 2 * (b + c) + d)])
+
+
+def _built(data: Data) -> tuple[ca.Function, int]:
+    """The solver, and how many windows a run has; a run's last node is its last row."""
+    runs, rows = len(data.measured), len(data.t) - 1
+    windows = rows // WINDOW
+    assert windows * WINDOW == rows
+    ratio = ca.MX.sym("ratio", len(NAMES))
+    off = ca.MX.sym("off", 6, runs * (windows + 1))  # standard deviations from the measured row
+    nodes = ca.DM(data.measured[:, ::WINDOW].reshape(-1, 6).T) + _scaled(off, multiply=True)
+    begin = [k for k in range(runs * (windows + 1)) if (k + 1) % (windows + 1)]
+    meet = [k + 1 for k in begin]
+    force, moment = plain.pushes(data)
+    push = np.stack([force.T[:, :-1].ravel(), moment.T[:, :-1].ravel()])
+    window = _step(data).mapaccum("window", WINDOW).map(len(begin))
+    states = window(nodes[:, begin], ca.DM(push), ca.repmat(data.start * ratio, 1, runs * rows))
+    gaps = _scaled(states[:, WINDOW - 1 :: WINDOW] - nodes[:, meet])
+    misfit = _scaled(states - ca.DM(data.measured[:, 1:].reshape(-1, 6).T))
+    first = off[:, list(range(0, runs * (windows + 1), windows + 1))]
+    misfit = ca.vertcat(ca.vec(misfit), ca.vec(first))
+    return _solver(ca.vertcat(ratio, ca.vec(off)), misfit, ca.vec(gaps)), windows
+
+
+def _scaled(columns: ca.MX, multiply: bool = False) -> ca.MX:
+    sigma = ca.repmat(ca.DM(SIGMA), 1, columns.shape[1])
+    return columns * sigma if multiply else columns / sigma
+
+
+def _solver(unknowns: ca.MX, misfit: ca.MX, gaps: ca.MX) -> ca.Function:
+    J = ca.jacobian(misfit, unknowns)
+    weight, multipliers = ca.MX.sym("weight"), ca.MX.sym("multipliers", gaps.shape)
+    hessian = ca.Function(
+        "nlp_hess_l",
+        {
+            "x": unknowns,
+            "lam_f": weight,
+            "lam_g": multipliers,
+            "hess_gamma_x_x": weight * ca.triu(J.T @ J),
+        },
+        ["x", "p", "lam_f", "lam_g"],
+        ["hess_gamma_x_x"],
+    )
+    problem = {"x": unknowns, "f": 0.5 * ca.dot(misfit, misfit), "g": gaps}
+    quiet = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False}
+    return ca.nlpsol("fit", "ipopt", problem, {"hess_lag": hessian, **quiet})
