@@ -5,10 +5,10 @@ import pytest
 from tests.oracle import make_recordings
 from tests.oracle.simulator import load
 
-from diffsea.identification.holdout import transferred
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.select import Accepted, _verdict, diagnose
 from diffsea.diagnosis.summary import summary, vessel_document
+from diffsea.identification.holdout import transferred
 from diffsea.recordings import read_recording
 from diffsea.vessel.catalogue import build
 

@@ -20,11 +20,11 @@ ROOT = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(ROOT)]
 
 from faults import GRADED, LABELS, Fault
-
-from diffsea.recordings import audit, read_recording
 from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
 from tests.oracle.simulator import load
+
+from diffsea.recordings import audit, read_recording
 
 
 DATA = ROOT.parent / "shared" / "data"

@@ -157,13 +157,12 @@ def noise(study: Study) -> dict[str, float]:
 def numbers(run: Trajectory, before: Vessel, after: Vessel) -> list[dict]:
     """Trial numbers of a run as measured, and of its open-loop predictions."""
     length = float(after.rigid_body.length)
-    found = []
-    for one in (run, predict(before, run).run, predict(after, run).run):
-        try:
-            found.append(recording_metrics(one, length))
-        except UserError:
-            return []
-    measured, file, fit = found
+    try:
+        measured = recording_metrics(run, length)
+        kind = measured["manoeuvre"]
+        file, fit = (recording_metrics(predict(v, run).run, length, kind) for v in (before, after))
+    except UserError:
+        return []
     return [
         {"run": run.name, "number": k, "measured": measured[k], "file": file.get(k), "fit": fit[k]}
         for k in NUMBERS

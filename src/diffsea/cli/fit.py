@@ -170,7 +170,7 @@ def _noise(study: "Study") -> dict:
     scales = {field.name: np.exp(getattr(study.noise, field.name)) for field in
               dataclasses.fields(study.noise)}  # fmt: skip
     channels = ("x", "y", "psi", "u", "v", "r")
-    measured = _by_name(channels, np.asarray(study.problem.tape.known).any(0))
+    measured = _by_name(channels, np.asarray(study.recorded.tape.known).any(0))
     return {
         "gust": _by_name(channels[3:], scales["gust"]),
         "lasting_gust": _by_name(channels[3:], scales["slow"]),

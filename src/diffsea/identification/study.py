@@ -108,6 +108,14 @@ class Study:
         """The recordings' problem; None for trial numbers."""
         return getattr(self.objective, "problem", None)
 
+    @property
+    def recorded(self) -> Problem:
+        """The recordings' problem. Raises `UserError` where trial numbers were fitted."""
+        problem = self.problem
+        if problem is None:
+            raise UserError("a fit to trial numbers has no recordings to judge")
+        return problem
+
     def quality(self, test: Sequence[Trajectory] = ()) -> dict[str, float]:
         """Root-mean-square normalised misfit of what was fitted, and of runs held out."""
         problem = self.problem
@@ -125,7 +133,7 @@ class Study:
 
     def split(self, test: Sequence[Trajectory]) -> Split:
         """What was fitted and runs held out, as problems of one kind."""
-        problem = self.problem
+        problem = self.recorded
         layout = problem.layout
         own = layout.per_run and any(e.group == "environment" for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
@@ -159,7 +167,7 @@ class Study:
     def noise(self) -> Noise:
         """Noise of the filter, as expected beforehand where the objective has none."""
         noise = self.estimate.noise
-        return noise if isinstance(noise, Noise) else self.problem.start()[1]
+        return noise if isinstance(noise, Noise) else self.recorded.start()[1]
 
 
 def identify(
