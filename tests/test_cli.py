@@ -12,8 +12,9 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT, SWELL
 
-from diffsea.cli import main, options, recordings, trial
+from diffsea.cli import fit, main, options, recordings, trial
 from diffsea.errors import UserError
+from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metrics import MANOEUVRES
 from diffsea.simulation.standard import STANDARDS
 
@@ -86,6 +87,7 @@ def test_version(capsys):
 def test_names_written_out_for_the_help_are_the_librarys():
     assert trial.MANOEUVRES == tuple(STANDARDS)
     assert recordings.MANOEUVRES == MANOEUVRES
+    assert (fit.OBJECTIVES, fit.ANCHORS) == (OBJECTIVES, ANCHORS)
 
 
 def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
@@ -299,3 +301,26 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
 def test_a_table_has_numbers_to_the_right():
     text = options.table([("mass", "12.5", "kg"), ("x", "-3", "m")], ("name", "value", ""))
     assert text.splitlines() == ["name  value", "mass   12.5  kg", "x        -3  m"]
+
+
+def test_fit_writes_a_vessel_a_report_and_what_the_data_leave_open(boat, zigzag, tmp_path, capsys):
+    priors = tmp_path / "priors.toml"
+    priors.write_text("[N_r]\nstd = 5.0\n[X_u]\nlower = -90.0\nupper = -60.0\n")
+    out = tmp_path / "fit"
+    recording = zigzag[0] / "recording.csv"
+    status = run(
+        "fit", boat, recording, "--free", "N_r,X_u", "--priors", priors, "--profile", "none",
+        "--json", "-o", out,
+    )  # fmt: skip
+    printed = capsys.readouterr()
+    assert status == 0
+    record = json.loads(printed.out)
+    assert record == json.loads((out / "fit.json").read_text())
+    assert set(record["parameters"]) == {"N_r", "X_u"}
+    row = record["parameters"]["X_u"]
+    assert -90.0 < row["interval"][0] < row["value"] < row["interval"][1] < -60.0
+    assert row["unit"] == "N / (m/s)" and row["meaning"] == "linear damping in surge"
+    assert record["path"][-1] <= record["path"][0] and record["objective"] == "innovation"
+    assert "anchored by mass" in record["anchor"]
+    assert "round 1: -2 log posterior" in printed.err
+    assert (out / "vessel.toml").exists() and "Fit of" in (out / "report.html").read_text()

@@ -23,10 +23,11 @@ COMMANDS = {
     "predict": lambda vessel, recording: [vessel, recording],
     "fit": lambda vessel, recording: [vessel, recording],
     "diagnose": lambda vessel, recording: [vessel, recording],
+    "segment": lambda vessel, recording: [recording],
 }
 OF_TRIALS = ("trial", "sensitivity", "sweep")
 OF_VESSELS = ("trial", "sensitivity", "sweep", "predict", "fit", "diagnose")
-OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose")
+OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "segment")
 OF_ORDERS = ("predict", "fit", "diagnose")
 
 
@@ -287,3 +288,18 @@ def test_too_many_designs_are_refused(words, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["sweep", "wamv", *TRIAL, *words, "-o", str(out)]) == 1
     assert "designs are too many" in capsys.readouterr().err and not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--objective", "freerun"], "no objective 'freerun'"),
+        (["--priors", "none.toml"], "cannot read priors"),
+        (["--objective", "trial-numbers"], "fitted to sheets"),
+        (["--effects", "wnd"], "no effect 'wnd'; did you mean 'wind'"),
+        (["--free", "X_u", "--profile", "N_r"], "N_r cannot be profiled"),
+    ],
+)
+def test_mistakes_in_the_options_of_a_fit_are_told(ends, options, told):
+    status, message = ends("fit", None, None, *options)
+    assert status in (1, 2) and told in message

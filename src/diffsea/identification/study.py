@@ -224,6 +224,9 @@ def chosen(vessel: Vessel, settings: Settings) -> tuple[Parameter, ...]:
     check_names(vessel, names)
     free = tuple(known[name] for name in dict.fromkeys(names))
     left = tuple(p for p in free if p is not None)
+    unfree = [name for name in settings.profiles or () if name not in [p.name for p in left]]
+    if unfree:
+        raise UserError(f"{', '.join(unfree)} cannot be profiled: only what is fitted can")
     if not left:
         raise UserError("nothing is free to be estimated; name parameters with --free")
     return left
