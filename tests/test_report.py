@@ -19,9 +19,9 @@ from diffsea.identification.objectives import Innovations
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.starts import Agreement
 from diffsea.identification.study import Study
-from diffsea.report.comparison import compare, with_held_out_errors
+from diffsea.report.comparison import Comparison, compare, predict, with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report
-from diffsea.report.fit_page import fit_report
+from diffsea.report.fit_page import fit_report, worse
 from diffsea.report.page import markup
 from diffsea.report.quantities import probability, rounded, significant, typeset, with_error
 from diffsea.report.text import phrase, verdict_text
@@ -355,7 +355,9 @@ def test_fit_page(held_out):
     quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})
     history = ["round 1: -2 log posterior -20.1", "round 2: <done>"]
     seen = list(test) if held_out else list(runs)
-    shown = seen, [usv(0.3)] * len(seen)
+    shown = [
+        Comparison(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)}) for r in seen
+    ]
     page = fit_report(study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE)
     reader = assert_sound(page)
     sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
@@ -366,6 +368,14 @@ def test_fit_page(held_out):
     assert "7 of 8 starts" in reader.text("open") and "2 of x" in reader.text("open")
     assert "1.00 N_rdot (the data determine" in reader.text("open")
     assert ("1.31 times in what was held out" in reader.text("summary")) is held_out
+    assert ("worse than the vessel file" in reader.text("summary")) is (worse(shown) != "")
+    swapped = [
+        Comparison(
+            o.recording, {"start": o.predictions["fitted"], "fitted": o.predictions["start"]}
+        )
+        for o in shown
+    ]
+    assert worse(shown) == "" and "predicts position" in worse(swapped)
     assert ("none were held out" in reader.text("predictions")) is not held_out
     assert "round 2: <done>" in reader.text("convergence")
     assert ("circle" in reader.text("predictions")) is held_out

@@ -47,6 +47,7 @@ class Set:
     held_out: tuple[str, ...]
     train: tuple[str, ...] = ()  # all others if empty
     settings: Settings = Settings(profiles=())
+    left_out: tuple[str, ...] = ()  # channels that are not measurements of their own
     circles: float | None = None  # approach speed (m/s) of 35 deg circles to predict
 
 
@@ -71,6 +72,7 @@ SETS = {
         ("zigzag_31-Jul-2020_13_04_24.csv", "zigzag_31-Jul-2020_13_22_52.csv",
          "zigzag_31-Jul-2020_14_03_39.csv", "turn_14-Sep-2020_13_51_45.csv"),
         Settings(profiles=(), effects=("current", "wind"), per_recording=True),
+        ("u", "v"),  # low-passed: smoother and later than positions and yaw rate allow
     ),
 }  # fmt: skip
 
@@ -96,8 +98,11 @@ def study_set(name: str, case: Set) -> None:
         print(f"[{time.monotonic() - began:5.0f} s] {name}: {message}", file=sys.stderr, flush=True)
 
     runs = load(case)
-    train = [r for k, r in runs.items() if k not in case.held_out and k in (case.train or runs)]
-    test = [runs[k] for k in case.held_out]
+    fitted_on = {name: without(run, case.left_out) for name, run in runs.items()}
+    train = [
+        r for k, r in fitted_on.items() if k not in case.held_out and k in (case.train or runs)
+    ]
+    test = [fitted_on[k] for k in case.held_out]
     file = read_vessel(case.vessel)
     study = identify(file.vessel, train, case.settings, tell)
     document = updated_document(file.document, study.values, [])
@@ -123,6 +128,11 @@ def study_set(name: str, case: Set) -> None:
     (out / f"{name}.toml").write_text(dump(document), encoding="utf-8")
     text = json.dumps(record, indent=1, default=lambda value: np.asarray(value).tolist())
     (out / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+
+
+def without(run: Trajectory, channels: tuple[str, ...]) -> Trajectory:
+    """A run with channels taken for not measured."""
+    return dataclasses.replace(run, **{c: np.full(len(run.t), np.nan) for c in channels})
 
 
 def load(case: Set) -> dict[str, Trajectory]:

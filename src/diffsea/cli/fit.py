@@ -75,7 +75,8 @@ def register(commands: Any) -> None:
 def _fit(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
         from diffsea.identification.study import identify
-        from diffsea.report.fit_page import fit_report
+        from diffsea.report.comparison import horizon_table
+        from diffsea.report.fit_page import compared, fit_report, worse
         from diffsea.vessel.catalogue import build, dump, updated_document
 
         tell = clock()
@@ -95,13 +96,14 @@ def _fit(args: argparse.Namespace) -> None:
         vessel = build(document)
         quality = study.quality(test)
         told = source(args, [*runs, *test])
-        out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
-        out.json("fit.json", _record(study, settings, quality, told))
         tell("predicting and writing the report")
-        shown = study.held_out(test) if test else (runs, [vessel] * len(runs))
-        page = fit_report(study, quality, history, shown, (runs, test), told)
+        predicted = compared(study, file.vessel, vessel, (runs, test))
+        out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
+        record = _record(study, settings, quality, told)
+        out.json("fit.json", record | {"predictions": horizon_table(predicted)})
+        page = fit_report(study, quality, history, predicted, (runs, test), told)
         out.path("report.html").write_text(page, encoding="utf-8")
-    out.present(args, _summary(study, quality))
+    out.present(args, _summary(study, quality, worse(predicted)))
 
 
 def _from_sheet(args: argparse.Namespace) -> bool:
@@ -183,7 +185,7 @@ def _by_name(names: tuple[str, ...], values: Any) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def _summary(study: "Study", quality: dict) -> str:
+def _summary(study: "Study", quality: dict, warning: str) -> str:
     lines = [
         (
             row["name"], row["meaning"], row["unit"], f"{row['start']:.4g}",
@@ -206,6 +208,7 @@ def _summary(study: "Study", quality: dict) -> str:
     parts += study.identifiability.sentences
     if study.next is not None:
         parts.append(f"next: {study.next.sentence}")
+    parts += [f"warning: {warning}"] if warning else []
     return "\n".join(parts)
 
 

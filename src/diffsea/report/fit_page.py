@@ -27,14 +27,14 @@ from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 
 
-_MODEL = "fitted"
+_START, _MODEL = "start", "fitted"
 
 
 def fit_report(
     study: Study,
     quality: dict[str, float],
     history: Sequence[str],
-    shown: tuple[Sequence[Trajectory], Sequence[Vessel]],
+    runs: Sequence[Comparison],
     data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
     source: dict,
 ) -> str:
@@ -43,12 +43,12 @@ def fit_report(
     Arguments:
         quality: normalised misfit of what was fitted and of what was held out.
         history: how the fit converged, one line per step.
-        shown: runs to predict, and the fitted vessel in the environment of each.
+        runs: predictions by the vessel file as it was and as fitted, of what was held out where
+            there is anything, see `compared`.
         data: recordings that were fitted, none for a sheet of trial numbers, and held out.
         source: what was run on what; shown as it is.
     """
     recordings, test = data
-    runs = [Comparison(r, {_MODEL: predict(v, r)}) for r, v in zip(*shown, strict=True)]
     sections = [
         _summary(study, quality, runs, bool(test)),
         section("parameters", "Parameters of the vessel", parameter_table(study.rows),
@@ -64,6 +64,41 @@ def fit_report(
     if not recordings:
         subtitle = "trial numbers fitted"
     return page(f"Fit of {study.vessel_name}", subtitle, [part for part in sections if part])
+
+
+def compared(
+    study: Study, start: Vessel, fitted: Vessel, data: tuple[list[Trajectory], list[Trajectory]]
+) -> list[Comparison]:
+    """Predictions of what was held out, or else of what was fitted, before and after the fit.
+
+    Where wind and current are each recording's own, those of a run held out are estimated on
+    its first part, and the rest is predicted.
+    """
+    train, test = data
+    runs, vessels = study.held_out(test) if test else (train, [fitted] * len(train))
+    return [
+        Comparison(run, {_START: predict(start, run), _MODEL: predict(vessel, run)})
+        for run, vessel in zip(runs, vessels, strict=True)
+    ]
+
+
+def worse(runs: Sequence[Comparison]) -> str:
+    """A warning where the fit predicts worse than the vessel file did, else nothing."""
+    row = headline_horizon(horizon_table(runs), (_START, _MODEL))
+    if row is None:
+        return ""
+    bad = [
+        name
+        for name in ("position", "heading")
+        if name in row[_MODEL] and row[_MODEL][name] > 1.1 * row[_START][name]
+    ]
+    if not bad:
+        return ""
+    return (
+        f"{row['seconds']:g} s ahead the fit predicts {listed(bad)} worse than the vessel file as "
+        "it was: something is missing in the model or unsound in the data, and the fit makes up "
+        "for it with these parameters. See `diffsea audit` and `diffsea diagnose`"
+    )
 
 
 def _count(runs: Sequence[Trajectory]) -> str:
@@ -82,13 +117,19 @@ def _summary(
         lead += f"all but {len(weak)}: {listed(weak)} {rest} mostly on the vessel file."
     else:
         lead += "all that was fitted."
-    row = headline_horizon(horizon_table(runs), (_MODEL,))
+    row = headline_horizon(horizon_table(runs), (_START, _MODEL))
     where = "on runs held out" if held_out else "on the runs it was fitted to"
-    errors = f"{capital(where)}, errors {error_line(row, (_MODEL,))}." if row else ""
+    errors = (
+        f"{capital(where)}, errors, vessel file -> fit, {error_line(row, (_START, _MODEL))}."
+        if row
+        else ""
+    )
     told = f"Misfits are {significant(quality['train'], 3)} times the noise in what was fitted"
     if "test" in quality:
         told += f" and {significant(quality['test'], 3)} times in what was held out"
     body = joined([paragraph(verbatim(lead), "lead"), paragraph(errors), paragraph(told + ".")])
+    if warning := worse(runs):
+        body = joined([body, paragraph(verbatim(capital(warning) + "."), "warning")])
     return Html(f'<section id="summary" class="verdict fit">\n{body}\n</section>')
 
 
@@ -136,7 +177,7 @@ def _predictions(runs: Sequence[Comparison], held_out: bool) -> Html:
     if not runs:
         return Html("")
     judged = "runs held out" if held_out else "the runs it was fitted to; none were held out"
-    parts = predictions(runs, {_MODEL: "predicted"})
+    parts = predictions(runs, {_START: "vessel file", _MODEL: "fitted"})
     return section("predictions", f"Predictions of {judged}", *parts)
 
 

@@ -127,6 +127,7 @@ h1 { font-size: 1.7rem; line-height: 1.2; margin: 0; overflow-wrap: anywhere; }
 h2 { font-size: 1.2rem; margin: 0 0 10px; }
 h3 { font-size: 1rem; margin: 22px 0 6px; }
 p { margin: 0 0 10px; max-width: 75ch; overflow-wrap: anywhere; }
+.warning { border-left: 4px solid #c2571a; padding-left: .8rem; }
 .subtitle, .note, figcaption, caption { color: var(--soft); font-size: .9rem; }
 section { background: var(--paper); border: 1px solid var(--line); border-radius: 8px;
   padding: 20px 22px; margin: 16px 0; }
