@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import plain
-from data import NAMES, Data
+from data import NAMES, RUNS, Data
 from outcome import Outcome
 from scipy.optimize import minimize
 from with_scipy import compiled_residual
@@ -18,7 +18,7 @@ from with_scipy import compiled_residual
 
 WATER = 1025.0  # kg/m^3
 SETTLED = 6.0  # s after a change of thrust; the craft's own times are below 2 s
-STRAIGHT, TURNING, ON_THE_SPOT = 0.03, 0.1, 0.4  # rad/s, rad/s, m/s
+TRIALS = {"straight": "speed-steps", "spot": "spin", "turn": "circle-fast"}
 
 
 def output_error(data: Data) -> Outcome:
@@ -67,7 +67,7 @@ def _stages(data: Data, masses: tuple[float, float, float], quadratic: bool) -> 
     force, moment = (push.T for push in plain.pushes(data))
     u, v, r = (data.measured[..., k] for k in (3, 4, 5))
     du, dv, dr = (np.gradient(w, data.dt, axis=1) for w in (u, v, r))
-    straight, spot, turn, trials = _parts(data)
+    parts = _parts(data)
     start, count = dict(zip(NAMES, data.start, strict=True)), [0]
 
     def drag(w: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -81,12 +81,14 @@ def _stages(data: Data, masses: tuple[float, float, float], quadratic: bool) -> 
         return minimize(cost, begin, method="Nelder-Mead").x
 
     terms = 2 if quadratic else 1
-    X = least(lambda d: force + drag(u, d), [start["X_u"], start["X_uu"]][:terms], straight)
-    N = least(lambda d: moment + drag(r, d), [start["N_r"], start["N_rr"]][:terms], spot)
-    (Y,) = least(lambda d: m22 * dv + m11 * u * r - d[0] * v, [start["Y_v"]], turn)
-    fast = trials & (np.abs(u) > 0.7 * np.abs(u[trials]).max())
+    X = least(
+        lambda d: force + drag(u, d), [start["X_u"], start["X_uu"]][:terms], parts["straight"]
+    )
+    N = least(lambda d: moment + drag(r, d), [start["N_r"], start["N_rr"]][:terms], parts["spot"])
+    (Y,) = least(lambda d: m22 * dv + m11 * u * r - d[0] * v, [start["Y_v"]], parts["turn"])
+    fast = _upper(u, parts["straight, all"])
     X = least(lambda d: (force + m22 * v * r + drag(u, d)) / m11 - du, list(X), fast)
-    quick = trials & (np.abs(r) > 0.7 * np.abs(r[trials]).max())
+    quick = _upper(r, parts["spot, all"])
     N = least(lambda d: (moment + (m11 - m22) * u * v + drag(r, d)) / m33 - dr, list(N), quick)
     X_uu, N_rr = (float(d[1]) if quadratic else 0.0 for d in (X, N))
     mass, I_z = data.hull["mass"], data.hull["I_z"]
@@ -94,25 +96,28 @@ def _stages(data: Data, masses: tuple[float, float, float], quadratic: bool) -> 
     return Outcome(np.array(found), None, count[0], 0)
 
 
-def _parts(data: Data) -> tuple[np.ndarray, ...]:
-    """Rows (run, row) of steady straight runs, of turns on the spot, of turns, and of trials.
+def _upper(values: np.ndarray, use: np.ndarray) -> np.ndarray:
+    """Rows with more than 70 % of the highest speed."""
+    return use & (np.abs(values) > 0.7 * np.abs(values[use]).max())
 
-    Trials are the runs that have any of these. Steady means thrust held for `SETTLED` s.
+
+def _parts(data: Data) -> dict[str, np.ndarray]:
+    """Rows (run, row) of the three trials that the procedure asks for, whole and where steady.
+
+    Steady means thrust held for `SETTLED` s, and ahead on both sides where that is meant.
     """
     changed = np.any(np.diff(data.thrust, axis=1, prepend=data.thrust[:, :1]) != 0, -1)
     rows = np.arange(len(data.t))
     last = np.maximum.accumulate(np.where(changed, rows, -len(rows)), axis=1)
     steady = (rows - last) * data.dt > SETTLED
-    u, r = np.abs(data.measured[..., 3]), np.abs(_smooth(data.measured[..., 5]))
     port, starboard = data.thrust[..., 0], data.thrust[..., 1]
-    ahead = (port > 0) & (starboard > 0)
-    straight = steady & ahead & (r < STRAIGHT)
-    spot = steady & (port * starboard < 0) & (u < ON_THE_SPOT)
-    turn = steady & ahead & (r > TURNING)
-    trials = np.repeat((straight | spot | turn).any(1)[:, None], len(rows), axis=1)
-    return straight, spot, turn, trials
-
-
-def _smooth(values: np.ndarray, width: int = 5) -> np.ndarray:
-    kernel = np.ones(width) / width
-    return np.apply_along_axis(lambda row: np.convolve(row, kernel, "same"), 1, values)
+    trials = {name: np.zeros(port.shape, bool) for name in TRIALS}
+    for name, run in TRIALS.items():
+        trials[name][RUNS.index(run)] = True
+    return {
+        "straight": trials["straight"] & steady & (port > 0) & (starboard > 0),
+        "spot": trials["spot"] & steady & (port * starboard < 0),
+        "turn": trials["turn"] & steady,
+        "straight, all": trials["straight"],
+        "spot, all": trials["spot"],
+    }
