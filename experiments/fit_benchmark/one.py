@@ -61,22 +61,21 @@ def main() -> None:
 
 
 def judged(data, found) -> dict:
-    """The common cost and the error of the parameters.
+    """The error of the parameters, and the common cost.
 
-    A method without first states is given those that suit its parameters best.
+    `refined` is the cost with the first states that suit the parameters best: the only one for
+    a method that has no first states.
     """
     import numpy as np
     import plain
     from data import relative_error
 
     with np.errstate(all="ignore"):
-        if found.first is None:
-            cost = plain.with_best_states(data, found.values)[1]
-        else:
-            cost = plain.cost(data, found.values, found.first)
+        refined = plain.with_best_states(data, found.values)[1]
+        cost = refined if found.first is None else plain.cost(data, found.values, found.first)
     return {
         "cost": cost,
-        "own_states": found.first is not None,
+        "refined": refined,
         "error": relative_error(data, found.values),
         "ratio": list(found.values / data.truth),
         "runs": found.runs,

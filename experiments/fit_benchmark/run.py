@@ -97,25 +97,36 @@ def middle(rows: list[dict], key: str) -> float:
     return statistics.median(row[key] for row in rows)
 
 
+HEADINGS = (
+    "method", "cold s", "warm s", "cold, ratio", "warm, ratio", "runs + Jacobians",
+    "cost - least", "with best states", "same optimum", "error %", "processes",
+)  # fmt: skip
+
+
 def show(found: dict[str, list[dict]]) -> None:
-    """The table of times, as Markdown."""
+    """The table of times, as Markdown; ratios are to `REFERENCE`."""
     if not found:
         return
     least = min(row["cost"] for rows in found.values() for row in rows)
-    reference = found.get(REFERENCE)
-    print("| method | cold s | warm s | cold, ratio | warm, ratio | runs + Jacobians "
-          "| cost - least | same optimum | error % | times measured |")  # fmt: skip
-    print("| --- " * 10 + "|")
+    print(f"| {' | '.join(HEADINGS)} |\n{'| --- ' * len(HEADINGS)}|")
     for name, rows in found.items():
-        cold, warm, over = middle(rows, "cold"), middle(rows, "warm"), rows[0]["cost"] - least
-        shares = ["", ""]
-        if reference:
-            pairs = (cold, middle(reference, "cold")), (warm, middle(reference, "warm"))
-            shares = [f"{own / other:.2g}" for own, other in pairs]
-        same = "yes" if over < max(SAME[0] * least, SAME[1]) else "no"
-        count = f"{rows[0]['runs']} + {rows[0]['jacobians']}"
-        print(f"| {name} | {cold:.2f} | {warm:.2f} | {shares[0]} | {shares[1]} | {count} "
-              f"| {over:.4g} | {same} | {100 * rows[0]['error']:.2f} | {len(rows)} |")  # fmt: skip
+        print(f"| {' | '.join([name, *line(rows, found.get(REFERENCE), least)])} |")
+
+
+def line(rows: list[dict], reference: list[dict] | None, least: float) -> list[str]:
+    """One contestant's figures: medians of times, what the last process found."""
+    last, times = rows[-1], [middle(rows, key) for key in ("cold", "warm")]
+    ratios = ["", ""]
+    if reference:
+        others = (middle(reference, key) for key in ("cold", "warm"))
+        ratios = [f"{own / other:.2g}" for own, other in zip(times, others, strict=True)]
+    over, refined = last["cost"] - least, last["refined"] - least
+    return [
+        *(f"{seconds:.2f}" for seconds in times), *ratios,
+        f"{last['runs']} + {last['jacobians']}", f"{over:.3g}", f"{refined:.3g}",
+        "yes" if over < max(SAME[0] * least, SAME[1]) else "no",
+        f"{100 * last['error']:.2f}", str(len(rows)),
+    ]  # fmt: skip
 
 
 def show_gusts(found: dict[str, list[dict]]) -> None:

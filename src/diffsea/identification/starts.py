@@ -41,8 +41,8 @@ def multistart(
     """The best fit of all parameters from the prior mean and `count` - 1 draws of the prior.
 
     All starts are explored together (`jax.vmap`) for a few steps; the best of them and the best
-    one elsewhere are fitted to their ends. A start agrees if what it leads to lies inside the
-    99.9 % region of the best fit, or reaches its cost.
+    one elsewhere are fitted to their ends. Starts agree where the exploration led them to one
+    place, within the 99.9 % region of the fit.
 
     Raises:
         UserError: no start from which the model can be simulated.
@@ -60,20 +60,26 @@ def multistart(
         )
     order = [k for k in np.argsort(costs) if finite[k]]
     progress(f"{len(order)} of {count} starts explored; fitting from the best")
-    best = objective.fit(free, ends[order[0]], progress)
-    apart = [k for k in order if not _inside(best, ends[k])]
+    lead = ends[order[0]]
+    best = objective.fit(free, lead, progress)
+    near = [k for k in order if _inside(best, ends[k] - lead)]
+    apart = [k for k in order if k not in near]
     rival = None
     if apart:
         progress("fitting from the best start elsewhere")
         other = objective.fit(free, ends[apart[0]], progress)
-        if not _inside(best, other.coordinates):
-            best, other = (other, best) if other.deviance < best.deviance else (best, other)
+        beside = [k for k in apart if _inside(best, ends[k] - ends[apart[0]])]
+        if _inside(best, other.coordinates - best.coordinates):
+            near += beside
+        else:
+            if other.deviance < best.deviance:
+                best, other, near = other, best, beside
             rival = other.deviance - best.deviance
-    agreeing = sum(_inside(best, ends[k]) for k in order)
-    return best, Agreement(count, int(agreeing), rival)
+    return best, Agreement(count, len(near), rival)
 
 
-def _inside(fitted: Estimate, coordinates: np.ndarray) -> bool:
-    off = (coordinates - fitted.coordinates)[fitted.index]
+def _inside(fitted: Estimate, difference: np.ndarray) -> bool:
+    """Whether coordinates differ by less than the fit's 99.9 % region."""
+    off = difference[fitted.index]
     distance = float(off @ np.linalg.solve(fitted.covariance, off))
     return distance < float(chi2.ppf(0.999, len(off)))
