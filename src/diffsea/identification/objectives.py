@@ -53,6 +53,7 @@ class Objective(Protocol):
 
 GATE = 6.0  # standard deviations beyond which a lone sample is an outlier
 LONE = 3  # samples in a row that may be outliers; more of them are a mismatch
+MOST = 0.02  # share of a channel's samples likewise
 PASSES = 3  # of exploration: filter tuned anew in each
 
 
@@ -106,7 +107,7 @@ class Innovations:
         return np.asarray(ends), np.array(costs)
 
     def _lone(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
-        """Samples that a gated filter rejects, unless many in a row."""
+        """Samples that a gated filter rejects, unless they are many, in a row or in all."""
         problem = self.problem
         tuned = _gated(
             problem.base, Static(problem.layout), problem.tape, fitted.noise,
@@ -121,6 +122,8 @@ class Innovations:
             for begin, end in zip(edges[::2], edges[1::2], strict=True):
                 if end - begin > LONE:
                     rejected[rows[begin:end], k] = False
+            if rejected[:, k].sum() > MOST * len(rows):
+                rejected[:, k] = False
         return rejected
 
     def _leave_out(self, lone: Bool[np.ndarray, "row 6"]) -> None:
