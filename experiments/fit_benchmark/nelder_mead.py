@@ -24,8 +24,8 @@ TRIALS = {"straight": "speed-steps", "spot": "spin", "turn": "circle-fast"}
 def output_error(data: Data) -> Outcome:
     """The common cost over the eight derivatives, what was measured first taken for known.
 
-    Over all 44 unknowns the simplex, adapted to their number or not, is still on its way after
-    forty thousand runs.
+    A simplex over all 44 unknowns would have to find directions that the other contestants are
+    told by derivatives; it is left out.
     """
     residual, z, count = compiled_residual(data), plain.begin(data), [0]
 

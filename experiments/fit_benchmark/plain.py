@@ -124,7 +124,10 @@ def lanes_jacobian(data: Data, z: np.ndarray, step: float = STEP) -> np.ndarray:
 
 
 def with_best_states(data: Data, values: np.ndarray, steps: int = 12) -> tuple[np.ndarray, float]:
-    """First states that suit given derivatives best, and the cost there (Levenberg-Marquardt)."""
+    """First states that suit given derivatives best, and the cost there.
+
+    Levenberg-Marquardt; far from the truth the few steps give an upper bound of the cost.
+    """
     z, n, damping = begin(data), len(NAMES), 1e-3
     z[:n] = np.asarray(values) / data.start
     r = residual(data, z)
