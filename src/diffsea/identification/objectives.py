@@ -80,7 +80,9 @@ class Innovations:
                 break
             self._leave_out(lone)
             progress(f"{int(lone.sum())} outliers left out")
-            fitted = estimate(self.problem, free, fitted.coordinates, progress=progress)
+            fitted = estimate(
+                self.problem, free, fitted.coordinates, fitted.noise, progress=progress
+            )
         return fitted
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
