@@ -96,11 +96,18 @@ def slopes(
     def shot(at: tuple) -> Shot:
         return _shoot(base, layout.value, tape, cut, *at)
 
+    # All directions together, so that the run itself is simulated once.
+    free = directions.shape[0]
+    along = jnp.concatenate([directions, jnp.zeros((6, coordinates.size))])
+    first = jnp.concatenate([jnp.zeros((free, 6)), jnp.eye(6)])
+    first = jnp.broadcast_to(first[:, None, :], (free + 6, *states.shape))
     at = (coordinates, states)
-    still = jnp.zeros_like(states), jnp.zeros_like(coordinates)
-    by_parameter = jax.vmap(lambda d: jax.jvp(shot, (at,), ((d, still[0]),))[1])(directions)
-    by_state = jax.vmap(lambda d: jax.jvp(shot, (at,), ((still[1], still[0] + d),))[1])(jnp.eye(6))
-    return shot(at), Slopes(by_parameter, by_state)
+    here, slope = jax.vmap(
+        lambda d, f: jax.jvp(shot, (at,), ((d, f),)), out_axes=(None, 0)
+    )(along, first)  # fmt: skip
+    return here, Slopes(
+        jax.tree.map(lambda leaf: leaf[:free], slope), jax.tree.map(lambda leaf: leaf[free:], slope)
+    )
 
 
 def _shoot(
