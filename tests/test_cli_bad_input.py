@@ -296,7 +296,7 @@ def test_too_many_designs_are_refused(words, tmp_path, capsys):
         (["--objective", "freerun"], "no objective 'freerun'"),
         (["--priors", "none.toml"], "cannot read priors"),
         (["--objective", "trial-numbers"], "fitted to sheets"),
-        (["--effects", "wnd"], "no effect 'wnd'; did you mean 'wind'"),
+        (["--effects", "wnd"], "unknown effect 'wnd'; did you mean 'wind'"),
         (["--free", "X_u", "--profile", "N_r"], "N_r cannot be profiled"),
     ],
 )

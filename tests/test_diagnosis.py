@@ -1,16 +1,21 @@
 """The diagnosis names what the oracle concealed, and nothing where it hid nothing."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from tests.oracle import make_recordings
 from tests.oracle.simulator import load
 
+from diffsea.diagnosis.experiment import commands, next_experiment
 from diffsea.diagnosis.score import Projection
+from diffsea.diagnosis.screening import mimicry
 from diffsea.diagnosis.select import Accepted, _verdict, diagnose
 from diffsea.diagnosis.summary import summary, vessel_document
 from diffsea.identification.holdout import transferred
 from diffsea.recordings import read_recording
 from diffsea.vessel.catalogue import build
+from diffsea.vessel.effects import catalogue_name
 
 
 RUNS = ("random-fast", "zigzag-slow", "random-slow")
@@ -55,6 +60,28 @@ def test_the_vessel_file_holds_the_effect(current, document):
     assert flow == pytest.approx(0.3, rel=0.1)
 
 
+def test_the_manoeuvre_that_separates_rivals_stays_within_the_vessels_limits(current):
+    (accepted,) = current.effects
+    wind = next(one for one in accepted.tried if one.effect != "current")
+    rivals = (catalogue_name(wind.effect),)
+    doubtful = dataclasses.replace(
+        current, effects=(dataclasses.replace(accepted, rivals=rivals),), verdict="ambiguous"
+    )
+    assert next_experiment(current) is None
+    experiment = next_experiment(doubtful)
+    assert experiment.evidence[experiment.manoeuvre] == max(experiment.evidence.values()) > 0
+    assert rivals[0] in experiment.why
+    sequence = commands(doubtful, experiment)
+    assert sequence["t"][-1] == pytest.approx(experiment.seconds)
+    for channel, servo in build_vessel(current).servos.items():
+        series = sequence[f"cmd_{channel}"]
+        assert np.all((series >= float(servo.lower)) & (series <= float(servo.upper)))
+
+
+def build_vessel(diagnosis):
+    return diagnosis.split.train.base
+
+
 def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
     directions = {"random-fast": 2.0, "zigzag-slow": 4.5, "random-slow": 0.5}
     runs = []
@@ -72,11 +99,22 @@ def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
         assert parameters["speed"]["value"] == pytest.approx(0.3, rel=0.1)
         assert parameters["direction"]["value"] == pytest.approx(truth, abs=0.15)
     # The held-out run's own current is read off its head; what is judged is the rest.
-    flow = transferred(found.split, found.final)[found.split.test.layout.slices()["current"]]
-    north, east = flow * np.array(found.split.test.layout.sizes[0])
+    coordinates = transferred(found.split, found.final)
+    north, east = found.split.test.layout.physical("current", coordinates)[0]
     assert (north, east) == pytest.approx((0.3 * np.cos(0.5), 0.3 * np.sin(0.5)), abs=0.06)
     assert found.split.held_out[0].t[0] > 23.0
     assert "first part" in record["held_out"]["how"]
+
+
+def test_a_current_of_one_run_is_not_taken_for_one_of_all(document, tmp_path):
+    hidden = {"current": {"speed": 0.3, "direction": 2.0}}
+    runs = []
+    for name, effects in (("random-fast", hidden), ("zigzag-slow", {}), ("random-slow", {})):
+        make_recordings.produce(tmp_path, document, 5, effects, seconds=50.0, runs=(name,))
+        runs.append(read_recording(tmp_path / f"{name}.csv"))
+    found = diagnose(build(document), runs[:2], runs[2:])
+    assert found.verdict == "unexplained"
+    assert "current" not in found.names
 
 
 def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):
@@ -96,7 +134,7 @@ def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):
     ],
 )
 def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, left, verdict):
-    accepted = [] if rivals is None else [Accepted("current", None, rivals)]
+    accepted = () if rivals is None else (Accepted("current", None, rivals),)
     assert _verdict(accepted, left) == verdict
 
 
@@ -109,10 +147,10 @@ def test_score_has_its_size_under_white_noise_and_sees_a_shift():
     values = []
     for _ in range(400):
         projection = Projection(rng.normal(size=6 * rows), nuisance, run)
-        values.append(projection.score(columns).p_value)
+        values.append(projection.score(projection.efficient(columns)).p_value)
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.035)
     shifted = Projection(rng.normal(size=6 * rows) - 0.3 * columns[:, 0], nuisance, run)
-    score = shifted.score(columns)
+    score = shifted.score(shifted.efficient(columns))
     assert score.p_value < 1e-6
     assert score.step[0] == pytest.approx(0.3, abs=0.1)
 
@@ -122,5 +160,6 @@ def test_what_a_nuisance_can_do_is_not_counted():
     nuisance = rng.normal(size=(600, 2))
     run = np.zeros(100, int)
     projection = Projection(nuisance @ [5.0, -3.0] + rng.normal(size=600), nuisance, run)
-    assert projection.mimicry(nuisance[:, :1] + 1e-3 * rng.normal(size=(600, 1)), nuisance) < 0.5
-    assert projection.score(rng.normal(size=(600, 1))).p_value > 1e-3
+    near = projection.efficient(nuisance[:, :1] + 1e-3 * rng.normal(size=(600, 1)))
+    assert mimicry(near, projection.efficient(rng.normal(size=(600, 2)))) < 0.5
+    assert projection.score(projection.efficient(rng.normal(size=(600, 1)))).p_value > 1e-3

@@ -20,6 +20,7 @@ from tests.runs import ORACLE, disagreement, replay, state_of, varied
 
 from diffsea.parameters import named
 from diffsea.simulation.integrate import begin
+from diffsea.simulation.replay import heeled
 from diffsea.types import MOTION_CHANNELS, State
 from diffsea.vessel.catalogue import build
 from diffsea.vessel.effects import EFFECTS
@@ -72,7 +73,8 @@ def first_states(name):
 @pytest.mark.parametrize("name", POSSIBLE)
 def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
     # A servo that lags by nothing rounds once more than one that answers at once.
-    tolerance = 1e-13 if name in ("thrust-lag", "thrust-delay") else 0.0
+    stages = ("thrust-lag", "thrust-delay", "rate-limit")
+    tolerance = 1e-13 if name.startswith(stages) else 0.0
     np.testing.assert_allclose(first_states(name), first_states(None), rtol=tolerance, atol=0)
 
 
@@ -80,6 +82,8 @@ def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
 
 
 PLACES = [(name, k) for name in POSSIBLE for k in range(at_zero(name).size)]
+# Coordinates that do nothing while the effect is absent: shapes, and what has finite sizes only.
+FLAT = [(n, k) for n, k in PLACES if EFFECTS[n].shape == k or EFFECTS[n].finite]
 SIZES = np.array([EFFECTS[name].sizes(VESSEL)[k] for name, k in PLACES])
 
 
@@ -89,17 +93,17 @@ def measured(coordinates):
     for name in POSSIBLE:
         part = [coordinates[i] for i, place in enumerate(PLACES) if place[0] == name]
         vessel = EFFECTS[name].apply(vessel, jnp.stack(part))
-    environment = vessel.environment
+    environment = heeled(vessel.environment, 0.1)
     orders = orders_at(STEP)
     states = replay(vessel, settled(vessel), orders, environment, STEP)
 
-    def shown(state, held):
+    def shown(state, held, t):
         def rate(at):
             return vessel.rate(at, held, environment, 0.0)
 
-        return vessel.sensors.measure(state, *jax.jvp(rate, (state,), (rate(state),)))
+        return vessel.sensors.measure(state, *jax.jvp(rate, (state,), (rate(state),)), t)
 
-    return jax.vmap(shown)(states, orders)
+    return jax.vmap(shown)(states, orders, STEP * np.arange(1, len(orders["port"]) + 1))
 
 
 JACOBIAN = jax.jit(jax.jacfwd(measured))
@@ -112,7 +116,9 @@ def test_every_effect_has_a_derivative_at_zero():
     assert np.all(np.isfinite(slopes))
     here = np.asarray(SHOWN(zero))
     for i, place in enumerate(PLACES):
-        assert np.max(np.abs(slopes[..., i])) > 0, place
+        assert (np.max(np.abs(slopes[..., i])) > 0) == (place not in FLAT), place
+        if place in FLAT:
+            continue
         # To one side: a lag, a delay or a drag is never negative.
         h = 1e-4 * SIZES[i]
         difference = (np.asarray(SHOWN(zero.at[i].set(h))) - here) / h
@@ -121,7 +127,13 @@ def test_every_effect_has_a_derivative_at_zero():
 
 
 def test_derivatives_away_from_zero_are_finite_differences():
-    at = jnp.asarray(SIZES * np.linspace(0.3, 0.5, len(SIZES)))
+    # Slower than the lag, so that the slew rate acts; a limit below the orders.
+    larger = [
+        0.3 if EFFECTS[name].shape == k
+        else {"rate-limit": 20.0, "thrust-saturation": 10.0}.get(name.split(":")[0], 1.0)
+        for name, k in PLACES
+    ]  # fmt: skip
+    at = jnp.asarray(SIZES * np.linspace(0.3, 0.5, len(SIZES)) * larger)
     slopes = np.asarray(JACOBIAN(at))
     for i, place in enumerate(PLACES):
         h = 1e-5 * SIZES[i]

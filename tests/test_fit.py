@@ -163,8 +163,9 @@ def test_copies_for_each_run_share_directions_without_changing_the_jacobian(docu
     free = (*HULL, *(effect.name for effect in effects))
     index, matrix = selection(problem.layout, free, problem.width)
     inputs = traced(problem, problem.tuned(start, noise).gains, start, matrix)
-    at = jnp.asarray(np.random.default_rng(0).normal(0.0, 0.1, problem.width))
+    at = np.random.default_rng(0).normal(0.0, 0.1, problem.width)
     residual, found = jacobian(at, inputs)
+    at = jnp.append(jnp.asarray(at), jnp.zeros(problem.seeds))
     plain = jax.jacfwd(lambda free: _residual(free, inputs))(at)
     assert len(index) == 15 and problem.seeds == 11
     np.testing.assert_allclose(found, plain, atol=1e-12)
@@ -175,7 +176,7 @@ def test_a_lag_is_told_from_gusts_that_last(document):
     """Gusts taken for white ones bend lag and inertia until they have the gusts' colour."""
     vessel = document | {"thruster": [t | {"time_constant": 0.8} for t in document["thruster"]]}
     runs = [_run(vessel, seed, gusts=True) for seed in (3, 4)]
-    lag = EFFECTS["thrust-lag"]
+    lag = EFFECTS["thrust-lag:propulsion"]
     problem = make_problem(build(_away(document, 1.2)), runs, HULL, (lag,), room=1)
     result = estimate(problem, (*HULL, lag.name))
     found = problem.layout.physical(lag.name, result.coordinates)[0, 0]
@@ -214,3 +215,23 @@ def test_missing_orders_are_told(document, recordings):
     silent = dataclasses.replace(recordings[0], commanded={})
     with pytest.raises(UserError, match="cmd_port"):
         make_problem(build(document), [silent])
+
+
+def test_orders_between_kept_rows_are_averaged(document):
+    """Thinned like this, a moving order is not late; the mean over all time stays."""
+    t = np.arange(0.0, 30.0, 0.02)
+    order = 100 + 80 * np.sin(0.7 * t)
+    still = np.zeros_like(t)
+    run = dataclasses.replace(
+        _run(document, 1), t=t, x=still, y=still, psi=still, u=still, v=still, r=still,
+        commanded={"port": order, "starboard": order}, executed={}, extra={},
+        valid=np.ones(len(t), bool),
+    )  # fmt: skip
+    tape = make_problem(build(document), [run], HULL).tape
+    kept = np.asarray(tape.dt) > 0
+    dt = float(np.asarray(tape.dt)[0])
+    assert dt > 5 * 0.02
+    middle = np.asarray(tape.run_time)[kept][:-1] + 0.5 * dt
+    found = np.asarray(tape.orders["port"])[kept][:-1]
+    np.testing.assert_allclose(found, 100 + 80 * np.sin(0.7 * (middle - 0.01)), atol=0.3)
+    assert np.abs(found - (100 + 80 * np.sin(0.7 * (middle - 0.5 * dt)))).max() > 4.0

@@ -108,7 +108,7 @@ def test_on_a_linear_vessel_it_is_the_kalman_filter(document):
     hull = {k: x for k, x in document["hull"].items() if k not in ("X_uu", "Y_v", "N_r", "N_rr")}
     swell = {"name": "wave-force", "bias": 0.0, "amplitude": 0.0, "frequency": 0.1}
     made = build(document | {"hull": hull, "effect": [swell]})
-    force = next(name for name in named(made) if name.endswith("bias"))
+    force = next(name for name in named(made) if name.endswith("bias_north"))
     inertia, damping, g, scale = 180.0 + 12.0, 52.0, 0.02, 15.0
     noise = Noise(*(jnp.log(jnp.asarray(x)) for x in
                     ([g] * 3, [1e-9] * 3, [5.0] * 3, STD)))  # fmt: skip

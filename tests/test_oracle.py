@@ -23,6 +23,7 @@ from tests.oracle.simulator import Simulator, load, simulate
 
 HERE = Path(__file__).parent / "oracle"
 USV, BOAT = load(HERE / "usv.toml"), load(HERE / "boat.toml")
+SHIP = load(HERE / "ship.toml")
 BARE = {"mass": 10.0, "I_z": 4.0, "length": 2.0, "beam": 0.5, "draught": 0.2}
 PAIR = [{"name": "p", "x": -1.0, "y": -0.4}, {"name": "s", "x": -1.0, "y": 0.4}]
 
@@ -362,6 +363,275 @@ def test_effects_on_thrusters():
     assert step.at([4.0])["u"][0] == pytest.approx((1.5 + 2.5 * 0.6) * 10 / 10, abs=1e-10)
 
 
+# changes at a time
+
+
+def test_speed_after_a_change_of_drag():
+    """m u' = T - k u^2: towards sqrt(T / k) by tanh, k from one value to another at 6 s."""
+    change = {"drag-change": {"time": 6.0, "factor": 0.8}}
+    sim = simulate(vessel(PAIR, X_uu=-5.0), [(0, 4.0)], 40.0, change)
+    before, after = math.sqrt(8 / 5), math.sqrt(8 / 9)
+    early, late = np.linspace(0, 6, 13), np.linspace(6, 40, 18)
+    expected = before * np.tanh(math.sqrt(8 * 5) * early / 10)
+    np.testing.assert_allclose(sim.at(early)["u"], expected, atol=1e-10)
+    rise = np.arctanh(after / expected[-1]) + math.sqrt(8 * 9) * (late - 6) / 10  # u > after: coth
+    np.testing.assert_allclose(sim.at(late)["u"], after / np.tanh(rise), atol=1e-10)
+
+
+def test_a_change_of_drag_takes_the_cross_flow_and_leaves_the_rest():
+    more = {"crossflow-drag": {"cd": 0.9}, "drag-change": {"time": -1.0, "factor": 0.5}}
+    push = {"wave-force": {"bias": 3.0, "direction": 1.0}}
+    h = USV["hull"]
+    Y, N = H.crossflow(h, 0.9, -0.3, 0.2)
+    sim = Simulator(USV, more | push, (0, 0, 0, 1.1, -0.3, 0.2))
+    rhs, _ = sim.piece(0.1)
+    found = np.array(sim.M) @ rhs(0.0, sim.state)[3:]
+    damping = np.array([
+        h["X_u"] * 1.1 + h["X_uu"] * 1.21, h["Y_v"] * -0.3 + Y,
+        h["N_r"] * 0.2 + h["N_rr"] * 0.04 + N,
+    ])  # fmt: skip
+    wave = 3 * np.array([math.cos(1.0), math.sin(1.0), 0])
+    np.testing.assert_allclose(
+        found, 1.5 * damping + wave + H.momentum_force(sim.M, 1.1, -0.3, 0.2), atol=1e-12
+    )
+
+
+def test_acceleration_after_a_change_of_mass():
+    """u' = T / m, then T / (m + dm); the velocity does not jump."""
+    lost = {"mass-change": {"time": 1.5, "mass": -4.0}}
+    sim = simulate(vessel(PAIR, X_udot=-2.0), [(0, 4.0)], 4.0, lost)
+    t = np.linspace(0, 4, 17)
+    expected = 8 * (np.minimum(t, 1.5) / 12 + np.maximum(t - 1.5, 0) / 8)
+    np.testing.assert_allclose(sim.at(t)["u"], expected, atol=1e-10)
+
+
+def test_a_softened_change_approaches_the_sudden_one():
+    """m u' = T (1 + f s(t)), s logistic: the integral of s is w log(1 + exp((t - t_c) / w))."""
+    change = {"thrust-change": {"time": 1.5, "factor": -0.4}}
+    sim = simulate(vessel(PAIR), [(0, 5)], 4.0, change, soften=0.1)
+    t = np.linspace(0, 4, 33)
+    share = 0.1 * (np.logaddexp(0, (t - 1.5) / 0.1) - np.logaddexp(0, -15))
+    np.testing.assert_allclose(sim.at(t)["u"], t - 0.4 * share, atol=1e-10)
+
+
+def test_a_payload_amidships_makes_the_composite_body():
+    """m + dm, x_G m / (m + dm), and I_z about amidships unchanged (Steiner)."""
+    h, dm = BARE | {"x_G": 0.3, "Y_rdot": -0.5}, 6.0
+    x_g = 0.3 * 10 / 16
+    body = h | {"mass": 16.0, "x_G": x_g, "I_z": 4.0 + 10 * 0.09 - 16 * x_g**2}
+    np.testing.assert_allclose(H.loaded(H.inertia(h), dm), H.inertia(body), atol=1e-14)
+    a = simulate({"hull": h}, [(0, 0)], 6.0, {"mass-change": {"time": -1, "mass": dm}},
+                 (0, 0, 0, 1, 0.3, 0.5))  # fmt: skip
+    b = simulate({"hull": body}, [(0, 0)], 6.0, state=(0, 0, 0, 1, 0.3, 0.5))
+    np.testing.assert_allclose(a.states([6.0]), b.states([6.0]), atol=1e-11)
+
+
+def test_changes_of_thrust_take_propellers_and_not_rudders():
+    def push(factor):
+        change = {"thrust-change": {"time": -1.0, "factor": factor}}
+        sim = Simulator(SHIP, change, (0, 0, 0, 1.1, 0.1, 0.02), {"propeller": 10, "rudder": 0.2})
+        return np.array(sim.M) @ sim.piece(0.1)[0](0.0, sim.state)[3:]
+
+    propeller = Simulator(SHIP).model.actuators[0]
+    X, Y, N = propeller.push(10, 1.1, 0.02, 0.1)
+    np.testing.assert_allclose(push(-0.3) - push(0.0), [-0.3 * X, 0, 0], atol=1e-9)
+
+
+# hull effects
+
+
+def test_shallow_water_grows_masses_and_drag():
+    """Depth 4/3 draught: (1 - q)^-1 = 4, by halves and quarters of the exponent 2, sqrt 2."""
+    hull = USV["hull"] | {"Y_rdot": -7.0, "N_vdot": -9.0}
+    craft = {"hull": hull, "thruster": USV["thruster"]}
+    env = {"crossflow-drag": {"cd": 0.9}}
+    deep, shallow = (
+        Simulator(craft, env | extra)
+        for extra in ({}, {"shallow-water": {"depth": 4 / 3 * hull["draught"]}})
+    )
+    for key in ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot"):
+        assert shallow.model.hull[key] == pytest.approx(2 * hull[key]), key
+    assert shallow.M[1][2] - deep.M[1][2] == pytest.approx(7.0)
+    state = (0.0, 0.4, 1.2, -0.3, 0.2)
+    segments = [t.segment(0.0) for t in deep.model.actuators]
+    found = shallow.forces(*state, segments)
+    np.testing.assert_allclose(
+        found, np.array(deep.forces(*state, segments)) * [math.sqrt(2), 4, 4], rtol=1e-13
+    )
+    with pytest.raises(ValueError, match="deeper than the draught"):
+        Simulator(USV, {"shallow-water": {"depth": 0.15}})
+
+
+def test_the_munk_moment_is_that_of_other_added_masses():
+    """A larger Y_vdot - X_udot, in the moment of the momentum alone."""
+    munk = Simulator(USV, {"munk-moment": {"Y_vdot - X_udot": 40.0}})
+    plain = Simulator(USV)
+    segments = [t.segment(0.0) for t in plain.model.actuators]
+    state = (0.0, 0.4, 1.2, -0.3, 0.2)
+    X, Y, N = np.subtract(munk.forces(*state, segments), plain.forces(*state, segments))
+    other = H.inertia(USV["hull"] | {"Y_vdot": -120.0 + 40.0})
+    expected = H.momentum_force(other, *state[2:])[2] - H.momentum_force(plain.M, *state[2:])[2]
+    assert (X, Y) == (0, 0) and N == pytest.approx(expected) and N == pytest.approx(40 * 1.2 * -0.3)
+
+
+def test_a_rolling_vessel_is_pushed_by_its_heel():
+    """phi = a sin(w t): I r' = N_phi phi, m v' = Y_phi phi, each integrated once."""
+    t = np.linspace(0, 7, 29)
+    wave = 0.1 * (1 - np.cos(2.0 * t)) / 2.0
+    for keys, channel, inertia in (
+        ({"Y_phi": -9.0}, "v", 10.0),
+        ({"N_phi": 3.0}, "r", 4.0),
+    ):
+        sim = simulate(vessel(), [(0, 0)], 7.0, {"roll-coupling": keys},
+                       heel=lambda q: 0.1 * math.sin(2.0 * q))  # fmt: skip
+        expected = next(iter(keys.values())) * wave / inertia
+        np.testing.assert_allclose(sim.at(t)[channel], expected, atol=1e-11)
+        np.testing.assert_allclose(sim.at(t)["phi"], 0.1 * np.sin(2 * t))
+    with pytest.raises(ValueError, match="needs the heel"):
+        simulate(vessel(), [(0, 0)], 1.0, {"roll-coupling": {"Y_phi": 1.0}})
+
+
+def test_lift_like_damping_and_inertia_that_couples():
+    values = {"Y_ur": 3.0, "N_ur": -5.0, "Y_uv": -7.0, "N_uv": 2.0}
+    sim = Simulator(vessel(), {"speed-dependent-damping": values})
+    found = sim.forces(0.0, 0.0, 1.2, -0.3, 0.2, [])
+    expected = (0.0, 1.2 * (3 * 0.2 - 7 * -0.3), 1.2 * (-5 * 0.2 + 2 * -0.3))
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+    coupling = {"Y_rdot": -2.0, "N_vdot": -3.0, "x_G": 0.1}
+    M = Simulator(vessel(x_G=0.2), {"added-mass-coupling": coupling}).M
+    np.testing.assert_allclose(M[1][2], 10 * 0.3 + 2)
+    np.testing.assert_allclose(M[2][1:], [10 * 0.3 + 3, 4 + 10 * 0.09])
+
+
+# channels
+
+
+def test_play_on_a_triangle_wave():
+    """Half width w: at rest for 2 w of the order after each turn, else w behind it."""
+    times = np.linspace(0, 4, 401)
+    wave = np.interp(times, [0, 1, 3, 4], [0, 5, -5, 0])
+    y = realised(zip(times, wave, strict=True), times, backlash=0.8)
+    # On the flanks: w behind.
+    for start, end, side in ((0.16, 1.0, -1), (1.32, 3.0, 1), (3.32, 4.0, -1)):
+        flank = (times > start + 1e-9) & (times <= end)
+        np.testing.assert_allclose(y[flank], wave[flank] + 0.8 * side, atol=1e-12)
+    # Held from the turn until the order has come back by 2 w.
+    for start, end, value in ((0, 0.16, 0), (1.0, 1.32, 4.2), (3.0, 3.32, -4.2)):
+        held = (times >= start) & (times <= end + 1e-9)
+        np.testing.assert_allclose(y[held], value, atol=1e-12)
+
+
+def test_travel_time_of_a_slewed_step():
+    slew = {"rate-limit": {"rate_limit": 0.05, "actuators": ["rudder"]}}
+    sim = simulate(SHIP, [(0, {"propeller": 10.0}), (2, {"rudder": 0.4})], 12.0, slew)
+    out = sim.at([2.0, 5.0, 9.999, 10.001])
+    np.testing.assert_allclose(out["exec_rudder"], [0, 0.15, 0.39995, 0.4], atol=1e-12)
+    np.testing.assert_array_equal(out["exec_propeller"], 10.0)
+    assert math.isinf(Simulator(SHIP, slew).model.actuators[0].rate)
+
+
+def test_bias_comes_before_the_dead_band_and_limits_before_the_play():
+    chain = {"bias": 0.5, "deadband": 0.3, "limit": 2.0, "backlash": 0.25, "delay": 0.5}
+    orders = [(0, 1.0), (1, 1.1), (2, 9.0), (3, 1.9), (4, -0.7)]
+    found = realised(orders, [0.0, 1.6, 2.4, 2.6, 3.6, 4.6], **chain)
+    np.testing.assert_allclose(found, [1.2, 1.2, 1.2, 1.75, 1.75, 0.25])
+
+
+def test_effects_reach_the_chosen_channels():
+    one = {"actuator-bias": {"bias": 5.0, "actuators": ["port"]}}
+    assert [t.bias for t in Simulator(USV, one).model.actuators] == [5.0, 0.0]
+    clip = {"thrust-saturation": {"limit": 60.0}}
+    assert simulate(USV, [(0, 100)], 1.0, clip).at([0.5])["exec_port"][0] == 60.0
+    own = USV | {"effect": [{"name": "thrust-saturation", "limit": 40.0}]}
+    assert simulate(own, [(0, -100)], 1.0, clip).at([0.5])["exec_port"][0] == -40.0
+    trim = {"actuator-bias": {"bias": 0.03, "actuators": ["rudder"]}}
+    trimmed = simulate(SHIP, [(0, {"propeller": 10.0})], 5.0, trim)
+    ordered = simulate(SHIP, [(0, {"propeller": 10.0, "rudder": 0.03})], 5.0)
+    np.testing.assert_array_equal(trimmed.states([5.0]), ordered.states([5.0]))
+    with pytest.raises(ValueError, match="no such actuators"):
+        Simulator(USV, {"backlash": {"width": 1.0, "actuators": ["rudder"]}})
+
+
+# propeller and rudder
+
+
+def test_a_propeller_is_its_open_water_diagram():
+    p = SHIP["propeller"][0]
+    propeller = Simulator(SHIP).model.actuators[0]
+    n, u = 11.0, 1.2
+    J = (1 - 0.4) * u / (n * p["diameter"])
+    K_T = np.polyval(p["k_T"][::-1], J)
+    X, Y, N = propeller.push(n, u, 0.0)
+    assert pytest.approx((1 - 0.2) * K_T * 1000 * n**2 * p["diameter"] ** 4) == X
+    assert (Y, N) == (0, 0)
+    bollard = propeller.push(-8.0, 0.0, 0.0)[0]
+    assert bollard == pytest.approx(-0.8 * 0.7 * 0.29 * 1000 * 64 * 0.22**4)
+    # The wake falls with drift at the propeller, which a turn about it does not make.
+    beta = math.atan(0.3)
+    turn = math.hypot(1.0, 0.3) * beta / 3.3
+    assert propeller.inflow(1.0, 0.3, turn) == pytest.approx(0.6)
+    assert propeller.inflow(1.0, -0.3, 0.0) == pytest.approx(1 - 0.4 * math.exp(-4 * beta**2))
+
+
+def test_a_rudder_is_the_mmg_methods():
+    """Yasukawa and Yoshimura's eq. 25 in J and K_T(J); yaw by a turn to starboard at +."""
+    r = SHIP["rudder"][0]
+    rudder = Simulator(SHIP).model.actuators[1]
+    n, delta, u = 10.0, 0.3, 1.1
+    J = 0.6 * u / (n * 0.22)
+    K_T = np.polyval([-0.14, -0.27, 0.29], J)
+    eta = 0.22 / 0.34
+    jet = eta * (1 + 0.5 * (math.sqrt(1 + 8 * K_T / (math.pi * J**2)) - 1)) ** 2 + (1 - eta)
+    speed = 1.1 * 0.6 * u * math.sqrt(jet)
+    F = 0.5 * 1000 * r["area"] * 2.75 * speed**2 * math.sin(delta)
+    X, Y, N = rudder.push(delta, u, 0.0, 0.0, {"propeller": n})
+    assert pytest.approx(-0.62 * F * math.sin(delta)) == X
+    assert pytest.approx(-1.3 * F * math.cos(delta)) == Y
+    assert pytest.approx((3.5 + 0.3 * 3.2) * F * math.cos(delta)) == N and N > 0
+
+
+@pytest.mark.parametrize("side, gamma", [(1, 0.6), (-1, 0.45)])
+def test_a_rudder_in_the_cross_flow_feels_none_at_the_straightened_angle(side, gamma):
+    rudder = Simulator(SHIP).model.actuators[1]
+    u, v = 1.1, -0.2 * side  # drift to port: flow from starboard, beta_R > 0
+    weak = {"kappa": 0.0, "epsilon": 1.0}
+    rudder.data |= weak
+    u_p = rudder.propeller.inflow(u, v, 0.0)
+    cross = math.hypot(u, v) * gamma * math.atan(0.2 * side / 1.1)
+    neutral = math.atan(cross / u_p)
+    assert abs(rudder.push(neutral, u, 0.0, v, {"propeller": 9.0})[1]) < 1e-10
+    # No cross-flow at all where the rudder moves along its own plane: beta = l_R r / U.
+    turn = math.hypot(u, v) * math.atan(0.2 * side / 1.1) / -5.0
+    assert abs(rudder.push(0.0, u, turn, v, {"propeller": 9.0})[1]) < 1e-10
+
+
+def test_side_force_and_interaction():
+    side = {"Y_ahead": 0.02, "N_ahead": -0.01, "Y_astern": 0.1, "N_astern": 0.05}
+    propeller = Simulator(SHIP, {"propeller-side-force": side}).model.actuators[0]
+    X, Y, N = propeller.push(9.0, 0.5, 0.0)
+    assert X > 0 and (Y, N) == pytest.approx((0.02 * X, -0.01 * 7.0 * X))
+    X, Y, N = propeller.push(-9.0, 0.5, 0.0)
+    assert X < 0 and (Y, N) == pytest.approx((-0.1 * X, -0.05 * 7.0 * X))
+    whole = {"a_H": 0.0, "x_H": -2.0, "gamma_R": 1.0}
+    rudder = Simulator(SHIP, {"rudder-interaction": whole}).model.actuators[1]
+    _, Y, N = rudder.push(0.2, 1.1, 0.03, 0.1, {"propeller": 9.0})
+    assert N == pytest.approx(-3.5 * Y)
+    for v in (0.1, -0.1):  # the flow unstraightened, to both sides
+        angle = math.atan2(v, 1.0)
+        u_p = rudder.propeller.inflow(1.0, v, 0.0)
+        rudder.data |= {"kappa": 0.0, "epsilon": 1.0}
+        neutral = -math.atan(math.hypot(1.0, v) * angle / u_p)
+        assert abs(rudder.push(neutral, 1.0, 0.0, v, {"propeller": 0.0})[1]) < 1e-10
+
+
+def test_a_ship_turns_to_the_side_of_its_rudder():
+    for side in (1, -1):
+        sim = simulate(SHIP, [(0, {"propeller": 11.0}), (5, {"rudder": 0.5 * side})], 120.0,
+                       state=(0, 0, 0, 1.1, 0, 0))  # fmt: skip
+        end = sim.at([120.0])
+        assert 0.02 < side * end["r"][0] < 0.1 and side * end["v"][0] < 0 and 0.2 < end["u"][0] < 1
+
+
 # integration and events
 
 
@@ -484,6 +754,42 @@ def test_sensor_effects_on_a_known_motion():
     )
 
 
+def test_a_drifting_clock_shows_the_past():
+    """Steady motion at 1 m/s: stamped t, the state at t - (offset + rate t)."""
+    drift = {"clock-drift": {"offset": 0.3, "rate": 0.02}}
+    late = {"sensor-latency": {"delay": 0.5, "channels": ["y"]}}
+    steps = [(0, 0), (1, {"p": 3.0, "s": -3.0})]
+    sim = simulate(vessel(PAIR), steps, 5.0, drift | late, (0, 0, 0, 1.0, 0, 0.4))
+    t = np.arange(0, 5.01, 0.25)
+    shown = t - 0.3 - 0.02 * t
+    out = S.record(sim, t, wrapped=False)
+    here = simulate(vessel(PAIR), steps, 5.0, None, (0, 0, 0, 1.0, 0, 0.4))
+    for channel in S.CHANNELS:
+        back = shown - (0.5 if channel == "y" else 0)
+        assert np.array_equal(np.isnan(out[channel]), back < 0), channel
+        expected = here.at(back[back >= 0])[channel]
+        np.testing.assert_allclose(out[channel][back >= 0], expected, atol=1e-9)
+    np.testing.assert_array_equal(out["cmd_p"], np.where(t >= 1, 3.0, 0.0))
+    early = {"clock-drift": {"offset": -0.3}}
+    out = S.record(simulate(vessel(PAIR), steps, 5.0, early, (0, 0, 0, 1.0, 0, 0)), t)
+    assert np.isnan(out["x"][-2:]).all() and out["x"][0] == pytest.approx(0.3)
+
+
+def test_a_roll_has_its_period_and_spread():
+    phi = S.roll(np.random.default_rng(2), 0.0, 8000.0, 3.0)(np.arange(0, 8000, 0.05))
+    assert np.std(phi) == pytest.approx(math.radians(3), rel=0.05)
+    crossings = np.sum((phi[1:] > 0) & (phi[:-1] <= 0))
+    assert crossings * 3.0 == pytest.approx(8000, rel=0.02)
+
+
+def test_hard_iron_has_the_period_of_the_heading():
+    iron = {"hard-iron": {"amplitude": 0.1, "phase": 0.7}}
+    sim = simulate(vessel(), [(0, 0)], 12.0, iron, (0, 0, 0.7, 0, 0, math.pi / 6))
+    shown = S.record(sim, np.array([0.0, 3.0, 6.0, 9.0]), wrapped=False)["psi"]
+    quarters = 0.7 + np.array([0, 0.5, 1.0, 1.5]) * math.pi
+    np.testing.assert_allclose(shown - quarters, [0, 0.1, 0, -0.1], atol=1e-9)
+
+
 def test_noise_resolution_and_rates():
     sim = simulate(vessel(), [(0, 0)], 400.0, state=(0, 0, 0, 0, 0, 0))
     t = np.arange(4000) / 10
@@ -536,3 +842,71 @@ def test_perturbed_hull_differs_by_the_stated_share():
     assert all(0.15 <= change[k] <= 0.25 for k in change if H.DERIVATIVE.match(k))
     assert all(0.0375 <= change[k] <= 0.0625 for k in R.MASSES)
     assert all(change[k] == 0 for k in ("length", "beam", "draught", "x_G"))
+
+
+CATALOGUE = {
+    "heading-offset": ["angle=0.1"],
+    "hard-iron": ["amplitude=0.1", "phase=0.3"],
+    "gyro-bias": ["bias=0.01"],
+    "sensor-latency": ["delay=0.5", "channels=x,y"],
+    "lever-arm": ["x=1", "y=0.5"],
+    "clock-drift": ["rate=0.01", "offset=0.2"],
+    "current": ["speed=0.3", "direction=1"],
+    "wind": ["speed=6", "direction=1"],
+    "wave-force": ["bias=20", "amplitude=30", "frequency=0.2", "phase=0.5", "direction=1"],
+    "shallow-water": ["depth=0.5"],
+    "thrust-lag": ["time_constant=0.8"],
+    "thrust-delay": ["delay=0.6"],
+    "rate-limit": ["rate_limit=30"],
+    "deadband": ["width=12"],
+    "backlash": ["width=12"],
+    "thrust-saturation": ["limit=50", "actuators=port"],
+    "actuator-bias": ["bias=9", "actuators=starboard"],
+    "thrust-asymmetry": ["ratio=0.1"],
+    "thruster-misalignment": ["angle=0.1"],
+    "thrust-loss-with-speed": ["slope=0.1"],
+    "thrust-loss-in-turns": ["slope=0.5"],
+    "thrust-change": ["time=6", "factor=-0.3"],
+    "propeller-side-force": ["Y_ahead=0.05", "N_ahead=0.02", "Y_astern=0.1", "N_astern=0.05"],
+    "rudder-interaction": ["a_H=0.1", "x_H=-3", "gamma_R=0.9"],
+    "quadratic-damping": ["X_uu=-30", "Y_vv=-90", "N_rr=-300"],
+    "crossflow-drag": ["cd=1"],
+    "sway-yaw-coupling": ["Y_r=60", "N_v=40"],
+    "speed-dependent-damping": ["Y_ur=50", "N_ur=-100", "Y_uv=-60", "N_uv=30"],
+    "added-mass-coupling": ["Y_rdot=-30", "N_vdot=-30", "x_G=0.1"],
+    "munk-moment": ["Y_vdot - X_udot=60"],
+    "mass-change": ["time=6", "mass=50"],
+    "drag-change": ["time=6", "factor=0.5"],
+    "roll-coupling": ["Y_phi=200", "N_phi=300"],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plain_recordings(tmp_path_factory):
+    return {vessel: rows_of(tmp_path_factory.mktemp(vessel), vessel) for vessel in ("usv", "ship")}
+
+
+def rows_of(folder, vessel, effect=()):
+    """The rows of two runs of 20 s with an effect."""
+    options = ["--vessel", str(HERE / f"{vessel}.toml"), "--seed", "3", "--seconds", "20"]
+    options += ["--runs", "random-steps", "speed-steps"]
+    R.main([str(folder), *options, *(["--effect", *effect] if effect else [])])
+    return [list(csv.DictReader(path.open())) for path in sorted(folder.iterdir())]
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_recordings_have_any_effect_of_the_catalogue(name, plain_recordings, tmp_path):
+    vessel = "ship" if name.startswith(("propeller", "rudder")) else "usv"
+    found = rows_of(tmp_path, vessel, [name, *CATALOGUE[name]])
+    for run, plain in zip(found, plain_recordings[vessel], strict=True):
+        assert len(run) == 101 and ("phi" in run[0]) == (name == "roll-coupling")
+        assert [row["cmd_" + x] for row in run for x in orders_of(vessel)] == [
+            row["cmd_" + x] for row in plain for x in orders_of(vessel)
+        ]
+    motion = [[[row[c] for c in S.CHANNELS] for row in run] for run in found]
+    assert motion != [[[row[c] for c in S.CHANNELS] for row in run]
+                      for run in plain_recordings[vessel]]  # fmt: skip
+
+
+def orders_of(vessel):
+    return ("port", "starboard") if vessel == "usv" else ("propeller", "rudder")

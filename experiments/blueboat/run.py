@@ -7,7 +7,16 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
-from prediction import Case, audited, load, study
+from prediction import (
+    Case,
+    audited,
+    document_of,
+    load,
+    plot_candidates,
+    show_audit,
+    study,
+    write_results,
+)
 
 
 # Manoeuvring runs of one to two and a half minutes; the others stay unused.
@@ -18,16 +27,14 @@ HELD_OUT = ("fixed_00000228.csv", "fixed_00000232.csv")
 def main() -> None:
     """Print what the audit finds before and after the repair, then the diagnosis."""
     published = load(HERE, "blueboat/*.csv")
-    for title, runs in (("as published", published), ("repaired", _repaired())):
-        print(f"audit {title}:")
-        for finding in audited(runs):
-            print(f"  {finding['recording']}: {finding['kind']}: {finding['message']}")
-    used = {name: run for name, run in _repaired().items() if name in (*TRAIN, *HELD_OUT)}
-    study(Case(HERE, "blueboat", used, HELD_OUT, per_run=True))
-
-
-def _repaired() -> dict:
-    return load(HERE, "blueboat/*.csv", "mapping_repaired.toml")
+    repaired = load(HERE, "blueboat/*.csv", "mapping_repaired.toml")
+    audits = {"as published": audited(published), "repaired": audited(repaired)}
+    for title, findings in audits.items():
+        show_audit(title, findings)
+    used = {name: repaired[name] for name in (*TRAIN, *HELD_OUT)}
+    record = study(Case("blueboat", document_of("blueboat"), used, HELD_OUT, per_run=True))
+    plot_candidates("blueboat", {"BlueBoat, as repaired": record})
+    write_results("blueboat", record | {"audits": audits})
 
 
 if __name__ == "__main__":

@@ -64,6 +64,8 @@ class Environment(eqx.Module):
     current_east: Scalar = 0.0  # m/s
     wind_north: Scalar = 0.0  # m/s, where the air moves to
     wind_east: Scalar = 0.0  # m/s
+    shallowness: Scalar = 0.0  # -ln(1 - T / h) of the vessel's draught and the depth, 0 is deep
+    heel: Scalar = 0.0  # rad, to starboard; where it was recorded it changes within a run
 
 
 class Trajectory(eqx.Module):

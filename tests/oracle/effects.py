@@ -1,4 +1,4 @@
-"""Effects: what each entry of the catalogue does to hull, thrusters, forces or sensors.
+"""Effects: what each entry of the catalogue does to hull, actuators, forces or sensors.
 
 current               V_c = speed (cos, sin)(direction), where it flows to;
                       p_dot = R(psi) nu_r + V_c
@@ -10,17 +10,27 @@ wind                  air velocity w = -speed (cos, sin)(direction), direction i
                       less the same in still air (w = 0), unless `still_air` is 1
 wave-force            bias + amplitude sin(2 pi frequency t + phase) newtons towards
                       `direction`, fixed in the earth, at amidships
+shallow-water         q = draught / depth: added masses x (1 - q)^(-1/2), derivative damping and
+                      cross-flow drag x (1 - q)^(-1/4) in X, x (1 - q)^(-1) in Y and N
 crossflow-drag        strip theory with cd, or derivatives Y_vv ... added
 quadratic-damping, sway-yaw-coupling, speed-dependent-damping, added-mass-coupling:
                       keys added to the hull's
-drag-change           derivative damping x (1 + factor) from `time`
-thrust-change         thrust x (1 + factor) from `time`
-thrust-lag, thrust-delay, deadband: added to the thruster's own
-rate-limit, thrust-saturation: the lower of effect and thruster holds
+munk-moment           N += size u_r v_r, the size named "Y_vdot - X_udot"
+roll-coupling         Y += Y_phi phi, N += N_phi phi, phi(t) given to the simulator as `heel`
+drag-change           derivative damping and cross-flow drag x (1 + factor) from `time`
+mass-change           mass more at amidships from `time`, the velocity unbroken
+thrust-change         forces of thrusters and propellers x (1 + factor) from `time`
+thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
+rate-limit, thrust-saturation: the lower of effect and channel holds
 thrust-asymmetry      port (y < 0) x (1 - ratio), starboard x (1 + ratio), after the clip
 thruster-misalignment angle added to every thruster
 thrust-loss-with-speed x (1 - slope u_r);  thrust-loss-in-turns  x (1 - slope |r|)
+propeller-side-force, rudder-interaction: see `screw.py`
 sensors               see `sensors.py`
+
+Effects on channels act on the actuators named under `actuators`. Without it: an actuator-bias
+and rate-limit, thrust-lag, thrust-delay, deadband, backlash, thrust-saturation on thrusters
+where there are any, else on propellers and rudders.
 """
 
 from __future__ import annotations
@@ -31,16 +41,42 @@ from dataclasses import dataclass, field
 
 from . import hull as H
 from .actuators import Thruster
+from .environment import polar, wave_force, wind_force
+from .screw import Propeller, Rudder
 
 
-AIR_DENSITY = 1.225  # kg/m^3
 ADDED = (
     "quadratic-damping",
     "sway-yaw-coupling",
     "speed-dependent-damping",
     "added-mass-coupling",
 )
-SENSORS = ("heading-offset", "hard-iron", "gyro-bias", "sensor-latency", "lever-arm")
+SENSORS = (
+    "heading-offset",
+    "hard-iron",
+    "gyro-bias",
+    "sensor-latency",
+    "lever-arm",
+    "clock-drift",
+)
+ADDED_MASSES = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+KINDS = ("thruster", "propeller", "rudder")
+# Effect: its parameter, the channel's key, and how the two combine.
+CHANNEL_EFFECTS = {
+    "thrust-lag": ("time_constant", "time_constant", "sum"),
+    "thrust-delay": ("delay", "delay", "sum"),
+    "deadband": ("width", "deadband", "sum"),
+    "backlash": ("width", "backlash", "sum"),
+    "actuator-bias": ("bias", "bias", "sum"),
+    "rate-limit": ("rate_limit", "rate_limit", "least"),
+    "thrust-saturation": ("limit", "limit", "least"),
+}
+# Effects on the force of fixed thrusters: parameter and key.
+THRUST_EFFECTS = {
+    "thruster-misalignment": ("angle", "angle"),
+    "thrust-loss-with-speed": ("slope", "loss_speed"),
+    "thrust-loss-in-turns": ("slope", "loss_turn"),
+}
 
 
 @dataclass
@@ -48,13 +84,20 @@ class Model:
     """A vessel with every effect worked in."""
 
     hull: dict
-    thrusters: list[Thruster]
+    actuators: list = field(default_factory=list)
     current: tuple[float, float] = (0.0, 0.0)  # north, east [m/s]
     forces: list = field(default_factory=list)  # f(t, psi, u, v, u_r, v_r, r) -> (X, Y, N)
     sensors: list[dict] = field(default_factory=list)
-    drag_steps: list[tuple[float, float]] = field(default_factory=list)
+    drag_steps: list[tuple[float, float]] = field(default_factory=list)  # time, factor
     thrust_steps: list[tuple[float, float]] = field(default_factory=list)
-    crossflow: bool = False
+    mass_steps: list[tuple[float, float]] = field(default_factory=list)  # time, kg more
+    crossflow: float = 0.0  # cd
+    shallow: float = 0.0  # draught / depth
+    heel: object = None  # phi(t) [rad]
+
+    @property
+    def thrusters(self) -> list[Thruster]:
+        return [a for a in self.actuators if isinstance(a, Thruster)]
 
 
 def listed(vessel: dict, environment: dict | None) -> list[dict]:
@@ -65,27 +108,31 @@ def listed(vessel: dict, environment: dict | None) -> list[dict]:
 
 def build(vessel: dict, environment: dict | None = None) -> Model:
     """The model of a parsed vessel file in an environment."""
-    for kind in ("azimuth_thruster", "propeller", "rudder", "tunnel_thruster"):
+    for kind in ("azimuth_thruster", "tunnel_thruster"):
         if vessel.get(kind):
-            raise ValueError(f"the oracle has fixed thrusters only, not {kind}")
-    data = copy.deepcopy({"hull": vessel["hull"], "thruster": vessel.get("thruster", [])})
-    model = Model(data["hull"], [])
+            raise ValueError(f"the oracle has thrusters, propellers and rudders, not {kind}")
+    data = copy.deepcopy({kind: vessel.get(kind, []) for kind in KINDS})
+    model = Model(copy.deepcopy(vessel["hull"]))
     for effect in listed(vessel, environment):
-        apply(model, data["thruster"], effect)
-    model.thrusters = [Thruster(t) for t in data["thruster"]]
+        apply(model, data, effect)
+    for key in ADDED_MASSES:  # after the effects that add to them
+        if key in model.hull:
+            model.hull[key] *= (1.0 - model.shallow) ** -0.5
+    propellers = [Propeller(p, model.hull) for p in data["propeller"]]
+    model.actuators += [Thruster(t) for t in data["thruster"]] + propellers
+    model.actuators += [Rudder(r, model.hull, propellers) for r in data["rudder"]]
     return model
 
 
-def apply(model: Model, thrusters: list[dict], effect: dict) -> None:
-    """Work one effect into the model."""
+def apply(model: Model, data: dict[str, list[dict]], effect: dict) -> None:
+    """Work one effect into the model or the actuators' data."""
     name, hull = effect["name"], model.hull
     values = {k: v for k, v in effect.items() if k != "name"}
     if name in ADDED or (name == "crossflow-drag" and "cd" not in values):
         for key, value in values.items():
             hull[key] = hull.get(key, 0.0) + value
     elif name == "crossflow-drag":
-        model.crossflow = True
-        model.forces.append(crossflow_force(hull, values["cd"]))
+        model.crossflow += values["cd"]
     elif name == "current":
         north, east = polar(values["speed"], values["direction"])
         model.current = (model.current[0] + north, model.current[1] + east)
@@ -93,88 +140,88 @@ def apply(model: Model, thrusters: list[dict], effect: dict) -> None:
         model.forces.append(wind_force(hull, values))
     elif name == "wave-force":
         model.forces.append(wave_force(values))
+    elif name == "shallow-water":
+        model.shallow = hull["draught"] / values["depth"]
+        if not 0.0 <= model.shallow < 1.0:
+            raise ValueError("the water must be deeper than the draught")
+    elif name == "munk-moment":
+        model.forces.append(munk_moment(values["Y_vdot - X_udot"]))
+    elif name == "roll-coupling":
+        model.forces.append(roll_force(model, values.get("Y_phi", 0.0), values.get("N_phi", 0.0)))
     elif name in ("drag-change", "thrust-change"):
         steps = model.drag_steps if name == "drag-change" else model.thrust_steps
         steps.append((values["time"], 1.0 + values["factor"]))
+    elif name == "mass-change":
+        model.mass_steps.append((values["time"], values["mass"]))
     elif name in SENSORS:
         model.sensors.append(effect)
     else:
-        for thruster in thrusters:
-            change_thruster(thruster, name, values)
+        change_actuators(data, name, values)
 
 
-def change_thruster(t: dict, name: str, values: dict) -> None:
-    """Effects on actuators, on the thruster's own keys."""
-    if name in ("thrust-lag", "thrust-delay", "deadband", "thruster-misalignment"):
-        key, parameter = {
-            "thrust-lag": ("time_constant", "time_constant"),
-            "thrust-delay": ("delay", "delay"),
-            "deadband": ("deadband", "width"),
-            "thruster-misalignment": ("angle", "angle"),
-        }[name]
-        t[key] = t.get(key, 0.0) + values[parameter]
-    elif name == "rate-limit":
-        t["rate_limit"] = min(t.get("rate_limit") or math.inf, values["rate_limit"])
-    elif name == "thrust-saturation":
-        t["max_force"] = min(t.get("max_force", math.inf), values["limit"])
-        t["min_force"] = max(t.get("min_force", -math.inf), -values["limit"])
+def change_actuators(data: dict[str, list[dict]], name: str, values: dict) -> None:
+    """Effects on actuators, on the actuators' own keys."""
+    if name in CHANNEL_EFFECTS:
+        parameter, key, how = CHANNEL_EFFECTS[name]
+        for actuator in chosen(data, values.get("actuators")):
+            own = actuator.get(key)
+            if how == "sum":
+                actuator[key] = (own or 0.0) + values[parameter]
+            else:
+                actuator[key] = min(own or math.inf, values[parameter])
+    elif name in THRUST_EFFECTS:
+        parameter, key = THRUST_EFFECTS[name]
+        for t in data["thruster"]:
+            t[key] = t.get(key, 0.0) + values[parameter]
     elif name == "thrust-asymmetry":
-        side = (t["y"] > 0) - (t["y"] < 0)
-        t["gain"] = t.get("gain", 1.0) * (1.0 + side * values["ratio"])
-    elif name == "thrust-loss-with-speed":
-        t["loss_speed"] = t.get("loss_speed", 0.0) + values["slope"]
-    elif name == "thrust-loss-in-turns":
-        t["loss_turn"] = t.get("loss_turn", 0.0) + values["slope"]
+        for t in data["thruster"]:
+            side = (t["y"] > 0) - (t["y"] < 0)
+            t["gain"] = t.get("gain", 1.0) * (1.0 + side * values["ratio"])
+    elif name == "propeller-side-force":
+        for p in data["propeller"]:
+            for sign in ("ahead", "astern"):
+                p[f"side_{sign}"] = [values.get(f"{axis}_{sign}", 0.0) for axis in "YN"]
+    elif name == "rudder-interaction":
+        for r in data["rudder"]:
+            r.update({key: values[key] for key in ("a_H", "x_H") if key in values})
+            if "gamma_R" in values:
+                r["gamma_R_port"] = r["gamma_R_starboard"] = values["gamma_R"]
     else:
         raise ValueError(f"the oracle does not have the effect {name}")
 
 
-def polar(size: float, direction: float) -> tuple[float, float]:
-    """(north, east) of a vector towards `direction`."""
-    return size * math.cos(direction), size * math.sin(direction)
+def chosen(data: dict[str, list[dict]], names) -> list[dict]:
+    """The actuators named, or thrusters where there are any, else all."""
+    if names is None:
+        return data["thruster"] or [a for kind in KINDS for a in data[kind]]
+    found = [a for kind in KINDS for a in data[kind] if a["name"] in names]
+    if len(found) != len(names):
+        raise ValueError(f"no such actuators: {names}")
+    return found
 
 
-def to_body(north: float, east: float, psi: float) -> tuple[float, float]:
-    """R(psi)' (north, east): forward and starboard components."""
-    c, s = math.cos(psi), math.sin(psi)
-    return c * north + s * east, c * east - s * north
+def hull_drag(model: Model, terms, u: float, v: float, r: float) -> list[float]:
+    """Derivative damping and cross-flow drag [N, N, N m], grown in shallow water."""
+    X, Y, N = H.damping(terms, u, v, r)
+    if model.crossflow:
+        y, n = H.crossflow(model.hull, model.crossflow, v, r)
+        Y, N = Y + y, N + n
+    room = 1.0 - model.shallow
+    return [X * room**-0.25, Y / room, N / room]
 
 
-def crossflow_force(hull: dict, cd: float):
+def munk_moment(size: float):
     def force(t, psi, u, v, u_r, v_r, r):
-        y, n = H.crossflow(hull, cd, v_r, r)
-        return 0.0, y, n
+        return 0.0, 0.0, size * u_r * v_r
 
     return force
 
 
-def wind_force(hull: dict, values: dict):
-    L, B, T = hull["length"], hull["beam"], hull["draught"]
-    front = values.get("frontal_area", B * T)
-    side = values.get("lateral_area", L * T)
-    q = 0.5 * values.get("air_density", AIR_DENSITY)
-    kx = q * front * values.get("C_X", 0.7)
-    ky = q * side * values.get("C_Y", 0.85)
-    kn = q * side * L * values.get("C_N", 0.1)
-    north, east = polar(-values["speed"], values["direction"])
-    calm = 1.0 - values.get("still_air", 0.0)
-
+def roll_force(model: Model, y: float, n: float):
     def force(t, psi, u, v, u_r, v_r, r):
-        a, b = to_body(north, east, psi)
-        a, b = a - u, b - v
-        V, S = math.hypot(a, b), calm * math.hypot(u, v)
-        return kx * (V * a + S * u), ky * (V * b + S * v), kn * 2 * (a * b - calm * u * v)
-
-    return force
-
-
-def wave_force(values: dict):
-    omega = 2 * math.pi * values.get("frequency", 0.0)
-    phase, direction = values.get("phase", 0.0), values.get("direction", 0.0)
-    bias, amplitude = values.get("bias", 0.0), values.get("amplitude", 0.0)
-
-    def force(t, psi, u, v, u_r, v_r, r):
-        F = bias + amplitude * math.sin(omega * t + phase)
-        return F * math.cos(direction - psi), F * math.sin(direction - psi), 0.0
+        if model.heel is None:
+            raise ValueError("roll-coupling needs the heel phi(t)")
+        phi = float(model.heel(t))
+        return 0.0, y * phi, n * phi
 
     return force

@@ -41,6 +41,11 @@ def inertia(hull: dict) -> list[list[float]]:
     ]
 
 
+def loaded(M, mass: float) -> list[list[float]]:
+    """M with a point mass [kg] more at amidships: neither x_G m nor the yaw inertia change."""
+    return [[M[0][0] + mass, 0.0, 0.0], [0.0, M[1][1] + mass, M[1][2]], list(M[2])]
+
+
 def impulse(M, u: float, v: float, r: float) -> tuple[float, float, float]:
     """(p_x, p_y, p_n) in body axes, from the symmetric part of M."""
     m23 = 0.5 * (M[1][2] + M[2][1])

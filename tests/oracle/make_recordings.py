@@ -7,6 +7,9 @@
 
 Hull, gusts, noise and manoeuvres are drawn from separate streams of the seed: the same seed
 with another effect keeps hull, gusts, noise and open-loop orders.
+The vessel has two thrusters, or propellers and rudders: half the sum of the two levels of thrust
+then orders revolutions, their difference the rudder's share of its largest angle.
+With roll-coupling the vessel rolls (a narrow band about its period, 3 deg) and `phi` is recorded.
 The truth is written only to --truth.
 """
 
@@ -23,9 +26,10 @@ import numpy as np
 
 from . import hull as H
 from .actuators import order_for_thrust
-from .sensors import gust, record, suite, write_csv
+from .effects import listed
+from .sensors import ROLL, Sensor, gust, record, roll, suite, write_csv
 from .simulator import Simulator, load
-from .trials import steady_speed
+from .trials import balance, speed_under
 
 
 GUST = dict(rtol=1e-8, atol=1e-10, max_step=0.5)
@@ -52,11 +56,24 @@ def perturbed(vessel: dict, rng, low=0.15, high=0.25) -> dict:
 
 def orders(vessel: dict, port: float, starboard: float) -> dict[str, float]:
     """Orders for levels of full thrust in [-1, 1], ahead by max_force, astern by min_force."""
+    if not vessel.get("thruster"):
+        return screw_orders(vessel, 0.5 * (port + starboard), port - starboard)
     out = {}
     pair = sorted(vessel["thruster"], key=lambda t: t["y"])
     for thruster, level in zip(pair, (port, starboard), strict=True):
         full = thruster["max_force"] if level >= 0 else -thruster["min_force"]
         out[thruster["name"]] = round(order_for_thrust(thruster, level * full), 4)
+    return out
+
+
+def screw_orders(vessel: dict, level: float, turn: float) -> dict[str, float]:
+    """Orders for a level of full thrust and a share of the rudder, both in [-1, 1]."""
+    out = {}
+    for p in vessel["propeller"]:
+        full = p["max_speed"] if level >= 0 else -p["min_speed"]
+        out[p["name"]] = round(math.copysign(full * math.sqrt(abs(level)), level), 4)
+    for r in vessel.get("rudder", []):
+        out[r["name"]] = round(r["max_angle"] * min(max(turn, -1.0), 1.0), 4)
     return out
 
 
@@ -158,8 +175,8 @@ MANOEUVRES = {  # level at the start, what is done
 
 def start_state(vessel, rng, level, current):
     """Anywhere, any heading, steadily ahead through the water at the level's speed."""
-    total = level * sum(t["max_force"] for t in vessel["thruster"])
-    u = steady_speed(vessel, total) if level > 0 else 0.0
+    plain = {key: value for key, value in vessel.items() if key != "effect"}
+    u = speed_under(plain, orders(vessel, level, level)) if level > 0 else 0.0
     x, y, psi = *rng.uniform(-20, 20, 2), rng.uniform(-math.pi, math.pi)
     c, s = math.cos(psi), math.sin(psi)
     return (
@@ -179,10 +196,12 @@ def perform(vessel, name, seed, environment=None, seconds=150.0, rate=5.0, gusts
     std, blow = gusts * gust_scale(vessel), None
     if gusts:
         blow = gust(stream(seed, name, "gust"), 0.0, seconds, std)
-    current = Simulator(vessel, environment).model.current
+    current, heel = Simulator(vessel, environment).model.current, None
+    if any(effect["name"] == "roll-coupling" for effect in listed(vessel, environment)):
+        heel = roll(stream(seed, name, "roll"), 0.0, seconds, roll_period(vessel))
     state = start_state(vessel, rng, level, current)
-    first = orders(vessel, level, level)
-    sim = Simulator(vessel, environment, state, first, gust=blow, **(GUST if gusts else {}))
+    first, options = orders(vessel, level, level), GUST if gusts else {}
+    sim = Simulator(vessel, environment, state, first, gust=blow, heel=heel, **options)
     deck = Deck(vessel, sim, 1.0 / rate, seconds)
     if deck.hold(STRAIGHT):
         manoeuvre(deck, rng)
@@ -191,11 +210,23 @@ def perform(vessel, name, seed, environment=None, seconds=150.0, rate=5.0, gusts
 
 
 def gust_scale(vessel) -> np.ndarray:
-    """Standard deviations of the gusts: 1 % of full thrust and of its yaw moment."""
+    """Standard deviations of the gusts: 1 % of full thrust and of its yaw moment.
+
+    A vessel without thrusters: of the bollard pull, with a quarter of its length as the arm.
+    """
     M = H.inertia(vessel["hull"])
-    full = sum(t["max_force"] for t in vessel["thruster"])
-    arm = max(abs(t["y"]) for t in vessel["thruster"])
+    if vessel.get("thruster"):
+        full = sum(t["max_force"] for t in vessel["thruster"])
+        arm = max(abs(t["y"]) for t in vessel["thruster"])
+    else:
+        full = balance(vessel, None, screw_orders(vessel, 1.0, 0.0), 0.0)[0]
+        arm = 0.25 * vessel["hull"]["length"]
     return 0.01 * full * np.array([1 / M[0][0], 1 / M[1][1], arm / M[2][2]])
+
+
+def roll_period(vessel) -> float:
+    """Natural period [s], 2 pi k / sqrt(g GM) with k = 0.4 beam and GM = 0.1 beam."""
+    return 2.0 * math.pi * 0.4 * math.sqrt(vessel["hull"]["beam"] / (9.81 * 0.1))
 
 
 def produce(
@@ -222,6 +253,8 @@ def produce(
     for name in names:
         sim = perform(true, name, seed, environment, seconds, rate, gusts)
         rng, sensors = stream(seed, name, "noise"), suite(noise, position_every)
+        if sim.model.heel is not None:
+            sensors[ROLL] = Sensor(math.radians(0.1) * noise, 1e-4)
         write_csv(out / f"{name}.csv", record(sim, times, sensors, rng, executed=executed))
         starts[name] = {k: float(v[0]) for k, v in sim.at([0.0]).items()}
     if truth:

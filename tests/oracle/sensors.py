@@ -2,7 +2,9 @@
 
 Sensor effects, in this order:
     lever-arm (x, y)     position of the antenna: p + R(psi) (x, y)
-    sensor-latency       channels (default x, y) show the value at t - delay; empty at first
+    clock-drift          the channels stamped t show the state at t - (offset + rate t); empty
+                         where that is outside the run; orders keep their stamps
+    sensor-latency       channels (default x, y) show the value `delay` before that
     heading-offset       psi + angle;   hard-iron  psi + amplitude sin(psi - phase)
     gyro-bias            r + bias
 Then noise, quantisation (rounding to multiples of a step) and decimation, per channel.
@@ -17,9 +19,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.linalg import expm
 
 
 CHANNELS = ("x", "y", "psi", "u", "v", "r")
+ROLL = "phi"  # recorded where the heel is given
 
 
 @dataclass(frozen=True)
@@ -55,18 +59,39 @@ def gust(rng, start, end, std=(0.02, 0.02, 0.01), tau=(5.0, 5.0, 3.0), step=0.1)
     return CubicSpline(start - step + step * np.arange(n), a)
 
 
+def roll(rng, start, end, period, degrees=3.0, damping=0.08, step=0.02):
+    """Roll angle [rad] of a lightly damped oscillator under white noise, splined.
+
+    phi'' + 2 z w phi' + w^2 phi = noise, sampled exactly at `step`; started in the
+    stationary law, whose standard deviation of phi is `degrees`.
+    """
+    w, std = 2.0 * math.pi / period, math.radians(degrees)
+    n = int(math.ceil((end - start) / step)) + 4
+    A = np.array([[0.0, 1.0], [-w * w, -2.0 * damping * w]])
+    stationary = np.diag([std**2, (std * w) ** 2])
+    onward = expm(A * step)
+    spread = np.linalg.cholesky(stationary - onward @ stationary @ onward.T)
+    s = np.empty((n, 2))
+    s[0] = rng.standard_normal(2) * np.sqrt(np.diag(stationary))
+    for k in range(1, n):
+        s[k] = onward @ s[k - 1] + spread @ rng.standard_normal(2)
+    return CubicSpline(start - step + step * np.arange(n), s[:, 0])
+
+
 def true_channels(sim, times) -> dict[str, np.ndarray]:
     """The recorded channels before noise, with the sensor effects of the simulated model."""
     t = np.asarray(times, float)
     effects = sim.model.sensors
-    out = place(sim.at(t), effects)
+    clock = t.copy()
+    for effect in effects:
+        if effect["name"] == "clock-drift":
+            clock -= effect.get("offset", 0.0) + effect.get("rate", 0.0) * t
+    out = sim.at(t) | seen(sim, clock, effects)
     for effect in effects:
         if effect["name"] == "sensor-latency":
-            late = t - effect["delay"]
-            known = late >= sim.t0 - 1e-9
-            past = place(sim.at(np.maximum(late, sim.t0)), effects)
+            past = seen(sim, clock - effect["delay"], effects)
             for channel in effect.get("channels", ["x", "y"]):
-                out[channel] = np.where(known, past[channel], np.nan)
+                out[channel] = past[channel]
     for effect in effects:
         if effect["name"] == "heading-offset":
             out["psi"] = out["psi"] + effect["angle"]
@@ -75,6 +100,13 @@ def true_channels(sim, times) -> dict[str, np.ndarray]:
         elif effect["name"] == "gyro-bias":
             out["r"] = out["r"] + effect["bias"]
     return out
+
+
+def seen(sim, times, effects: list[dict]) -> dict:
+    """Motion channels at the times, with the antenna's place; NaN outside the run."""
+    known = (times >= sim.t0 - 1e-9) & (times <= sim.t + 1e-9)
+    out = place(sim.at(np.clip(times, sim.t0, sim.t)), effects)
+    return {c: np.where(known, out[c], np.nan) for c in CHANNELS}
 
 
 def place(out: dict, effects: list[dict]) -> dict:
@@ -98,7 +130,8 @@ def record(
     """t, the channels of `sensors` (default all, exact) and the orders; NaN is missing."""
     t = np.asarray(times, float)
     truth = true_channels(sim, t)
-    sensors = dict.fromkeys(CHANNELS, Sensor()) if sensors is None else sensors
+    if sensors is None:
+        sensors = dict.fromkeys([c for c in (*CHANNELS, ROLL) if c in truth], Sensor())
     out = {"t": t}
     for channel, sensor in sensors.items():
         value = np.array(truth[channel], float)

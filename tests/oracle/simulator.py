@@ -4,7 +4,9 @@ State (N, E, psi, u_r, v_r, r), velocities through the water:
 
     N_dot = u_r cos psi - v_r sin psi + V_cN,  E_dot = u_r sin psi + v_r cos psi + V_cE
     psi_dot = r
-    M nu_r_dot = -C(nu_r) nu_r + D(nu_r) + tau + ...      (hull.py, actuators.py, effects.py)
+    M nu_r_dot = -C(nu_r) nu_r + D(nu_r) + tau + ...
+
+(hull.py; channel.py, actuators.py, screw.py; effects.py, environment.py)
 
 Outputs u, v are over ground in body axes, (u, v) = (u_r, v_r) + R(psi)' V_c.
 Orders are held (piecewise constant); actuators are solved in closed form.
@@ -20,9 +22,12 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import DOP853
 from scipy.optimize import brentq
+from scipy.special import expit
 
 from . import hull as H
-from .effects import build, to_body
+from .effects import build, hull_drag
+from .environment import to_body
+from .screw import Rudder
 
 
 RTOL, ATOL = 1e-11, 1e-12
@@ -46,13 +51,21 @@ class Simulator:
         command=0.0,
         t0=0.0,
         gust=None,
+        heel=None,
+        soften=0.0,
         rtol=RTOL,
         atol=ATOL,
         max_step=1.0,
     ):
-        """state = (N, E, psi, u, v, r), u, v over ground; gust(t): accelerations added."""
+        """state = (N, E, psi, u, v, r), u, v over ground; gust(t): accelerations added.
+
+        heel(t): roll angle phi [rad], for roll-coupling; smooth between the restarts.
+        soften: s; a change at a time t_c follows 1 / (1 + exp((t_c - t) / soften)), 0 jumps.
+        """
         self.model = build(vessel, environment)
-        self.M = H.inertia(self.model.hull)
+        self.model.heel = heel
+        self.soften = soften
+        self.M = H.inertia(self.model.hull)  # before any mass-change
         self.terms = H.damping_terms(self.model.hull)
         self.gust, self.tolerances = gust, dict(rtol=rtol, atol=atol, max_step=max_step)
         self.t = self.t0 = float(t0)
@@ -66,8 +79,8 @@ class Simulator:
     # orders
 
     def order(self, command) -> None:
-        """Command from now on: a number for all thrusters, a sequence, or {name: value}."""
-        names = [t.name for t in self.model.thrusters]
+        """Command from now on: a number for all actuators, a sequence, or {name: value}."""
+        names = [a.name for a in self.model.actuators]
         if isinstance(command, dict):
             held = self.orders[-1][1] if self.orders else dict.fromkeys(names, 0.0)
             values = {n: float(command.get(n, held[n])) for n in names}
@@ -76,17 +89,20 @@ class Simulator:
                 zip(names, np.broadcast_to(command, len(names)).astype(float), strict=True)
             )
         self.orders.append((self.t, values))
-        for thruster in self.model.thrusters:
-            thruster.order(self.t, values[thruster.name])
+        for actuator in self.model.actuators:
+            actuator.order(self.t, values[actuator.name])
 
     # forces
 
     def forces(self, t, psi, u, v, r, segments, drag=1.0, thrust=1.0):
         """(X, Y, N) of everything but inertia; u, v relative to the water."""
-        X, Y, N = (drag * f for f in H.damping(self.terms, u, v, r))
-        for thruster, segment in zip(self.model.thrusters, segments, strict=True):
-            a, b, c = thruster.push(segment(t), u, r)
-            X, Y, N = X + thrust * a, Y + thrust * b, N + thrust * c
+        X, Y, N = (drag * f for f in hull_drag(self.model, self.terms, u, v, r))
+        actuators = list(zip(self.model.actuators, segments, strict=True))
+        realised = {actuator.name: segment(t) for actuator, segment in actuators}
+        for actuator, _ in actuators:
+            a, b, c = actuator.push(realised[actuator.name], u, r, v, realised)
+            k = 1.0 if isinstance(actuator, Rudder) else thrust
+            X, Y, N = X + k * a, Y + k * b, N + k * c
         if self.model.forces:
             cu, cv = to_body(*self.model.current, psi)
             for force in self.model.forces:
@@ -94,12 +110,13 @@ class Simulator:
                 X, Y, N = X + a, Y + b, N + c
         return X, Y, N
 
-    def rate(self, t, s, segments, drag=1.0, thrust=1.0):
+    def rate(self, t, s, segments, drag=1.0, thrust=1.0, M=None):
         """Time derivative of the state."""
+        M = M or self.M
         _, _, psi, u, v, r = (float(q) for q in s)
         X, Y, N = self.forces(t, psi, u, v, r, segments, drag, thrust)
-        a, b, c = H.momentum_force(self.M, u, v, r)
-        du, dv, dr = H.solve_inertia(self.M, X + a, Y + b, N + c)
+        a, b, c = H.momentum_force(M, u, v, r)
+        du, dv, dr = H.solve_inertia(M, X + a, Y + b, N + c)
         if self.gust is not None:
             g = self.gust(t)
             du, dv, dr = du + g[0], dv + g[1], dr + g[2]
@@ -114,31 +131,44 @@ class Simulator:
         if self.model.crossflow:
             half = 0.5 * self.model.hull["length"]
             values += [v + half * r, v - half * r]
-        for thruster, segment in zip(self.model.thrusters, segments, strict=True):
-            n = segment(t)
-            T = thruster.raw(n, u, r)
-            values += [n, T - thruster.high, T - thruster.low]
+        for actuator, segment in zip(self.model.actuators, segments, strict=True):
+            values += actuator.kinks(segment(t), u, r, v)
         return np.nan_to_num(np.array(values, float), posinf=1.0, neginf=-1.0)
 
     # integration
 
     def next_break(self, until: float) -> float:
         """End of the smooth piece that starts now."""
-        times = [t.next_break(self.t, MARGIN) for t in self.model.thrusters]
-        steps = self.model.drag_steps + self.model.thrust_steps
+        model = self.model
+        times = [a.next_break(self.t, MARGIN) for a in model.actuators]
+        steps = model.drag_steps + model.thrust_steps + model.mass_steps
         times += [t for t, _ in steps if t > self.t + MARGIN]
         return min([until, *times])
 
     def piece(self, end: float):
         """Right-hand side and kinks from now to `end`, fixed by what holds in between."""
-        middle = 0.5 * (self.t + end)
-        segments = [t.segment(middle) for t in self.model.thrusters]
-        drag = math.prod(f for t, f in self.model.drag_steps if t < middle)
-        thrust = math.prod(f for t, f in self.model.thrust_steps if t < middle)
-        return (
-            lambda t, s: self.rate(t, s, segments, drag, thrust),
-            lambda t, s: self.kinks(t, s, segments),
-        )
+        middle, model = 0.5 * (self.t + end), self.model
+        segments = [a.segment(middle) for a in model.actuators]
+        held = self.changed(middle)
+
+        def rate(t, s):
+            return self.rate(t, s, segments, *(self.changed(t) if self.soften else held))
+
+        return rate, lambda t, s: self.kinks(t, s, segments)
+
+    def changed(self, t):
+        """Factor of the drag, factor of the thrust and inertia after the changes up to t."""
+        model = self.model
+
+        def factor(steps):
+            return math.prod(1.0 + (f - 1.0) * self.share(t, when) for when, f in steps)
+
+        aboard = sum(m * self.share(t, when) for when, m in model.mass_steps)
+        return factor(model.drag_steps), factor(model.thrust_steps), H.loaded(self.M, aboard)
+
+    def share(self, t, when):
+        """How much of a change at `when` there is at t, from 0 to 1."""
+        return float(expit((t - when) / self.soften)) if self.soften else float(t > when)
 
     def run(self, until: float, stop=None, direction: int = 0) -> bool:
         """Integrate to `until`, or to the first sign change of stop(t, state), then True.
@@ -202,7 +232,10 @@ class Simulator:
     # output
 
     def at(self, t) -> dict[str, np.ndarray]:
-        """x, y, psi, u, v, r (over ground), u_r, v_r, cmd_* and exec_* at the times t."""
+        """x, y, psi, u, v, r (over ground), u_r, v_r, cmd_*, exec_* at the times t.
+
+        And phi where the heel is given.
+        """
         t = np.asarray(t, float)
         s = self.states(t)
         body = np.array([to_body(*self.model.current, p) for p in s[2]]).reshape(-1, 2).T
@@ -217,10 +250,12 @@ class Simulator:
         out |= {"r": s[5], "u_r": s[3], "v_r": s[4]}
         # An order given on a row belongs to that row, whatever rounding made of its time.
         starts = [o[0] - 1e-9 for o in self.orders]
-        for thruster in self.model.thrusters:
-            held = [self.orders[max(bisect.bisect_right(starts, q) - 1, 0)][1] for q in t]
-            out[f"cmd_{thruster.name}"] = np.array([h[thruster.name] for h in held])
-            out[f"exec_{thruster.name}"] = np.array([thruster.segment(q)(q) for q in t])
+        held = [self.orders[max(bisect.bisect_right(starts, q) - 1, 0)][1] for q in t]
+        for actuator in self.model.actuators:
+            out[f"cmd_{actuator.name}"] = np.array([h[actuator.name] for h in held])
+            out[f"exec_{actuator.name}"] = np.array([actuator.segment(q)(q) for q in t])
+        if self.model.heel is not None:
+            out["phi"] = np.array([float(self.model.heel(q)) for q in t])
         return out
 
     def states(self, t) -> np.ndarray:

@@ -46,16 +46,20 @@ def twin(vessel: dict, total: float, delta: float) -> dict[str, float]:
 
 
 def balance(vessel, environment, command, u, v=0.0, r=0.0, psi=0.0):
-    """(X, Y, N) with inertial forces at relative (u, v, r), thrusters settled at `command`."""
+    """(X, Y, N) with inertial forces at relative (u, v, r), actuators settled at `command`."""
     sim = Simulator(vessel, environment, command=command)
-    segments = [t.segment(0.0) for t in sim.model.thrusters]
+    segments = [a.segment(0.0) for a in sim.model.actuators]
     force = sim.forces(0.0, psi, u, v, r, segments)
     return np.add(force, H.momentum_force(sim.M, u, v, r))
 
 
 def steady_speed(vessel, total: float, environment=None, high: float = 50.0) -> float:
     """Relative surge speed [m/s] at which X = 0 with v = r = 0, for a total thrust [N]."""
-    command = twin(vessel, total, 0.0)
+    return speed_under(vessel, twin(vessel, total, 0.0), environment, high)
+
+
+def speed_under(vessel, command, environment=None, high: float = 50.0) -> float:
+    """Relative surge speed [m/s] at which X = 0 with v = r = 0, under an order."""
     return brentq(lambda u: balance(vessel, environment, command, u)[0], 0.0, high, xtol=1e-14)
 
 

@@ -235,8 +235,8 @@ def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, S
             y = float(part.y)
             side = "port" if y < 0 else "starboard" if y > 0 else f"middle {names[0]}"
             grouped[side] = grouped.get(side, 0.0) + value
-        elif isinstance(part, AzimuthThruster) and names[1] in grouped:
-            grouped[names[1]] = np.sign(float(part.x)) * grouped[names[1]]
+        elif isinstance(part, AzimuthThruster) and part.angle_channel in grouped:
+            grouped[part.angle_channel] = np.sign(float(part.x)) * grouped[part.angle_channel]
     return grouped
 
 

@@ -16,10 +16,14 @@ from diffsea.cli.options import (
     read_recordings,
     read_vessel,
 )
+from diffsea.cli.progress import Messages
+from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
     from diffsea.types import Trajectory
+
+STAGES = 8  # of a diagnosis, as most are
 
 
 def register(commands: Any) -> None:
@@ -36,6 +40,24 @@ def register(commands: Any) -> None:
         "--environment", choices=("shared", "per-recording"), default="shared",
         help="whether wind and current are the same in all recordings (default: %(default)s)",
     )  # fmt: skip
+    diagnose.add_argument(
+        "--next-manoeuvre", metavar="CSV", type=pathlib.Path,
+        help="write the manoeuvre that separates rivals as a command sequence (t, cmd_...)",
+    )  # fmt: skip
+
+
+def _write_manoeuvre(path: pathlib.Path, diagnosis: Any, experiment: Any, tell: Any) -> None:
+    """The manoeuvre to record next as a command sequence; nothing where none is needed."""
+    import pandas as pd
+
+    from diffsea.diagnosis.experiment import commands
+
+    if experiment is None:
+        tell(f"no two explanations are left to separate, so {path} is not written")
+        return
+    if not path.parent.is_dir():
+        raise UserError(f"{path.parent} is no folder; --next-manoeuvre writes one CSV file")
+    pd.DataFrame(commands(diagnosis, experiment)).to_csv(path, index=False, float_format="%.6g")
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +114,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.report.text import verdict_text
         from diffsea.vessel.catalogue import build, dump
 
-        tell = clock()
+        tell = Messages(STAGES)
         file = read_vessel(args)
         runs, test = read_all(args)
         tell(f"auditing {len(runs) + len(test)} recordings")
@@ -103,6 +125,8 @@ def _diagnose(args: argparse.Namespace) -> None:
         tell("looking for the manoeuvre that would tell more")
         experiment = next_experiment(diagnosis)
         result["next_experiment"] = None if experiment is None else experiment.as_dict()
+        if args.next_manoeuvre is not None:
+            _write_manoeuvre(args.next_manoeuvre, diagnosis, experiment, tell)
         result["source"] = source(args, [*runs, *test])
         tell("writing the report")
         document = vessel_document(file.document, diagnosis)
@@ -113,4 +137,5 @@ def _diagnose(args: argparse.Namespace) -> None:
         out.json("diagnosis.json", result)
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
         out.path("report.html").write_text(page, encoding="utf-8")
+        tell.done()
     out.present(args, verdict_text(result))

@@ -50,7 +50,8 @@ Replay a recording's orders through a vessel, open loop, from the recorded initi
 Actuation that was measured (exec_ columns) is used as measured, any other goes through the
 vessel's actuators; the result says which. Writes predicted.csv, predict.json with
 root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it, and
-prediction.png.
+prediction.png. With --environment-from, current and wind are estimated on the first part of
+the run and only the rest is predicted.
 """
 _PREDICT_EXAMPLES = """\
   diffsea predict usv.toml run1.csv
@@ -93,6 +94,10 @@ def register(commands) -> None:
     predict.add_argument(
         "--orders", action="store_true",
         help="use the orders even where executed actuation was measured",
+    )  # fmt: skip
+    predict.add_argument(
+        "--environment-from", metavar="SECONDS", type=options.positive,
+        help="estimate current (and wind) on the start of the run and predict the rest",
     )  # fmt: skip
 
 
@@ -224,6 +229,12 @@ def _predict(args: argparse.Namespace) -> None:
 
     vessel = options.read_vessel(args).vessel
     (recording,) = options.read_recordings([args.recording], args.mapping)
+    environment = None
+    if args.environment_from is not None:
+        from diffsea.identification.own_environment import environment_from
+
+        options.progress(f"estimating the environment of the first {args.environment_from:g} s")
+        vessel, recording, environment = environment_from(vessel, recording, args.environment_from)
     with options.Outputs(args.output) as out:
         measured = {} if args.orders else recorded_actuation(vessel, recording)[1]
         predicted = replay(vessel, recording, not args.orders)
@@ -245,6 +256,8 @@ def _predict(args: argparse.Namespace) -> None:
             "units": _UNITS | {"horizons": "s"},
             "notes": list(predicted.provenance),
         }
+        if environment is not None:
+            result["environment"] = {"seconds": args.environment_from, **environment}
         write_recording(predicted, out.path("predicted.csv"))
         out.json("predict.json", result)
         title = f"{recording.name} predicted by {vessel.name}"
@@ -265,4 +278,23 @@ def _errors_text(result: dict) -> str:
     rows = [row("over the whole run", result["overall"])]
     for seconds, errors in result["horizons"].items():
         rows.append(row(f"{seconds} s ahead of {errors['starts']} starts", errors))
-    return "\n".join([options.table(rows, header), "", *result["notes"]])
+    return "\n".join(
+        [options.table(rows, header), *_environment_text(result), "", *result["notes"]]
+    )
+
+
+def _environment_text(result: dict) -> list[str]:
+    """The environment that was estimated on the start of the run, a line for each effect."""
+    found = result.get("environment", {})
+    lines = []
+    for name, numbers in found.items():
+        if name == "seconds":
+            continue
+        speed, direction = numbers["speed"], numbers["direction"]
+        way = "flowing to" if name == "current" else "from"
+        lines.append(
+            f"{name} of the first {found['seconds']:g} s: {speed['value']:.3g} +- "
+            f"{speed['std']:.2g} m/s {way} {math.degrees(direction['value']):.0f} +- "
+            f"{math.degrees(direction['std']):.0f} deg"
+        )
+    return ["", *lines] if lines else []

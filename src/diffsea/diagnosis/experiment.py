@@ -10,8 +10,10 @@ import dataclasses
 
 import numpy as np
 
+from diffsea.diagnosis.columns import columns_at
+from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.score import Projection
-from diffsea.diagnosis.select import Accepted, Diagnosis, Fitted, columns_at
+from diffsea.diagnosis.select import Accepted, Diagnosis
 from diffsea.identification.design import (
     LIBRARY,
     SECONDS,
@@ -19,13 +21,16 @@ from diffsea.identification.design import (
     equipped_vessel,
     first_copies,
     imagined,
+    ordered,
 )
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.found_effects import catalogue_name
 from diffsea.identification.problem import make_problem
 from diffsea.identification.tape import natural_time
+from diffsea.vessel.effects import catalogue_name
 
 
+SHORTEST = 40.0  # of sqrt(L / g): no manoeuvre shows much in less
+LONGEST = 3000.0  # of sqrt(L / g) that anybody would record
 DECISIVE = 13.8  # twice the log of odds of 1000 to 1
 
 
@@ -54,7 +59,7 @@ def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
     for accepted in diagnosis.effects:
         rivals = [
             one
-            for one in diagnosis.refitted
+            for one in accepted.tried
             if catalogue_name(one.effect) in accepted.rivals and one.effect != accepted.name
         ]
         if rivals:
@@ -67,11 +72,26 @@ def _separating(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted) -> Expe
     evidence = {name: _evidence(diagnosis, accepted, rival, LIBRARY[name]) for name in LIBRARY}
     best = max(evidence, key=lambda name: evidence[name])
     base = diagnosis.split.train.base
-    seconds = (
-        SECONDS * natural_time(base) * DECISIVE / evidence[best] if evidence[best] > 0 else np.inf
-    )
+    time = natural_time(base)
+    enough = evidence[best] > DECISIVE * SECONDS / LONGEST
+    seconds = SECONDS * time * DECISIVE / evidence[best] if enough else np.inf
     why = f"separates {catalogue_name(names[0])} from {catalogue_name(names[1])}"
-    return Experiment(best, why, float(seconds), evidence)
+    return Experiment(best, why, float(max(seconds, SHORTEST * time)), evidence)
+
+
+def commands(diagnosis: Diagnosis, experiment: Experiment) -> dict[str, np.ndarray]:
+    """The manoeuvre as a command sequence within the vessel's limits.
+
+    `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run; for one
+    run of the usual length where no length would do.
+    """
+    train = diagnosis.split.train
+    vessel = equipped_vessel(train, first_copies(train, diagnosis.final.coordinates))
+    seconds = experiment.seconds
+    if not np.isfinite(seconds):
+        seconds = SECONDS * natural_time(train.base)
+    t, orders = ordered(vessel, LIBRARY[experiment.manoeuvre], seconds)
+    return {"t": t} | {f"cmd_{channel}": series for channel, series in orders.items()}
 
 
 def _evidence(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted, schedule: Schedule) -> float:
@@ -89,9 +109,12 @@ def _one_way(
     coordinates = first_copies(train, true.coordinates)
     base = train.base
     vessel = equipped_vessel(train, coordinates)
+    measured = np.asarray(train.tape.known).any(0)
     problem = make_problem(
-        base, [imagined(vessel, schedule)], tuple(p.name for p in train.layout.parameters),
-        train.layout.effects, False, train.seeds - len(train.layout.parameters),
+        base, [imagined(vessel, schedule, measured)],
+        tuple(p.name for p in train.layout.parameters), train.layout.effects, False,
+        train.seeds - len(train.layout.parameters),
+        rows=train.tape.t.size, runs=train.tape.runs,
     )  # fmt: skip
     at = dataclasses.replace(true, coordinates=coordinates)
     gains = problem.tuned(coordinates, true.noise).gains

@@ -7,34 +7,41 @@ of drift, yaw rate, speed, heading and throttle over all runs.
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from diffsea.diagnosis.score import Projection
-from diffsea.identification import likelihood
-from diffsea.identification.problem import Inputs, Problem, Static
+from diffsea.diagnosis.columns import Columns, push_columns
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.likelihood import Gains
+from diffsea.identification.problem import Problem
 
 
 DEGREES = ("surge", "sway", "yaw")
 WINDOWS = 8  # of each run
 CLASSES = 4  # of each regime
-ROOM = 8  # bins the compiled program has room for
 
 
-class Cell(NamedTuple):
-    """One test: an unnamed force in one degree of freedom during one bin."""
+class Bin(NamedTuple):
+    """What an unnamed force is tested in."""
 
     degree: int
     run: int | None  # None: all runs
     start: float  # s, on the run's clock; NaN for a regime
     end: float
     regime: str
+
+
+class Cell(NamedTuple):
+    """One test: an unnamed force in one degree of freedom during one bin."""
+
+    bin: Bin
     force: float  # N or N m, one-step estimate
     std: float
     p_value: float
+
+    @property
+    def z(self) -> float:
+        """The estimate in standard errors."""
+        return self.force / self.std
 
 
 Label = tuple[int | None, float, float, str]  # run (None: all), start and end (s), regime
@@ -67,89 +74,102 @@ def time_windows(problem: Problem) -> Binning:
     return Binning(members, labels)
 
 
-def regimes(problem: Problem) -> list[Binning]:
+class Classes(NamedTuple):
+    """Classes of one quantity of the motion."""
+
+    name: str
+    unit: str
+    edges: np.ndarray
+
+    @property
+    def texts(self) -> list[str]:
+        """What each class is, in words."""
+        pairs = zip(self.edges[:-1], self.edges[1:], strict=True)
+        return [f"{self.name} {low:.3g} to {high:.3g} {self.unit}".strip() for low, high in pairs]
+
+    def members(self, problem: Problem) -> np.ndarray:
+        """Whether each row belongs to each class; the outer ones are open."""
+        quantity = next(q for q in quantities(problem) if q.name == self.name)
+        which = np.searchsorted(self.edges[1:-1], quantity.values, side="right")
+        return quantity.rows[:, None] & (which[:, None] == np.arange(len(self.edges) - 1))
+
+
+class Quantity(NamedTuple):
+    """What may make a regime: its values by row, and the rows that have one."""
+
+    name: str
+    values: np.ndarray
+    unit: str
+    rows: np.ndarray
+
+
+def regime_classes(problem: Problem) -> list[Classes]:
     """Classes of what the vessel was doing, by quartiles of each quantity."""
+    out = []
+    for quantity in quantities(problem):
+        values = quantity.values[quantity.rows]
+        if len(values) > 10 * CLASSES and np.ptp(values) > 0:
+            edges = np.unique(np.quantile(values, np.linspace(0, 1, CLASSES + 1)))
+            out.append(Classes(quantity.name, quantity.unit, edges))
+    return out
+
+
+def regimes(problem: Problem) -> list[Binning]:
+    """Bins of all classes over all runs."""
+    none = float("nan")
+    return [
+        Binning(classes.members(problem), [[(None, none, none, text)] for text in classes.texts])
+        for classes in regime_classes(problem)
+    ]
+
+
+def quantities(problem: Problem) -> list[Quantity]:
+    """Drift angle, yaw rate, speed, heading and the sum of all orders."""
     tape = problem.tape
     measured, known = np.asarray(tape.measured), np.asarray(tape.known)
     psi, u, v, r = measured[:, 2], measured[:, 3], measured[:, 4], measured[:, 5]
     orders = sum(np.asarray(series) for series in tape.orders.values())
-    degrees = np.degrees
-    quantities = [
-        ("drift angle", degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3))), "deg", (3, 4)),
-        ("yaw rate", degrees(r), "deg/s", (5,)),
-        ("speed", u, "m/s", (3,)),
-        ("heading", degrees(np.mod(psi, 2 * np.pi)), "deg", (2,)),
-        ("total order", orders, "", ()),
-    ]
-    out = []
-    for name, values, unit, needs in quantities:
+    drift = np.degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3)))
+
+    def quantity(name: str, values: np.ndarray, unit: str, *needs: int) -> Quantity:
         rows = known.any(1) & np.all(known[:, list(needs)], axis=1)
-        if rows.sum() > 10 * CLASSES and np.ptp(values[rows]) > 0:
-            out.append(_classes(name, values, unit, rows))
-    return out
+        return Quantity(name, values, unit, rows)
+
+    return [
+        quantity("drift angle", drift, "deg", 3, 4),
+        quantity("yaw rate", np.degrees(r), "deg/s", 5),
+        quantity("speed", u, "m/s", 3),
+        quantity("heading", np.degrees(np.mod(psi, 2 * np.pi)), "deg", 2),
+        quantity("total order", orders, ""),
+    ]
 
 
-def _classes(name: str, values: np.ndarray, unit: str, rows: np.ndarray) -> Binning:
-    edges = np.unique(np.quantile(values[rows], np.linspace(0, 1, CLASSES + 1)))
-    which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
-    members = rows[:, None] & (which[:, None] == np.arange(len(edges) - 1))
-    labels: list[list[Label]] = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        text = f"{name} {low:.3g} to {high:.3g} {unit}".strip()
-        labels.append([(None, float("nan"), float("nan"), text)])
-    return Binning(members, labels)
-
-
-@eqx.filter_jit
-def _push_jacobian(problem: Inputs, layout: Static, members: Array) -> Array:
-    """Derivative of the whitened innovations by the unnamed accelerations."""
-
-    def residual(push: Array) -> Array:
-        return likelihood.innovations(
-            problem.base, layout.value, problem.tape, problem.gains, problem.fixed, members @ push
-        ).ravel()
-
-    return jax.jacfwd(residual)(jnp.zeros((ROOM, 3)))
-
-
-def locate(
-    problem: Problem,
-    inputs: Inputs,
-    layout: Static,
-    projection: Projection,
-    binnings: list[Binning],
-) -> list[Cell]:
-    """Test every bin of every binning in every degree of freedom."""
+def bin_columns(problem: Problem, gains: Gains, fitted: Estimate) -> tuple[list[Bin], Columns]:
+    """Every bin in every degree of freedom, with its column."""
+    binnings = [time_windows(problem), *regimes(problem)]
     members = np.concatenate([binning.members for binning in binnings], axis=1)
     labels = [labels for binning in binnings for labels in binning.labels]
-    run = np.repeat(np.asarray(problem.tape.run), 6)[:, None]
+    push = (members.T[:, None, :, None] * np.eye(3)[:, None, :]).reshape(-1, len(members), 3)
+    J = push_columns(problem, gains, fitted, push)
+    spare = np.full(problem.layout.size, -1)
+    run = np.concatenate([np.repeat(np.asarray(problem.tape.run), 6), spare])
+    bins, columns = [], []
+    for number, several in enumerate(labels):
+        for label in several:
+            for degree in range(3):
+                column = J[:, 3 * number + degree]
+                columns.append(column if label[0] is None else column * (run == label[0]))
+                bins.append(Bin(degree, *label))
+    return bins, np.stack(columns, axis=1)
+
+
+def cells(
+    problem: Problem, bins: list[Bin], step: np.ndarray, std: np.ndarray, p_value: np.ndarray
+) -> tuple[Cell, ...]:
+    """Tests of bins in newtons and newton metres, those without information left out."""
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
-    cells = []
-    for first in range(0, len(labels), ROOM):
-        part = members[:, first : first + ROOM]
-        spare = np.zeros((len(part), ROOM - part.shape[1]))
-        J = _push_jacobian(inputs, layout, jnp.asarray(np.concatenate([part, spare], axis=1)))
-        J = np.asarray(J)
-        columns, named = [], []
-        for k, several in enumerate(labels[first : first + ROOM]):
-            for label in several:
-                columns.append(J[:, k] if label[0] is None else J[:, k] * (run == label[0]))
-                named.append(label)
-        cells += _cells(projection, np.concatenate(columns, axis=1), named, mass)
-    return cells
-
-
-def _cells(
-    projection: Projection, J: np.ndarray, labels: list[Label], mass: np.ndarray
-) -> list[Cell]:
-    columns = np.concatenate([J, np.zeros((projection.prior_rows, J.shape[1]))])
-    step, std, p_value = (a.reshape(len(labels), 3) for a in projection.singles(columns))
-    return [
-        Cell(
-            degree, *label, float(step[number, degree] * mass[degree]),
-            float(std[number, degree] * mass[degree]), float(p_value[number, degree]),
-        )
-        for number, label in enumerate(labels)
-        for degree in range(3)
-        if np.isfinite(std[number, degree])
-    ]  # fmt: skip
+    return tuple(
+        Cell(b, float(a * mass[b.degree]), float(s * mass[b.degree]), float(p))
+        for b, a, s, p in zip(bins, step, std, p_value, strict=True)
+        if np.isfinite(s)
+    )

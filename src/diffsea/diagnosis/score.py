@@ -25,36 +25,45 @@ class Score(NamedTuple):
 class Projection:
     """Residual and candidates with the nuisances projected out."""
 
-    def __init__(self, residual: np.ndarray, nuisance: np.ndarray, run: np.ndarray):
-        """Six values to a row of `run`, followed by the rows of the prior."""
+    def __init__(
+        self,
+        residual: np.ndarray,
+        nuisance: np.ndarray,
+        run: np.ndarray,
+        correlation: np.ndarray | None = None,
+    ):
+        """Six values to a row of `run`, followed by the rows of the prior.
+
+        `correlation` is that of the innovations in time, estimated from them where None.
+        """
         self.rows = 6 * len(run)
         self.prior_rows = len(residual) - self.rows
         self.basis = np.linalg.qr(nuisance)[0]
         self.residual = self.efficient(residual[:, None])[:, 0]
-        self.correlation = autocorrelation(self.residual[: self.rows].reshape(-1, 6), run)
+        if correlation is None:
+            correlation = autocorrelation(self.residual[: self.rows].reshape(-1, 6), run)
+        self.correlation = correlation
 
     def efficient(self, columns: np.ndarray) -> np.ndarray:
         """Columns with the nuisances projected out."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def score(self, columns: np.ndarray) -> Score:
-        """Test one candidate."""
-        E = self.efficient(columns)
+    def score(self, E: np.ndarray) -> Score:
+        """Test one candidate by its efficient columns."""
         V = E.T @ E
         s = E.T @ self.residual
         inverse = np.linalg.pinv(V, rcond=1e-10, hermitian=True)
-        k = columns.shape[1]
+        k = E.shape[1]
         coloured = long_run(E[: self.rows], self.correlation)
         ratio = max(1.0, float(np.trace(coloured @ inverse)) / k)
         statistic = float(s @ inverse @ s) / ratio
         return Score(statistic, float(stats.chi2.sf(statistic, k)), -(inverse @ s), ratio)
 
-    def singles(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def singles(self, E: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Test many one-coordinate candidates at once: steps, standard errors, p-values.
 
         A candidate without information has a p-value of one and an infinite error.
         """
-        E = self.efficient(columns)
         information = (E**2).sum(0)
         informed = information > 1e-12
         V = np.where(informed, information, 1.0)
@@ -63,10 +72,3 @@ class Projection:
         std = np.where(informed, np.sqrt(ratio / V), np.inf)
         p = np.where(informed, stats.chi2.sf((step / std) ** 2, 1), 1.0)
         return step, std, p
-
-    def mimicry(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Share of a's efficient information that b reproduces, 0 to 1."""
-        A, B = self.efficient(a), self.efficient(b)
-        VA, VB, VAB = A.T @ A, B.T @ B, A.T @ B
-        inner = VAB @ np.linalg.pinv(VB, rcond=1e-10, hermitian=True) @ VAB.T
-        return float(np.trace(np.linalg.pinv(VA, rcond=1e-10, hermitian=True) @ inner) / len(VA))

@@ -1,60 +1,31 @@
-"""From a mismatch to a name: screen, refit a short list, decide, say what is left.
+"""From a mismatch to names: screen, refit a short list, decide, say what is left.
 
 Screening by score tests only makes a short list. Each of it is refitted from the prior
 and judged by evidence and by held-out data; accepted effects are added one at a time
-until nothing is left to explain or nothing explains it.
+until nothing is left to explain or nothing explains it, and each is then asked for again.
 """
 
 import dataclasses
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
-import jax.numpy as jnp
 import numpy as np
 
 from diffsea.diagnosis.candidates import candidates
-from diffsea.diagnosis.locate import Cell, locate, regimes, time_windows
-from diffsea.diagnosis.score import Projection, Score
+from diffsea.diagnosis.refit import Fitted, Progress, completed, ranked, refitted
+from diffsea.diagnosis.remainder import Remainder, remainder
+from diffsea.diagnosis.screening import Screening, locate, screen, short_list
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
-from diffsea.identification.found_effects import catalogue_name
-from diffsea.identification.holdout import Gain, Split, exchanged_gain, gain, split
-from diffsea.identification.problem import Problem, free_by_default, jacobian, make_problem, traced
+from diffsea.identification.holdout import Split, exchanged_gain, split
+from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import AbstractEffect
+from diffsea.vessel.effects import catalogue_name
 
 
-Progress = Callable[[str], None]
-
-ALPHA = 0.01  # family-wise level of the screening
-EVIDENCE = 10.0  # difference of BIC that decides
-SHORT_LIST = 6
+ALPHA = 0.01  # family-wise
+EVIDENCE = 10.0  # twice the log of odds of 150 to 1
 MOST_EFFECTS = 3
-CONFUSABLE = 0.5  # share of information mimicked from which a rival is always refitted
-
-
-@dataclasses.dataclass(frozen=True)
-class Fitted:
-    """A refitted hypothesis: the effects added so far and one more."""
-
-    effect: str
-    estimate: Estimate
-    drop: float  # of the deviance against the hypothesis without it
-    size: int  # coordinates it adds
-    count: float  # measured values
-    gain: Gain  # on held-out data
-    score: Score
-    possible: bool  # inside physical bounds
-
-    def bic(self, inflation: float) -> float:
-        """Difference of BIC to the hypothesis without it; positive where better.
-
-        `inflation` says how many dependent values count as one (of the best hypothesis:
-        under a wrong one the dependence is the effect itself).
-        """
-        return self.drop / inflation - self.size * float(np.log(self.count / inflation))
+ROOM = 8  # coordinates that effects found together may have
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +35,18 @@ class Accepted:
     name: str
     fitted: Fitted
     rivals: tuple[str, ...]
+    tried: tuple[Fitted, ...] = ()  # the short list it was chosen from, best first
+
+    @property
+    def ahead(self) -> float:
+        """Twice the log of the odds against the next best name, or none; all data together."""
+        inflation = self.fitted.estimate.inflation
+        others = [
+            one.support(inflation)
+            for one in self.tried
+            if one.possible and catalogue_name(one.effect) != catalogue_name(self.name)
+        ]
+        return self.fitted.support(inflation) - max([0.0, *others])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,26 +58,17 @@ class Diagnosis:
     nominal: Estimate
     final: Estimate
     effects: tuple[Accepted, ...]
-    screened: dict[str, Score]  # against the nominal model
     refitted: tuple[Fitted, ...]  # the first short list
-    before: tuple[Cell, ...]  # where, against the nominal model
-    after: tuple[Cell, ...]  # where, against the final one
-    remainder: float  # family-wise p-value of structure left
+    before: Screening  # against the nominal model
+    after: Screening  # against the final one
+    where: Screening  # unnamed forces in the nominal model, measured by the final noise
+    dropped: tuple[str, ...] = ()  # accepted first, found needless later
+    unnamed: Remainder | None = None  # a model of what is left, where that is significant
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the accepted effects."""
         return tuple(accepted.name for accepted in self.effects)
-
-
-@dataclasses.dataclass(frozen=True)
-class Screening:
-    """Scores of all candidates against one estimate, and where the mismatch is."""
-
-    scores: dict[str, Score]
-    columns: dict[str, np.ndarray]
-    projection: Projection
-    cells: tuple[Cell, ...]
 
 
 def diagnose(
@@ -118,209 +92,184 @@ def diagnose(
         UserError: recordings that do not fit the vessel.
     """
     free = free_by_default(vessel) if free is None else free
-    effects = candidates(vessel)
+    effects = candidates(vessel, [*recordings, *(test or [])])
 
-    def problem_of(runs: list[Trajectory]) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, 2 * MOST_EFFECTS)
+    def problem_of(runs: list[Trajectory], rows: int = 0, most: int = 0) -> Problem:
+        return make_problem(vessel, runs, free, effects, per_run, ROOM, rows=rows, runs=most)
 
     data = split(problem_of, recordings, test or [], per_run)
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")
-    first = screen(data.train, nominal)
+    first = screen(data.train, nominal, data.recordings)
     accepted: list[Accepted] = []
     shown: tuple[Fitted, ...] = ()
     current, screening = nominal, first
-    for _ in range(MOST_EFFECTS):
-        if not suspicious(screening):
-            break
-        tried = refit_short_list(data, current, screening, progress)
+    while len(accepted) < MOST_EFFECTS and screening.p_value < ALPHA:
+        tried = _tried(data, current, screening, progress)
         shown = shown or tuple(tried)
         best = decide(data, current, tried, progress)
         if best is None:
             break
-        rivals = ambiguous_with(best, tried)
-        accepted.append(Accepted(best.effect, best, rivals))
+        accepted.append(Accepted(best.effect, best, rivals(best, tried), tuple(tried)))
         progress(f"accepted: {catalogue_name(best.effect)}")
         current = best.estimate
-        screening = screen(data.train, current)
-    left = remainder(screening.cells)
-    verdict = _verdict(accepted, left)
+        screening = screen(data.train, current, data.recordings)
+    kept = revised(data, accepted, current, progress)
+    if kept.changed:
+        current = kept.estimate
+        screening = screen(data.train, current, data.recordings)
+    left = screening.remainder
+    if not kept.effects and nameless(data.train, shown):
+        left = min(left, screening.p_value)
+    verdict = _verdict(kept.effects, left)
+    unnamed = None
+    if verdict == "unexplained":
+        progress("modelling what is left")
+        unnamed = remainder(data, current)
+    where = first
+    if kept.effects:
+        progress("locating the mismatch")
+        where = locate(data.train, nominal, current)
     return Diagnosis(
-        verdict, data, nominal, current, tuple(accepted), first.scores, shown, first.cells,
-        screening.cells, left,
+        verdict, data, nominal, current, kept.effects, shown, first, screening, where,
+        kept.dropped, unnamed,
     )  # fmt: skip
 
 
-def screen(problem: Problem, fitted: Estimate) -> Screening:
-    """Score every candidate that is not in the model, and locate the mismatch."""
-    tuned = problem.tuned(fitted.coordinates, fitted.noise)
-    columns: dict[str, np.ndarray] = {}
-    residual, nuisance = columns_at(problem, tuned.gains, fitted, fitted.free)
-    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
-    scores = {}
-    for group in _groups(problem, fitted.free):
-        _, J = columns_at(problem, tuned.gains, fitted, group)
-        position = 0
-        for name in group:
-            k = len(problem.layout.indices((name,)))
-            columns[name] = J[:, position : position + k]
-            scores[name] = projection.score(columns[name])
-            position += k
-    empty = np.zeros((problem.layout.size, problem.width))
-    inputs, layout = traced(problem, tuned.gains, fitted.coordinates, empty)
-    binnings = [time_windows(problem), *regimes(problem)]
-    cells = locate(problem, inputs, layout, projection, binnings)
-    return Screening(scores, columns, projection, tuple(cells))
+def _doubtful(problem: Problem, current: Estimate) -> set[str]:
+    """Names that what is left over may only resemble.
 
-
-def _groups(problem: Problem, free: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Candidates packed into groups that fit the compiled program's room."""
-    groups: list[list[str]] = [[]]
-    size = 0
-    for effect, sizes in zip(problem.layout.effects, problem.layout.sizes, strict=True):
-        if effect.name in free:
-            continue
-        k = len(sizes)
-        if size + k > problem.seeds:
-            groups.append([])
-            size = 0
-        groups[-1].append(effect.name)
-        size += k
-    return [tuple(group) for group in groups if group]
-
-
-def columns_at(
-    problem: Problem, gains, fitted: Estimate, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and Jacobian columns of some coordinates at an estimate.
-
-    The rows of the prior are those of all coordinates, so that columns can be combined.
+    Where an effect came out larger than its law holds for, the error of that law is left over,
+    and it looks like the effect's confusables.
     """
-    index = [k for name in names for k in problem.layout.indices((name,))]
-    matrix = np.zeros((problem.layout.size, problem.width))
-    matrix[index, np.arange(len(index))] = 1.0
-    inputs, layout = traced(problem, gains, fitted.coordinates, matrix)
-    begin = np.zeros(problem.width)
-    begin[: len(index)] = fitted.coordinates[index]
-    residual, J = (np.asarray(a) for a in jacobian(jnp.asarray(begin), (inputs, layout)))
-    keep = int(problem.tape.measured.size) + problem.layout.size
-    return residual[:keep], J[:keep, : len(index)]
+    names: set[str] = set()
+    for effect in problem.layout.effects:
+        if effect.name in current.free:
+            place = problem.layout.indices((effect.name,))[0]
+            if abs(current.coordinates[place]) > effect.valid:
+                names |= set(effect.confusables)
+    return names
 
 
-def suspicious(screening: Screening) -> bool:
-    """Whether any candidate or any located force is significant, family-wise."""
-    tests = [score.p_value for score in screening.scores.values()]
-    tests += [cell.p_value for cell in screening.cells]
-    return bool(tests) and min(tests) * len(tests) < ALPHA
-
-
-def remainder(cells: tuple[Cell, ...]) -> float:
-    """Family-wise p-value of the strongest located force."""
-    return min(1.0, len(cells) * min((cell.p_value for cell in cells), default=1.0))
-
-
-def short_list(screening: Screening) -> list[str]:
-    """The strongest candidates and whatever can mimic the first three."""
-    ranked = sorted(screening.scores, key=lambda n: -screening.scores[n].statistic)
-    chosen = ranked[:SHORT_LIST]
-    for top in ranked[:3]:
-        for other in ranked[SHORT_LIST:]:
-            columns = screening.columns
-            close = screening.projection.mimicry(columns[top], columns[other]) > CONFUSABLE
-            if close and other not in chosen:
-                chosen.append(other)
-    return chosen
-
-
-def refit_short_list(
+def _tried(
     data: Split, current: Estimate, screening: Screening, progress: Progress
 ) -> list[Fitted]:
-    """Refit each candidate of the short list from the prior, best first."""
-    names = short_list(screening)
-
-    def refit(name: str) -> Fitted:
-        progress(f"refitting {names.index(name) + 1} of {len(names)}: {name}")
-        return _refit(data, current, name, screening.scores[name])
-
-    # A compiled program runs on one core and lets other threads run meanwhile.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        out = list(pool.map(refit, names))
-    best = max(out, key=lambda fitted: fitted.drop)
-    return sorted(out, key=lambda fitted: -fitted.bic(best.estimate.inflation))
-
-
-def _refit(data: Split, current: Estimate, name: str, score: Score) -> Fitted:
-    """Two starts at the noise of the model without the effect; the better is fitted to its end.
-
-    Where both end worse than that model, the effect starts from its absence there.
-    """
+    """The short list refitted, as far as the compiled program has room for it."""
     problem = data.train
-    effect = next(e for e in problem.layout.effects if e.name == name)
-    free = (*current.free, name)
-    starts = [
-        estimate(problem, free, start, current.noise, rounds=3, fixed_noise=True)
-        for start in _starts(problem, current, effect, score)
+    room = problem.width - len(problem.layout.indices(current.free))
+    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
+    names = [
+        name
+        for name in short_list(screening, declared)
+        if len(problem.layout.indices((name,))) <= room
+        and catalogue_name(name) not in _doubtful(problem, current)
     ]
-    sound = [fitted for fitted in starts if fitted.deviance < current.deviance]
-    better = min(sound, key=lambda fitted: fitted.deviance, default=current)
-    fitted = estimate(problem, free, better.coordinates, current.noise)
-    value = problem.layout.physical(name, fitted.coordinates)
-    return Fitted(
-        name, fitted, current.deviance - fitted.deviance, len(problem.layout.indices((name,))),
-        float(problem.tape.count), gain(data, current, fitted), score,
-        not effect.positive or bool((value > 0).all()),
-    )  # fmt: skip
-
-
-def _starts(
-    problem: Problem, current: Estimate, effect: AbstractEffect, score: Score
-) -> list[np.ndarray]:
-    """The prior and the current estimate, both with the effect at its one-step estimate.
-
-    Effects found before start from their estimate in either.
-    """
-    guess = np.clip(score.step, -3.0, 3.0)
-    if effect.positive:
-        guess = np.maximum(guess, 0.1)
-    warm = current.coordinates.copy()
-    warm[problem.layout.indices((effect.name,))] = guess
-    prior = warm.copy()
-    prior[: len(problem.layout.parameters)] = 0.0
-    return [prior, warm]
+    if not names:
+        return []
+    return refitted(data, current, screening.seen, names, progress)
 
 
 def decide(
     data: Split, current: Estimate, tried: list[Fitted], progress: Progress
 ) -> Fitted | None:
-    """The best hypothesis, if evidence and held-out data both speak for it.
+    """The best hypothesis for which evidence and held-out data both speak.
 
-    Where the held-out data leave it open, they and the training data change places.
+    It is the one that all data support most, or one that they support nearly as well. Where
+    held-out data leave one open, they and the training data change places.
     """
-    best = next((fitted for fitted in tried if fitted.possible), None)
-    if best is None or best.bic(best.estimate.inflation) <= EVIDENCE:
+    judged = [one for one in tried if one.possible and one.gain is not None]
+    if not judged:
         return None
-    if best.gain.open and data.head is None:
-        progress(f"{best.effect}: held-out data leave it open; exchanging them with the others")
-        other = exchanged_gain(data, current, best.estimate)
-        best = dataclasses.replace(best, gain=best.gain.pooled(other))
-    return best if best.gain.clear else None
+    inflation = judged[0].estimate.inflation
+    enough = needed(data.train)
+    for one in judged:
+        if judged[0].support(inflation) - one.support(inflation) > EVIDENCE:
+            return None
+        gain, constant = one.gain, one.constancy
+        if gain is None or constant is None or one.evidence(inflation) <= enough:
+            continue
+        if not constant.holds:
+            continue
+        if gain.open and data.head is None:
+            progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
+            gain = gain.pooled(exchanged_gain(data, current, one.estimate))
+        if gain.clear:
+            return dataclasses.replace(one, gain=gain)
+    return None
 
 
-def ambiguous_with(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
-    """Rivals that the same data support nearly as well, by catalogue name."""
+def needed(problem: Problem) -> float:
+    """Evidence that a name needs: odds of 150 to 1 with one chance for the whole catalogue."""
+    names = {catalogue_name(effect.name) for effect in problem.layout.effects}
+    return EVIDENCE + 2 * float(np.log(len(names)))
+
+
+def nameless(problem: Problem, tried: tuple[Fitted, ...]) -> bool:
+    """Whether something was left out that no name could be given to.
+
+    There is evidence for it, but what comes nearest does not predict held-out runs, or has not
+    one size in all the data.
+    """
+    sound = [one for one in tried if np.isfinite(one.drop)]
+    return any(one.evidence(one.estimate.inflation) > needed(problem) for one in sound)
+
+
+def rivals(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
+    """Names that the same data support nearly as well."""
     names: list[str] = []
     inflation = best.estimate.inflation
     for other in tried:
         name = catalogue_name(other.effect)
         same = name == catalogue_name(best.effect) or name in names
-        near = best.bic(inflation) - other.bic(inflation) < EVIDENCE
-        if other.possible and not same and near:
+        judged = other.possible and other.gain is not None
+        if judged and not same and best.support(inflation) - other.support(inflation) < EVIDENCE:
             names.append(name)
     return tuple(names)
 
 
-def _verdict(accepted: list[Accepted], left: float) -> str:
+@dataclasses.dataclass(frozen=True)
+class Revision:
+    """What was accepted, after each of it was asked for again."""
+
+    effects: tuple[Accepted, ...]
+    estimate: Estimate
+    dropped: tuple[str, ...]
+    changed: bool
+
+
+def revised(
+    data: Split, accepted: list[Accepted], current: Estimate, progress: Progress
+) -> Revision:
+    """Ask for every effect but the last again, now that the others are in the model.
+
+    Without it, and with each of its near rivals instead: what was accepted first was judged
+    while the others' effects were still in the data.
+    """
+    effects, dropped, changed = list(accepted), [], False
+    for one in accepted[:-1]:
+        progress(f"asking again for {one.name}")
+        free = tuple(name for name in current.free if name != one.name)
+        start = np.array(current.coordinates, float)
+        start[data.train.layout.indices((one.name,))] = 0.0
+        without = estimate(data.train, free, start, current.noise)
+        options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]
+        options = {t.effect: t for t in options if t.effect not in free}
+        again = ranked([completed(data, without, t) for t in options.values()])
+        best = decide(data, without, again, progress)
+        if best is None:
+            effects.remove(one)
+            dropped.append(one.name)
+            current, changed = without, True
+        elif best.effect != one.name or rivals(best, again) != one.rivals:
+            new = Accepted(best.effect, best, rivals(best, again), tuple(again))
+            effects[effects.index(one)] = new
+            changed = changed or best.effect != one.name
+            current = best.estimate
+    return Revision(tuple(effects), current, tuple(dropped), changed)
+
+
+def _verdict(accepted: tuple[Accepted, ...], left: float) -> str:
     if left < ALPHA:
         return "unexplained"
     if not accepted:

@@ -4,14 +4,23 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
+from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.locate import DEGREES, Cell
-from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis
+from diffsea.diagnosis.refit import Fitted
+from diffsea.diagnosis.remainder import latent_force
+from diffsea.diagnosis.screening import Screening
+from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis, needed
 from diffsea.identification.estimates import Estimate, physical_table
-from diffsea.identification.found_effects import catalogue_name, effect_table, reported
+from diffsea.identification.found_effects import effect_table, place_of, reported
 from diffsea.identification.holdout import transferred
 from diffsea.identification.problem import Problem
 from diffsea.vessel.catalogue import Table, updated_document
+from diffsea.vessel.effects import catalogue_name
+
+
+LOG10_OF_HALF = 0.5 / math.log(10)  # from twice a natural logarithm to a decimal one
 
 
 def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
@@ -26,7 +35,28 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
         "parameters": physical_table(diagnosis.split.train.layout.parameters, diagnosis.final),
         "held_out": _held_out(diagnosis),
         "screening": _screening(diagnosis),
-        "remainder_p_value": diagnosis.remainder,
+        "candidates": candidate_table(diagnosis),
+        "dropped": [catalogue_name(name) for name in diagnosis.dropped],
+        "detection_limits": detection_limits(
+            diagnosis.split.train, diagnosis.after, diagnosis.names
+        ),
+        "residual_force": {
+            run.name: {key: [float(f"{x:.4g}") for x in values] for key, values in force.items()}
+            for run, force in zip(
+                diagnosis.split.recordings,
+                latent_force(diagnosis.split.train, diagnosis.final),
+                strict=False,
+            )
+        },
+        "map": _map(diagnosis, diagnosis.where),
+        "map_after": _map(diagnosis, diagnosis.after),
+        "null": {
+            "draws": len(diagnosis.before.null.smallest),
+            "alpha": ALPHA,
+            "threshold": diagnosis.before.null.level,
+            "p_value": diagnosis.before.p_value,
+        },
+        "remainder_p_value": diagnosis.after.remainder,
     }
 
 
@@ -38,36 +68,62 @@ def _held_out(diagnosis: Diagnosis) -> dict:
 
 
 def _where(diagnosis: Diagnosis) -> list[dict]:
-    """Significant windows of the nominal model, strongest first, with the regime they share."""
-    cells = [cell for cell in diagnosis.before if cell.p_value * len(diagnosis.before) < ALPHA]
-    cells = sorted(cells, key=lambda cell: cell.p_value)
-    regimes = [cell for cell in cells if cell.run is None]
+    """Significant cells of the nominal model, strongest first, with the regime they share."""
+    level = diagnosis.where.null.level
+    found = sorted(
+        (cell for cell in diagnosis.where.cells if cell.p_value < level),
+        key=lambda cell: cell.p_value,
+    )
+    shared = [cell for cell in found if cell.bin.run is None]
     out = []
-    for cell in cells[:40]:
-        regime = cell.regime
-        if not regime:
-            same = [other.regime for other in regimes if other.degree == cell.degree]
-            regime = same[0] if same else "no regime stands out"
+    for cell in found[:40]:
+        same = [other.bin.regime for other in shared if other.bin.degree == cell.bin.degree]
+        regime = cell.bin.regime or (same[0] if same else "no regime stands out")
         out.append(_cell_record(diagnosis, cell, regime))
     return out
 
 
 def _cell_record(diagnosis: Diagnosis, cell: Cell, regime: str) -> dict:
     runs = diagnosis.split.recordings
-    whole = cell.run is None
-    times = [np.asarray(run.t) for run in runs]
-    first = min(float(t[0]) for t in times) if whole else cell.start
-    last = max(float(t[-1]) for t in times) if whole else cell.end
+    first, last = _span(diagnosis, cell)
     return {
-        "degree_of_freedom": DEGREES[cell.degree],
-        "recording": "all" if cell.run is None else runs[cell.run].name,
+        "degree_of_freedom": DEGREES[cell.bin.degree],
+        "recording": "all" if cell.bin.run is None else runs[cell.bin.run].name,
         "start": first,
         "end": last,
         "regime": regime,
         "force_rms": abs(cell.force),
-        "unit": "N m" if cell.degree == 2 else "N",
+        "unit": _unit(cell),
         "p_value": cell.p_value,
     }
+
+
+def _span(diagnosis: Diagnosis, cell: Cell) -> tuple[float, float]:
+    """From when to when a cell is, s; a regime from the first start to the last end."""
+    if cell.bin.run is not None:
+        return cell.bin.start, cell.bin.end
+    times = [np.asarray(run.t) for run in diagnosis.split.recordings]
+    return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+
+def _unit(cell: Cell) -> str:
+    return "N m" if cell.bin.degree == 2 else "N"
+
+
+def _map(diagnosis: Diagnosis, screening: Screening) -> dict:
+    """Every tested force in its window or regime, in standard errors too."""
+    runs = diagnosis.split.recordings
+    out: dict = {"time": [], "regime": [], "threshold": float(norm.isf(screening.null.level / 2))}
+    for cell in screening.cells:
+        record: dict = {"degree_of_freedom": DEGREES[cell.bin.degree]}
+        if cell.bin.run is None:
+            record["regime"] = cell.bin.regime
+        else:
+            record |= {"recording": runs[cell.bin.run].name}
+            record |= {"start": cell.bin.start, "end": cell.bin.end}
+        record |= {"force": cell.force, "std": cell.std, "z": cell.z, "unit": _unit(cell)}
+        out["regime" if cell.bin.run is None else "time"].append(record)
+    return out
 
 
 def _effects(diagnosis: Diagnosis) -> list[dict]:
@@ -79,10 +135,12 @@ def _effects(diagnosis: Diagnosis) -> list[dict]:
 
 
 def _unexplained(diagnosis: Diagnosis) -> dict:
+    left = diagnosis.unnamed
     return {
         "name": "unexplained",
+        "remainder": None if left is None else left.as_dict(),
         "parameters": {},
-        "evidence": {"score": 0.0, "p_value": diagnosis.remainder, "cost_drop": 0.0},
+        "evidence": {"score": 0.0, "p_value": diagnosis.after.remainder, "cost_drop": 0.0},
         "alternatives": [],
     }
 
@@ -90,29 +148,90 @@ def _unexplained(diagnosis: Diagnosis) -> dict:
 def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
     problem, final = diagnosis.split.train, diagnosis.final
     copies = reported(problem, final, accepted.name)
-    own = len(copies) > 1
+    fitted, inflation = accepted.fitted, accepted.fitted.estimate.inflation
     evidence = {
-        "score": accepted.fitted.score.statistic,
-        "p_value": accepted.fitted.score.p_value,
+        "score": fitted.seen.score.statistic,
+        "p_value": fitted.seen.score.p_value,
         "cost_drop": _cost_drop(diagnosis, accepted),
-        "held_out_gain": accepted.fitted.gain.total,
-        "held_out_gain_std": accepted.fitted.gain.std,
+        "log10_odds": fitted.evidence(inflation) * LOG10_OF_HALF,
+        "log10_odds_next": accepted.ahead * LOG10_OF_HALF,
+        **_gain(fitted),
     }
     records = []
     for number, parameters in enumerate(copies):
-        table = effect_table(accepted.name, parameters)
         record = {
             "name": catalogue_name(accepted.name),
-            "parameters": parameters,
+            "parameters": _with_intervals(parameters),
             "evidence": evidence,
             "alternatives": list(accepted.rivals),
         }
-        if "channels" in table:
-            record["channels"] = table["channels"]
-        if own:
+        record |= place_of(problem.base, accepted.name)
+        if len(copies) > 1:
+            if number >= len(diagnosis.split.recordings):
+                break
             record["recording"] = diagnosis.split.recordings[number].name
         records.append(record)
     return records
+
+
+def _with_intervals(parameters: dict[str, dict]) -> dict[str, dict]:
+    """Each number with its central 90 % interval."""
+    off = float(norm.ppf(0.95))
+    return {
+        name: entry
+        | {"interval": [entry["value"] - off * entry["std"], entry["value"] + off * entry["std"]]}
+        for name, entry in parameters.items()
+    }
+
+
+def _gain(fitted: Fitted) -> dict:
+    if fitted.gain is None:
+        return {}
+    out: dict = {"held_out_gain": fitted.gain.total, "held_out_gain_std": fitted.gain.std}
+    if fitted.constancy is not None:
+        out["constancy"] = fitted.constancy._asdict()
+    return out
+
+
+def candidate_table(diagnosis: Diagnosis) -> list[dict]:
+    """What became of every candidate against the nominal model, best first."""
+    problem, accepted = diagnosis.split.train, {one.name: one for one in diagnosis.effects}
+    rivals = {name for one in diagnosis.effects for name in one.rivals}
+    rows = []
+    tried = {one.effect: one for one in diagnosis.refitted}
+    inflation = diagnosis.refitted[0].estimate.inflation if tried else 1.0
+    for name, seen in sorted(diagnosis.before.seen.items(), key=lambda i: -i[1].expected):
+        row: dict = {"name": catalogue_name(name), **place_of(problem.base, name)}
+        row["p_value"] = diagnosis.before.null.family_wise(seen.score.p_value)
+        one = tried.get(name)
+        if one is None:
+            row |= {"log10_odds": seen.expected * LOG10_OF_HALF, "status": "screened out"}
+            row["reason"] = "a first look found it too weak to be worth a fit"
+        else:
+            row["log10_odds"] = one.evidence(inflation) * LOG10_OF_HALF
+            row["parameters"] = reported(problem, one.estimate, name)[0]
+            row |= _gain(one) | {"status": "rejected", "reason": _reason(problem, one, inflation)}
+        if name in accepted:
+            row |= {"status": "accepted", "reason": "evidence and held-out data both speak for it"}
+        elif catalogue_name(name) in rivals:
+            row |= {"status": "rival", "reason": "the same data support it nearly as well"}
+        rows.append(row)
+    order = {"accepted": 0, "rival": 1, "rejected": 2, "screened out": 3}
+    return sorted(rows, key=lambda row: (order[row["status"]], -row["log10_odds"]))
+
+
+def _reason(problem: Problem, one: Fitted, inflation: float) -> str:
+    if not one.possible:
+        return "its size came out of the physical range"
+    if one.evidence(inflation) <= needed(problem):
+        return "too little evidence"
+    if one.gain is None:
+        return "explains far less than the best"
+    if not one.gain.clear:
+        return "it does not predict held-out data better"
+    if one.constancy is not None and not one.constancy.holds:
+        return "its size is not the same in all the data"
+    return "another explains more"
 
 
 def _cost_drop(diagnosis: Diagnosis, accepted: Accepted) -> float:
@@ -152,27 +271,17 @@ def _fit(diagnosis: Diagnosis) -> dict:
 
 
 def _screening(diagnosis: Diagnosis) -> list[dict]:
-    ranked = sorted(diagnosis.screened.items(), key=lambda item: -item[1].statistic)
-    refitted = {one.effect: one for one in diagnosis.refitted}
-    best = diagnosis.refitted[0].estimate.inflation if diagnosis.refitted else 1.0
-    rows = []
-    for name, score in ranked:
-        row: dict = {
+    seen = diagnosis.before.seen
+    ranked = sorted(seen, key=lambda name: -seen[name].score.statistic)
+    return [
+        {
             "name": name,
-            "score": score.statistic,
-            "p_value": score.p_value,
-            "inflation": score.inflation,
+            "score": seen[name].score.statistic,
+            "p_value": seen[name].score.p_value,
+            "inflation": seen[name].score.inflation,
         }
-        if name in refitted:
-            one = refitted[name]
-            row |= {
-                "bic": one.bic(best),
-                "held_out_gain": one.gain.total,
-                "held_out_gain_std": one.gain.std,
-                "possible": one.possible,
-            }
-        rows.append(row)
-    return rows
+        for name in ranked
+    ]
 
 
 def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
@@ -186,7 +295,7 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     for accepted in diagnosis.effects:
         copies = reported(problem, final, accepted.name)
         if len(copies) == 1:
-            tables.append(effect_table(accepted.name, copies[0]))
+            tables.append(effect_table(diagnosis.split.train.base, accepted.name, copies[0]))
     return updated_document(document, values, tables)
 
 

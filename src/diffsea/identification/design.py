@@ -112,9 +112,7 @@ def information(
     coordinates = np.asarray(at.coordinates)[: len(layout.parameters)]
     index, matrix = selection(one.layout, free, one.width)
     inputs = traced(one, one.tuned(coordinates, noise).gains, coordinates, matrix)
-    begin = np.zeros(one.width)
-    begin[: len(index)] = coordinates[index]
-    J = np.asarray(jacobian(jnp.asarray(begin), inputs)[1])
+    J = jacobian(coordinates[index], inputs)[1]
     J = J[: one.tape.measured.size, : len(index)]
     return J.T @ J
 
@@ -142,18 +140,29 @@ def imagined(vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = N
 
     `measured` says which motion channels are recorded; all of them by default.
     """
-    time = _time(vessel)
-    t = np.linspace(0.0, SECONDS * time, SAMPLES)
-    share, angle = schedule(t / time)
-    helm, full = Helm(vessel), _full(vessel)
-    given = jax.vmap(helm.orders)(jnp.asarray(full * share), jnp.asarray(angle))
-    orders = {c: np.asarray(given[c]) for c in vessel.channels}
+    t, orders = ordered(vessel, schedule, SECONDS * _time(vessel))
     first = np.where(t == t[0], 0.0, np.nan)
     run = replay(vessel, Trajectory(t, *(first,) * 6, orders, {}, {}, np.ones(len(t), bool)))
     if measured is None:
         return run
     silent = [c for c, known in zip(MOTION_CHANNELS, measured, strict=True) if not known]
     return dataclasses.replace(run, **{c: np.full(len(t), np.nan) for c in silent})
+
+
+def ordered(vessel: Vessel, schedule: Schedule, seconds: float) -> tuple[Times, dict[str, Times]]:
+    """Times (s) and orders of a manoeuvre by channel, within the limits of the vessel."""
+    time = _time(vessel)
+    t = np.linspace(0.0, seconds, round(SAMPLES * seconds / (SECONDS * time)))
+    share, angle = schedule(t / time)
+    helm, full = Helm(vessel), _full(vessel)
+    given = jax.vmap(helm.orders)(jnp.asarray(full * share), jnp.asarray(angle))
+    limits = {c: (servo.lower, servo.upper) for c, servo in vessel.servos.items()}
+    return t, {c: np.clip(np.asarray(given[c]), *_numbers(limits[c])) for c in vessel.channels}
+
+
+def _numbers(limits: tuple) -> tuple[float, float]:
+    low, high = limits
+    return -np.inf if low is None else float(low), np.inf if high is None else float(high)
 
 
 def _time(vessel: Vessel) -> float:

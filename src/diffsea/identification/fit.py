@@ -7,42 +7,26 @@ converge.
 
 import dataclasses
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from diffsea.identification import likelihood
 from diffsea.identification.colour import autocorrelation, long_run
 from diffsea.identification.estimates import Estimate, Progress, made, silent
 from diffsea.identification.gusts import Noise
-from diffsea.identification.least_squares import least_squares, with_known_jacobian
 from diffsea.identification.likelihood import Tuned, deviance
-from diffsea.identification.noise import Clock, Path, refine
+from diffsea.identification.noise import Clock, Path, excerpt, refine
 from diffsea.identification.problem import (
-    Inputs,
     Problem,
-    Static,
     jacobian,
+    minimise,
     selection,
     traced,
-    with_jacobian,
 )
 
 
 ROUNDS = 8
-STEPS = 6  # of Gauss-Newton in one round
 NOISE_STEPS = 3  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
-
-
-def improved(inputs: Inputs, layout: Static, start: Array) -> Array:
-    """Free coordinates after Gauss-Newton steps with the gains held fixed."""
-    residual = with_known_jacobian(with_jacobian)
-    return least_squares(residual, start, (inputs, layout), STEPS)
-
-
-_improve = eqx.filter_jit(improved)
 
 
 def estimate(
@@ -69,7 +53,7 @@ def estimate(
     for number in range(rounds):
         last = now
         if not fixed_noise:
-            better = refine(_path(tuned), _clock(problem), noise, problem.prior, steps)
+            better = refine(*excerpt(_path(tuned), _clock(problem)), noise, problem.prior, steps)
             steps = NOISE_STEPS
             there = problem.tuned(coordinates, better)
             value = posterior(problem, coordinates, better, there)
@@ -90,11 +74,8 @@ def _target(
 ) -> np.ndarray:
     """Coordinates that fit best with the gains held fixed."""
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
-    begin = np.zeros(problem.width)
-    begin[: len(index)] = coordinates[index]
-    found = _improve(inputs, layout, jnp.asarray(begin))
     target = coordinates.copy()
-    target[index] = np.asarray(found)[: len(index)]
+    target[index] = minimise(inputs, layout, coordinates[index])
     return target
 
 
@@ -147,9 +128,7 @@ def _judged(
     autocorrelation, which does not trust them to be white.
     """
     inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
-    begin = np.zeros(problem.width)
-    begin[: len(index)] = coordinates[index]
-    residual, J = (np.asarray(a) for a in jacobian(jnp.asarray(begin), (inputs, layout)))
+    residual, J = jacobian(coordinates[index], (inputs, layout))
     rows = problem.tape.measured.size
     J = J[:rows, : len(index)]
     correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.tape.run))

@@ -6,12 +6,8 @@ import numpy as np
 
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import LATENCY_CHANNELS, AbstractEffect
-
-
-def catalogue_name(effect: str) -> str:
-    """The name in the catalogue: variants of one effect share it."""
-    return effect.split(":")[0]
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name, channels_of
 
 
 def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, dict]]:
@@ -29,13 +25,15 @@ def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, di
     for copy, values in enumerate(layout.physical(name, fitted.coordinates)):
         part = slice(copy * len(sizes), (copy + 1) * len(sizes))
         spread = covariance[part, part] * np.outer(sizes, sizes)
-        out.append(_with_errors(effect, values, spread))
+        out.append(_with_errors(problem.base, effect, values, spread))
     return out
 
 
-def _with_errors(effect: AbstractEffect, values: np.ndarray, covariance: np.ndarray) -> dict:
+def _with_errors(
+    vessel: Vessel, effect: Effect, values: np.ndarray, covariance: np.ndarray
+) -> dict:
     def listed(at: jax.Array) -> jax.Array:
-        return jnp.stack([jnp.asarray(v) for v in effect.parameters(at).values()])
+        return jnp.stack([jnp.asarray(v) for v in effect.parameters(vessel, at).values()])
 
     at = jnp.asarray(values)
     J = np.asarray(jax.jacfwd(listed)(at))
@@ -48,10 +46,17 @@ def _with_errors(effect: AbstractEffect, values: np.ndarray, covariance: np.ndar
     return parameters
 
 
-def effect_table(name: str, parameters: dict[str, dict]) -> dict:
+def effect_table(vessel: Vessel, name: str, parameters: dict[str, dict]) -> dict:
     """An `[[effect]]` table for a vessel file."""
     table: dict = {"name": catalogue_name(name)}
     table |= {key: float(entry["value"]) for key, entry in parameters.items()}
-    if ":" in name:
-        table["channels"] = list(LATENCY_CHANNELS[name.split(":")[1]])
-    return table
+    return table | place_of(vessel, name)
+
+
+def place_of(vessel: Vessel, name: str) -> dict[str, list[str]]:
+    """What a variant acts on, as files say it: channels of sensors, or some of the actuators."""
+    where = EFFECTS[name].where
+    if "kind" not in where:
+        return where
+    channels = channels_of(vessel, where["kind"])
+    return {} if len(channels) == len(vessel.channels) else {"actuators": list(channels)}

@@ -56,24 +56,28 @@ class Split:
 
 
 def split(
-    problem_of: Callable[[list[Trajectory]], Problem],
+    problem_of: Callable[[list[Trajectory], int, int], Problem],
     recordings: list[Trajectory],
     test: list[Trajectory],
     per_run: bool,
 ) -> Split:
     """Hold out `test`, or the end of each recording where there is none.
 
-    `problem_of` makes a problem from recordings; `per_run` says whether each has an
+    `problem_of` makes a problem from recordings, on at least so many rows and runs: all of
+    one shape share their compiled programs. `per_run` says whether each recording has an
     environment of its own.
     """
-    if not test:
-        heads, tails = cut_all(recordings, TRAIN_SHARE)
-        return Split(problem_of(heads), problem_of(tails), None, tuple(heads), tuple(tails), True)
-    train, head = problem_of(recordings), None
-    if per_run:
-        heads, test = cut_all(test, HEAD_SHARE)
-        head = problem_of(heads)
-    return Split(train, problem_of(test), head, tuple(recordings), tuple(test), False)
+    train, held_out, heads, by_time = recordings, test, None, not test
+    if by_time:
+        train, held_out = cut_all(recordings, TRAIN_SHARE)
+    elif per_run:
+        heads, held_out = cut_all(test, HEAD_SHARE)
+    first = [problem_of(runs, 0, 0) for runs in (train, held_out)]
+    rows = max(problem.tape.t.size for problem in first)
+    most = max(problem.tape.runs for problem in first)
+    train_problem, test_problem = (problem_of(runs, rows, most) for runs in (train, held_out))
+    head = None if heads is None else problem_of(heads, rows, most)
+    return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), by_time)
 
 
 def cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
@@ -101,7 +105,7 @@ def transferred(split: Split, fitted: Estimate) -> np.ndarray:
     out[: len(test.parameters)] = fitted.coordinates[: len(train.parameters)]
     own = []
     for effect in train.effects:
-        if effect.group != "environment":
+        if not effect.own:
             place = test.slices()[effect.name]
             out[place] = fitted.coordinates[train.slices()[effect.name]]
         elif effect.name in fitted.free:

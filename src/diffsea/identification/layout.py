@@ -11,7 +11,7 @@ from diffsea.parameters import replace
 from diffsea.priors import Parameter
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import AbstractEffect
+from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,14 +22,14 @@ class Layout:
     """
 
     parameters: tuple[Parameter, ...]
-    effects: tuple[AbstractEffect, ...]
+    effects: tuple[Effect, ...]
     sizes: tuple[tuple[float, ...], ...]
     runs: int
     per_run: bool
 
-    def copies(self, effect: AbstractEffect) -> int:
+    def copies(self, effect: Effect) -> int:
         """How many sets of coordinates an effect has."""
-        return self.runs if self.per_run and effect.group == "environment" else 1
+        return self.runs if self.per_run and effect.own else 1
 
     def slices(self) -> dict[str, slice]:
         """Where each effect's coordinates stand."""
@@ -91,7 +91,7 @@ def equipped(
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
         scaled = coordinates[layout.slices()[effect.name]].reshape(-1, len(sizes))
         physical = scaled * jnp.asarray(sizes)
-        if effect.group != "environment":
+        if not effect.own:
             vessel = effect.apply(vessel, physical[0])
             continue
         # The parts are attached by applying the effect at zero; the flow is each run's own.

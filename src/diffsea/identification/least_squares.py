@@ -4,9 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float
+
+from diffsea.types import Scalar
 
 
 def least_squares(
@@ -25,10 +28,52 @@ def least_squares(
     Columns are scaled alike and regularised by priors, so that normal equations are accurate
     enough; a QR of the tall Jacobian in every step would cost more than everything else.
     """
-    solver = optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
     return optx.least_squares(
-        residual, solver, start, args, options={"jac": "fwd"}, max_steps=steps, throw=False
-    ).value
+        residual, _solver(tolerance), start, args, options={"jac": "fwd"}, max_steps=steps,
+        throw=False,
+    ).value  # fmt: skip
+
+
+def _solver(tolerance: Scalar) -> optx.Dogleg:
+    return optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
+
+
+ONCE = 1e300  # a tolerance that ends a solution where it starts
+
+
+def least_squares_from(
+    function: Callable[[Array, Any], tuple[Array, Array]],
+    start: Float[Array, "free"],
+    args: Any,
+    steps: int,
+    tolerance: Scalar = 1e-4,
+) -> tuple[Float[Array, "free"], Float[Array, "value"], Float[Array, "value free"]]:
+    """As `least_squares` for a `function` that returns residual and Jacobian.
+
+    Besides the minimum it returns both of them at an earlier point of the way; with a tolerance
+    of `ONCE` that is the start. One compiled program thus serves fits and Jacobians.
+    """
+    found = optx.least_squares(
+        lambda at, args: _both(at, given=(function, args)), _solver(tolerance), start, args,
+        has_aux=True, options={"jac": "fwd"}, max_steps=steps, throw=False,
+    )  # fmt: skip
+    return found.value, *found.aux
+
+
+@eqx.filter_custom_jvp
+def _both(at: Array, *, given: tuple[Callable, Any]) -> tuple[Array, tuple[Array, Array]]:
+    """The residual, and residual and Jacobian once more as what is passed along."""
+    function, args = given
+    residual, J = function(at, args)
+    return residual, (residual, J)
+
+
+@_both.def_jvp
+def _both_jvp(primals: tuple, tangents: tuple, *, given: tuple) -> tuple:
+    function, args = given
+    residual, J = function(primals[0], args)
+    still = jnp.zeros_like(residual), jnp.zeros_like(J)
+    return (residual, (residual, J)), (J @ tangents[0], still)
 
 
 @eqx.filter_custom_jvp

@@ -20,8 +20,9 @@ from jaxtyping import Array, Bool, Float
 from diffsea.identification.gusts import Gusts, Noise, gust_model, predicted, product, updated
 from diffsea.identification.layout import Layout, equipped
 from diffsea.identification.tape import Tape
-from diffsea.kinematics import wrap
-from diffsea.simulation.integrate import rk4
+from diffsea.kinematics import to_earth, wrap
+from diffsea.simulation.integrate import rk4_looped
+from diffsea.simulation.replay import heeled
 from diffsea.types import MOTION_CHANNELS, Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import OrderHistory, Response
@@ -68,17 +69,19 @@ def _servo_response(vessel: Vessel, channel: str, tape: Tape) -> Response:
     if servo.direct:
         return _measured_response(jax.vmap(servo.target)(orders))
 
+    # Which orders fall into a row does not depend on the rows before: found for all at once.
+    history = OrderHistory(tape.order_times, tape.order_values[channel])
+    dt = servo.usable(tape.dt)
+    given = servo.segments(history, tape.t, dt) if servo.delay is not None else None
+
     def body(executed: Scalar, row: tuple) -> tuple[Scalar, Response]:
-        starts, order, t, dt = row
+        starts, order, dt, given = row
         executed = jnp.where(starts, servo.target(order), executed)
-        if servo.delay is None:
-            history = OrderHistory(t[None], order[None])
-        else:
-            history = OrderHistory(tape.order_times, tape.order_values[channel])
-        response = servo.respond(executed, history, t, dt)
+        breaks, values = ([0.0, 1.0], [order]) if given is None else given
+        response = servo.answer(executed, breaks, values, dt)
         return response.final, response
 
-    rows = (tape.starts, orders, tape.t, tape.dt)
+    rows = (tape.starts, orders, dt, given)
     return jax.lax.scan(body, servo.target(orders[0]), rows)[1]
 
 
@@ -90,7 +93,7 @@ def propagate(
     dt = row["dt"] / substeps
     for k in range(substeps):
         part = {c: _part(r, k / substeps, 1 / substeps) for c, r in row["response"].items()}
-        state = rk4(vessel, state, part, flow, row["run_time"] + k * dt, dt)
+        state = rk4_looped(vessel, state, part, flow, row["run_time"] + k * dt, dt)
     return jnp.stack(jax.tree.leaves(state))
 
 
@@ -109,7 +112,10 @@ def _part(response: Response, start: float, share: float) -> Response:
 def expected(
     vessel: Vessel, x: Float[Array, "6"], row: dict, flow: Environment
 ) -> Float[Array, "6"]:
-    """What the sensors should show in a state."""
+    """What the sensors should show in a state, late channels by a Taylor polynomial.
+
+    It says how what is shown depends on the present state, which a trail does not.
+    """
     state = State(*x)
     executed = {c: r.start for c, r in row["response"].items()}
 
@@ -118,7 +124,49 @@ def expected(
 
     state = jax.tree.map(jnp.asarray, state)
     first, second = jax.jvp(rate, (state,), (rate(state),))
-    return vessel.sensors.measure(state, first, second)
+    return vessel.sensors.measure(state, first, second, row["run_time"])
+
+
+class Trail(eqx.Module):
+    """The states of the rows before, from which late channels are read."""
+
+    states: Float[Array, "memory 6"]  # the latest first
+    ages: Float[Array, "memory"]  # s
+
+    @staticmethod
+    def begun(x: Float[Array, "6"], memory: int) -> "Trail":
+        """Before a run: on with its first velocities, a tenth of a second for each row."""
+        ages = 0.1 * jnp.arange(1.0, memory + 1)
+        north, east = to_earth(x[3], x[4], x[2])
+        rate = jnp.stack([north, east, x[5], *(jnp.zeros(3))])
+        return Trail(x - ages[:, None] * rate, ages)
+
+    def after(self, x: Float[Array, "6"], dt: Scalar) -> "Trail":
+        """With the state of this row, `dt` s later."""
+        states = jnp.concatenate([x[None], self.states[:-1]])
+        return Trail(states, jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt)
+
+    def past(self, x: Float[Array, "6"], lag: Float[Array, "6"]) -> Float[Array, "6"]:
+        """Each number of the state as it was `lag` s ago: linear between rows.
+
+        Beyond the last row, and for negative lags, on with the slope there.
+        """
+        ages = jnp.concatenate([jnp.zeros(1), self.ages])[:, None]
+        states = jnp.concatenate([x[None], self.states])
+        gap = jnp.where(ages[1:] - ages[:-1] > 1e-6, ages[1:] - ages[:-1], 1.0)
+        share = (lag - ages[:-1]) / gap
+        ends = np.arange(len(gap))[:, None]
+        share = jnp.where((share < 0) & (ends > 0), 0.0, share)
+        share = jnp.where((share > 1) & (ends < len(gap) - 1), 1.0, share)
+        return x + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
+
+
+def shown(vessel: Vessel, x: Float[Array, "6"], row: dict, trail: Trail) -> Float[Array, "6"]:
+    """What the sensors should show in a state that was reached along a trail."""
+    lags = vessel.sensors.lags(row["run_time"])
+    lag = jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
+    past = trail.past(x, lag)
+    return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
 
 
 def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
@@ -134,8 +182,9 @@ _HEADING = np.arange(6) == MOTION_CHANNELS.index("psi")
 
 def rows(vessel: Vessel, flows: Environment, tape: Tape) -> dict:
     """What a scan along the tape takes in."""
+    flow = jax.tree.map(lambda leaf: leaf[tape.run], flows)
     return {
-        "flow": jax.tree.map(lambda leaf: leaf[tape.run], flows),
+        "flow": heeled(flow, flow.heel + tape.heel),
         "dt": tape.dt,
         "run_time": tape.run_time,
         "measured": tape.measured,
@@ -161,22 +210,33 @@ def innovations(
     """
     vessel, flows = equipped(base, layout, coordinates)
 
-    def body(z: Float[Array, "9"], inputs: tuple) -> tuple:
+    def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
-        z = jnp.where(row["starts"], _first(row), z)
-        nu = innovation(row, expected(vessel, z[:6], row, flow))
+        z, trail = _restarted(*carry, row, tape.memory)
+        nu = innovation(row, shown(vessel, z[:6], row, trail))
         z = z + _applied(correction, nu)
+        trail = trail.after(z[:6], row["dt"])
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
         x = propagate(vessel, _faster(z[:6], kick), row, flow, tape.substeps)
         z = jnp.concatenate([_faster(x, kick), gusts.decay * z[6:]])
-        return z, _applied(whitening, nu)
+        return (z, trail), _applied(whitening, nu)
 
     push = jnp.zeros((tape.t.size, 3)) if push is None else push
     inputs = (
         rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
     )  # fmt: skip
-    return jax.lax.scan(body, jnp.zeros(9), inputs)[1]
+    start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory)
+    return jax.lax.scan(body, start, inputs)[1]
+
+
+def _restarted(
+    z: Float[Array, "9"], trail: Trail, row: dict, memory: int
+) -> tuple[Float[Array, "9"], Trail]:
+    """State and trail, those of a run's beginning where the row is its first."""
+    z = jnp.where(row["starts"], _first(row), z)
+    fresh = Trail.begun(z[:6], memory)
+    return z, jax.tree.map(lambda new, old: jnp.where(row["starts"], new, old), fresh, trail)
 
 
 def _first(row: dict) -> Float[Array, "9"]:
@@ -213,27 +273,29 @@ def tune(
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, Q = inputs
-        z, P = carry
+        *before, P = carry
         flow = row["flow"]
-        z = jnp.where(row["starts"], _first(row), z)
+        z, trail = _restarted(*before, row, tape.memory)
         P = jnp.where(row["starts"], P0, P)
-        nu = innovation(row, expected(vessel, z[:6], row, flow))
+        nu = innovation(row, shown(vessel, z[:6], row, trail))
         H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
         spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
         used = row["known"] & ((jnp.abs(nu) < gate * spread) | row["starts"])
         nu = jnp.where(used, nu, 0.0)
         K, W, P, variance = updated(P, H, R, used)
         z = z + _applied(K, nu)
+        trail = trail.after(z[:6], row["dt"])
         kick = gust.half * z[6:]
         x = _faster(z[:6], kick)
         F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
         x = _faster(propagate(vessel, x, row, flow, tape.substeps), kick)
         out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick)
-        return (jnp.concatenate([x, gust.decay * z[6:]]), P), out
+        return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
     gusts, Q = gust_model(noise, tape.dt)
-    _, found = jax.lax.scan(body, (jnp.zeros(9), P0), (rows(vessel, flows, tape), gusts, Q))
+    start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory), P0
+    _, found = jax.lax.scan(body, start, (rows(vessel, flows, tape), gusts, Q))
     return Tuned(Gains(*found[:3], gusts), *found[3:])
 
 

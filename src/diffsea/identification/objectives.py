@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float
 
 from diffsea.identification import likelihood
 from diffsea.identification.estimates import Estimate, Progress, silent
-from diffsea.identification.fit import estimate, improved, posterior
+from diffsea.identification.fit import estimate, posterior
 from diffsea.identification.gusts import Noise
-from diffsea.identification.problem import Inputs, Problem, Static, selection, traced
+from diffsea.identification.problem import Inputs, Problem, Static, minimised, selection, traced
 from diffsea.priors import Parameter
 from diffsea.types import MOTION_CHANNELS
 
@@ -149,8 +149,10 @@ def _explored(inputs: Inputs, layout: Static, noise: Noise, starts: Array) -> Ar
     def one(start: Array) -> Array:
         tuned = likelihood.tune(inputs.base, layout.value, inputs.tape, noise, start)
         there = eqx.tree_at(lambda i: i.gains, inputs, tuned.gains)
-        free = improved(there, layout, inputs.selection.T @ start)
-        end = inputs.fixed + inputs.selection @ free
+        width = inputs.selection.shape[1]
+        begin = jnp.append(inputs.selection.T @ start, jnp.zeros(inputs.owner.size - width))
+        free = minimised(there, layout, begin)[0]
+        end = inputs.fixed + inputs.selection @ free[:width]
         return jnp.where(jnp.all(jnp.isfinite(end)), end, start)
 
     return jax.vmap(one)(starts)

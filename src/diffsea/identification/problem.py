@@ -16,14 +16,15 @@ from jaxtyping import Array, Float, Int
 from diffsea.identification import likelihood
 from diffsea.identification.gusts import Noise
 from diffsea.identification.layout import Layout
+from diffsea.identification.least_squares import ONCE, least_squares_from
 from diffsea.identification.likelihood import Gains, Tuned
 from diffsea.identification.noise import Prior, noise_prior
 from diffsea.identification.tape import Tape, make_tape
 from diffsea.parameters import check_names, named
 from diffsea.priors import Parameter, hull_prior
-from diffsea.types import Trajectory
+from diffsea.types import Scalar, Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import AbstractEffect
+from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,10 +90,12 @@ def make_problem(
     vessel: Vessel,
     recordings: list[Trajectory],
     free: tuple[str, ...] | None = None,
-    effects: tuple[AbstractEffect, ...] = (),
+    effects: tuple[Effect, ...] = (),
     per_run: bool = False,
     room: int = 0,
     priors: Mapping[str, Parameter] | None = None,
+    rows: int = 0,
+    runs: int = 0,
 ) -> Problem:
     """Set up a fit.
 
@@ -100,6 +103,7 @@ def make_problem(
         free: names of the vessel's parameters to estimate; `free_by_default` if None.
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
+        rows, runs: at least so many on the tape: problems of one shape share their programs.
         room: how many effect coordinates may be free at once, copies for each run not counted.
         priors: of parameters that have one other than `default_prior`.
 
@@ -110,7 +114,7 @@ def make_problem(
     check_names(vessel, free)
     known = default_priors(vessel) | dict(priors or {})
     parameters = tuple(known[name] for name in free)
-    tape = make_tape(vessel, recordings)
+    tape = make_tape(vessel, recordings, rows, runs)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
     layout = Layout(parameters, effects, sizes, tape.runs, per_run)
     tape = jax.tree.map(jnp.asarray, tape)
@@ -132,28 +136,32 @@ class Inputs(eqx.Module):
     fixed: Float[Array, "coordinate"]  # values of the coordinates that are not free
     selection: Float[Array, "coordinate width"]
     spreads: Float[Array, "coordinate"]
-    seeds: Float[Array, "seed width"]  # which free coordinates are differentiated together
-    owner: Int[Array, "width"]  # the run a free coordinate belongs to; -1: all of them
+    pushes: Float[Array, "push row 3"]  # histories of unnamed accelerations, to be added
+    seeds: Float[Array, "seed free"]  # what is differentiated together
+    owner: Int[Array, "free"]  # the run a free coordinate belongs to; -1: all of them
 
 
-def _white(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+def _white(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     """Whitened innovations; non-finite ones are large."""
     problem, layout = args
-    coordinates = problem.fixed + problem.selection @ free
+    width = problem.selection.shape[1]
+    coordinates = problem.fixed + problem.selection @ free[:width]
+    push = jnp.tensordot(free[width:], problem.pushes, axes=1)
     white = likelihood.innovations(
-        problem.base, layout.value, problem.tape, problem.gains, coordinates
+        problem.base, layout.value, problem.tape, problem.gains, coordinates, push
     )
     return jnp.where(jnp.isfinite(white), white, 1e4).ravel()
 
 
-def _prior(free: Float[Array, "width"], problem: Inputs) -> Array:
+def _prior(free: Float[Array, "free"], problem: Inputs) -> Array:
     """Deviations from the prior; unused columns of the selection have one of their own."""
-    coordinates = problem.fixed + problem.selection @ free
-    unused = 1 - jnp.abs(problem.selection).sum(0)
+    width = problem.selection.shape[1]
+    coordinates = problem.fixed + problem.selection @ free[:width]
+    unused = jnp.concatenate([1 - jnp.abs(problem.selection).sum(0), jnp.ones(free.size - width)])
     return jnp.concatenate([coordinates / problem.spreads, unused * free])
 
 
-def _residual(free: Float[Array, "width"], args: tuple[Inputs, Static]) -> Array:
+def _residual(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     return jnp.concatenate([_white(free, args), _prior(free, args[0])])
 
 
@@ -172,7 +180,37 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
     return _residual(free, args), jnp.concatenate([J, prior])
 
 
-jacobian = eqx.filter_jit(with_jacobian)
+STEPS = 3  # of Gauss-Newton with the gains held fixed
+
+
+def minimised(
+    inputs: Inputs, layout: Static, start: Array, tolerance: Scalar = 1e-4
+) -> tuple[Array, Array, Array]:
+    """Free numbers after Gauss-Newton steps, and residual and Jacobian on the way."""
+    return least_squares_from(with_jacobian, start, (inputs, layout), STEPS, tolerance)
+
+
+_minimise = eqx.filter_jit(minimised)
+
+
+def minimise(inputs: Inputs, layout: Static, start: np.ndarray) -> np.ndarray:
+    """Free coordinates after Gauss-Newton steps with the gains held fixed."""
+    found = _minimise(inputs, layout, _padded(inputs, start), jnp.asarray(1e-4))[0]
+    return np.asarray(found)[: len(start)]
+
+
+def jacobian(start: np.ndarray, args: tuple[Inputs, Static]) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and Jacobian by the free coordinates at `start`, then by the pushes."""
+    inputs, layout = args
+    _, residual, J = _minimise(inputs, layout, _padded(inputs, start), jnp.asarray(ONCE))
+    return np.asarray(residual), np.asarray(J)
+
+
+def _padded(inputs: Inputs, start: np.ndarray) -> Array:
+    """The free coordinates, with pushes of nothing."""
+    whole = np.zeros(inputs.owner.size)
+    whole[: len(start)] = start
+    return jnp.asarray(whole)
 
 
 def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -184,14 +222,29 @@ def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.nda
 
 
 def traced(
-    problem: Problem, gains: Gains, coordinates: np.ndarray, matrix: np.ndarray
+    problem: Problem,
+    gains: Gains,
+    coordinates: np.ndarray,
+    matrix: np.ndarray,
+    pushes: np.ndarray | None = None,
 ) -> tuple[Inputs, Static]:
-    """The inputs of the compiled residual, `matrix` selecting what is free."""
+    """The inputs of the compiled residual, `matrix` selecting what is free.
+
+    Where `pushes` are given, at most as many as there are seeds, the Jacobian is by them.
+    """
     held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
     seeds, owner = _seeds(problem, matrix)
+    room = problem.seeds
+    histories = np.zeros((room, problem.tape.t.size, 3))
+    by_push = np.zeros((room, room))
+    if pushes is not None:
+        histories[: len(pushes)] = pushes
+        seeds, by_push = np.zeros_like(seeds), np.eye(room)
     inputs = Inputs(
         problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
-        jnp.asarray(problem.layout.spreads()), jnp.asarray(seeds), jnp.asarray(owner),
+        jnp.asarray(problem.layout.spreads()), jnp.asarray(histories),
+        jnp.asarray(np.concatenate([seeds, by_push], axis=1)),
+        jnp.asarray(np.append(owner, np.full(room, -1))),
     )  # fmt: skip
     return inputs, Static(problem.layout)
 

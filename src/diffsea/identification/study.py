@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.errors import UserError, nearest
+from diffsea.errors import UserError
 from diffsea.identification.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
 from diffsea.identification.fit import normalised_rms
@@ -32,7 +32,7 @@ from diffsea.parameters import check_names
 from diffsea.priors import Parameter
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS, AbstractEffect
+from diffsea.vessel.effects import Effect, find_effects
 
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
@@ -101,7 +101,10 @@ class Study:
     def effect_tables(self) -> list[dict]:
         """Tables for the vessel file of the effects that all recordings share."""
         shared = {name: copies[0] for name, copies in self.effects.items() if len(copies) == 1}
-        return [effect_table(name, parameters) for name, parameters in shared.items()]
+        if self.problem is None:
+            return []
+        base = self.problem.base
+        return [effect_table(base, name, parameters) for name, parameters in shared.items()]
 
     @property
     def problem(self) -> Problem | None:
@@ -135,7 +138,7 @@ class Study:
         """What was fitted and runs held out, as problems of one kind."""
         problem = self.recorded
         layout = problem.layout
-        own = layout.per_run and any(e.group == "environment" for e in layout.effects)
+        own = layout.per_run and any(e.own for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
         room = problem.seeds - len(priors)
 
@@ -185,7 +188,7 @@ def identify(
     names = tuple(p.name for p in parameters)
     objective = _objective(vessel, parameters, data, settings)
     agreement = None
-    names += settings.effects
+    names += tuple(effect.name for effect in chosen_effects(vessel, settings.effects))
     if settings.starts > 1:
         fitted, agreement = multistart(objective, names, settings.starts, settings.seed, progress)
     else:
@@ -271,7 +274,7 @@ def _objective(
             raise UserError("effects are estimated from recordings, not from trial numbers")
         return TrialNumbers(vessel, parameters, sheets)
     priors = {p.name: p for p in parameters}
-    effects = tuple(_effect(vessel, name) for name in settings.effects)
+    effects = chosen_effects(vessel, settings.effects)
     room = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(
         vessel, list(data), tuple(priors), effects, settings.per_recording, room, priors
@@ -279,14 +282,21 @@ def _objective(
     return Innovations(problem) if name == "innovation" else FreeRun(problem)
 
 
-def _effect(vessel: Vessel, name: str) -> AbstractEffect:
-    if name not in EFFECTS:
-        raise UserError(
-            f"there is no effect {name!r}{nearest(name, EFFECTS)}; choose of {', '.join(EFFECTS)}"
-        )
-    if not EFFECTS[name].possible(vessel):
-        raise UserError(f"{vessel.name!r} cannot have {name} estimated: it has it, or lacks parts")
-    return EFFECTS[name]
+def chosen_effects(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects of the catalogue by name, all variants that the vessel could have.
+
+    Raises:
+        UserError: an unknown name, or an effect that the vessel cannot have.
+    """
+    found: list[Effect] = []
+    for name in names:
+        possible = [effect for effect in find_effects(name) if effect.possible(vessel)]
+        if not possible:
+            raise UserError(
+                f"{vessel.name!r} cannot have {name} estimated: it has it, or lacks parts"
+            )
+        found += possible
+    return tuple(found)
 
 
 def _next(objective: Objective, fitted: Estimate, progress: Progress) -> NextManoeuvre | None:

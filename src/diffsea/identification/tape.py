@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
-from diffsea.simulation.replay import recorded_actuation
+from diffsea.simulation.replay import recorded_actuation, recorded_heel
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
 
 SEPARATION = 1e4  # s between runs on the tape's clock, beyond any delay
+LONGEST_STEP = 0.3  # of sqrt(L / g)
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
 
 
@@ -27,12 +28,14 @@ class Tape(eqx.Module):
     run: Int[Array, "row"]
     starts: Bool[Array, "row"]  # first row of a run
     first: Float[Array, "row 6"]  # the run's first state, a rough guess
+    heel: Float[Array, "row"]  # rad, as recorded; zero where it was not
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
     order_times: Float[Array, "order"]  # s, with one order long before each run
     order_values: dict[str, Float[Array, "order"]]
     runs: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
+    memory: int = eqx.field(static=True)  # rows that late channels may reach back
 
     @property
     def count(self) -> Float[Array, ""]:
@@ -47,28 +50,30 @@ def natural_time(vessel: Vessel) -> float:
 
 def thinning(vessel: Vessel, interval: float) -> int:
     """How many samples at `interval` s may be skipped without blurring the vessel's motion."""
-    return max(1, int(0.15 * natural_time(vessel) / interval))
+    return max(1, int(LONGEST_STEP * natural_time(vessel) / interval * (1 + 1e-9)))
 
 
-def make_tape(vessel: Vessel, recordings: list[Trajectory]) -> Tape:
-    """Lay recordings on a tape.
+def make_tape(vessel: Vessel, recordings: list[Trajectory], rows: int = 0, runs: int = 0) -> Tape:
+    """Lay recordings on a tape of at least so many rows and runs, spare ones empty.
 
-    Recordings sampled much faster than the vessel moves are thinned to 0.15 sqrt(L / g), all
-    rows that hold a slowly sampled channel kept; orders between kept rows take effect at the
-    next kept row.
+    Recordings sampled much faster than the vessel moves are thinned to 0.3 sqrt(L / g), all
+    rows that hold a slowly sampled channel kept; over the rows between, orders and measured
+    actuation are averaged.
 
     Raises:
         UserError: a recording lacks a channel's orders, or has fewer than ten rows.
     """
     pieces = [_piece(vessel, recording, k) for k, recording in enumerate(recordings)]
     longest = max(float(np.median(piece["dt"][:-1])) for piece in pieces)
-    substeps = max(1, math.ceil(longest / (0.3 * natural_time(vessel))))
+    substeps = max(1, math.ceil(longest / (LONGEST_STEP * natural_time(vessel)) - 1e-9))
     columns = {key: np.concatenate([piece[key] for piece in pieces]) for key in _ROWS}
-    spare = -len(columns["t"]) % PADDING
+    used = len(columns["t"])
+    spare = max(rows, used + -used % PADDING) - used
+    runs = max(runs, len(recordings))
     padded = {key: _padded(column, spare) for key, column in columns.items()}
     channels = vessel.channels
     measured = [c for c in channels if all(c in piece["executed"] for piece in pieces)]
-    order_times, order_values = _order_table(pieces, channels)
+    order_times, order_values = _order_table(pieces, channels, used + spare + runs)
 
     def gathered(kind: str, names: list[str] | tuple[str, ...]) -> dict[str, np.ndarray]:
         return {
@@ -81,12 +86,19 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory]) -> Tape:
         executed=gathered("executed", measured),
         order_times=order_times,
         order_values=order_values,
-        runs=len(recordings),
+        runs=runs,
         substeps=substeps,
+        memory=_memory(vessel, longest),
     )
 
 
-_ROWS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first")
+_ROWS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first", "heel")
+
+
+def _memory(vessel: Vessel, longest: float) -> int:
+    """Rows within sqrt(L / g): a power of two up to eight, so that programs are shared."""
+    rows = natural_time(vessel) / longest
+    return 2 ** int(np.clip(np.ceil(np.log2(max(rows, 1.0))), 0, 3))
 
 
 def _padded(column: np.ndarray, spare: int) -> np.ndarray:
@@ -108,7 +120,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
     motion = motion[valid]
     keep = _kept(np.isfinite(motion), thinning(vessel, float(np.median(np.diff(t)))))
-    t, motion = t[keep], motion[keep]
+    every, t, motion = t, t[keep], motion[keep]
     known = np.isfinite(motion)
     if not known.any():
         raise UserError(f"{recording.name}: no motion channel has any value")
@@ -125,9 +137,24 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
         "run": np.full(len(t), number),
         "starts": starts,
         "first": np.broadcast_to(_first_state(t, motion), motion.shape).copy(),
-        "orders": {channel: series[keep] for channel, series in orders.items()},
-        "executed": {channel: series[keep] for channel, series in executed.items()},
+        "heel": _means(every, recorded_heel(recording), keep),
+        "orders": {c: _means(every, series, keep) for c, series in orders.items()},
+        "executed": {c: _means(every, series, keep) for c, series in executed.items()},
     }
+
+
+def _means(t: np.ndarray, series: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """Mean of a held series from each kept row to the next.
+
+    The first value would be late by half a row wherever an order moves between rows, and the
+    vessel would seem to act before it.
+    """
+    if len(keep) == len(t):
+        return series
+    length = np.append(np.diff(t), 0.0)
+    total = np.add.reduceat(series * length, keep)
+    span = np.add.reduceat(length, keep)
+    return np.where(span > 0, total / np.where(span > 0, span, 1.0), series[keep])
 
 
 def _kept(known: np.ndarray, every: int) -> np.ndarray:
@@ -159,10 +186,17 @@ def _first_slope(t: np.ndarray, values: np.ndarray) -> float:
     return float(np.polyfit(t[finite] - t[finite[0]], values[finite], 1)[0])
 
 
-def _order_table(pieces: list[dict], channels: tuple[str, ...]) -> tuple[np.ndarray, dict]:
+def _order_table(
+    pieces: list[dict], channels: tuple[str, ...], length: int
+) -> tuple[np.ndarray, dict]:
     times = [np.append(p["t"][0] - 0.5 * SEPARATION, p["t"]) for p in pieces]
     values = {
         c: np.concatenate([np.append(p["orders"][c][0], p["orders"][c]) for p in pieces])
         for c in channels
     }
-    return np.concatenate(times), values
+    filled = np.concatenate(times)
+    spare = length - len(filled)
+    late = filled[-1] + SEPARATION * np.arange(1, spare + 1)
+    return np.append(filled, late), {
+        c: np.pad(v, (0, spare), mode="edge") for c, v in values.items()
+    }

@@ -3,13 +3,13 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 
-from diffsea.diagnosis.select import Diagnosis
-from diffsea.identification.holdout import transferred
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.holdout import Split, transferred
 from diffsea.identification.layout import equipped
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.types import Trajectory
@@ -34,31 +34,50 @@ class Comparison:
     predictions: dict[str, Prediction]
 
 
+class Outcome(Protocol):
+    """What reports need of a diagnosis."""
+
+    @property
+    def split(self) -> Split:
+        """Recordings that were fitted and those held out."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that were added to the model."""
+        ...
+
+    @property
+    def final(self) -> Estimate:
+        """The fit with them."""
+        ...
+
+
 def predict(vessel: Vessel, run: Trajectory) -> Prediction:
     """One model on one run."""
     return Prediction(replay(vessel, run), horizon_errors(vessel, run))
 
 
-def compare(diagnosis: Diagnosis, nominal: Vessel, diagnosed: Vessel) -> list[Comparison]:
+def compare(diagnosis: Outcome, nominal: Vessel, diagnosed: Vessel) -> list[Comparison]:
     """The models `nominal` and `diagnosed` on every held-out run."""
     runs = diagnosis.split.held_out
     vessels = _in_own_environment(diagnosis, diagnosed)
     out = []
     for run, vessel in zip(runs, vessels, strict=True):
         before = predict(nominal, run)
-        after = predict(vessel, run) if diagnosis.effects else before
+        after = predict(vessel, run) if diagnosis.names else before
         out.append(Comparison(run, {"nominal": before, "diagnosed": after}))
     return out
 
 
-def own_environment(diagnosis: Diagnosis) -> bool:
+def own_environment(diagnosis: Outcome) -> bool:
     """Whether an accepted effect has its own size in each recording."""
     layout = diagnosis.split.train.layout
-    groups = {effect.name: effect.group for effect in layout.effects}
-    return layout.per_run and any(groups[name] == "environment" for name in diagnosis.names)
+    own = {effect.name: effect.own for effect in layout.effects}
+    return layout.per_run and any(own[name] for name in diagnosis.names)
 
 
-def _in_own_environment(diagnosis: Diagnosis, diagnosed: Vessel) -> list[Vessel]:
+def _in_own_environment(diagnosis: Outcome, diagnosed: Vessel) -> list[Vessel]:
     """The diagnosed vessel for each held-out run.
 
     Wind and current of one run say nothing about another's: there they are estimated on
@@ -104,7 +123,7 @@ def _pooled(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def with_held_out_errors(
-    summary: dict, diagnosis: Diagnosis, nominal: Vessel, diagnosed: Vessel
+    summary: dict, diagnosis: Outcome, nominal: Vessel, diagnosed: Vessel
 ) -> dict:
     """The summary with prediction errors at several horizons among what was held out."""
     return with_errors(summary, compare(diagnosis, nominal, diagnosed))

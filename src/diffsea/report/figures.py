@@ -13,9 +13,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
-from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.report.page import Html, markup
 from diffsea.types import Trajectory
 
@@ -25,8 +23,6 @@ INK = "#1d2733"
 MEASURED = INK
 BEFORE = "#c2571a"
 AFTER = "#1f5fa8"
-_LEVELS = (1e-8, 1e-4, 1e-2)  # family-wise
-_SHADES = ("#7a1204", "#d9622b", "#f7c59f", "#ffffff")
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10,
     "axes.edgecolor": "#8a96a3", "axes.labelcolor": INK, "text.color": INK,
@@ -83,7 +79,7 @@ def track(lines: Sequence[Line], alternative: str, title: str, caption: str = ""
         axes = figure.subplots()
         series = {c: [_rows(line.run, c) for line in lines] for c in ("x", "y")}
         room = max(float(np.nanmax(s[0]) - np.nanmin(s[0])) for s in series.values())
-        reach = {c: _span(s, room) for c, s in series.items()}
+        reach = {c: span(s, room) for c, s in series.items()}
         for line in lines:
             x, y = (_inside(_rows(line.run, c), reach[c]) for c in ("x", "y"))
             axes.plot(y, x, line.style, color=line.colour, label=line.label, lw=line.width)
@@ -148,7 +144,7 @@ def _rows(run: Trajectory, channel: str) -> np.ndarray:
     return np.asarray(getattr(run, channel), float)[np.asarray(run.valid, bool)]
 
 
-def _span(series: Sequence[np.ndarray], room: float | None = None) -> tuple[float, float]:
+def span(series: Sequence[np.ndarray], room: float | None = None) -> tuple[float, float]:
     """Range of the first series, and of the others where they stay within `room` of it."""
     finite = [s[np.isfinite(s)] for s in series]
     finite = [s for s in finite if s.size] or [np.zeros(1)]
@@ -166,7 +162,7 @@ def _inside(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
 
 
 def _limit(axes: Axes, series: Sequence[np.ndarray]) -> None:
-    low, high = _span(series)
+    low, high = span(series)
     margin = 0.06 * max(high - low, 1e-6)
     axes.set_ylim(low - margin, high + margin)
 
@@ -174,103 +170,3 @@ def _limit(axes: Axes, series: Sequence[np.ndarray]) -> None:
 def _legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-
-
-def time_map(cells: Sequence[Cell], names: Sequence[str], title: str, alternative: str) -> Html:
-    """Significance of unnamed forces in windows of time, one row for each run."""
-    windows = [cell for cell in cells if cell.run is not None]
-    height = 1.35 + 0.24 * len(names)
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(1, len(DEGREES), sharey=True)
-        for degree, axes in enumerate(panels):
-            for cell in windows:
-                if cell.degree == degree:
-                    axes.barh(
-                        cell.run, cell.end - cell.start, left=cell.start, height=0.9,
-                        color=_shade(cell, len(cells)), edgecolor="#d9dfe5", lw=0.5,
-                    )  # fmt: skip
-            axes.set(title=DEGREES[degree], xlabel="time (s)", ylim=(len(names) - 0.4, -0.6))
-            axes.grid(visible=False)
-        panels[0].set_yticks(range(len(names)), [_short(name) for name in names])
-        _shades(figure)
-
-    figure = _titled(draw, title)
-    return picture(figure, alternative, height=height)
-
-
-def regime_map(cells: Sequence[Cell], title: str, alternative: str) -> Html:
-    """Significance of unnamed forces in classes of what the vessel was doing."""
-    found = [cell for cell in cells if cell.run is None]
-    labels = list(dict.fromkeys(cell.regime for cell in found))
-    height = 1.2 + 0.21 * len(labels)
-
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots()
-        for cell in found:
-            axes.barh(
-                labels.index(cell.regime), 1, left=cell.degree - 0.5, height=1.0,
-                color=_shade(cell, len(cells)), edgecolor="#d9dfe5", lw=0.5,
-            )  # fmt: skip
-        axes.set_xticks(range(len(DEGREES)), DEGREES)
-        axes.set_yticks(range(len(labels)), labels)
-        axes.set(xlim=(-0.5, len(DEGREES) - 0.5), ylim=(len(labels) - 0.5, -0.5))
-        axes.grid(visible=False)
-        axes.tick_params(length=0)
-        _shades(figure)
-
-    return picture(_titled(draw, title), alternative, height=height)
-
-
-def _titled(draw: Callable[[Figure], None], title: str) -> Callable[[Figure], None]:
-    def both(figure: Figure) -> None:
-        draw(figure)
-        figure.suptitle(title, fontsize=10, fontweight="bold")
-
-    return both
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 18 else f"{name[:8]}…{name[-9:]}"
-
-
-def _shade(cell: Cell, tests: int) -> str:
-    return _SHADES[int(np.searchsorted(_LEVELS, cell.p_value * tests, side="right"))]
-
-
-def _shades(figure: Figure) -> None:
-    """The key to the shades, below the maps."""
-    labels = ("p < 1e-8", "p < 1e-4", "p < 0.01", "nothing")
-    keys = [
-        Patch(facecolor=shade, edgecolor="#aab4bf", lw=0.6, label=label)
-        for shade, label in zip(_SHADES, labels, strict=True)
-    ]
-    figure.legend(
-        handles=keys[::-1], loc="outside lower center", ncols=len(keys), handlelength=1.2,
-        columnspacing=1.2,
-    )  # fmt: skip
-
-
-def flagged_track(run: Trajectory, windows: Sequence[tuple[float, float]], title: str) -> Html:
-    """A measured track with the stretches marked where the model fails."""
-
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots()
-        t, x, y = (_rows(run, channel) for channel in ("t", "x", "y"))
-        axes.plot(y, x, color="#aab4bf", lw=2.0, label="measured track")
-        label = "model fails here"
-        for start, end in windows:
-            # One sample more, so that windows that follow one another join.
-            inside = (t >= start) & (t <= t[min(np.searchsorted(t, end) + 1, len(t) - 1)])
-            axes.plot(
-                np.where(inside, y, np.nan), np.where(inside, x, np.nan), color=_SHADES[1], lw=4,
-                label=label, solid_capstyle="butt",
-            )  # fmt: skip
-            label = ""
-        axes.plot(y[0], x[0], "o", color=INK, ms=5, label="start")
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set(xlabel="east (m)", ylabel="north (m)", title=title)
-        _legend(figure, axes)
-
-    text = f"Track of {run.name}; {len(windows)} stretches are marked where the model fails."
-    return picture(draw, text, height=3.6)

@@ -105,14 +105,17 @@ def grid(figures: Iterable[Html]) -> Html:
     return element("div", joined(figures), "grid")
 
 
-def page(title: str, subtitle: str, sections: Sequence[Html]) -> str:
-    """The whole file."""
+def page(
+    title: str, subtitle: str, sections: Sequence[Html], head: str = "", scripts: str = ""
+) -> str:
+    """The whole file, with further markup for its head and scripts for its end."""
     header = joined([element("h1", verbatim(title)), paragraph(verbatim(subtitle), "subtitle")])
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{verbatim(title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n"
-        f"<header>\n{header}\n</header>\n<main>\n{joined(sections)}\n</main>\n</body>\n</html>\n"
+        f"{head}<title>{verbatim(title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n"
+        f"<header>\n{header}\n</header>\n<main>\n{joined(sections)}\n</main>\n{scripts}</body>\n"
+        "</html>\n"
     )
 
 
@@ -142,6 +145,14 @@ section { background: var(--paper); border: 1px solid var(--line); border-radius
 figure { margin: 0; min-width: 0; max-width: 560px; }
 figure img { width: 100%; height: auto; display: block; }
 figcaption { margin-top: 2px; }
+figure.interactive { max-width: none; }
+.run { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr));
+  gap: 4px 20px; margin: 6px 0 18px; align-items: start; }
+.key { display: flex; flex-wrap: wrap; gap: 4px 16px; align-items: center; margin: 8px 0;
+  font-size: .9rem; color: var(--soft); }
+.key i { display: inline-block; height: 14px; width: 180px; vertical-align: -2px; margin: 0 6px;
+  border: 1px solid var(--line); } .key i.small { width: 22px; }
+select { font: inherit; max-width: 100%; padding: 3px 6px; }
 .scroll { overflow-x: auto; margin: 8px 0 12px; }
 table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; padding-bottom: 4px; }
@@ -171,5 +182,6 @@ details { margin: 8px 0; } summary { cursor: pointer; color: #1f5fa8; }
   .wide td:has(> div:empty) { display: none; }
   dl { grid-template-columns: 1fr; gap: 0; } dd { margin-bottom: 6px; }
 }
-@media print { body { background: #fff; } section { break-inside: avoid; border: 0; } }
+@media print { body { background: #fff; } section { border: 0; padding: 0; }
+  figure, tr { break-inside: avoid; } .modebar, .colouring { display: none; } }
 """

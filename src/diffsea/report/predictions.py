@@ -19,6 +19,17 @@ _LOOKS = ((figures.BEFORE, "--"), (figures.AFTER, "-"))
 
 def predictions(runs: Sequence[Comparison], models: Mapping[str, str]) -> list[Content]:
     """Tables and panels; `models` says how each model is called, the last is the result."""
+    parts = error_tables(runs, models)
+    shown = _telling(runs, list(models)) if runs else []
+    if len(runs) > len(shown):
+        parts.append(paragraph("Below: the runs that are predicted worst.", "note"))
+    for run in shown:
+        parts += [element("h3", verbatim(run.recording.name)), _panels(run, models)]
+    return parts
+
+
+def error_tables(runs: Sequence[Comparison], models: Mapping[str, str]) -> list[Content]:
+    """Errors at each horizon, of all runs together and, folded, of every run."""
     if not runs:
         return [paragraph("There was nothing to predict.")]
     note = (
@@ -26,12 +37,8 @@ def predictions(runs: Sequence[Comparison], models: Mapping[str, str]) -> list[C
         "nothing is corrected on the way, so that errors grow with time."
     )
     parts: list[Content] = [paragraph(note), _errors(horizon_table(runs), models)]
-    shown = _telling(runs, list(models))
-    if len(runs) > len(shown):
+    if len(runs) > 1:
         parts.append(folded("Errors of every run", _by_run(runs, models)))
-        parts.append(paragraph("Below: the runs that are predicted worst.", "note"))
-    for run in shown:
-        parts += [element("h3", verbatim(run.recording.name)), _panels(run, models)]
     return parts
 
 

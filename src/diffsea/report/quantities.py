@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from typing import TypeGuard
 
 
@@ -79,6 +80,34 @@ def probability(p: float | None) -> str:
     if p < 1e-99:
         return "< 1e-99"
     return f"{p:.0e}".replace("e-0", "e-") if p < 1e-3 else significant(min(p, 1.0), 2)
+
+
+def interval(bounds: Sequence[float | None], unit: str = "") -> str:
+    """An interval in people's units: `0.294 to 0.308 m/s`; an end that is not finite is `open`."""
+    low, high = (for_people(end, unit)[0] if known(end) else None for end in bounds)
+    if low is None or high is None or not high > low:
+        ends = ["open" if end is None else significant(end, 3) for end in (low, high)]
+    else:
+        decimals = _decimals((high - low) / 3.29)
+        ends = [_fixed(end, decimals) for end in (low, high)]
+    return f"{' to '.join(ends)} {for_people(0.0, unit)[1]}".strip()
+
+
+def odds(log10: float | None) -> str:
+    """Odds from their decimal logarithm: `850 : 1`, `1e23 : 1`, `1 : 30`."""
+    if not known(log10):
+        return UNKNOWN
+    size = abs(log10)
+    number = f"{float(significant(10**size, 2)):g}" if size < 4 else f"1e{size:.0f}"
+    return f"{number} : 1" if log10 >= 0 else f"1 : {number}"
+
+
+def duration(seconds: float) -> str:
+    """A length of time: `90 s`, `12 min`, `5 h`."""
+    for scale, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 3 * scale:
+            return f"{significant(seconds / scale, 2)} {unit}"
+    return f"{significant(seconds, 2)} s"
 
 
 def typeset(text: str) -> str:

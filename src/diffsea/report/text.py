@@ -1,134 +1,27 @@
 """A diagnosis in plain words, for the terminal and the head of the report."""
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from diffsea.report.quantities import known, probability, rounded, significant, with_error
+from diffsea.report.phrases import Record, group_phrase, listed, title
+from diffsea.report.quantities import (
+    duration,
+    known,
+    odds,
+    probability,
+    rounded,
+    significant,
+    with_error,
+)
 
 
-Record = dict
-
-_TEMPLATES = {
-    "current": "a steady current of {speed} flowing to {direction}",
-    "wind": "a steady wind of {speed} from {direction}",
-    "wave-force": "a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
-    "shallow-water": "shallow water, {depth} deep,",
-    "hard-iron": "a compass error of {amplitude} that changes with heading",
-    "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
-    "clock-drift": "clocks that drift apart by {rate}",
-    "thrust-lag": "actuators that lag with a time constant of {time_constant}",
-    "thrust-delay": "a dead time of {delay} between order and action",
-    "rate-limit": "a slew limit of {rate_limit} in the actuators",
-    "deadband": "a dead band of {width} in the actuators",
-    "backlash": "a play of {width} in the actuators",
-    "thrust-saturation": "thrust that clips at {limit}",
-    "actuator-bias": "a neutral point of the actuators that is off by {bias}",
-    "thrust-change": "a thrust that changes by the factor {factor} at {time}",
-    "propeller-side-force": "a side force of the propeller",
-    "rudder-interaction": "an interaction of hull, propeller and rudder",
-    "quadratic-damping": "a drag that grows with the square of speed",
-    "crossflow-drag": "a cross-flow drag of the hull with coefficient {cd}",
-    "sway-yaw-coupling": "a linear coupling of sway and yaw",
-    "speed-dependent-damping": "a damping that grows with forward speed",
-    "added-mass-coupling": "an added mass that couples sway and yaw",
-    "munk-moment": "a Munk moment other than the model's",
-    "mass-change": "a change of mass by {mass} at {time}",
-    "drag-change": "a drag that changes by the factor {factor} at {time}",
-    "roll-coupling": "a coupling of roll into sway and yaw",
-}
-_CHANNELS = {
-    frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
-    frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
-}  # fmt: skip
 _QUANTITIES = {"position": "m", "heading": "rad"}
 _MODELS = ("nominal", "diagnosed")
-
-
-def title(name: str) -> str:
-    """A catalogue name as words: `thrust-lag` is `thrust lag`."""
-    return name.replace("-", " ")
-
-
-def listed(items: list[str], last: str = "and") -> str:
-    """`a, b and c`."""
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
 
 
 def accepted(summary: Record) -> list[Record]:
     """The effects that have a name."""
     return [effect for effect in summary["effects"] if effect["name"] != "unexplained"]
-
-
-def _value(effect: Record, parameter: str) -> float:
-    return float(effect["parameters"].get(parameter, {}).get("value") or 0.0)
-
-
-def _size(effect: Record, parameter: str, scale: float = 1.0, unit: str | None = None) -> str:
-    """Absolute value of a parameter, rounded."""
-    entry = effect["parameters"].get(parameter, {"value": None})
-    if not known(entry["value"]):
-        return "an unknown amount"
-    std = entry.get("std")
-    unit = entry.get("unit", "") if unit is None else unit
-    return rounded(abs(entry["value"]) * scale, std * scale if known(std) else None, unit)
-
-
-def _asymmetry(effect: Record) -> str:
-    strong, weak = ("starboard", "port") if _value(effect, "ratio") > 0 else ("port", "starboard")
-    share = _size(effect, "ratio", 100.0, "%")
-    return f"thrust {share} stronger than stated on the {strong} side and weaker on the {weak} side"
-
-
-def _misalignment(effect: Record) -> str:
-    side = "starboard" if _value(effect, "angle") > 0 else "port"
-    return f"a thrust line turned {_size(effect, 'angle')} to {side}"
-
-
-def _reading(what: str, parameter: str) -> Callable[[Record], str]:
-    def phrase(effect: Record) -> str:
-        way = "high" if _value(effect, parameter) > 0 else "low"
-        return f"{what} that reads {_size(effect, parameter)} too {way}"
-
-    return phrase
-
-
-def _loss(per: str, scale: float) -> Callable[[Record], str]:
-    def phrase(effect: Record) -> str:
-        way = "falls" if _value(effect, "slope") > 0 else "rises"
-        return f"a thrust that {way} by {_size(effect, 'slope', 100 * scale, '%')} {per}"
-
-    return phrase
-
-
-def _latency(effect: Record) -> str:
-    channels = _CHANNELS.get(frozenset(effect.get("channels", ())), "signal")
-    return f"a measured {channels} that arrives {_size(effect, 'delay')} late"
-
-
-_PHRASES: dict[str, Callable[[Record], str]] = {
-    "thrust-asymmetry": _asymmetry,
-    "thruster-misalignment": _misalignment,
-    "heading-offset": _reading("a compass", "angle"),
-    "gyro-bias": _reading("a yaw-rate sensor", "bias"),
-    "sensor-latency": _latency,
-    "thrust-loss-with-speed": _loss("for every m/s of speed", 1.0),
-    "thrust-loss-in-turns": _loss("for every deg/s of yaw rate", 0.017453292519943295),
-}
-
-
-def phrase(effect: Record) -> str:
-    """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
-    name = effect["name"]
-    if name in _PHRASES:
-        return _PHRASES[name](effect)
-    values = {
-        key: rounded(entry["value"], entry.get("std"), entry.get("unit", ""))
-        for key, entry in effect["parameters"].items()
-    }
-    try:
-        return _TEMPLATES[name].format(**values)
-    except KeyError:
-        return f"the effect {title(name)!r}"
 
 
 def grouped(effects: list[Record]) -> list[list[Record]]:
@@ -138,17 +31,6 @@ def grouped(effects: list[Record]) -> list[list[Record]]:
         key = effect["name"] if "recording" in effect else number
         groups.setdefault(key, []).append(effect)
     return list(groups.values())
-
-
-def _group_phrase(group: list[Record]) -> str:
-    if len(group) == 1:
-        return phrase(group[0])
-    first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
-    if first is None:
-        return f"a {title(group[0]['name'])} of its own in each recording"
-    values = [_value(effect, first) for effect in group]
-    low, high = (rounded(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
-    return f"a {title(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
 
 
 def capital(text: str) -> str:
@@ -167,19 +49,19 @@ def finding(summary: Record) -> str:
     groups = grouped(accepted(summary))
     if not groups:
         return _without_effects(summary)
-    what = capital(listed([_group_phrase(group).rstrip(",") for group in groups]))
-    one = len(groups) == 1
-    if summary["verdict"] == "unexplained":
-        verb = "explains a part" if one else "explain a part"
-        return f"{what} {verb} of the mismatch; what remains has no name in the catalogue."
-    verb = "explains" if one else "together explain"
+    what = listed([group_phrase(group).rstrip(",") for group in groups])
     rivals = [title(name) for name in alternatives(summary)]
+    if summary["verdict"] == "unexplained":
+        return (
+            f"The recordings show {what}, which the model leaves out, and something else that "
+            "has no name here."
+        )
     if summary["verdict"] == "ambiguous" and rivals:
         return (
-            f"{what} {verb} the mismatch, but {listed(rivals, 'or')} would do so nearly as well: "
-            "these recordings cannot tell them apart."
+            f"The model leaves out {what}, or else {listed(rivals, 'or')}: these recordings "
+            "cannot tell which."
         )
-    return f"{what} {verb} the mismatch."
+    return f"The recordings show {what}, which the model leaves out."
 
 
 def _without_effects(summary: Record) -> str:
@@ -189,8 +71,11 @@ def _without_effects(summary: Record) -> str:
             "beyond the values of its parameters."
         )
     where = strongest(summary)
-    place = f" It is strongest in {where[0]}." if where else ""
-    return f"Something is missing from the model that no effect in the catalogue describes.{place}"
+    place = f", strongest in {where[0]}" if where else ""
+    return (
+        "The recordings show something that the model leaves out and that no effect known here "
+        f"describes{place}."
+    )
 
 
 def held_out_change(summary: Record) -> str:
@@ -202,18 +87,21 @@ def held_out_change(summary: Record) -> str:
     quantity = _headline_quantity(row, _MODELS)
     old, new = (row[model][quantity] for model in _MODELS)
     before, after = (two_digits(value, _QUANTITIES[quantity]) for value in (old, new))
-    what = f"{on} the {row['seconds']:g} s {quantity} error"
+    what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead is"
     if not accepted(summary):
-        return f"{what} is {after}."
+        return f"{what} off by {after}."
     if before == after or abs(new - old) < 0.02 * old:
-        return f"{what} stays at {after}."
-    return f"{what} {'falls' if new < old else 'rises'} from {before} to {after}."
+        return f"{what} off by {after} with or without it."
+    if new > old:
+        return f"{what} then off by {after}, which is worse than {before} without it."
+    return f"{what} then off by {after} instead of {before}."
 
 
 def held_out_place(summary: Record) -> str:
-    """Where predictions were judged: `on runs held out`."""
+    """Where predictions were judged: `on runs kept back as a test`."""
     how = summary.get("held_out", {}).get("how", "")
-    return "on the last part of each run, held out," if "last part" in how else "on held-out runs"
+    what = "the last part of each run," if "last part" in how else "runs"
+    return f"on {what} kept back as a test"
 
 
 def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
@@ -240,9 +128,9 @@ def _fit_change(summary: Record, on: str) -> str:
     if not known(old) or not known(new):
         return "There was nothing held out to judge it by."
     if not accepted(summary):
-        return f"{on} the error of the next sample is {significant(new, 2)} times the noise."
+        return f"{on}, the error of the next sample is {significant(new, 2)} times the noise."
     return (
-        f"{on} the error of the next sample goes from {significant(old, 2)} to "
+        f"{on}, the error of the next sample goes from {significant(old, 2)} to "
         f"{significant(new, 2)} times the noise."
     )
 
@@ -333,7 +221,9 @@ def _item(label: str, texts: list[str]) -> list[str]:
 def _what(effect: Record) -> str:
     place = f" in {effect['recording']}" if "recording" in effect else ""
     channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
-    return f"{title(effect['name'])}{channels}{place}: {', '.join(parameter_lines(effect))}"
+    size = effect.get("evidence", {}).get("log10_odds")
+    sure = f"; odds {odds(size)}" if known(size) else ""
+    return f"{title(effect['name'])}{channels}{place}: {', '.join(parameter_lines(effect))}{sure}"
 
 
 def error_lines(summary: Record) -> list[str]:
@@ -364,4 +254,6 @@ def next_line(summary: Record) -> str:
     proposal = summary.get("next_experiment")
     if not proposal:
         return ""
-    return f"{title(proposal['manoeuvre'])}: {proposal['why']}"
+    seconds = proposal.get("seconds")
+    length = f" for {duration(seconds)}" if known(seconds) else ""
+    return f"{title(proposal['manoeuvre'])}{length}: {proposal['why']}"

@@ -47,8 +47,8 @@ class Helm(eqx.Module):
             elif isinstance(part, Rudder | DerivativeRudder):
                 orders[channels[0]] = angle
             elif isinstance(part, AzimuthThruster):
-                orders[channels[0]] = throttle / self._count(AzimuthThruster)
-                orders[channels[1]] = jnp.sign(part.x) * angle
+                orders[part.force_channel] = throttle / self._count(AzimuthThruster)
+                orders[part.angle_channel] = jnp.sign(part.x) * angle
         return {channel: jnp.asarray(order, float) for channel, order in orders.items()}
 
     def _count(self, kind: type) -> int:
@@ -132,7 +132,8 @@ def full_throttle(vessel: Vessel) -> float:
     limits = []
     for part in vessel.actuators.values():
         if isinstance(part, FixedThruster | Propeller | AzimuthThruster):
-            upper = next(iter(part.servos.values())).upper
+            thrust = getattr(part, "force_channel", next(iter(part.servos)))
+            upper = part.servos[thrust].upper
             in_newton = not isinstance(part, Propeller) and getattr(part, "curve", None) is None
             share = helm._count(type(part)) if in_newton else 1
             limits += [] if upper is None else [share * float(upper)]

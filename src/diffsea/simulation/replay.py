@@ -17,7 +17,7 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
 from diffsea.simulation.integrate import rk4
-from diffsea.types import MOTION_CHANNELS, Outcome, Scalar, State, Trajectory
+from diffsea.types import MOTION_CHANNELS, Environment, Outcome, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.sensors import Sensors
 from diffsea.vessel.servo import OrderHistory, Response
@@ -27,10 +27,6 @@ HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g)
 _MOST_STEPS = 10_000_000
 _PADDING = 256  # steps are padded to a multiple, so that recordings share a program
-_LATENCY = {
-    "x": "latency_position", "y": "latency_position", "psi": "latency_heading",
-    "u": "latency_velocity", "v": "latency_velocity", "r": "latency_yaw_rate",
-}  # fmt: skip
 
 Samples = Float[np.ndarray, "time"]
 
@@ -42,6 +38,7 @@ class _Steps(eqx.Module):
     dt: Float[Array, "step"]
     orders: dict[str, Float[Array, "step"]]
     executed: dict[str, Float[Array, "step"]]  # of the channels taken as measured
+    heel: Float[Array, "step"]  # rad, as recorded; zero where it was not
     order_times: Float[Array, "order"]  # s, beginning long before the run
     order_values: dict[str, Float[Array, "order"]]
 
@@ -68,7 +65,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         UserError: the recording lacks a channel's orders, or a state to start from.
     """
     t, orders, executed, notes = _inputs(vessel, recording, measured_actuation)
-    steps, rows = _steps(vessel, t, orders, executed)
+    steps, rows = _steps(vessel, t, orders, executed, recorded_heel(recording))
     start, derived = _true_motion(vessel.sensors, recording, t)
     first = State(*(jnp.asarray(start[c][0]) for c in MOTION_CHANNELS))
     actuation = _actuation(vessel, steps)
@@ -118,7 +115,7 @@ def horizon_errors(
     horizons = [h for h in horizons if t[0] + h <= t[-1]]
     if not horizons:
         return {}
-    steps, rows = _steps(vessel, t, orders, executed)
+    steps, rows = _steps(vessel, t, orders, executed, recorded_heel(recording))
     motion, _ = _true_motion(vessel.sensors, recording, t)
     begin, end = _windows(t, horizons, spacing)
     first = State(*(jnp.asarray(motion[c][begin]) for c in MOTION_CHANNELS))
@@ -171,6 +168,25 @@ def recorded_actuation(
     return orders, executed
 
 
+def recorded_heel(recording: Trajectory) -> Samples:
+    """Recorded heel (rad) of the rows that count, missing samples interpolated; zero without."""
+    valid = np.asarray(recording.valid, bool)
+    t = np.asarray(recording.t, float)[valid]
+    if "phi" not in recording.extra:
+        return np.zeros(len(t))
+    phi = np.asarray(recording.extra["phi"], float)[valid]
+    known = np.isfinite(phi)
+    if not known.any():
+        return np.zeros(len(t))
+    phi = np.interp(t, t[known], phi[known])
+    return 0.5 * (phi + np.append(phi[1:], phi[-1]))  # it is held over a row: the mean there
+
+
+def heeled(environment: Environment, heel: Scalar) -> Environment:
+    """The environment with the recorded heel of a moment in it."""
+    return eqx.tree_at(lambda e: e.heel, environment, heel)
+
+
 def _held(values: Samples) -> Samples:
     index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
     return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
@@ -197,7 +213,11 @@ def _rows(recording: Trajectory) -> tuple[Samples, dict[str, Samples]]:
 
 
 def _steps(
-    vessel: Vessel, t: Samples, orders: dict[str, Samples], executed: dict[str, Samples]
+    vessel: Vessel,
+    t: Samples,
+    orders: dict[str, Samples],
+    executed: dict[str, Samples],
+    heel: Samples,
 ) -> tuple[_Steps, Int[np.ndarray, "time"]]:
     """Steps no longer than the vessel's own time scale allows, and the first of each row."""
     longest = _LONGEST_STEP * math.sqrt(float(vessel.rigid_body.length) / 9.81)
@@ -222,6 +242,7 @@ def _steps(
         jnp.asarray(start),
         jnp.asarray(dt),
         **gathered,
+        heel=jnp.asarray(heel[row]),
         order_times=jnp.append(t[0] - 1e9, late),
         order_values={c: jnp.asarray(_from_before(v, len(late))) for c, v in orders.items()},
     )
@@ -266,10 +287,11 @@ def _integrated(vessel: Vessel, first: State, steps: _Steps, actuation: _Actuati
     """The state at the start of every step."""
 
     def body(state: State, step: tuple) -> tuple[State, State]:
-        t, dt, response = step
-        return rk4(vessel, state, response, vessel.environment, t, dt), state
+        t, dt, response, heel = step
+        return rk4(vessel, state, response, heeled(vessel.environment, heel), t, dt), state
 
-    return jax.lax.scan(body, first, (steps.t, steps.dt, actuation.response))[1]
+    scanned = (steps.t, steps.dt, actuation.response, steps.heel)
+    return jax.lax.scan(body, first, scanned)[1]
 
 
 @eqx.filter_jit
@@ -283,13 +305,13 @@ def _from_each(
     length: int,
 ) -> State:
     """The states so many steps after each of several starts."""
-    whole = (steps.t, steps.dt, actuation.response)
+    whole = (steps.t, steps.dt, actuation.response, steps.heel)
 
     def one(state: State, begin: Int[Array, ""], ends: Int[Array, "horizon"]) -> State:
         def body(state: State, k: Int[Array, ""]) -> tuple[State, State]:
             at = jnp.minimum(begin + k, steps.t.size - 1)
-            t, dt, response = jax.tree.map(lambda leaf: leaf[at], whole)
-            return rk4(vessel, state, response, vessel.environment, t, dt), state
+            t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
+            return rk4(vessel, state, response, heeled(vessel.environment, heel), t, dt), state
 
         states = jax.lax.scan(body, state, jnp.arange(length))[1]
         return jax.tree.map(lambda leaf: leaf[ends], states)
@@ -333,8 +355,7 @@ def _true_motion(
                 f"{recording.name}: {channel} was not recorded, nor anything to derive it from, so "
                 "there is no state to start from; map a velocity (u) or positions (x, y)"
             )
-        lag = float(getattr(sensors, _LATENCY[channel]))
-        true[channel] = np.interp(t + lag, times[finite], values[finite])
+        true[channel] = np.interp(_shown_at(sensors, t, channel), times[finite], values[finite])
     return _corrected(sensors, true), notes
 
 
@@ -346,7 +367,7 @@ def _supported(
     sampled = own_t[np.isfinite(motion[channel])]
     if sampled.size < 2:
         return np.zeros(t.shape, bool)
-    wanted = t + float(getattr(sensors, _LATENCY[channel]))
+    wanted = _shown_at(sensors, t, channel)
     after = np.searchsorted(sampled, wanted).clip(1, sampled.size - 1)
     distance = np.minimum(np.abs(wanted - sampled[after - 1]), np.abs(wanted - sampled[after]))
     return distance <= 0.75 * float(np.median(np.diff(sampled)))
@@ -385,8 +406,15 @@ def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
 
 def _shown(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
     """What the sensors show at the times; before the run it was as at its start."""
-    late = {c: np.interp(t - float(getattr(sensors, _LATENCY[c])), t, true[c]) for c in true}
+    lags = sensors.lags(t)
+    late = {c: np.interp(t - np.asarray(lags[c]), t, true[c]) for c in true}
     return _offsets(sensors, late)
+
+
+def _shown_at(sensors: Sensors, t: Samples, channel: str) -> Samples:
+    """When a channel shows what was true at the times: `shown - lag(shown) = t`."""
+    start = float(sensors.lags(0.0)[channel])
+    return (t + start) / (1 - float(sensors.clock_rate))
 
 
 def _rms(difference: dict[str, Samples]) -> dict[str, float]:

@@ -71,14 +71,28 @@ class FixedThruster(AbstractActuator):
 class AzimuthThruster(AbstractActuator):
     """A thruster that turns: channels force (N) and angle (rad clockwise from ahead)."""
 
-    servos: dict[str, Servo]  # force first, then angle
+    servos: dict[str, Servo]  # "<name>.force" and "<name>.angle", in any order
     x: Scalar
     y: Scalar
     losses: Losses = Losses()
 
+    def _channel(self, end: str) -> str:
+        # By name: trees of arrays do not keep the order of a dictionary.
+        return next(channel for channel in self.servos if channel.endswith(end))
+
+    @property
+    def force_channel(self) -> str:
+        """The channel that orders its force."""
+        return self._channel(".force")
+
+    @property
+    def angle_channel(self) -> str:
+        """The channel that orders its angle."""
+        return self._channel(".angle")
+
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
-        thrust, angle = (executed[channel] for channel in self.servos)
-        return _push(thrust * self.losses.factor(water), self.x, self.y, angle)
+        thrust = executed[self.force_channel] * self.losses.factor(water)
+        return _push(thrust, self.x, self.y, executed[self.angle_channel])
 
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
@@ -185,6 +199,7 @@ class Rudder(AbstractActuator):
     epsilon: Scalar = 1.0  # ratio of wakes at rudder and propeller
     kappa: Scalar = 0.5
     wake_fraction: Scalar = 0.0  # used without a propeller
+    hull_lever: Scalar = 0.0  # m, beyond a_H x_H: a product that has a derivative at a_H = 0
     propeller: str | None = eqx.field(static=True, default=None)
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
@@ -195,7 +210,7 @@ class Rudder(AbstractActuator):
         normal = 0.5 * self.water_density * self.area * self.lift_slope * square * jnp.sin(alpha)
         side = -normal * jnp.cos(delta)
         X = -(1 - self.t_R) * normal * jnp.sin(delta)
-        N = (self.x + self.a_H * self.x_H) * side - self.y * X
+        N = (self.x + self.a_H * self.x_H + self.hull_lever) * side - self.y * X
         return Force(X, (1 + self.a_H) * side, N)
 
     def _inflow(self, water: State, jets: dict[str, Jet]) -> tuple[Scalar, Scalar]:

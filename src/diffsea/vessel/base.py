@@ -6,8 +6,10 @@ ask where a motion comes from.
 """
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -44,11 +46,38 @@ class Jet(eqx.Module):
 
 
 class AbstractForce(eqx.Module):
-    """A generalised force on the hull that depends on motion, environment and time."""
+    """A generalised force on the hull that depends on motion, environment and time.
+
+    `resists` says whether it is the water's resistance to the hull's motion, which changes
+    with depth and fouling.
+    """
+
+    resists: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
         """The force at this instant; `state` is over ground, `t` is the run's clock in s."""
+
+
+class AbstractSecondaryForce(eqx.Module):
+    """A force that follows from others: what they bring about, or a change of them.
+
+    `part_of` says what it adds to, so that a change of that ("resistance", "thrust") changes it
+    too; changes have no such part and come last.
+    """
+
+    part_of: ClassVar[str] = ""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        vessel: "Vessel",
+        forces: dict[str, Force],
+        water: State,
+        environment: Environment,
+        t: Scalar,
+    ) -> Force:
+        """The force at this instant; `forces` are the vessel's others by name."""
 
 
 class AbstractActuator(eqx.Module):
@@ -79,6 +108,16 @@ class RigidBody(eqx.Module):
     beam: Scalar = 1.0  # m
     draught: Scalar = 1.0  # m
     water_density: Scalar = 1025.0  # kg/m^3
+    payload: Scalar = 0.0  # kg, taken on amidships (negative: lost) ...
+    payload_time: Scalar = 0.0  # s, ... at this time of the run
+
+    def at(self, t: Scalar) -> "RigidBody":
+        """The body with what it carries at time `t` of the run."""
+        mass = self.mass + self.payload * step(t, self.payload_time, self.length)
+        moment = self.mass * self.x_G  # amidships it has none, nor inertia about amidships
+        x_G = moment / mass
+        I_z = self.I_z + moment * (self.x_G - x_G)
+        return eqx.tree_at(lambda b: (b.mass, b.x_G, b.I_z), self, (mass, x_G, I_z))
 
     def coriolis(self, water: State) -> Force:
         """Coriolis and centripetal force of the rigid body (Fossen 2021, eq. 3.63)."""
@@ -96,6 +135,17 @@ class AddedMass(eqx.Module):
     N_rdot: Scalar = 0.0  # kg m^2
     coriolis_terms: str = eqx.field(static=True, default="full")
 
+    def in_depth(self, shallowness: Scalar) -> "AddedMass":
+        """The added masses in shallow water, where they grow as `(1 - T / h)^(-1/2)`.
+
+        `shallowness` is `-ln(1 - T / h)`: any number is a depth then.
+
+        About half more at h = 2 T and three quarters more at 1.5 T, what tests in shallow
+        basins show for full hulls; hulls differ from it by tens of per cent.
+        """
+        growth = jnp.exp(0.5 * shallowness)
+        return jax.tree.map(lambda value: value * growth, self)
+
     def coriolis(self, water: State) -> Force:
         """Coriolis force of the added mass from the same matrix (Fossen 2021, eq. 6.46).
 
@@ -112,6 +162,14 @@ class AddedMass(eqx.Module):
         return Force(r * lateral, self.X_udot * u * r, munk - coupling * u * r)
 
 
+def step(t: Scalar, at: Scalar, length: Scalar) -> Scalar:
+    """A change at time `at` s: from zero to one, half at `at`, within some tenths of sqrt(L / g).
+
+    Smooth, so that motion has a derivative by the time of the change.
+    """
+    return jax.nn.sigmoid((t - at) / (0.1 * jnp.sqrt(length / 9.81)))
+
+
 class Vessel(eqx.Module):
     """A surface vessel: rigid body, added mass, named forces, actuators and sensors.
 
@@ -122,6 +180,7 @@ class Vessel(eqx.Module):
     added_mass: AddedMass
     forces: dict[str, AbstractForce]
     actuators: dict[str, AbstractActuator]
+    secondary: dict[str, AbstractSecondaryForce] = eqx.field(default_factory=dict)
     environment: Environment = Environment()
     sensors: Sensors = Sensors()
     name: str = eqx.field(static=True, default="vessel")
@@ -146,11 +205,14 @@ class Vessel(eqx.Module):
 
     def mass_matrix(self) -> Float[Array, "3 3"]:
         """Rigid-body plus added mass about the midship origin (kg, kg m, kg m^2)."""
-        m11, m22, m23, m32, m33 = self._inertia()
+        m11, m22, m23, m32, m33 = self._inertia(self.environment, 0.0)
         return jnp.array([[m11, 0.0, 0.0], [0.0, m22, m23], [0.0, m32, m33]])
 
-    def _inertia(self) -> tuple[Scalar, ...]:
-        body, added = self.rigid_body, self.added_mass
+    def _inertia(self, environment: Environment, t: Scalar) -> tuple[Scalar, ...]:
+        body, added = (
+            self.rigid_body.at(t),
+            self.added_mass.in_depth(environment.shallowness),
+        )
         moment = body.mass * body.x_G
         return (
             body.mass - added.X_udot,
@@ -167,12 +229,20 @@ class Vessel(eqx.Module):
         water = through_water(state, environment)
         jets = {n: part.jet(executed, water) for n, part in self.actuators.items()}
         jets = {name: jet for name, jet in jets.items() if jet is not None}
-        return {
-            "rigid-body-coriolis": self.rigid_body.coriolis(water),
-            "added-mass-coriolis": self.added_mass.coriolis(water),
+        added = self.added_mass.in_depth(environment.shallowness)
+        forces = {
+            "rigid-body-coriolis": self.rigid_body.at(t).coriolis(water),
+            "added-mass-coriolis": added.coriolis(water),
             **{name: force(state, environment, t) for name, force in self.forces.items()},
             **{n: part.force(executed, water, jets) for n, part in self.actuators.items()},
         }
+        for last in (False, True):
+            forces = forces | {
+                name: force(self, forces, water, environment, t)
+                for name, force in self.secondary.items()
+                if (force.part_of == "") == last
+            }
+        return forces
 
     def acceleration(
         self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar
@@ -184,7 +254,7 @@ class Vessel(eqx.Module):
         """
         forces = self.breakdown(state, executed, environment, t).values()
         tau = sum(forces, Force())
-        m11, m22, m23, m32, m33 = self._inertia()
+        m11, m22, m23, m32, m33 = self._inertia(environment, t)
         determinant = m22 * m33 - m23 * m32
         flow = to_body(environment.current_north, environment.current_east, state.psi)
         return (

@@ -19,7 +19,13 @@ import tomli_w
 from diffsea.errors import UserError, nearest
 from diffsea.vessel import actuators as act
 from diffsea.vessel.base import AbstractActuator, AbstractForce, AddedMass, RigidBody, Vessel
-from diffsea.vessel.effects import LATENCY_CHANNELS, default_wind, find_effect
+from diffsea.vessel.effects import (
+    LATENCY_CHANNELS,
+    STAGES,
+    channels_of,
+    default_wind,
+    find_effects,
+)
 from diffsea.vessel.hull import (
     Damping,
     PrimeDamping,
@@ -142,7 +148,7 @@ def _check_servo(channel: str, servo: Servo) -> None:
         raise UserError(
             f"actuator {channel!r}: its lower limit {low:g} is not below its upper limit {high:g}"
         )
-    for field in ("time_constant", "delay", "deadband", "sharpness"):
+    for field in ("time_constant", "delay", "deadband", "backlash", "sharpness"):
         value = getattr(servo, field)
         if value is not None and float(value) < 0:
             raise UserError(f"actuator {channel!r}: {field} = {float(value):g} is negative")
@@ -372,18 +378,77 @@ _ACTUATORS: dict[str, Callable[..., AbstractActuator]] = {
 
 def _apply_effect(vessel: Vessel, table: Table) -> Vessel:
     name = str(table.get("name", ""))
+    variants = find_effects(name)
+    where = f"[[effect]] {name!r}"
     if name == "sensor-latency":
         return _apply_latency(vessel, table)
-    effect = find_effect(name)
-    where = f"[[effect]] {name!r}"
+    if name in STAGES:
+        return _apply_stage(vessel, table)
     wind_keys = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N") if name == "wind" else ()
-    _known(table, ("name", *effect.units, *wind_keys), where)
+    units = [key for variant in variants for key in variant.units]
+    _known(table, ("name", *units, *wind_keys), where)
     if wind_keys:
         given = {key: _number(table, key, where) for key in wind_keys if key in table}
         wind = dataclasses.replace(default_wind(vessel), **given)
         vessel = dataclasses.replace(vessel, forces=vessel.forces | {"wind": wind})
-    values = {key: _needed(table, key, where) for key in effect.units if key in table}
-    return effect.apply(vessel, np.asarray(effect.coordinates(values)))
+    # Where an effect has an entry of all its coefficients, its parts are of no use here.
+    whole = [variant for variant in variants if variant.name == name]
+    for variant in whole or variants:
+        values = {key: _needed(table, key, where) for key in variant.units if key in table}
+        if values or whole:
+            _check_effect(vessel, name, values, where)
+            vessel = variant.apply(vessel, np.asarray(variant.coordinates(vessel, values)))
+    return vessel
+
+
+def _check_effect(vessel: Vessel, name: str, values: dict[str, float], where: str) -> None:
+    draught = float(vessel.rigid_body.draught)
+    body = vessel.rigid_body
+    aboard = name == "mass-change" and float(body.payload) != 0
+    if aboard and float(body.payload_time) != values.get("time", 0.0):
+        raise UserError(f"{where}: a vessel file can hold changes of mass at one time only")
+    if name == "shallow-water" and not values.get("depth", 2 * draught) > draught:
+        raise UserError(
+            f"{where}: depth = {values['depth']:g} m is not more than the draught of {draught:g} m"
+        )
+    kinds = {"propeller-side-force": act.Propeller, "rudder-interaction": act.Rudder}
+    parts = list(vessel.actuators.values())
+    if name in kinds and sum(isinstance(part, kinds[name]) for part in parts) < 1:
+        raise UserError(f"{where}: the vessel has no [[{kinds[name].__name__.lower()}]]")
+
+
+def _apply_stage(vessel: Vessel, table: Table) -> Vessel:
+    """A stage of the servos of some actuators, of all of them where the table names none."""
+    stage = STAGES[str(table["name"])]
+    where = f"[[effect]] {stage.name!r}"
+    _known(table, ("name", stage.parameter, "actuators"), where)
+    value = _needed(table, stage.parameter, where)
+    if stage.positive and value < 0:
+        raise UserError(f"{where}: {stage.parameter} = {value:g} is negative")
+    channels = _chosen(vessel, table.get("actuators"), where)
+    kinds = [set(channels_of(vessel, kind)) & set(channels) for kind in ("propulsion", "steering")]
+    if all(kinds) and not stage.timed:
+        raise UserError(
+            f"{where}: {stage.parameter} is in the unit of the orders, and the vessel has thrusts "
+            f"and angles; say which with actuators = [...] (it has: {', '.join(vessel.channels)})"
+        )
+    if value == 0 and stage.name in ("rate-limit", "thrust-saturation"):
+        raise UserError(f"{where}: {stage.parameter} must be positive; leave it out for none")
+    return stage.say(vessel, channels, value)
+
+
+def _chosen(vessel: Vessel, names: Any, where: str) -> tuple[str, ...]:
+    """Channels by their own names or those of their actuators; all of them for None."""
+    if names is None:
+        return vessel.channels
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UserError(f"{where}: actuators = {names!r} is not a list of names")
+    known = {c: (c,) for c in vessel.channels}
+    known |= {name: tuple(part.servos) for name, part in vessel.actuators.items()}
+    for name in names:
+        if name not in known:
+            raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
+    return tuple(channel for name in names for channel in known[name])
 
 
 def _apply_latency(vessel: Vessel, table: Table) -> Vessel:
@@ -399,7 +464,7 @@ def _apply_latency(vessel: Vessel, table: Table) -> Vessel:
     if not groups:
         raise UserError("[[effect]] 'sensor-latency': channels are among x, y, psi, u, v, r")
     for group in groups:
-        vessel = find_effect(f"sensor-latency:{group}").apply(vessel, np.array([delay]))
+        vessel = find_effects(f"sensor-latency:{group}")[0].apply(vessel, np.array([delay]))
     return vessel
 
 

@@ -42,17 +42,21 @@ class Wind(AbstractForce):
 class EarthForce(AbstractForce):
     """A mean plus a sinusoidal force, fixed in the earth: waves or swell, or a tow.
 
-    Size `bias + amplitude sin(2 pi frequency t + phase)` N towards `direction` rad.
+    `bias + sine sin(2 pi frequency t) + cosine cos(2 pi frequency t)` in both directions.
     """
 
-    bias: Scalar = 0.0  # N
-    amplitude: Scalar = 0.0  # N
+    bias_north: Scalar = 0.0  # N
+    bias_east: Scalar = 0.0
+    sine_north: Scalar = 0.0  # N
+    sine_east: Scalar = 0.0
+    cosine_north: Scalar = 0.0  # N
+    cosine_east: Scalar = 0.0
     frequency: Scalar = 0.1  # Hz
-    phase: Scalar = 0.0  # rad
-    direction: Scalar = 0.0  # rad, where it pushes to
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
-        swing = jnp.sin(2 * jnp.pi * self.frequency * t + self.phase)
-        size = self.bias + self.amplitude * swing
-        X, Y = to_body(size * jnp.cos(self.direction), size * jnp.sin(self.direction), state.psi)
+        angle = 2 * jnp.pi * self.frequency * t
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+        north = self.bias_north + self.sine_north * sine + self.cosine_north * cosine
+        east = self.bias_east + self.sine_east * sine + self.cosine_east * cosine
+        X, Y = to_body(north, east, state.psi)
         return Force(X, Y, 0.0)

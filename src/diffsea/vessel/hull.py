@@ -1,6 +1,7 @@
 """Hydrodynamic forces on the hull: derivative sets and strip-theory cross-flow drag."""
 
 import re
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -59,6 +60,7 @@ class Damping(AbstractForce):
     section 6.4). `X_u` is negative for drag.
     """
 
+    resists: ClassVar[bool] = True
     derivatives: dict[str, Scalar]
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
@@ -100,6 +102,7 @@ class Scaling(eqx.Module):
 class PrimeDamping(AbstractForce):
     """A non-dimensional derivative set (MMG or Abkowitz), see `Scaling`."""
 
+    resists: ClassVar[bool] = True
     derivatives: dict[str, Scalar]
     scaling: Scaling
 
@@ -114,6 +117,7 @@ class CrossFlowDrag(AbstractForce):
     (Faltinsen 1990; Fossen 2021, eq. 6.91). The integral is in closed form.
     """
 
+    resists: ClassVar[bool] = True
     cd: Scalar  # drag coefficient of a section
     length: Scalar  # m
     draught: Scalar  # m

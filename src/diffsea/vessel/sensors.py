@@ -24,26 +24,36 @@ class Sensors(eqx.Module):
     latency_heading: Scalar = 0.0
     latency_velocity: Scalar = 0.0
     latency_yaw_rate: Scalar = 0.0
+    clock_offset: Scalar = 0.0  # s, all motion channels lag by this and ...
+    clock_rate: Scalar = 0.0  # ... by this much more for each second of the run
 
-    def measure(self, state: State, rate: State, jerk: State) -> Float[Array, "6"]:
-        """Measured (x, y, psi, u, v, r) of a state.
+    def lags(self, t: Scalar = 0.0) -> dict[str, Scalar]:
+        """How late (s) each motion channel is at time `t` of the run."""
+        clock = self.clock_offset + self.clock_rate * t
+        return {
+            "x": self.latency_position + clock,
+            "y": self.latency_position + clock,
+            "psi": self.latency_heading + clock,
+            "u": self.latency_velocity + clock,
+            "v": self.latency_velocity + clock,
+            "r": self.latency_yaw_rate + clock,
+        }
+
+    def measure(self, state: State, rate: State, jerk: State, t: Scalar = 0.0) -> Float[Array, "6"]:
+        """Measured (x, y, psi, u, v, r) of a state at time `t` of the run.
 
         `rate` and `jerk` are the first and second time derivatives of the state: a lagging
         channel is the Taylor polynomial of second order at t - latency, so latencies must
         be short against the vessel's own response.
         """
-        late = {
-            "x": self.latency_position,
-            "y": self.latency_position,
-            "psi": self.latency_heading,
-            "u": self.latency_velocity,
-            "v": self.latency_velocity,
-            "r": self.latency_yaw_rate,
-        }
         past = {
             c: getattr(state, c) - d * getattr(rate, c) + 0.5 * d**2 * getattr(jerk, c)
-            for c, d in late.items()
+            for c, d in self.lags(t).items()
         }
+        return self.shown(past)
+
+    def shown(self, past: dict[str, Scalar]) -> Float[Array, "6"]:
+        """Measured (x, y, psi, u, v, r) where each channel shows a value of its own past."""
         lever = to_earth(self.lever_x, self.lever_y, past["psi"])
         psi = past["psi"] + self.heading_offset
         psi = psi + self.hard_iron_cos * jnp.cos(psi) + self.hard_iron_sin * jnp.sin(psi)

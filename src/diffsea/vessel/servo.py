@@ -48,9 +48,10 @@ class Response(eqx.Module):
 
 
 class Servo(eqx.Module):
-    """The chain delay - dead band - limits - lag and slew rate of one channel.
+    """The chain delay - bias - dead band - limits - play - lag and slew rate of one channel.
 
-    A stage that is None is not there. `sharpness` smooths the limits: the result stays
+    A stage that is None is not there. `slowness` adds to the inverse of the rate limit, so that
+    a slew rate can be exactly absent. `sharpness` smooths the limits: the result stays
     within `log(2) / sharpness` half-ranges of the hard limit (0.7 % at 100) and is furthest from
     it where the order equals the limit; None means the hard limit.
     """
@@ -63,11 +64,21 @@ class Servo(eqx.Module):
     time_constant: Scalar | None = None  # s
     rate_limit: Scalar | None = None  # unit of the channel per second
     bias: Scalar | None = None  # unit of the channel, added to the order
+    backlash: Scalar | None = None  # unit of the channel, half width of the play
+    slowness: Scalar | None = None  # s per unit of the channel
 
     @property
     def direct(self) -> bool:
-        """Whether an order is executed within the same instant."""
-        return self.delay is None and self.time_constant is None and self.rate_limit is None
+        """Whether an order is executed within the same instant, whatever was before."""
+        stages = (self.delay, self.time_constant, self.rate_limit, self.backlash, self.slowness)
+        return all(stage is None for stage in stages)
+
+    @property
+    def slew(self) -> Scalar | None:
+        """Least time per unit of change (s), None without a slew rate."""
+        if self.rate_limit is None:
+            return self.slowness
+        return 1 / self.rate_limit + (0.0 if self.slowness is None else self.slowness)
 
     def target(self, order: Scalar) -> Scalar:
         """What the channel settles to under a constant order."""
@@ -90,19 +101,34 @@ class Servo(eqx.Module):
         if self.direct:
             held = self.target(history.values[-1])
             return Response(held, held, held, held)
-        # A step of no length (an event on the step's boundary) is as good as this one, which
-        # keeps its derivative.
+        length = self.usable(dt)
+        return self.answer(executed, *self.segments(history, t, length), length)
+
+    @staticmethod
+    def usable(dt: Scalar) -> Scalar:
+        """The length of a step, or a tiny one instead of none.
+
+        A step of no length (an event on the step's boundary) is as good as that, which keeps
+        its derivative.
+        """
         shortest = SHORTEST + (dt - jax.lax.stop_gradient(dt))
-        length = jnp.where(dt > SHORTEST, dt, shortest)
-        breaks, orders = self._segments(history, t, length)
+        return jnp.where(dt > SHORTEST, dt, shortest)
+
+    def answer(
+        self, executed: Scalar, breaks: list[Scalar], orders: list[Scalar], dt: Scalar
+    ) -> Response:
+        """Response over a step of `usable` length to the orders of its segments."""
         targets = [self.target(order) for order in orders]
-        moments, final = self._moments(executed, targets, breaks, length)
+        moments, final = self._moments(executed, targets, breaks, dt)
         return _quadratic(moments, final)
 
-    def _segments(
+    def segments(
         self, history: OrderHistory, t: Scalar, dt: Scalar
     ) -> tuple[list[Scalar], list[Scalar]]:
-        """Fractions of the step at which the effective order changes, and the orders."""
+        """Fractions of the step at which the effective order changes, and the orders.
+
+        Of several steps at once where `t` and `dt` are arrays.
+        """
         if self.delay is None:
             return [0.0, 1.0], [history.values[-1]]
         # Strictly before: an order that takes effect just now stays a break at fraction
@@ -115,7 +141,8 @@ class Servo(eqx.Module):
             jnp.where(first + k <= last, _fraction((history.times[i] + self.delay - t) / dt), 1.0)
             for k, i in enumerate(index)
         ]
-        return [0.0, *inner[1:], 1.0], [history.values[i] for i in index]
+        none = jnp.zeros_like(inner[0])
+        return [none, *inner[1:], none + 1.0], [history.values[i] for i in index]
 
     def _moments(
         self, executed: Scalar, targets: list[Scalar], breaks: list[Scalar], dt: Scalar
@@ -127,24 +154,23 @@ class Servo(eqx.Module):
         exponentially. Times are in units of the step.
         """
         tau = 0.0 if self.time_constant is None else self.time_constant / dt
-        rho = None if self.rate_limit is None else self.rate_limit * dt
+        slow = None if self.slew is None else self.slew / dt
         value, parts = executed, []
         for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
-            error, span = value - target, end - begin
-            slewing, rest = (0.0, error) if rho is None else _slewed(error, span, rho, tau)
-            value = target + rest * _remaining(span - slewing, tau)
-            parts.append((target, begin, end, error, slewing, rest))
+            goal = target if self.backlash is None else _play(value, target, self.backlash)
+            error, span = value - goal, end - begin
+            slewing, rest = (0.0, error) if slow is None else _slewed(error, span, slow, tau)
+            value = goal + rest * _remaining(span - slewing, tau)
+            parts.append((goal, begin, end, error, slewing, rest))
         # All segments at once: the moments are most of the work.
         columns = (_along(part) for part in zip(*parts, strict=True))
         target, begin, end, error, slewing, rest = columns
         decay = _shifted(_exponential_moments(end - begin - slewing, tau), slewing)
         moments = tuple(rest * m for m in decay)
-        if rho is not None:
-            size, sign = jnp.abs(error), jnp.sign(error)
-            ramp = [
-                sign * slewing ** (k + 1) * (size / (k + 1) - rho * slewing / (k + 2))
-                for k in range(3)
-            ]
+        if slow is not None:
+            # Without slowness everything is travelled in no time, and a lag answers to all of it.
+            travelled = jnp.where(slow == 0, error, error - rest)
+            ramp = [slewing ** (k + 1) * (error / (k + 1) - travelled / (k + 2)) for k in range(3)]
             moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
         held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
         deviation = _shifted(moments, begin)
@@ -163,12 +189,24 @@ def _shifted(moments: Moments, by: Array) -> Moments:
     return m0, by * m0 + m1, by**2 * m0 + 2 * by * m1 + m2
 
 
-def _slewed(error: Scalar, span: Scalar, rho: Scalar, tau: Scalar) -> tuple[Scalar, Scalar]:
-    """Time that a deviation falls at its limiting rate, and what is left of it then."""
+def _slewed(error: Scalar, span: Scalar, slow: Scalar, tau: Scalar) -> tuple[Scalar, Scalar]:
+    """Time that a deviation falls at its limiting rate `1 / slow`, and what is left of it then."""
     size = jnp.abs(error)
-    slewing = jnp.minimum(jnp.maximum(size - rho * tau, 0.0) / rho, span)
+    some = slow > 0
+    # Where it slews at all it does so until the lag alone would be slower.
+    needed = size * slow - jnp.where(some, tau, 0.0)
+    slews = (needed > 0) | ((slow == 0) & (tau == 0))
+    slewing = jnp.where(slews, jnp.where(needed < span, needed, span), 0.0)
+    rate = 1 / jnp.where(some, slow, 1.0)
+    left = jnp.where(needed < span, tau * rate, size - span * rate)
     # Not by the modulus where nothing slews: that has no derivative at no error.
-    return slewing, jnp.where(slewing > 0, jnp.sign(error) * (size - rho * slewing), error)
+    return slewing, jnp.where(slews & some, jnp.sign(error) * left, error)
+
+
+def _play(value: Scalar, target: Scalar, width: Scalar) -> Scalar:
+    """Where a part with play of half width `width` is driven to: no further than it must."""
+    high, low = target + width, target - width
+    return jnp.where(value > high, high, jnp.where(value < low, low, value))
 
 
 def _fraction(value: Scalar) -> Scalar:

@@ -1,0 +1,65 @@
+"""Whether an effect has one size in all the data, as its law says.
+
+Physics of the catalogue holds in every run and throughout each; an intermittent fault, or a law
+that only resembles what happens, fits some parts and not others. An effect's coordinates are
+allowed to differ between the halves of every run, and what that explains is compared with
+what the effect itself does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from diffsea.diagnosis.columns import columns_at, gains_at
+from diffsea.diagnosis.score import Projection
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.problem import Problem
+
+
+LEVEL = 1e-3
+SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
+
+
+class Constancy(NamedTuple):
+    """Outcome of the test that an effect's size is one."""
+
+    statistic: float  # chi-squared under a constant size
+    p_value: float
+    share: float  # of the statistic of the effect itself
+
+    @property
+    def holds(self) -> bool:
+        """Whether the size is constant, or differs by little against the effect itself."""
+        return self.p_value > LEVEL or self.share < SHARE
+
+
+def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
+    """Test one effect of a fitted model; `explained` is the drop of the deviance by it."""
+    gains = gains_at(problem, fitted)
+    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
+    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
+    J = columns_at(problem, gains, fitted, (effect,))[1]
+    parts = np.concatenate([J * half[:, None] for half in _halves(problem, len(J))], axis=1)
+    # A part without information has nothing to differ in.
+    parts = parts[:, (parts**2).sum(0) > 1e-9 * (J**2).sum()]
+    if parts.shape[1] <= J.shape[1]:
+        return Constancy(0.0, 1.0, 0.0)
+    score = projection.score(projection.efficient(parts))
+    degrees = parts.shape[1] - J.shape[1]
+    p_value = float(stats.chi2.sf(score.statistic, degrees))
+    excess = max(score.statistic - degrees, 0.0)
+    return Constancy(score.statistic, p_value, excess * score.inflation / max(explained, 1e-9))
+
+
+def _halves(problem: Problem, length: int) -> list[np.ndarray]:
+    """Which values belong to each half of each run, those of the prior to none."""
+    run, known = np.asarray(problem.tape.run), np.asarray(problem.tape.known).any(1)
+    out = []
+    for number in range(problem.tape.runs):
+        for rows in np.array_split(np.flatnonzero((run == number) & known), 2):
+            if len(rows):
+                member = np.zeros(length)
+                member.reshape(-1)[(6 * rows[:, None] + np.arange(6)).ravel()] = 1.0
+                out.append(member)
+    return out

@@ -1,0 +1,173 @@
+"""Refits of hypotheses and the evidence for each."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from diffsea.diagnosis.candidates import Look
+from diffsea.diagnosis.constancy import Constancy, constancy
+from diffsea.diagnosis.screening import Seen
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import estimate
+from diffsea.identification.holdout import Gain, Split, gain
+from diffsea.identification.problem import Problem
+from diffsea.vessel.effects import Effect
+
+
+Progress = Callable[[str], None]
+
+NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
+FULL = 4  # at most so many
+ENOUGH = 0.8  # of the gain that the linear model promises: less is a stalled refit
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """A refitted hypothesis: the effects added so far and one more."""
+
+    effect: str
+    estimate: Estimate
+    drop: float  # of the deviance against the hypothesis without it, priors included
+    occam: float  # what its room in the prior costs: -2 log of posterior over prior volume
+    gain: Gain | None  # on held-out data; None where it was not fitted to its end
+    seen: Seen
+    possible: bool  # inside physical bounds, and a change within the recordings
+    constancy: Constancy | None = None  # of its size; None where it was not fitted to its end
+
+    def evidence(self, inflation: float) -> float:
+        """Twice the log of the Bayes factor against the hypothesis without it (Laplace).
+
+        `inflation` says how many dependent values count as one (of the best hypothesis:
+        under a wrong one the dependence is the effect itself).
+        """
+        return self.drop / inflation - max(self.occam - self.size * np.log(inflation), 0.0)
+
+    @property
+    def size(self) -> int:
+        """Coordinates that it adds."""
+        return len(self.seen.look.at)
+
+    def support(self, inflation: float) -> float:
+        """Evidence and held-out gain together: what all data say."""
+        out = self.evidence(inflation)
+        return out if self.gain is None else out + self.gain.total / inflation
+
+
+def refitted(
+    data: Split, current: Estimate, seen: dict[str, Seen], names: list[str], progress: Progress
+) -> list[Fitted]:
+    """Refit each hypothesis of a short list, best first.
+
+    All of them at the noise of the model without the effect; those that come near the best then
+    to their end, with noise of their own and judged on the held-out data.
+    """
+
+    def first(name: str) -> Fitted:
+        progress(f"refitting {names.index(name) + 1} of {len(names)}: {name}")
+        return _first(data.train, current, seen[name])
+
+    # A compiled program runs on one core and lets other threads run meanwhile.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        tried = list(pool.map(first, names))
+    tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
+    tried.sort(key=lambda fitted: -fitted.evidence(1.0))
+    best = tried[0].evidence(1.0) if tried else 0.0
+    near = [one for one in tried if one.evidence(1.0) > min(best - NEAR, 0.6 * best)][:FULL]
+    rest = [one for one in tried if one not in near]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        full = list(pool.map(lambda one: completed(data, current, one), near))
+    return ranked([*full, *rest])
+
+
+def ranked(tried: list[Fitted]) -> list[Fitted]:
+    """Hypotheses by what all data say, those not judged on held-out data last."""
+    judged = [one for one in tried if one.gain is not None and one.possible]
+    best = max(judged, key=lambda one: one.drop, default=None)
+    inflation = 1.0 if best is None else best.estimate.inflation
+    return sorted(tried, key=lambda one: (one.gain is None, -one.support(inflation)))
+
+
+def _first(problem: Problem, current: Estimate, seen: Seen) -> Fitted:
+    """From the current estimate and at its noise; from the prior, too, where that stalls."""
+    name = seen.look.effect
+    free = (*current.free, name)
+    effect = next(e for e in problem.layout.effects if e.name == name)
+    warm, prior = (
+        lambda start=start: estimate(
+            problem, free, start, current.noise, rounds=2, fixed_noise=True
+        )
+        for start in _starts(problem, current, effect, seen)
+    )
+    better, promised = warm(), seen.score.statistic * seen.score.inflation
+    # Also where it diverged: its deviance is no number then.
+    if not current.deviance - better.deviance >= ENOUGH * promised:
+        better = min(better, prior(), key=_finite_deviance)
+    return _made(problem, current, better, effect, seen, None)
+
+
+def _finite_deviance(fitted: Estimate) -> float:
+    return fitted.deviance if np.isfinite(fitted.deviance) else np.inf
+
+
+def completed(data: Split, current: Estimate, one: Fitted) -> Fitted:
+    """The hypothesis fitted to its end, with noise of its own, and judged on held-out data."""
+    problem, free = data.train, (*current.free, one.effect)
+    start = one.estimate if one.estimate.deviance < current.deviance else current
+    fitted = estimate(problem, free, start.coordinates, current.noise)
+    effect = next(e for e in problem.layout.effects if e.name == one.effect)
+    made = _made(problem, current, fitted, effect, one.seen, gain(data, current, fitted))
+    if not np.isfinite(made.drop):
+        return made
+    constant = constancy(problem, fitted, one.effect, made.drop)
+    return dataclasses.replace(made, constancy=constant)
+
+
+def _made(
+    problem: Problem,
+    current: Estimate,
+    fitted: Estimate,
+    effect: Effect,
+    seen: Seen,
+    judged: Gain | None,
+) -> Fitted:
+    places = problem.layout.indices((effect.name,))
+    amounts = problem.layout.physical(effect.name, fitted.coordinates)[:, 0]
+    within = effect.positive is False or bool((amounts > 0).all())
+    if effect.shape is not None:
+        shape = fitted.coordinates[places[effect.shape]]
+        within = within and abs(shape - seen.look.at[effect.shape]) < seen.reach
+    spreads = problem.layout.spreads()[places]
+    volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
+    return Fitted(
+        effect.name, fitted, current.deviance - fitted.deviance,
+        float(volume + 2 * np.log(spreads).sum()), judged, seen,
+        within,
+    )  # fmt: skip
+
+
+def _starts(problem: Problem, current: Estimate, effect: Effect, seen: Seen) -> list[np.ndarray]:
+    """The current estimate and the prior, both with the effect at its one-step estimate.
+
+    Effects found before start from their estimate in either.
+    """
+    warm = np.array(current.coordinates, float)
+    warm[problem.layout.indices((effect.name,))] = first_guess(effect, seen)
+    prior = warm.copy()
+    prior[: len(problem.layout.parameters)] = 0.0
+    return [warm, prior]
+
+
+def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
+    """Coordinates of the effect, in every copy, from its one-step estimate."""
+    look: Look = seen.look
+    step = np.clip(seen.score.step, -3.0, 3.0).reshape(-1, len(look.moved))
+    out = np.tile(np.array(look.at, float), (len(step), 1))
+    out[:, list(look.moved)] = step
+    if look.finite:
+        out[:, 0] = look.at[0]
+    if effect.positive:
+        out[:, 0] = np.maximum(out[:, 0], 0.1)
+    return out.ravel()

@@ -1,0 +1,166 @@
+"""Efficient scores of the whole catalogue and of unnamed forces against one estimate."""
+
+import dataclasses
+
+import numpy as np
+
+from diffsea.diagnosis.candidates import Look, looks, nearby, shape_spacings
+from diffsea.diagnosis.columns import columns_at, gains_at
+from diffsea.diagnosis.locate import Cell, bin_columns, cells
+from diffsea.diagnosis.looking import look_columns
+from diffsea.diagnosis.null import Null, joint_null
+from diffsea.diagnosis.score import Projection, Score
+from diffsea.diagnosis.spectrum import peaks
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import Problem
+from diffsea.types import Trajectory
+from diffsea.vessel.effects import catalogue_name
+
+
+SHORT_LIST = 6
+CONFUSABLE = 0.5  # share of information mimicked from which a rival is always refitted
+WORTH = 0.15  # share of the best first guess below which a refit is not worth its time
+LEAST = 3  # refitted in any case
+DECLARED = 0.2  # share of the best first guess from which a declared confusable is, too
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """The best look at one candidate."""
+
+    look: Look
+    score: Score
+    columns: np.ndarray  # efficient, by the moved coordinates
+    expected: float  # first guess of twice the log evidence that a refit would give
+    reach: float = 0.0  # how far a refit may move the shape, in prior sizes
+
+
+@dataclasses.dataclass(frozen=True)
+class Screening:
+    """Scores of all candidates against one estimate, and where the mismatch is."""
+
+    seen: dict[str, Seen]
+    cells: tuple[Cell, ...]
+    null: Null
+
+    @property
+    def p_value(self) -> float:
+        """Family-wise p-value of the strongest test."""
+        tests = [one.score.p_value for one in self.seen.values()]
+        tests += [cell.p_value for cell in self.cells]
+        return self.null.family_wise(min(tests)) if tests else 1.0
+
+    @property
+    def remainder(self) -> float:
+        """Family-wise p-value of the strongest located force."""
+        return self.null.family_wise(min((cell.p_value for cell in self.cells), default=1.0))
+
+
+def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
+    """Where a model fails, measured by the noise of a better one.
+
+    With noise of its own, gusts have grown until they hold what the model lacks: little stands
+    out. The better model's innovations also say how they depend on one another in time.
+    """
+    run = np.asarray(problem.tape.run)
+    residual, nuisance = columns_at(problem, gains_at(problem, better), better, better.free)
+    correlation = Projection(residual, nuisance, run).correlation
+    fitted = estimate(
+        problem, fitted.free, fitted.coordinates, better.noise, rounds=3, fixed_noise=True
+    )
+    gains = gains_at(problem, fitted)
+    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
+    projection = Projection(residual, nuisance, run, correlation)
+    bins, J = bin_columns(problem, gains, fitted)
+    where = projection.efficient(J)
+    located = cells(problem, bins, *projection.singles(where))
+    tests = [slice(k, k + 1) for k in range(where.shape[1])]
+    return Screening({}, located, joint_null(where.T @ where, tests))
+
+
+def screen(problem: Problem, fitted: Estimate, recordings: tuple[Trajectory, ...]) -> Screening:
+    """Score every candidate that is not in the model, and locate the mismatch."""
+    gains = gains_at(problem, fitted)
+    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
+    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
+    frequencies, resolution = peaks(problem, fitted)
+    tried = [
+        look
+        for effect in problem.layout.effects
+        if effect.name not in fitted.free
+        for look in looks(effect, problem.base, recordings, frequencies)
+    ]
+    spacing = shape_spacings(problem.layout.effects, problem.base, tried, resolution)
+    parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, tried)]
+    bins, J = bin_columns(problem, gains, fitted)
+    where = projection.efficient(J)
+    located = cells(problem, bins, *projection.singles(where))
+    everything = np.concatenate([*parts, where], axis=1)
+    ends = np.cumsum([E.shape[1] for E in parts] + [1] * where.shape[1])
+    tests = [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    null = joint_null(everything.T @ everything, tests)
+    best = _best(tried, parts, projection, {}, spacing)
+    for finer in (4.0, 16.0):
+        near = [
+            look
+            for effect in problem.layout.effects
+            if effect.name in best and best[effect.name].expected > 0
+            for look in nearby(effect, best[effect.name].look, spacing[effect.name] / finer)
+        ]
+        if not near:
+            break
+        parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, near)]
+        best = _best(near, parts, projection, best, spacing)
+    return Screening(best, located, null)
+
+
+def _best(
+    tried: list[Look],
+    parts: list[np.ndarray],
+    projection: Projection,
+    before: dict[str, Seen],
+    spacing: dict[str, float],
+) -> dict[str, Seen]:
+    """The look at each effect that promises most."""
+    best = dict(before)
+    for look, E in zip(tried, parts, strict=True):
+        score = projection.score(E)
+        one = Seen(look, score, E, _expected(score, E), spacing[look.effect])
+        if look.effect not in best or one.expected > best[look.effect].expected:
+            best[look.effect] = one
+    return best
+
+
+def _expected(score: Score, columns: np.ndarray) -> float:
+    """Twice the log evidence that a refit would give were the model linear."""
+    information = columns.T @ columns / score.inflation
+    return score.statistic - float(np.linalg.slogdet(np.eye(len(information)) + 9 * information)[1])
+
+
+def mimicry(A: np.ndarray, B: np.ndarray) -> float:
+    """Share of the efficient information of columns A that B reproduces, 0 to 1."""
+    VA, VB, VAB = A.T @ A, B.T @ B, A.T @ B
+    inner = VAB @ np.linalg.pinv(VB, rcond=1e-10, hermitian=True) @ VAB.T
+    return float(np.trace(np.linalg.pinv(VA, rcond=1e-10, hermitian=True) @ inner) / len(VA))
+
+
+def short_list(screening: Screening, declared: dict[str, tuple[str, ...]]) -> list[str]:
+    """The strongest candidates, whatever can mimic the first three, and their declared doubles.
+
+    `declared` gives the confusables of each effect by catalogue name.
+    """
+    seen = screening.seen
+    ranked = sorted(seen, key=lambda n: -seen[n].expected)
+    chosen = ranked[:SHORT_LIST]
+    best = seen[ranked[0]].expected if ranked else 0.0
+    for top in ranked[:3]:
+        for other in ranked[SHORT_LIST:]:
+            close = mimicry(seen[top].columns, seen[other].columns) > CONFUSABLE
+            double = catalogue_name(other) in declared.get(top, ())
+            double = double and seen[other].expected > DECLARED * best
+            if (close or double) and seen[other].expected > 0 and other not in chosen:
+                chosen.append(other)
+    # A bent nominal fit ranks wrongly, but not by much: what promises little is left out.
+    worth = {name for name in chosen if seen[name].expected > WORTH * best > 0}
+    return [name for name in chosen if name in worth or name in ranked[:LEAST]]

@@ -1,0 +1,86 @@
+"""Errors of sensors and clocks."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffsea.types import Scalar
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.entry import Coordinates, Effect, Numbers, shifted, time_scale
+
+
+LATENCY_CHANNELS = {
+    "position": ("x", "y"), "heading": ("psi",), "velocity": ("u", "v"), "yaw_rate": ("r",),
+}  # fmt: skip
+
+
+def _terms(*fields: str) -> Callable[[Vessel, Coordinates], Vessel]:
+    def add(vessel: Vessel, by: Coordinates) -> Vessel:
+        for field, value in zip(fields, by, strict=True):
+            vessel = shifted(vessel, lambda v, f=field: getattr(v.sensors, f), value)
+        return vessel
+
+    return add
+
+
+def _latency(channels: str) -> Effect:
+    return Effect(
+        f"sensor-latency:{channels}", "sensor", {"delay": "s"}, _terms(f"latency_{channels}"),
+        lambda v: (time_scale(v),), positive=True, valid=0.35,
+        where={"channels": list(LATENCY_CHANNELS[channels])},
+        law="measured(t) = true(t - delay), as its Taylor polynomial of second order: for delays "
+        "short against the vessel's own response",
+        confusables=(
+            "lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current",
+        ),
+    )  # fmt: skip
+
+
+def _iron_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+    return {
+        "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
+        "phase": jnp.arctan2(-at[0], at[1]),
+    }
+
+
+def _iron_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    size, phase = numbers.get("amplitude", 0.0), numbers.get("phase", 0.0)
+    return float(-size * np.sin(phase)), float(size * np.cos(phase))
+
+
+SENSORS = (
+    Effect(
+        "heading-offset", "sensor", {"angle": "rad"}, _terms("heading_offset"), lambda v: (0.05,),
+        law="psi_m = psi + angle",
+        confusables=("current", "thruster-misalignment", "hard-iron", "actuator-bias"),
+    ),
+    Effect(
+        "hard-iron", "sensor", {"amplitude": "rad", "phase": "rad"},
+        _terms("hard_iron_cos", "hard_iron_sin"), lambda v: (0.05, 0.05),
+        decode=_iron_parameters, encode=_iron_coordinates,
+        coordinate_names=("cosine", "sine"),
+        law="psi_m = psi + amplitude sin(psi - phase): the first harmonic of the deviation of a "
+        "magnetic compass (Bowditch); semicircular deviation only",
+        confusables=("current", "heading-offset", "wind"),
+    ),
+    Effect(
+        "gyro-bias", "sensor", {"bias": "rad/s"}, _terms("gyro_bias"), lambda v: (0.01,),
+        law="r_m = r + bias",
+        confusables=("thrust-asymmetry", "actuator-bias", "thruster-misalignment"),
+    ),
+    *(_latency(channels) for channels in LATENCY_CHANNELS),
+    Effect(
+        "lever-arm", "sensor", {"x": "m", "y": "m"}, _terms("lever_x", "lever_y"),
+        lambda v: (0.1 * float(v.rigid_body.length),) * 2,
+        law="p_m = p + R(psi) (x, y): positions of an antenna off the reference point",
+        confusables=("sensor-latency", "current", "clock-drift"),
+    ),
+    Effect(
+        "clock-drift", "sensor", {"rate": "1", "offset": "s"},
+        _terms("clock_rate", "clock_offset"), lambda v: (0.003, 0.5 * time_scale(v)),
+        law="motion stamped t is that of t - (offset + rate t) on the clock of the orders; as "
+        "sensor-latency",
+        confusables=("thrust-delay", "sensor-latency", "thrust-lag"),
+    ),
+)  # fmt: skip

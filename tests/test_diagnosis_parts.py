@@ -1,0 +1,149 @@
+"""Parts of the diagnosis against closed forms: null, evidence, looks and detection limits."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
+from diffsea.diagnosis.limits import detection_limits
+from diffsea.diagnosis.null import joint_null
+from diffsea.diagnosis.refit import Fitted, first_guess
+from diffsea.diagnosis.score import Score
+from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
+from diffsea.identification.estimates import made
+from diffsea.vessel.catalogue import read_vessel
+from diffsea.vessel.effects import EFFECTS
+
+
+def test_independent_tests_are_corrected_as_sidak_does():
+    tests = [slice(k, k + 1) for k in range(40)]
+    null = joint_null(np.eye(40), tests, draws=20000)
+    for p in (1e-3, 1e-2, 1e-6):
+        assert null.family_wise(p) == pytest.approx(-np.expm1(40 * np.log1p(-p)), rel=0.15)
+    assert null.family_wise(null.level) == pytest.approx(0.01, rel=0.2)
+
+
+def test_tests_that_say_the_same_count_once():
+    null = joint_null(np.ones((40, 40)), [slice(k, k + 1) for k in range(40)], draws=20000)
+    for p in (0.05, 1e-4):
+        assert null.family_wise(p) == pytest.approx(p, rel=0.15)
+
+
+def test_a_block_of_columns_is_one_test_of_its_own_degrees_of_freedom():
+    mixed = np.array([[1.0, 0.6, 0.0], [0.6, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    null = joint_null(mixed, [slice(0, 2), slice(2, 3)], draws=40000)
+    assert null.family_wise(0.03) == pytest.approx(1 - 0.97**2, rel=0.1)
+
+
+def _linear(rng, columns, spreads, truth):
+    """An exact linear model: the estimate, and the log evidence by the marginal density."""
+    y = columns @ truth + rng.normal(size=len(columns))
+    information = columns.T @ columns
+    precision = information + np.diag(1 / spreads**2)
+    at = np.linalg.solve(precision, columns.T @ y)
+    deviance = ((y - columns @ at) ** 2).sum() + ((at / spreads) ** 2).sum()
+    index = np.arange(len(spreads))
+    fitted = made(("a",), at, deviance, index, spreads, information)
+    covariance = np.eye(len(y)) + columns @ np.diag(spreads**2) @ columns.T
+    return y, fitted, covariance
+
+
+def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
+    rng = np.random.default_rng(8)
+    X, spreads = rng.normal(size=(80, 4)), np.array([1.0, 0.5, 3.0, 3.0])
+    truth = np.array([0.4, -0.3, 0.5, 0.0])
+    y, more, wide = _linear(rng, X, spreads, truth)
+    plain = X[:, :2]
+    at = np.linalg.solve(plain.T @ plain + np.diag(1 / spreads[:2] ** 2), plain.T @ y)
+    deviance = ((y - plain @ at) ** 2).sum() + ((at / spreads[:2]) ** 2).sum()
+    less = made(("a",), at, deviance, np.arange(2), spreads[:2], plain.T @ plain)
+    narrow = np.eye(80) + plain @ np.diag(spreads[:2] ** 2) @ plain.T
+    exact = 2 * (
+        stats.multivariate_normal(cov=wide).logpdf(y)
+        - stats.multivariate_normal(cov=narrow).logpdf(y)
+    )
+    volume = np.linalg.slogdet(more.precision)[1] - np.linalg.slogdet(less.precision)[1]
+    seen = Seen(Look("current", (0.0, 0.0), (0, 1)), None, None, 0.0)
+    occam = float(volume + 2 * np.log(spreads[2:]).sum())
+    one = Fitted("current", more, less.deviance - more.deviance, occam, None, seen, True)
+    assert one.evidence(1.0) == pytest.approx(exact, abs=1e-6)
+    assert one.evidence(2.0) < one.evidence(1.0)
+
+
+@pytest.fixture(scope="module")
+def boat(request):
+    return read_vessel(request.path.parent / "oracle" / "usv.toml").vessel
+
+
+class _Run:
+    def __init__(self, first, last, extra=None):
+        self.t, self.extra = np.array([first, last]), extra or {}
+
+
+def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat):
+    effect = EFFECTS["drag-change"]
+    tried = looks(effect, boat, (_Run(100.0, 160.0), _Run(120.0, 220.0)))
+    size = effect.sizes(boat)[1]
+    times = np.array([look.at[1] for look in tried]) * size
+    assert np.all((times > 100.0) & (times < 220.0)) and np.ptp(times) == pytest.approx(100.0)
+    assert all(look.at[0] == 0 and look.moved == (0,) for look in tried)
+    spacing = shape_spacings((effect, EFFECTS["gyro-bias"]), boat, tried, 0.01)
+    assert spacing["drag-change"] * size == pytest.approx(10.0)
+    assert spacing["gyro-bias"] == 0
+    closer = nearby(effect, tried[4], spacing["drag-change"] / 4)
+    around = np.array([look.at[1] for look in closer]) * size - times[4]
+    assert np.sort(np.abs(around)) == pytest.approx([2.5, 2.5, 5.0, 5.0, 7.5, 7.5])
+
+
+def test_heel_is_a_candidate_only_where_it_was_recorded(boat):
+    heel = {"phi": np.array([0.0, 0.1])}
+    without = {effect.name for effect in candidates(boat, [_Run(0, 1, heel), _Run(0, 1)])}
+    everywhere = {effect.name for effect in candidates(boat, [_Run(0, 1, heel)])}
+    assert "roll-coupling" not in without
+    assert everywhere - without == {"roll-coupling", "roll-coupling:Y_phi", "roll-coupling:N_phi"}
+
+
+def _seen(name, columns, expected=0.0, step=(0.0,)):
+    moved = tuple(range(columns.shape[1]))
+    look = Look(name, (0.0,) * columns.shape[1], moved)
+    return Seen(look, Score(0.0, 1.0, np.array(step), 1.0), columns, expected)
+
+
+def test_a_first_guess_keeps_to_the_physical_side():
+    lag = EFFECTS["thrust-lag:propulsion"]
+    assert first_guess(lag, _seen(lag.name, np.ones((3, 1)), step=(-2.0,))) == pytest.approx([0.1])
+    bias = EFFECTS["gyro-bias"]
+    assert first_guess(bias, _seen(bias.name, np.ones((3, 1)), step=(-9.0,))) == pytest.approx([-3])
+
+
+def test_doubles_of_the_strongest_are_refitted_too():
+    rng = np.random.default_rng(1)
+    base = rng.normal(size=(200, 1))
+    names = [f"weak {k}" for k in range(8)]
+    seen = {"strong": _seen("strong", base, 100.0)}
+    seen |= {name: _seen(name, rng.normal(size=(200, 1)), 60.0 - k) for k, name in enumerate(names)}
+    seen["double"] = _seen("double", base + 0.1 * rng.normal(size=(200, 1)), 30.0)
+    seen["other"] = _seen("other", rng.normal(size=(200, 1)), 30.0)
+    assert mimicry(base, seen["double"].columns) > 0.9
+    chosen = short_list(Screening(seen, (), None), {"strong": ()})
+    assert "double" in chosen and "other" not in chosen
+    assert "other" in short_list(Screening(seen, (), None), {"strong": ("other",)})
+    faint = {name: dataclasses.replace(one, expected=-1.0) for name, one in seen.items()}
+    assert len(short_list(Screening(faint, (), None), {})) == 3
+
+
+def test_a_detection_limit_is_three_standard_errors_of_the_worst_direction(boat):
+    class Problem:
+        base = boat
+        layout = type("Layout", (), {"effects": (EFFECTS["current"], EFFECTS["gyro-bias"])})
+
+    strong, weak = np.zeros((50, 2)), np.zeros((50, 1))
+    strong[0, 0], strong[1, 1], weak[0, 0] = 8.0, 4.0, 0.05
+    seen = {"current": _seen("current", strong), "gyro-bias": _seen("gyro-bias", weak)}
+    found = {row["name"]: row for row in detection_limits(Problem, Screening(seen, (), None), ())}
+    # 3 standard errors of 1/4 prior size, and a prior size of 0.3 m/s.
+    assert found["current"]["limit"] == pytest.approx(3 / 4 * 0.3, rel=1e-6)
+    assert found["gyro-bias"]["limit"] is None
+    assert not detection_limits(Problem, Screening(seen, (), None), ("current", "gyro-bias"))
