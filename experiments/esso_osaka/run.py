@@ -37,6 +37,7 @@ from diffsea.identification.fit import estimate
 from diffsea.identification.found_effects import reported
 from diffsea.identification.holdout import Split, row_deviance, split, transferred
 from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.tape import Shape
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import Table, build
 from diffsea.vessel.effects import EFFECTS
@@ -120,8 +121,8 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
     seen = {name: _without(run, dropped) for name, run in runs.items()}
     train, test = ([seen[name] for name in part] for part in (TRAIN, HELD_OUT))
 
-    def problem_of(some: list[Trajectory], rows: int = 0, most: int = 0) -> Problem:
-        return make_problem(vessel, some, free, (EFFECTS["wind"],), True, 2, rows=rows, runs=most)
+    def problem_of(some: list[Trajectory], least: Shape) -> Problem:
+        return make_problem(vessel, some, free, (EFFECTS["wind"],), True, 2, least=least)
 
     data = split(problem_of, train, test, True)
     nominal = estimate(data.train, free)

@@ -46,7 +46,7 @@ def gains_at(problem: Problem, fitted: Estimate, noise: Noise | None = None) -> 
 
 
 def latent_acceleration(problem: Problem, fitted: Estimate) -> Float[np.ndarray, "row 3"]:
-    """What the filter finds beside the model (m/s^2, m/s^2, rad/s^2): lasting gusts and the rest."""
+    """What the filter finds beside the model: lasting gusts and the rest (m/s^2, rad/s^2)."""
     tuned = problem.tuned(fitted.coordinates, fitted.noise)
     return np.asarray(tuned.kick) / np.maximum(np.asarray(tuned.gains.gusts.half), 1e-12)
 

@@ -17,6 +17,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, exchanged_gain, split
 from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.tape import Shape
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import catalogue_name
@@ -94,8 +95,8 @@ def diagnose(
     free = free_by_default(vessel) if free is None else free
     effects = candidates(vessel, [*recordings, *(test or [])])
 
-    def problem_of(runs: list[Trajectory], rows: int = 0, most: int = 0) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, ROOM, rows=rows, runs=most)
+    def problem_of(runs: list[Trajectory], least: Shape) -> Problem:
+        return make_problem(vessel, runs, free, effects, per_run, ROOM, least=least)
 
     data = split(problem_of, recordings, test or [], per_run)
     progress("fitting the nominal model")

@@ -10,6 +10,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import block_sums, estimate
 from diffsea.identification.likelihood import Tuned
 from diffsea.identification.problem import Problem
+from diffsea.identification.tape import ANY, Shape
 from diffsea.recordings.conditioning import cut
 from diffsea.types import Trajectory
 
@@ -56,14 +57,14 @@ class Split:
 
 
 def split(
-    problem_of: Callable[[list[Trajectory], int, int], Problem],
+    problem_of: Callable[[list[Trajectory], Shape], Problem],
     recordings: list[Trajectory],
     test: list[Trajectory],
     per_run: bool,
 ) -> Split:
     """Hold out `test`, or the end of each recording where there is none.
 
-    `problem_of` makes a problem from recordings, on at least so many rows and runs: all of
+    `problem_of` makes a problem from recordings on a tape of at least some shape: all of
     one shape share their compiled programs. `per_run` says whether each recording has an
     environment of its own.
     """
@@ -72,11 +73,10 @@ def split(
         train, held_out = cut_all(recordings, TRAIN_SHARE)
     elif per_run:
         heads, held_out = cut_all(test, HEAD_SHARE)
-    first = [problem_of(runs, 0, 0) for runs in (train, held_out)]
-    rows = max(problem.tape.t.size for problem in first)
-    most = max(problem.tape.runs for problem in first)
-    train_problem, test_problem = (problem_of(runs, rows, most) for runs in (train, held_out))
-    head = None if heads is None else problem_of(heads, rows, most)
+    first = [problem_of(runs, ANY).tape.shape for runs in (train, held_out)]
+    shape = first[0].both(first[1])
+    train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
+    head = None if heads is None else problem_of(heads, shape)
     return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), by_time)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.gusts import Gusts, Noise, gust_model, predicted, product, updated
+from diffsea.identification.lanes import scan
 from diffsea.identification.layout import Layout, equipped
 from diffsea.identification.tape import Tape
 from diffsea.kinematics import to_earth, wrap
@@ -82,7 +83,7 @@ def _servo_response(vessel: Vessel, channel: str, tape: Tape) -> Response:
         return response.final, response
 
     rows = (tape.starts, orders, dt, given)
-    return jax.lax.scan(body, servo.target(orders[0]), rows)[1]
+    return scan(body, servo.target(orders[0]), rows, tape.lanes)
 
 
 def propagate(
@@ -227,7 +228,7 @@ def innovations(
         rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
     )  # fmt: skip
     start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory)
-    return jax.lax.scan(body, start, inputs)[1]
+    return scan(body, start, inputs, tape.lanes)
 
 
 def _restarted(

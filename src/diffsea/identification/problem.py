@@ -19,7 +19,7 @@ from diffsea.identification.layout import Layout
 from diffsea.identification.least_squares import ONCE, least_squares_from
 from diffsea.identification.likelihood import Gains, Tuned
 from diffsea.identification.noise import Prior, noise_prior
-from diffsea.identification.tape import Tape, make_tape
+from diffsea.identification.tape import ANY, Shape, Tape, make_tape
 from diffsea.parameters import check_names, named
 from diffsea.priors import Parameter, hull_prior
 from diffsea.types import Scalar, Trajectory
@@ -94,8 +94,7 @@ def make_problem(
     per_run: bool = False,
     room: int = 0,
     priors: Mapping[str, Parameter] | None = None,
-    rows: int = 0,
-    runs: int = 0,
+    least: Shape = ANY,
 ) -> Problem:
     """Set up a fit.
 
@@ -103,7 +102,7 @@ def make_problem(
         free: names of the vessel's parameters to estimate; `free_by_default` if None.
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
-        rows, runs: at least so many on the tape: problems of one shape share their programs.
+        least: shape that the tape has at least: problems of one shape share their programs.
         room: how many effect coordinates may be free at once, copies for each run not counted.
         priors: of parameters that have one other than `default_prior`.
 
@@ -114,7 +113,7 @@ def make_problem(
     check_names(vessel, free)
     known = default_priors(vessel) | dict(priors or {})
     parameters = tuple(known[name] for name in free)
-    tape = make_tape(vessel, recordings, rows, runs)
+    tape = make_tape(vessel, recordings, least)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
     layout = Layout(parameters, effects, sizes, tape.runs, per_run)
     tape = jax.tree.map(jnp.asarray, tape)

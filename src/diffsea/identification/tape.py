@@ -1,12 +1,14 @@
 """Recordings laid end to end on one clock, ready for a filter to run along."""
 
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
+from diffsea.identification.lanes import Lanes, in_lanes
 from diffsea.simulation.replay import recorded_actuation, recorded_heel
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -33,6 +35,7 @@ class Tape(eqx.Module):
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
     order_times: Float[Array, "order"]  # s, with one order long before each run
     order_values: dict[str, Float[Array, "order"]]
+    lanes: Lanes
     runs: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
     memory: int = eqx.field(static=True)  # rows that late channels may reach back
@@ -41,6 +44,11 @@ class Tape(eqx.Module):
     def count(self) -> Float[Array, ""]:
         """Number of measured values."""
         return self.known.sum()
+
+    @property
+    def shape(self) -> "Shape":
+        """The numbers that its compiled programs depend on."""
+        return Shape(self.t.size, self.runs, *self.lanes.shape)
 
 
 def natural_time(vessel: Vessel) -> float:
@@ -53,8 +61,24 @@ def thinning(vessel: Vessel, interval: float) -> int:
     return max(1, int(LONGEST_STEP * natural_time(vessel) / interval * (1 + 1e-9)))
 
 
-def make_tape(vessel: Vessel, recordings: list[Trajectory], rows: int = 0, runs: int = 0) -> Tape:
-    """Lay recordings on a tape of at least so many rows and runs, spare ones empty.
+class Shape(NamedTuple):
+    """What tapes must have in common to share compiled programs."""
+
+    rows: int = 0
+    runs: int = 0
+    steps: int = 0
+    lanes: int = 0
+
+    def both(self, other: "Shape") -> "Shape":
+        """The larger of each number."""
+        return Shape(*map(max, self, other))
+
+
+ANY = Shape()
+
+
+def make_tape(vessel: Vessel, recordings: list[Trajectory], least: Shape = ANY) -> Tape:
+    """Lay recordings on a tape of at least this shape, spare rows and runs empty.
 
     Recordings sampled much faster than the vessel moves are thinned to 0.3 sqrt(L / g), all
     rows that hold a slowly sampled channel kept; over the rows between, orders and measured
@@ -68,8 +92,8 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory], rows: int = 0, runs:
     substeps = max(1, math.ceil(longest / (LONGEST_STEP * natural_time(vessel)) - 1e-9))
     columns = {key: np.concatenate([piece[key] for piece in pieces]) for key in _ROWS}
     used = len(columns["t"])
-    spare = max(rows, used + -used % PADDING) - used
-    runs = max(runs, len(recordings))
+    spare = max(least.rows, used + PADDING - used % PADDING) - used
+    runs = max(least.runs, len(recordings))
     padded = {key: _padded(column, spare) for key, column in columns.items()}
     channels = vessel.channels
     measured = [c for c in channels if all(c in piece["executed"] for piece in pieces)]
@@ -86,6 +110,7 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory], rows: int = 0, runs:
         executed=gathered("executed", measured),
         order_times=order_times,
         order_values=order_values,
+        lanes=in_lanes(columns["run"], used + spare, (least.steps, least.lanes)),
         runs=runs,
         substeps=substeps,
         memory=_memory(vessel, longest),

@@ -155,32 +155,47 @@ class Servo(eqx.Module):
         """
         tau = 0.0 if self.time_constant is None else self.time_constant / dt
         slow = None if self.slew is None else self.slew / dt
-        value, parts = executed, []
-        for target, begin, end in zip(targets, breaks[:-1], breaks[1:], strict=True):
+
+        def segment(so_far: tuple, part: tuple[Scalar, Scalar, Scalar]) -> tuple[tuple, None]:
+            value, sums = so_far
+            target, begin, end = part
             goal = target if self.backlash is None else _play(value, target, self.backlash)
             error, span = value - goal, end - begin
             slewing, rest = (0.0, error) if slow is None else _slewed(error, span, slow, tau)
-            value = goal + rest * _remaining(span - slewing, tau)
-            parts.append((goal, begin, end, error, slewing, rest))
-        # All segments at once: the moments are most of the work.
-        columns = (_along(part) for part in zip(*parts, strict=True))
-        target, begin, end, error, slewing, rest = columns
-        decay = _shifted(_exponential_moments(end - begin - slewing, tau), slewing)
-        moments = tuple(rest * m for m in decay)
-        if slow is not None:
-            # Without slowness everything is travelled in no time, and a lag answers to all of it.
-            travelled = jnp.where(slow == 0, error, error - rest)
-            ramp = [slewing ** (k + 1) * (error / (k + 1) - travelled / (k + 2)) for k in range(3)]
-            moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
-        held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
-        deviation = _shifted(moments, begin)
-        total = (jnp.sum(target * h + d) for h, d in zip(held, deviation, strict=True))
-        return tuple(total), value
+            decay = _shifted(_exponential_moments(span - slewing, tau), slewing)
+            moments = tuple(rest * m for m in decay)
+            if slow is not None:
+                ramp = _ramp_moments(error, rest, slewing, slow)
+                moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
+            held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
+            deviation = _shifted(moments, begin)
+            after = (s + goal * h + d for s, h, d in zip(sums, held, deviation, strict=True))
+            return (goal + rest * _remaining(span - slewing, tau), tuple(after)), None
+
+        begun = executed, (jnp.zeros(()),) * 3
+        if len(targets) == 1:
+            (value, moments), _ = segment(begun, (targets[0], breaks[0], breaks[1]))
+        else:
+            # Written out, every segment repeats the code of all before it when it is compiled.
+            parts = _stacked(targets), _stacked(breaks[:-1]), _stacked(breaks[1:])
+            (value, moments), _ = jax.lax.scan(segment, jax.tree.map(_float, begun), parts)
+        return moments, value
 
 
-def _along(parts: tuple[Scalar, ...]) -> Array:
-    """One number for each segment; a scalar where there is one segment."""
-    return parts[0] if len(parts) == 1 else jnp.stack([jnp.asarray(p, float) for p in parts])
+def _float(value: Scalar) -> Array:
+    return jnp.asarray(value, float)
+
+
+def _stacked(parts: list[Scalar]) -> Array:
+    return jnp.stack([_float(part) for part in parts])
+
+
+def _ramp_moments(error: Scalar, rest: Scalar, slewing: Scalar, slow: Scalar) -> Moments:
+    """Moments of a deviation that falls at its limiting rate from `error` to `rest`."""
+    # Without slowness everything is travelled in no time, and a lag answers to all of it.
+    travelled = jnp.where(slow == 0, error, error - rest)
+    m0, m1, m2 = (slewing ** (k + 1) * (error / (k + 1) - travelled / (k + 2)) for k in range(3))
+    return m0, m1, m2
 
 
 def _shifted(moments: Moments, by: Array) -> Moments:
