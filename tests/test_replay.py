@@ -98,12 +98,21 @@ def test_a_start_that_was_not_measured_is_derived():
     }  # fmt: skip
 
 
-def test_late_samples_start_the_channel_where_it_begins():
-    run = straight(UNEVEN)
+def test_late_samples_are_continued_back_to_the_start():
+    run = straight(UNEVEN, u0=3.0)
     x = run.x.copy()
     x[:3] = np.nan
     predicted = replay(boat(), dataclasses.replace(run, x=x))
-    assert predicted.x[0] == pytest.approx(run.x[3])
+    assert run.x[3] - run.x[0] > 1.0
+    assert predicted.x[0] == pytest.approx(run.x[0], abs=1e-6)
+
+
+def test_a_clock_that_runs_ahead_shows_the_run_before_its_recording_begins():
+    vessel = dataclasses.replace(boat(), sensors=Sensors(clock_offset=-0.5))
+    t = np.arange(0.0, 60.0, 0.1)
+    seen = dataclasses.replace(straight(t + 0.5, u0=3.0), t=t)
+    assert replay_errors(replay(vessel, seen), seen)["position"] < 0.01
+    assert horizon_errors(vessel, seen, horizons=(5.0,))[5.0]["position"] < 1e-6
 
 
 def test_the_sensors_errors_are_taken_off_and_put_on_again():
@@ -112,7 +121,7 @@ def test_the_sensors_errors_are_taken_off_and_put_on_again():
     wrong = Sensors(heading_offset=0.2, gyro_bias=0.01, lever_x=1.0, latency_position=0.5)
     vessel = dataclasses.replace(vessel, sensors=wrong)
     t = np.arange(0.0, 60.0, 0.1)
-    true, earlier = straight(t), straight(np.maximum(t - 0.5, 0))
+    true, earlier = straight(t, u0=3.0), straight(t - 0.5, u0=3.0)
     seen = dataclasses.replace(
         true, x=earlier.x + np.cos(0.4), y=earlier.y + np.sin(0.4), psi=true.psi + 0.2,
         r=true.r + 0.01,

@@ -39,7 +39,8 @@ def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float)
     gains = gains_at(problem, fitted)
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
     projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
-    J = columns_at(problem, gains, fitted, (effect,))[1]
+    owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
+    J = nuisance[:, [owner == effect for owner in owners]]
     parts = np.concatenate([J * half[:, None] for half in _halves(problem, len(J))], axis=1)
     # A part without information has nothing to differ in.
     parts = parts[:, (parts**2).sum(0) > 1e-9 * (J**2).sum()]

@@ -25,7 +25,7 @@ from diffsea.identification.problem import (
 
 
 ROUNDS = 8
-NOISE_STEPS = 3  # of Fisher scoring in one round
+NOISE_STEPS = 1  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
 

@@ -85,19 +85,21 @@ def updated(
     (Bierman 1977), and their innovations are the whitened ones, without any factorisation.
     In terms of the joint innovation nu the state's correction is C nu, built up row by row.
     """
-    C, rows, variances = jnp.zeros((9, 6)), [], []
-    unit = np.eye(6)
-    for j in range(6):
-        h = jnp.where(used[j], H[j], 0.0)
+
+    def channel(carry: tuple, one: tuple) -> tuple[tuple, tuple]:
+        C, P = carry
+        h, noise, known, unit = one
+        h = jnp.where(known, h, 0.0)
         Ph = jnp.sum(P[:, :6] * h, axis=1)
-        s = jnp.where(used[j], jnp.sum(h * Ph[:6]) + R[j], 1.0)
-        fresh = jnp.where(used[j], unit[j] - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
+        s = jnp.where(known, jnp.sum(h * Ph[:6]) + noise, 1.0)
+        fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
         gain = Ph / s
         C = C + gain[:, None] * fresh[None, :]
         # Joseph form: stays positive definite however small the sensor noise.
         left = P - gain[:, None] * Ph[None, :]
-        spare = jnp.sum(left[:, :6] * h, axis=1) - R[j] * gain
-        P = left - spare[:, None] * gain[None, :]
-        rows.append(fresh / jnp.sqrt(s))
-        variances.append(s)
-    return C, jnp.stack(rows), P, jnp.stack(variances)
+        spare = jnp.sum(left[:, :6] * h, axis=1) - noise * gain
+        return (C, left - spare[:, None] * gain[None, :]), (fresh / jnp.sqrt(s), s)
+
+    channels = H, R, used, np.eye(6)
+    (C, P), (rows, variances) = jax.lax.scan(channel, (jnp.zeros((9, 6)), P), channels)
+    return C, rows, P, variances

@@ -355,8 +355,27 @@ def _true_motion(
                 f"{recording.name}: {channel} was not recorded, nor anything to derive it from, so "
                 "there is no state to start from; map a velocity (u) or positions (x, y)"
             )
-        true[channel] = np.interp(_shown_at(sensors, t, channel), times[finite], values[finite])
+        shown = _shown_at(sensors, t, channel)
+        true[channel] = _interpolated(shown, times[finite], values[finite])
     return _corrected(sensors, true), notes
+
+
+def _interpolated(wanted: Samples, times: Samples, values: Samples) -> Samples:
+    """Values between samples; beyond the first and the last, on with the slope there.
+
+    A clock that is off shows the beginning or the end of a run outside its recording.
+    """
+    found = np.interp(wanted, times, values)
+    if len(times) < 2:
+        return found
+    least = 4 * float(np.median(np.diff(times)))
+    for edge, beyond in ((0, wanted < times[0]), (-1, wanted > times[-1])):
+        if beyond.any():
+            span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
+            near = np.abs(times - times[edge]) <= span
+            slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
+            found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
+    return found
 
 
 def _supported(
@@ -405,9 +424,9 @@ def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
 
 
 def _shown(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
-    """What the sensors show at the times; before the run it was as at its start."""
+    """What the sensors show at the times."""
     lags = sensors.lags(t)
-    late = {c: np.interp(t - np.asarray(lags[c]), t, true[c]) for c in true}
+    late = {c: _interpolated(t - np.asarray(lags[c]), t, true[c]) for c in true}
     return _offsets(sensors, late)
 
 
