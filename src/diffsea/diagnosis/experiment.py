@@ -114,7 +114,7 @@ def _one_way(
         base, [imagined(vessel, schedule, measured)],
         tuple(p.name for p in train.layout.parameters), train.layout.effects, False,
         train.seeds - len(train.layout.parameters),
-        rows=train.tape.t.size, runs=train.tape.runs,
+        least=train.tape.shape,
     )  # fmt: skip
     at = dataclasses.replace(true, coordinates=coordinates)
     gains = problem.tuned(coordinates, true.noise).gains
