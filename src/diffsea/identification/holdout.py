@@ -73,8 +73,11 @@ def split(
         train, held_out = cut_all(recordings, TRAIN_SHARE)
     elif per_run:
         heads, held_out = cut_all(test, HEAD_SHARE)
-    first = [problem_of(runs, ANY).tape.shape for runs in (train, held_out)]
-    shape = first[0].both(first[1])
+    shape = ANY
+    for _ in range(2):  # the number of lanes, then that of their steps
+        least = shape._replace(steps=0)
+        shapes = [problem_of(runs, least).tape.shape for runs in (train, held_out)]
+        shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
     head = None if heads is None else problem_of(heads, shape)
     return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), by_time)
