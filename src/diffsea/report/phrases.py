@@ -14,7 +14,7 @@ _TEMPLATES = {
     "shallow-water": "shallow water, {depth} deep,",
     "hard-iron": "a compass error of {amplitude} that changes with heading",
     "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
-    "clock-drift": "clocks that drift apart by {rate}",
+    "clock-drift": "clocks of motion and orders that are {offset} apart and drift by {rate}",
     "thrust-lag": "actuators that lag with a time constant of {time_constant}",
     "thrust-delay": "a dead time of {delay} between order and action",
     "rate-limit": "a slew limit of {rate_limit} in the actuators",
