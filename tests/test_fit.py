@@ -76,7 +76,7 @@ def _away(document: dict, factor: float) -> dict:
 @pytest.fixture(scope="module")
 def fitted(document, recordings):
     problem = make_problem(build(_away(document, 1.4)), recordings, HULL)
-    return problem, estimate(problem, HULL, rounds=6)
+    return problem, estimate(problem, HULL)
 
 
 def test_derivatives_are_recovered_from_a_start_far_away(document, fitted):

@@ -24,7 +24,7 @@ from diffsea.identification.problem import (
 )
 
 
-ROUNDS = 8
+ROUNDS = 12
 NOISE_STEPS = 1  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
