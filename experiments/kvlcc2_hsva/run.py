@@ -46,7 +46,7 @@ DROPPED = {  # hull derivatives to drop, rudder numbers to replace, what should 
     "nothing": ((), {}, None),
     "crossflow": (LATERAL, {}, "crossflow-drag"),
     "coupling": (("Y_r", "N_v"), {}, "sway-yaw-coupling"),
-    "rudder": ((), ALONE, "rudder-interaction"),
+    "interaction": ((), ALONE, "rudder-interaction"),
 }
 WEATHER = ("current", "wind", "wave-force")
 
