@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 
-WATER, FRESH_WATER, AIR = 1025.0, 1000.0, 1.225  # kg/m^3
+WATER, AIR = 1025.0, 1.225  # kg/m^3
 
 
 @dataclass

@@ -34,11 +34,6 @@ def history_length(
     return math.ceil(longest / step) + 24
 
 
-def at_rest_orders(vessel: Vessel) -> dict[str, Scalar]:
-    """Zero order on every channel."""
-    return {channel: jnp.zeros(()) for channel in vessel.channels}
-
-
 def begin(
     vessel: Vessel, state: State, orders: dict[str, Scalar], lengths: dict[str, int]
 ) -> Motion:
