@@ -8,7 +8,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.simulation.control import CourseHold, Helm, speed_for, throttle_for
+from diffsea.simulation.control import (
+    Course,
+    FixedThrottle,
+    HeadingHold,
+    Helm,
+    SpeedHold,
+    Steering,
+    speed_for,
+    throttle_for,
+)
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import Row, executed_now, plausible, run_stages, select
@@ -62,7 +71,9 @@ def approach(
     still = State(zero, zero, zero, speed, zero, zero)
     motion = begin(vessel, still, helm.orders(throttle, zero), _memories(vessel, settings))
     scale = vessel.rigid_body.length / jnp.maximum(speed, 1e-6)
-    hold = CourseHold(speed, zero, throttle, scale, hold_speed=settings.hold_speed)
+    fixed = FixedThrottle(throttle)
+    pushing = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
+    hold = Steering(Course(zero), HeadingHold(scale), pushing)
     needed = jnp.ceil(settings.steady_lengths * scale / settings.step)
 
     def body(carry: tuple, _: None) -> tuple[tuple, Row]:

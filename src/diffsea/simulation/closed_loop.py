@@ -1,0 +1,103 @@
+"""A vessel under a controller: orders at the controller's period, motion in finer steps."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from diffsea.errors import UserError
+from diffsea.simulation.control import AbstractController
+from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.switching import executed_now, plausible, select
+from diffsea.types import Environment, Outcome, Scalar, State, Trajectory
+from diffsea.vessel.base import Vessel
+
+
+class ClosedLoop(eqx.Module):
+    """A run under a controller."""
+
+    trajectory: Trajectory  # a row per period, from the start on
+    memory: object  # the controller's, with a row per period
+
+
+def run_controlled(
+    vessel: Vessel,
+    controller: AbstractController,
+    start: State,
+    seconds: float,
+    period: float,
+    step: float | None = None,
+    environment: Environment | None = None,
+    longest_delay: float | None = None,
+) -> ClosedLoop:
+    """Run a vessel under a controller. Pure: jit, vmap and differentiate it.
+
+    **Arguments:**
+
+    - `start`: the state at time zero; actuators have settled to the first orders.
+    - `seconds`: the longest run; it ends sooner where the controller is finished.
+    - `period`: s between the controller's steps; its orders hold from one to the next.
+    - `step`: of integration, s; `period` by default, and divided so that whole steps fill a period.
+    - `environment`: water and air; the vessel's own by default.
+    - `longest_delay`: s; needed under jit where an actuator's delay is traced.
+
+    Rows after the end are not `valid`. The outcome is `COMPLETED` where the controller finished,
+    else `TIME_LIMIT`, or `DIVERGED`.
+
+    The controller acts at samples, as a digital one does: derivatives are those of that sampled
+    loop. Where a sample decides something (a waypoint reached), the decision has no derivative.
+    """
+    if not (period > 0 and seconds >= period):
+        raise UserError(f"a run of {seconds:g} s needs a period above zero, at most as long as it")
+    environment = vessel.environment if environment is None else environment
+    parts = max(1, math.ceil(period / (step or period) - 1e-9))
+    dt = period / parts
+    memory, orders = controller.step(controller.init(), start, jnp.zeros(()), period)
+    lengths = {c: history_length(s, dt, longest=longest_delay) for c, s in vessel.servos.items()}
+    motion = begin(vessel, _floats(start), _floats(orders), lengths)
+
+    def moved(motion: Motion, orders: dict[str, Scalar], t: Scalar) -> Motion:
+        def part(motion: Motion, number: Scalar) -> tuple[Motion, None]:
+            return advance(vessel, motion, orders, environment, t + number * dt, dt), None
+
+        return jax.lax.scan(part, motion, jnp.arange(parts, dtype=float))[0]
+
+    def body(carry: tuple, number: Scalar) -> tuple[tuple, tuple]:
+        motion, memory, over, diverged = carry
+        t = number * period
+        after, orders = controller.step(memory, motion.state, t, period)
+        orders = _floats(orders)
+        row = (t, motion.state, orders, executed_now(vessel, motion, orders), ~over)
+        new = moved(motion, orders, t)
+        diverged = diverged | (~over & ~plausible(vessel, new.state))
+        memory = _kept(over, memory, after)
+        motion = select(~over & ~diverged, new, motion)
+        over = over | diverged | controller.finished(memory)
+        return (motion, memory, over, diverged), (row, memory)
+
+    no = jnp.zeros((), bool)
+    count = math.floor(seconds / period + 1e-9) + 1
+    carry = (motion, controller.init(), no, no)
+    carry, (rows, memories) = jax.lax.scan(body, carry, jnp.arange(count, dtype=float))
+    return ClosedLoop(_trajectory(rows, carry, controller), memories)
+
+
+def _floats(tree: object) -> object:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+
+
+def _kept(over: Bool[Array, ""], before: object, after: object) -> object:
+    """The memory as it was once the run is over."""
+    return jax.tree.map(lambda old, new: jnp.where(over, old, new), before, after)
+
+
+def _trajectory(rows: tuple, carry: tuple, controller: AbstractController) -> Trajectory:
+    t, state, commanded, executed, valid = rows
+    _, memory, _, diverged = carry
+    outcome = jnp.where(controller.finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
+    return Trajectory(
+        t, state.x, state.y, state.psi, state.u, state.v, state.r, commanded, executed, {},
+        valid, jnp.where(diverged, Outcome.DIVERGED, outcome),
+    )  # fmt: skip

@@ -1,0 +1,29 @@
+"""Control: helm, laws, guidance and controllers, each with `init` and `step`."""
+
+from diffsea.simulation.control.autopilot import AbstractController as AbstractController
+from diffsea.simulation.control.autopilot import Autopilot as Autopilot
+from diffsea.simulation.control.autopilot import Steering as Steering
+from diffsea.simulation.control.autopilot import autopilot as autopilot
+from diffsea.simulation.control.balance import full_throttle as full_throttle
+from diffsea.simulation.control.balance import speed_for as speed_for
+from diffsea.simulation.control.balance import straight_balance as straight_balance
+from diffsea.simulation.control.balance import throttle_for as throttle_for
+from diffsea.simulation.control.balance import throttle_for_thrust as throttle_for_thrust
+from diffsea.simulation.control.guidance import Course as Course
+from diffsea.simulation.control.guidance import LineOfSight as LineOfSight
+from diffsea.simulation.control.guidance import Pursuit as Pursuit
+from diffsea.simulation.control.helm import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
+from diffsea.simulation.control.helm import Helm as Helm
+from diffsea.simulation.control.helm import require_helm as require_helm
+from diffsea.simulation.control.laws import FilteredPD as FilteredPD
+from diffsea.simulation.control.laws import FixedThrottle as FixedThrottle
+from diffsea.simulation.control.laws import HeadingHold as HeadingHold
+from diffsea.simulation.control.laws import SpeedHold as SpeedHold
+from diffsea.simulation.control.laws import heading_hold as heading_hold
+from diffsea.simulation.control.laws import speed_hold as speed_hold
+from diffsea.simulation.control.lqr import TrackKeeper as TrackKeeper
+from diffsea.simulation.control.lqr import discrete_lqr as discrete_lqr
+from diffsea.simulation.control.lqr import discretised as discretised
+from diffsea.simulation.control.lqr import riccati as riccati
+from diffsea.simulation.control.lqr import steering_model as steering_model
+from diffsea.simulation.control.lqr import track_keeper as track_keeper

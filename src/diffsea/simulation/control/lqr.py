@@ -1,0 +1,138 @@
+"""Linear-quadratic control: Riccati's equation, a vessel's linear model, and a track keeper.
+
+All of it is differentiable and can be batched: the Riccati equation is solved by doubling with a
+fixed number of passes, of which each squares the closed loop's decay.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from diffsea.errors import UserError
+from diffsea.simulation.control.autopilot import AbstractController
+from diffsea.simulation.control.balance import throttle_for
+from diffsea.simulation.control.guidance import LineOfSight
+from diffsea.simulation.control.helm import Helm, require_helm
+from diffsea.simulation.control.laws import SpeedHold, speed_hold, wrapped
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+
+
+Square = Float[Array, "n n"]
+Inputs = Float[Array, "n m"]
+
+_DOUBLINGS = 32  # a closed loop that decays by 1e-9 a step has settled by then
+
+
+def riccati(A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"]) -> Square:
+    """The stabilising solution P of the discrete algebraic Riccati equation.
+
+    `P = A' P A - A' P B (R + B' P B)^-1 B' P A + Q`, by the structure-preserving doubling
+    algorithm (Chu, Fan, Lin and Wang 2004). Not finite where no input stabilises the system.
+    """
+    identity = jnp.eye(A.shape[0])
+
+    def doubled(carry: tuple, _: None) -> tuple[tuple, None]:
+        F, G, H = carry
+        W = identity + G @ H
+        WF = jnp.linalg.solve(W, F)
+        WG = jnp.linalg.solve(W, G)
+        return (F @ WF, G + F @ WG @ F.T, H + F.T @ H @ WF), None
+
+    start = (A, B @ jnp.linalg.solve(R, B.T), Q)
+    return jax.lax.scan(doubled, start, length=_DOUBLINGS)[0][2]
+
+
+def discrete_lqr(A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"]) -> Float[Array, "m n"]:
+    """The gain K of `u = -K x` that minimises the sum of `x' Q x + u' R u` for `x+ = A x + B u`."""
+    P = riccati(A, B, Q, R)
+    return jnp.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+
+
+def discretised(A: Square, B: Inputs, period: Scalar) -> tuple[Square, Inputs]:
+    """Transition and input matrix of `x' = A x + B u` with `u` held over `period` s."""
+    n, m = B.shape
+    block = jnp.zeros((n + m, n + m)).at[:n, :n].set(A).at[:n, n:].set(B)
+    exponential = jax.scipy.linalg.expm(block * period)
+    return exponential[:n, :n], exponential[:n, n:]
+
+
+def steering_model(
+    vessel: Vessel, speed: Scalar
+) -> tuple[Float[Array, "2 2"], Float[Array, "2 1"]]:
+    """Sway and yaw about a straight run: d(v, r)/dt against (v, r), and against the rudder angle.
+
+    **Arguments:** the vessel, and its speed in m/s. Actuators answer at once here.
+    """
+    zero = jnp.zeros(())
+    helm, throttle = Helm(vessel), throttle_for(vessel, speed)
+
+    def rates(motion: Float[Array, "2"], angle: Float[Array, "1"]) -> Float[Array, "2"]:
+        state = State(zero, zero, zero, jnp.asarray(speed, float), motion[0], motion[1])
+        orders = helm.orders(throttle, angle[0])
+        executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
+        return vessel.acceleration(state, executed, Environment(), zero)[1:]
+
+    at = (jnp.zeros(2), jnp.zeros(1))
+    return jax.jacfwd(rates, 0)(*at), jax.jacfwd(rates, 1)(*at)
+
+
+class TrackKeeper(AbstractController[tuple]):
+    """Keeps a vessel on the legs between waypoints by state feedback on the rudder.
+
+    Memory: that of the path and of the speed hold. The state fed back is sway velocity (m/s), yaw
+    rate (rad/s), course error (rad) and cross-track error (m).
+    """
+
+    gain: Float[Array, "4"]
+    path: LineOfSight
+    speed: SpeedHold
+    helm: Helm
+    largest_angle: Scalar = 0.6  # rad
+    largest_cross: Scalar = 10.0  # m, beyond which an error is met no harder
+
+    def init(self) -> tuple:
+        return self.path.init(), self.speed.init()
+
+    def step(
+        self, memory: tuple, state: State, t: Scalar, dt: Scalar
+    ) -> tuple[tuple, dict[str, Scalar]]:
+        path, _ = self.path.step(memory[0], state, dt)
+        leg = self.path.leg(path[0], state)
+        cross = jnp.clip(leg.cross, -self.largest_cross, self.largest_cross)
+        fed_back = jnp.stack([state.v, state.r, wrapped(state.psi - leg.course), cross])
+        angle = jnp.clip(-self.gain @ fed_back, -self.largest_angle, self.largest_angle)
+        speed, throttle = self.speed.step(memory[1], state, 1.0, dt)
+        return (path, speed), self.helm.orders(throttle, angle)
+
+    def finished(self, memory: tuple) -> Bool[Array, ""]:
+        return self.path.finished(memory[0])
+
+
+def track_keeper(
+    vessel: Vessel,
+    speed: float,
+    waypoints: Float[Array, "waypoint 2"],
+    period: float,
+    largest_angle: float = 0.6,
+) -> TrackKeeper:
+    """A track keeper that suits a vessel at `speed` m/s and steers every `period` s.
+
+    Weights follow Bryson's rule: a cross-track error of half a ship length, a course error of
+    10 deg and a rudder angle of `largest_angle` rad are equally bad.
+
+    Raises `UserError` for a vessel that cannot be steered or stabilised.
+    """
+    require_helm(vessel, "path under a track keeper")
+    length = float(vessel.rigid_body.length)
+    A, B = steering_model(vessel, speed)
+    whole = jnp.zeros((4, 4)).at[:2, :2].set(A).at[2, 1].set(1.0)
+    whole = whole.at[3, 0].set(1.0).at[3, 2].set(speed)
+    inputs = jnp.zeros((4, 1)).at[:2].set(B)
+    Q = jnp.diag(jnp.array([0.0, 0.0, 1 / jnp.radians(10.0) ** 2, 4 / length**2]))
+    gain = discrete_lqr(*discretised(whole, inputs, period), Q, jnp.eye(1) / largest_angle**2)
+    if not bool(jnp.all(jnp.isfinite(gain))):
+        raise UserError(f"no rudder law steadies {vessel.name!r} at {speed:g} m/s")
+    path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)
+    hold = speed_hold(vessel, jnp.asarray(speed, float))
+    return TrackKeeper(gain[0], path, hold, Helm(vessel), largest_angle, 2 * length)
