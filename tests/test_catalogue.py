@@ -1,5 +1,6 @@
 """Vessel files: the ones that ship, what their numbers mean, and what a bad one is told."""
 
+import copy
 import tomllib
 
 import numpy as np
@@ -12,7 +13,7 @@ from diffsea.types import Environment, State
 from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_document
 
 
-NAMES = ("blueboat", "esso_osaka", "kvlcc2", "mariner", "otter", "wamv")
+NAMES = ("blueboat", "esso_osaka", "kvlcc2", "mariner", "otter", "pytheas", "shioji_maru", "wamv")
 CALM = Environment()
 PORT_TO_STARBOARD = {"port": "starboard", "starboard": "port"}
 
@@ -23,6 +24,8 @@ ORDERS = {
     "kvlcc2": ({"propeller": 11.0, "rudder": 0.2}, 1.1),
     "mariner": ({"rudder": 0.2}, 7.0),
     "otter": ({"port": 10.0, "starboard": 6.0}, 1.5),
+    "pytheas": ({"thruster.force": 10.0, "thruster.angle": 0.3}, 0.7),
+    "shioji_maru": ({"propeller": 2.0, "rudder": 0.2, "bow": 1e4, "stern": -1e4}, 3.0),
     "wamv": ({"port": 300.0, "starboard": 100.0}, 1.5),
 }
 
@@ -123,7 +126,8 @@ def test_a_shipped_vessel_survives_writing_and_reading_back(name, tmp_path):
 def mirrored(vessel, executed):
     """The orders of the mirrored run: sides swapped, rudder reversed."""
     swapped = {PORT_TO_STARBOARD.get(c, c): value for c, value in executed.items()}
-    return swapped | {c: -value for c, value in executed.items() if c == "rudder"}
+    turned = ("rudder", "bow", "stern", "thruster.angle")
+    return swapped | {c: -value for c, value in executed.items() if c in turned}
 
 
 def symmetric(name):
@@ -219,6 +223,47 @@ def test_otter_cross_flow_drag_is_an_effect_on_top_of_the_hull():
     drag = force_of(vessel, "crossflow-drag", moving(0.0, 0.5), idle)
     expected = -0.5 * 1026 * 2.0 * 0.195 * 1.0 * 0.5**2
     np.testing.assert_allclose(drag, [0.0, expected, 0.0], rtol=1e-12)
+
+
+def test_shioji_maru_has_the_regressions_it_names():
+    hull = read_vessel("shioji_maru").document["hull"]
+    L, B, d, rho, C_b = 54.0, 11.10, 3.33, 1025.0, 0.55
+    assert (hull["length"], hull["beam"], hull["draught"]) == (L, B, d)
+    k, q, unit = 2 * d / L, C_b * B / L, 0.5 * rho * L * d
+    mass, volume = rho * L * B * d * C_b, L * B * d * C_b
+    slender = 0.5 * rho * L**3 * np.pi * (d / L) ** 2
+    expected = {
+        "mass": mass,
+        "X_udot": -2.7 * rho * volume ** (5 / 3) / L**2,
+        "Y_vdot": -slender * (1 + 0.16 * C_b * B / d - 5.1 * (B / L) ** 2),
+        "N_rdot": -slender * L**2 * (1 / 12 + 0.017 * C_b * B / d - 0.33 * B / L),
+        "Y_uv": -unit * (0.5 * np.pi * k + 1.4 * q),
+        "Y_ur": hull["mass"] - hull["X_udot"] - 1.5 * q * unit * L,
+        "N_uv": -unit * L * k,
+        "N_ur": unit * L**2 * (k**2 - 0.54 * k),
+    }
+    assert {name: hull[name] for name in expected} == pytest.approx(expected, rel=1e-3)
+
+
+def test_shioji_maru_makes_eight_knots_within_its_published_blade_angles():
+    # One (rev/s)^2 per degree of blade angle, and 8.7 degrees are the largest at that speed.
+    speed = steady_speed(read_vessel("shioji_maru").vessel, IDLE_SHIOJI | {"propeller": 8.7**0.5})
+    assert 8.0 < speed / 0.5144 < 10.0
+
+
+IDLE_SHIOJI = {"propeller": 0.0, "rudder": 0.0, "bow": 0.0, "stern": 0.0}
+
+
+def test_a_tunnel_thruster_pushes_less_ahead_and_by_its_effectiveness():
+    document = copy.deepcopy(read_vessel("shioji_maru").document)
+    document["tunnel_thruster"][0]["effectiveness"] = 0.8
+    vessel, orders = build(document), IDLE_SHIOJI | {"bow": 1e4}
+    np.testing.assert_allclose(
+        force_of(vessel, "bow", moving(0.0), orders), [0.0, 8e3, 21.0 * 8e3], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        force_of(vessel, "bow", moving(1.8), orders), [0.0, 4e3, 21.0 * 4e3], rtol=1e-12
+    )
 
 
 def test_blueboat_reaches_three_metres_per_second_at_full_thrust():

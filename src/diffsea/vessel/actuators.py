@@ -107,9 +107,10 @@ class TunnelThruster(AbstractActuator):
     servos: dict[str, Servo]
     x: Scalar
     fading_speed: Scalar | None = None  # m/s, half the force is left here
+    effectiveness: Scalar = 1.0  # force at rest over the ordered one
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
-        (thrust,) = (executed[channel] for channel in self.servos)
+        (thrust,) = (self.effectiveness * executed[channel] for channel in self.servos)
         if self.fading_speed is not None:
             thrust = thrust / (1 + (water.u / self.fading_speed) ** 2)
         return Force(0.0, thrust, self.x * thrust)

@@ -311,10 +311,11 @@ def _azimuth(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuat
 
 def _tunnel(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
     where = f"[[tunnel_thruster]] {name!r}"
-    _known(table, (*_COMMON, "x", "max_force", "min_force", "fading_speed"), where)
-    servo = _servo(table, where, "min_force", "max_force")
+    limits = ("min_force", "max_force")
+    _known(table, (*_COMMON, *limits, "x", "fading_speed", "effectiveness"), where)
     x, fading = _needed(table, "x", where), _number(table, "fading_speed", where)
-    return act.TunnelThruster({name: servo}, x, fading)
+    effectiveness = _number(table, "effectiveness", where, 1.0)
+    return act.TunnelThruster({name: _servo(table, where, *limits)}, x, fading, effectiveness)
 
 
 def _propeller(name: str, table: Table, body: RigidBody, _: Any) -> AbstractActuator:
