@@ -27,6 +27,7 @@ from diffsea.vessel.effects import (
     find_effects,
 )
 from diffsea.vessel.hull import (
+    POWERS,
     Damping,
     PrimeDamping,
     Scaling,
@@ -40,7 +41,7 @@ Table = dict[str, Any]
 
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
-_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "reference_speed")
+_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents", "reference_speed")
 _COMMON = ("name", "time_constant", "rate_limit", "delay", "deadband", "sharpness")
 _LOSSES = ("asymmetry", "with_speed", "in_turns")
 _TABLES = ("thruster", "azimuth_thruster", "tunnel_thruster", "propeller", "rudder")
@@ -214,7 +215,7 @@ def _hull(
             raise UserError(f"unknown key {key!r} in [hull]{nearest(key, suggestions)}")
     for key in ("mass", "I_z", "length", "beam", "draught"):
         _needed(hull, key, "[hull]")
-    numbers = {key: _needed(hull, key, "[hull]") for key in hull if key not in _HULL_WORDS[:2]}
+    numbers = {key: _needed(hull, key, "[hull]") for key in hull if key not in _HULL_WORDS[:3]}
     body = RigidBody(**{key: numbers[key] for key in _BODY if key in numbers})
     terms = hull.get("added_mass_coriolis", "full")
     if terms not in ("full", "no-munk", "none"):
@@ -224,8 +225,24 @@ def _hull(
     )
     derivatives = {name: numbers[name] for name in names}
     scaling = _scaling(hull, body, numbers)
-    damping = Damping(derivatives) if scaling is None else PrimeDamping(derivatives, scaling)
-    return body, added, {"damping": damping}, scaling
+    exponents = _exponents(hull, derivatives)
+    if scaling is None:
+        return body, added, {"damping": Damping(derivatives, exponents)}, None
+    return body, added, {"damping": PrimeDamping(derivatives, scaling)}, scaling
+
+
+def _exponents(hull: Table, derivatives: dict[str, float]) -> dict[str, float]:
+    """Exponents of power laws: `[hull.exponents]` with some of X_u, Y_v and N_r."""
+    table, where = hull.get("exponents", {}), "[hull.exponents]"
+    if not isinstance(table, dict):
+        raise UserError(f"{where} is a table, for example X_u = 1.7")
+    _known(table, POWERS, where)
+    if table and "nondimensional" in hull:
+        raise UserError(f"{where}: power laws are for derivatives in SI units")
+    for key in table:
+        if key not in derivatives:
+            raise UserError(f"{where}: {key} is no power law without {key} in [hull]")
+    return {key: _positive(table, key, where) for key in table}
 
 
 def _scaling(hull: Table, body: RigidBody, numbers: dict[str, float]) -> Scaling | None:
@@ -473,7 +490,9 @@ def updated_document(document: Table, values: Mapping[str, float], effects: list
     """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables."""
     new = copy.deepcopy(document)
     for name, value in values.items():
-        if "." in name:
+        if name.startswith("exponents."):
+            new["hull"]["exponents"][name.removeprefix("exponents.")] = float(value)
+        elif "." in name:
             _set_actuator(new, name, value)
         else:
             new["hull"][name] = float(value)

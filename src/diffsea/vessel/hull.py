@@ -58,14 +58,37 @@ class Damping(AbstractForce):
 
     `tau = sum_k D_k m_k(u_r, v_r, r)` with the monomials of `monomial` (Fossen 2021,
     section 6.4). `X_u` is negative for drag.
+
+    `exponents` turn `X_u`, `Y_v` or `N_r` into a power law: with `a` for `X_u` the force is
+    `X_u sign(u) |u|^a`, in N per (m/s)^a.
     """
 
     resists: ClassVar[bool] = True
     derivatives: dict[str, Scalar]
+    exponents: dict[str, Scalar] = eqx.field(default_factory=dict)
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
         water = through_water(state, environment)
-        return polynomial_force(self.derivatives, {"u": water.u, "v": water.v, "r": water.r})
+        motion = {"u": water.u, "v": water.v, "r": water.r}
+        plain = {n: d for n, d in self.derivatives.items() if n not in self.exponents}
+        made = polynomial_force(plain, motion)
+        for name, exponent in self.exponents.items():
+            axis, letter = name.split("_")
+            force = self.derivatives[name] * signed_power(motion[letter], exponent)
+            made = made + Force(**{axis: force})
+        return made
+
+
+POWERS = ("X_u", "Y_v", "N_r")  # derivatives that may be power laws
+
+
+def signed_power(x: Scalar, exponent: Scalar) -> Scalar:
+    """`sign(x) |x|^exponent`; exactly `x` for an exponent of one.
+
+    Below an exponent of one its slope at zero is infinite. Here it is linear within about 1e-6
+    of zero instead, so that derivatives by `x` and by the exponent are finite everywhere.
+    """
+    return x * (x**2 + 1e-12) ** (0.5 * (exponent - 1))
 
 
 class Scaling(eqx.Module):
