@@ -25,7 +25,6 @@ ORDERS = {
     "mariner": ({"rudder": 0.2}, 7.0),
     "otter": ({"port": 10.0, "starboard": 6.0}, 1.5),
     "pytheas": ({"thruster.force": 10.0, "thruster.angle": 0.3}, 0.7),
-    "pytheas": ({"thruster.force": 10.0, "thruster.angle": 0.3}, 0.7),
     "shioji_maru": ({"propeller": 2.0, "rudder": 0.2, "bow": 1e4, "stern": -1e4}, 3.0),
     "wamv": ({"port": 300.0, "starboard": 100.0}, 1.5),
 }
