@@ -108,7 +108,7 @@ class DynamicPD(AbstractController[Pursued]):
 
     def progress(self, memory: Pursued) -> Scalar:
         """Share of the waypoints reached, 0 to 1; smooth where decisions are."""
-        return (memory.number + memory.moved) / self.waypoints.shape[0]
+        return (memory.number.astype(float) + memory.moved) / self.waypoints.shape[0]
 
     def _above(self, value: Scalar, threshold: Scalar) -> Scalar:
         """One where `value` is at or above `threshold` and both are positive, else zero."""
@@ -123,12 +123,14 @@ class DynamicPD(AbstractController[Pursued]):
         north, east = self._offset(memory.number, state)
         distance = jnp.sqrt(north**2 + east**2 + 1e-12)
         if self.smoothing == 0:
-            return memory.number + (distance < self.radius), memory.moved
+            reached = distance < self.radius
+            return jnp.where(reached, memory.number + 1, memory.number), memory.moved
         # Once it has begun to move it goes all the way, though the waypoint may fall behind.
         pace = self._above(self.radius, distance) + 4 * memory.moved**2
         moved = memory.moved + pace * dt / self.smoothing
         over = moved >= 1
-        return memory.number + over, jnp.where(over, 0.0, moved)
+        number = jnp.where(over, memory.number + 1, memory.number)
+        return number, jnp.where(over, 0.0, moved)
 
     def _target(
         self, number: Int[Array, ""], moved: Scalar, state: State
