@@ -31,6 +31,7 @@ from diffsea.parameters import named
 from diffsea.priors import Parameter, hull_prior
 from diffsea.types import MOTION_CHANNELS, State, Trajectory
 from diffsea.vessel.catalogue import build
+from diffsea.vessel.environment import SteadyForce
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
@@ -389,6 +390,22 @@ def test_a_negative_mass_is_not_trusted(vessel):
     found = trust.assess(limits, trust.begin(limits), _evidence(limits, np.zeros(6), [2.6]), 0.2)[1]
     assert not found.inertia and float(found.bounds) == 0
     assert "mass matrix" in " ".join(trust.reasons(limits, found))
+
+
+def test_a_disturbance_may_drive_the_vessel(vessel):
+    # Only what resists must brake: an estimated wind or current pushes.
+    vessel = dataclasses.replace(vessel, forces=vessel.forces | {"steady": SteadyForce()})
+    push = Parameter("steady.north", 0.0, scale=500.0)
+    limits = trust.limits(vessel, [push], EKF_CHANNELS)
+    found = trust.assess(limits, trust.begin(limits), _evidence(limits, np.zeros(6), [1.0]), 0.2)[1]
+    assert found.drag and float(found.bounds) == 1
+
+
+def test_a_steady_force_stays_in_the_earth(vessel):
+    force = SteadyForce(north=3.0, east=4.0, moment=5.0)
+    heading = dataclasses.replace(State(0.0, 0.0, 0.0, 1.0, 0.0, 0.0), psi=jnp.pi / 2)
+    made = force(heading, vessel.environment, 0.0)
+    np.testing.assert_allclose(made.stacked, [4.0, -3.0, 5.0], atol=1e-12)
 
 
 def test_calibration_finds_the_scale_of_sound_innovations(limits):

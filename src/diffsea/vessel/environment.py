@@ -1,4 +1,4 @@
-"""Forces from outside the water's steady flow: wind and an earth-fixed swell force."""
+"""Forces from outside the water's steady flow: wind, an earth-fixed swell, any steady force."""
 
 import jax.numpy as jnp
 
@@ -60,3 +60,18 @@ class EarthForce(AbstractForce):
         east = self.bias_east + self.sine_east * sine + self.cosine_east * cosine
         X, Y = to_body(north, east, state.psi)
         return Force(X, Y, 0.0)
+
+
+class SteadyForce(AbstractForce):
+    """A force fixed in the earth and a moment, whatever they come from: zero by default.
+
+    What an estimator that cannot tell wind, current and swell apart may call all of them
+    together, since motion is linear in it.
+    """
+
+    north: Scalar = 0.0  # N
+    east: Scalar = 0.0  # N
+    moment: Scalar = 0.0  # N m, turning the bow to starboard
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        return Force(*to_body(self.north, self.east, state.psi), self.moment)

@@ -277,11 +277,15 @@ def _positive(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
 
 
 def _power(vessel: Vessel, motion: Float[Array, "3"]) -> Scalar:
-    """Power (W) that the hull's forces put into a motion (u, v, r) through still water."""
+    """Power (W) that the hull's resistance puts into a motion (u, v, r) through still water.
+
+    Other forces, an estimated disturbance say, may drive.
+    """
     u, v, r = motion
     zero = jnp.zeros(())
     state = State(zero, zero, zero, u, v, r)
-    drag = sum((force(state, Environment(), zero) for force in vessel.forces.values()), Force())
+    resisting = (force for force in vessel.forces.values() if force.resists)
+    drag = sum((force(state, Environment(), zero) for force in resisting), Force())
     return drag.X * u + drag.Y * v + drag.N * r
 
 
