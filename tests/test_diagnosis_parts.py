@@ -9,7 +9,7 @@ from scipy import stats
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
-from diffsea.diagnosis.refit import Fitted, first_guess
+from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
 from diffsea.identification.estimates import made
@@ -116,6 +116,19 @@ def test_a_first_guess_keeps_to_the_physical_side():
     assert first_guess(lag, _seen(lag.name, np.ones((3, 1)), step=(-2.0,))) == pytest.approx([0.1])
     bias = EFFECTS["gyro-bias"]
     assert first_guess(bias, _seen(bias.name, np.ones((3, 1)), step=(-9.0,))) == pytest.approx([-3])
+
+
+def _refitted(name, evidence, possible=True):
+    return Fitted(name, None, evidence, 0.0, None, _seen(name, np.ones((3, 1))), possible)
+
+
+def test_what_is_not_physical_hides_only_what_it_may_be_confused_with():
+    early = _refitted("sensor-latency:position", 160.0, possible=False)
+    drag, lever = _refitted("crossflow-drag", 60.0), _refitted("lever-arm", 70.0)
+    assert near_the_best(drag, [early, drag])
+    assert not near_the_best(lever, [early, lever])
+    late = dataclasses.replace(early, possible=True)
+    assert not near_the_best(drag, [late, drag])
 
 
 def test_doubles_of_the_strongest_are_refitted_too():

@@ -131,9 +131,7 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
     found = dict(zip(TRAIN, reported(data.train, blind, "wind"), strict=False))
     for part in (HELD_OUT, REST):
         # On a tape of the same shape, for which the programs are compiled.
-        others = problem_of(
-            [seen[name] for name in part], data.train.tape.t.size, data.train.tape.runs
-        )
+        others = problem_of([seen[name] for name in part], data.train.tape.shape)
         wind = reported(others, _wind_of(others, blind, len(free)), "wind")
         found |= dict(zip(part, wind, strict=False))
     record = {"wind": scored(found, runs)}

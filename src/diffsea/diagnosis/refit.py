@@ -14,7 +14,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Gain, Split, gain
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import Effect
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 
 
 Progress = Callable[[str], None]
@@ -74,12 +74,28 @@ def refitted(
         tried = list(pool.map(first, names))
     tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
     tried.sort(key=lambda fitted: -fitted.evidence(1.0))
-    best = tried[0].evidence(1.0) if tried else 0.0
-    near = [one for one in tried if one.evidence(1.0) > min(best - NEAR, 0.6 * best)][:FULL]
+    near = [one for one in tried if near_the_best(one, tried)][:FULL]
     rest = [one for one in tried if one not in near]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         full = list(pool.map(lambda one: completed(data, current, one), near))
     return ranked([*full, *rest])
+
+
+def near_the_best(one: Fitted, tried: list[Fitted]) -> bool:
+    """Whether a hypothesis comes near the best of those that stand in its way.
+
+    One that came out of its physical range stands in the way only of what it may be confused with:
+    it says that something is missing, not that everything else is wrong.
+    """
+    rivals = [other for other in tried if other.possible or _confusable(one, other)]
+    best = max((other.evidence(1.0) for other in rivals), default=0.0)
+    return one.evidence(1.0) > min(best - NEAR, 0.6 * best)
+
+
+def _confusable(one: Fitted, other: Fitted) -> bool:
+    names = (catalogue_name(one.effect), catalogue_name(other.effect))
+    declared = [set(EFFECTS[fitted.effect].confusables) for fitted in (one, other)]
+    return names[0] == names[1] or names[1] in declared[0] or names[0] in declared[1]
 
 
 def ranked(tried: list[Fitted]) -> list[Fitted]:

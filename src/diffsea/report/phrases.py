@@ -39,6 +39,7 @@ _CHANNELS = {
     frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
     frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
 }  # fmt: skip
+_BUT_POSITION = frozenset(("psi", "u", "v", "r"))
 
 
 def title(name: str) -> str:
@@ -93,7 +94,10 @@ def _loss(per: str, scale: float) -> Callable[[Record], str]:
 
 
 def _latency(effect: Record) -> str:
-    channels = _CHANNELS.get(frozenset(effect.get("channels", ())), "signal")
+    late = frozenset(effect.get("channels", ()))
+    if late == _BUT_POSITION:
+        return f"a measured position that is {_size(effect, 'delay')} ahead of all else measured"
+    channels = _CHANNELS.get(late, "signal")
     return f"a measured {channels} that arrives {_size(effect, 'delay')} late"
 
 

@@ -24,11 +24,21 @@ def _terms(*fields: str) -> Callable[[Vessel, Coordinates], Vessel]:
     return add
 
 
-def _latency(channels: str) -> Effect:
+# Positions that are ahead of everything else, as of a receiver that extrapolates: what is late is
+# all the others.
+_BUT_POSITION = ("heading", "velocity", "yaw_rate")
+
+
+def _all_late(*groups: str) -> Callable[[Vessel, Coordinates], Vessel]:
+    add = _terms(*(f"latency_{group}" for group in groups))
+    return lambda vessel, by: add(vessel, jnp.repeat(jnp.asarray(by), len(groups)))
+
+
+def _latency(variant: str, groups: tuple[str, ...]) -> Effect:
     return Effect(
-        f"sensor-latency:{channels}", "sensor", {"delay": "s"}, _terms(f"latency_{channels}"),
+        f"sensor-latency:{variant}", "sensor", {"delay": "s"}, _all_late(*groups),
         lambda v: (time_scale(v),), positive=True, valid=0.35,
-        where={"channels": list(LATENCY_CHANNELS[channels])},
+        where={"channels": [name for group in groups for name in LATENCY_CHANNELS[group]]},
         law="measured(t) = true(t - delay), as its Taylor polynomial of second order: for delays "
         "short against the vessel's own response",
         confusables=(
@@ -69,7 +79,8 @@ SENSORS = (
         law="r_m = r + bias",
         confusables=("thrust-asymmetry", "actuator-bias", "thruster-misalignment"),
     ),
-    *(_latency(channels) for channels in LATENCY_CHANNELS),
+    *(_latency(group, (group,)) for group in LATENCY_CHANNELS),
+    _latency("but_position", _BUT_POSITION),
     Effect(
         "lever-arm", "sensor", {"x": "m", "y": "m"}, _terms("lever_x", "lever_y"),
         lambda v: (0.1 * float(v.rigid_body.length),) * 2,
