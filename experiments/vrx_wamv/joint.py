@@ -1,23 +1,28 @@
 """The joint fit: all coefficients from all runs at once, by the library's gradients."""
 
-import copy
 import dataclasses
 import time
 
-import numpy as np
 from campaign import Run
-from plant import THRUST_PER_SPEED
-from procedure import PUBLISHED
+from models import document, vessel_of
 
 from diffsea.identification.study import Settings, Study, identify
-from diffsea.parameters import named, replace
+from diffsea.parameters import named
 from diffsea.priors import Parameter, hull_prior
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.catalogue import build
 
 
 LINEAR = ("mass", "I_z", "X_u", "Y_v", "N_r")
-WHOLE = (*LINEAR, "x_G", "X_uu", "Y_vv", "N_rr", "port.curve.0", "starboard.curve.0")
+CURVES = ("port.curve.0", "starboard.curve.0")  # c of each engine
+WHOLE = (*LINEAR, "x_G", "X_uu", "Y_vv", "N_rr", *CURVES)
+# Table 1 and the thrust at rest are known beforehand, drag is a guess. The simulator takes
+# thrust in N: it is the anchor of the scale that motion leaves free.
+START = {
+    "mass": 180.0, "I_z": 333.0, "X_u": -150.0, "Y_v": -150.0, "N_r": -600.0, "X_uu": -80.0,
+    "Y_vv": -80.0, "N_rr": -400.0,
+}  # fmt: skip
+QUADRATIC = ("X_uu", "Y_vv", "N_rr")
 SPREAD = 1.0  # of the priors: a factor of e is unremarkable
 
 
@@ -26,45 +31,54 @@ class Joint:
     """A joint fit."""
 
     study: Study
-    vessel: Vessel
     seconds: float
 
     @property
-    def rows(self) -> dict[str, dict]:
-        """The table of parameters by name."""
-        return {row["name"]: row for row in self.study.rows}
+    def values(self) -> dict[str, float]:
+        """The fitted numbers, c being the mean of the engines'."""
+        found = dict(self.study.values)
+        slopes = [found.pop(name) for name in CURVES if name in found]
+        return found | ({"c": sum(slopes) / len(slopes)} if slopes else {})
+
+    @property
+    def stds(self) -> dict[str, float]:
+        """Standard errors of them; that of c is one engine's."""
+        found = {row["name"]: row["std"] for row in self.study.rows}
+        slopes = [found.pop(name) for name in CURVES if name in found]
+        return found | ({"c": slopes[0]} if slopes else {})
+
+    @property
+    def vessel(self) -> Vessel:
+        """The fitted model."""
+        return vessel_of(self.values)
 
 
-def start_document(quadratic: bool) -> dict:
-    """What is known beforehand: Table 1 and thrust by engine speed; drag is a guess.
+def fit_linear(runs: list[Run]) -> Joint:
+    """The paper's model, masses free too, by the innovation likelihood.
 
-    Thrust is the anchor of the scale: the simulator takes it in N.
+    Its process noise takes up what the model cannot follow; an output error would not.
     """
-    document = copy.deepcopy(PUBLISHED.document("vrx_wamv", ""))
-    document["hull"] |= {"X_udot": 0.0, "Y_vdot": 0.0, "X_u": -150.0, "Y_v": -150.0, "N_r": -600.0}
-    if quadratic:
-        document["hull"] |= {"x_G": 0.0, "X_uu": -80.0, "Y_vv": -80.0, "N_rr": -400.0}
-    for engine in document["thruster"]:
-        engine["curve"] = {"c": 0.0, "d": THRUST_PER_SPEED}
-        engine["y"] = np.sign(engine["y"]) * 1.027
-    return document
+    values = {key: value for key, value in START.items() if key not in QUADRATIC}
+    plain = document(values)
+    plain["hull"] = {k: v for k, v in plain["hull"].items() if k not in QUADRATIC}
+    return _fit(build(plain), runs, LINEAR, "innovation")
 
 
-def fit(runs: list[Run], quadratic: bool) -> Joint:
-    """Fit the linear model, or the one with what it lacks: free-run error, windows joined."""
-    vessel = build(start_document(quadratic))
-    free = WHOLE if quadratic else LINEAR
-    slopes = {name: Parameter(name, 0.0, 5.0, SPREAD) for name in free if "curve" in name}
-    priors = {name: _wide(name, vessel) for name in free if name not in slopes}
-    settings = Settings(
-        objective="free-run", free=free, anchor="thrust", priors=priors | slopes, profiles=()
-    )
+def fit_whole(runs: list[Run]) -> Joint:
+    """The model with what the paper's lacks, by the error of free runs."""
+    return _fit(vessel_of(START), runs, WHOLE, "free-run")
+
+
+def _fit(vessel: Vessel, runs: list[Run], free: tuple[str, ...], objective: str) -> Joint:
+    priors = {name: _prior(name, vessel) for name in free}
+    settings = Settings(objective, free, "thrust", priors, profiles=())
     began = time.perf_counter()
     study = identify(vessel, [run.trajectory() for run in runs], settings)
-    seconds = time.perf_counter() - began
-    return Joint(study, replace(vessel, study.values), seconds)
+    return Joint(study, time.perf_counter() - began)
 
 
-def _wide(name: str, vessel: Vessel) -> Parameter:
-    """The usual prior, wider; that of the centre of gravity is half a metre wide."""
+def _prior(name: str, vessel: Vessel) -> Parameter:
+    """The usual prior, wider; half a metre for the centre of gravity, 5 N s^2/m for c."""
+    if name in CURVES:
+        return Parameter(name, 0.0, 5.0, SPREAD, unit="N s^2/m")
     return hull_prior(name, float(named(vessel)[name]), SPREAD if name != "x_G" else 0.5)

@@ -1,6 +1,8 @@
 """The paper's procedure: one coefficient after another, each from the runs that show it.
 
-Drag coefficients are positive here, as in the paper; `document` gives them SNAME signs.
+Drag coefficients are positive here, as in the paper; `PaperModel.values` gives them SNAME signs.
+Eq. 9 leaves c, d and X_u one factor in common, which the paper does not fix: two ways to fix it
+are tried, see `READINGS`.
 """
 
 import dataclasses
@@ -11,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 from campaign import Campaign, Run
-from plant import THRUST_PER_SPEED, speed_for
+from plant import THRUST_PER_SPEED
 from scipy.optimize import minimize
 
 
@@ -40,23 +42,12 @@ class PaperModel:
         """Thrust of an engine (N), eq. 8."""
         return self.c * speed * n + self.d * np.abs(n) * n
 
-    def document(self, name: str, source: str) -> dict:
-        """The model as a vessel file. Thrusters see the speed along their own axis."""
-        largest = speed_for(2353.5)
-        engine = {
-            "x": 0.0, "curve": {"c": self.c, "d": self.d},
-            "max_speed": largest, "min_speed": speed_for(-1000.0),
-        }  # fmt: skip
+    def values(self) -> dict[str, float]:
+        """The model's numbers under the names and signs of a vessel file."""
         return {
-            "format": 1, "name": name, "source": source,
-            "hull": {
-                "length": LENGTH_OVERALL, "beam": BEAM, "draught": DRAUGHT, "mass": MASS,
-                "I_z": self.m33, "X_udot": MASS - self.m11, "Y_vdot": MASS - self.m22,
-                "X_u": -self.X_u, "Y_v": -self.Y_v, "N_r": -self.N_r,
-            },
-            "thruster": [
-                {"name": "port", "y": -HALF, **engine}, {"name": "starboard", "y": HALF, **engine},
-            ],
+            "mass": MASS, "I_z": self.m33, "X_udot": MASS - self.m11, "Y_vdot": MASS - self.m22,
+            "X_u": -self.X_u, "Y_v": -self.Y_v, "N_r": -self.N_r, "c": self.c, "d": self.d,
+            "arm": HALF,
         }  # fmt: skip
 
 
@@ -73,11 +64,10 @@ class Procedure:
     seconds: float
 
 
-def identify(data: Campaign) -> Procedure:
-    """Section 2.3 and 2.4 on a campaign."""
+def identify(data: Campaign, reading: str) -> Procedure:
+    """Sections 2.3 and 2.4 on a campaign, eq. 9 read in one of `READINGS`."""
     began = time.perf_counter()
-    n, u = plateaus(data.straight)
-    c, d, X_u = anchored(n, u)
+    c, d, X_u = READINGS[reading](*plateaus(data.straight))
     first = PaperModel(c, d, X_u, math.nan, math.nan)
     first = dataclasses.replace(first, N_r=spin_drag(first, data.spin))
     first = dataclasses.replace(first, Y_v=sway_drag(first, data.wide))
@@ -107,8 +97,8 @@ def plateaus(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
     return n, np.array(u)
 
 
-def as_printed(n: np.ndarray, u: np.ndarray, start: tuple) -> np.ndarray:
-    """c, d and X_u of eq. 9 from speeds alone. They have one factor in common that is free."""
+def from_speeds(n: np.ndarray, u: np.ndarray, start: tuple = (-0.4, 0.3, 150.0)) -> np.ndarray:
+    """c, d and X_u of eq. 9 from speeds alone, as the start of the search leaves their scale."""
 
     def cost(z: np.ndarray) -> float:
         c, d, X_u = z
@@ -117,16 +107,37 @@ def as_printed(n: np.ndarray, u: np.ndarray, start: tuple) -> np.ndarray:
     return nelder_mead(cost, np.array(start))
 
 
-def anchored(n: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """c, d and X_u of eq. 9, thrust being that ordered in N, as in the paper's figure 3."""
-    ordered = 2 * THRUST_PER_SPEED * n * np.abs(n)
+def scaled_at_rest(n: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+    """`from_speeds`, the factor in common being such that thrust at rest is that ordered."""
+    z = from_speeds(n, u)
+    c, d, X_u = z * THRUST_PER_SPEED / z[1]
+    return float(c), float(d), float(X_u)
 
-    def cost(z: np.ndarray) -> float:
-        c, d, X_u = z
-        thrust = 2 * (c * u * n + d * n * np.abs(n))
-        return float(np.sum((X_u * u - thrust) ** 2) + np.sum((thrust - ordered) ** 2))
 
-    return nelder_mead(cost, np.array([-0.4, 0.3, 150.0]))
+def with_thrust(n: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+    """c and d from the thrust ordered in N, as in the paper's figure 3, then X_u of eq. 9."""
+    push, square = THRUST_PER_SPEED * n * np.abs(n), n * np.abs(n)
+    c, d = nelder_mead(
+        lambda z: np.sum((push - z[0] * u * n - z[1] * square) ** 2), np.array([-0.4, 0.3])
+    )
+    thrust = 2 * (c * u * n + d * square)
+    X_u = nelder_mead(lambda z: np.sum((z[0] * u - thrust) ** 2), np.array([150.0]))[0]
+    return float(c), float(d), float(X_u)
+
+
+READINGS = {"speeds alone": scaled_at_rest, "thrust as ordered": with_thrust}
+
+
+def steady_speed(model: PaperModel, n: float) -> float:
+    """Speed (m/s) that eq. 9 gives at `n` rev/s."""
+    return 2 * model.d * n * n / (model.X_u - 2 * model.c * n)
+
+
+def antenna_for(model: PaperModel, run: Run, Y_v: float) -> float:
+    """Where sway must be measured (m forward of the origin) for eq. 12 to give `Y_v`."""
+    late = run.t > SETTLED
+    u, v, r = (float(run.measured[c][late].mean()) for c in "uvr")
+    return (-model.m11 * u * r / Y_v - v) / r
 
 
 def spin_drag(model: PaperModel, run: Run) -> float:

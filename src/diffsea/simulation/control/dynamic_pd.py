@@ -53,9 +53,9 @@ class DynamicPD(AbstractController[Pursued]):
     and `arctan` of the bearing in four quadrants.
 
     A waypoint counts as reached within `radius` m. That decision and those of Algorithm 1 are
-    steps, without a derivative. With `smoothing` (s) above zero the target moves over to the
-    next waypoint in about that time and the steps are smooth: gains can then be tuned by
-    gradient.
+    steps, without a derivative. With `smoothing` (s) above zero the steps are smooth and the
+    target moves over to the next waypoint in some four times as long: gains can then be tuned
+    by gradient.
     """
 
     waypoints: Waypoints  # m, north and east
@@ -103,31 +103,34 @@ class DynamicPD(AbstractController[Pursued]):
     def base(self, distance: Scalar, error: Scalar) -> Scalar:
         """Base order of Algorithm 1 at a distance (m) and a heading error (rad)."""
         share = jnp.clip((distance - self.near) / (self.far - self.near), 0.0, 1.0)
-        turning = self._above(jnp.abs(error), TURN) * self._above(self.near, distance)
+        turning = self._whether(jnp.abs(error) - TURN, TURN)
+        turning = turning * self._whether(self.near - distance, self.near)
         return self.base_min + (self.base_max - self.base_min) * (share + 0.5 * turning)
 
     def progress(self, memory: Pursued) -> Scalar:
         """Share of the waypoints reached, 0 to 1; smooth where decisions are."""
         return (memory.number.astype(float) + memory.moved) / self.waypoints.shape[0]
 
-    def _above(self, value: Scalar, threshold: Scalar) -> Scalar:
-        """One where `value` is at or above `threshold` and both are positive, else zero."""
+    def _whether(self, excess: Scalar, scale: Scalar) -> Scalar:
+        """One where `excess` is not negative, else zero; where it is smooth, within the margin."""
         if self.smoothing == 0:
-            return jnp.where(value >= threshold, 1.0, 0.0)
-        return jax.nn.sigmoid((value / threshold - 1) / MARGIN)
+            return jnp.where(excess >= 0, 1.0, 0.0)
+        return jax.nn.sigmoid(excess / (MARGIN * scale))
 
     def _progress(
         self, memory: Pursued, state: State, dt: Scalar
     ) -> tuple[Int[Array, ""], Scalar]:
-        """Which waypoint is next, and how far the target has moved on."""
+        """Which waypoint is next, and how far on the way to the one after it the target is."""
         north, east = self._offset(memory.number, state)
         distance = jnp.sqrt(north**2 + east**2 + 1e-12)
         if self.smoothing == 0:
             reached = distance < self.radius
             return jnp.where(reached, memory.number + 1, memory.number), memory.moved
-        # Once it has begun to move it goes all the way, though the waypoint may fall behind.
-        pace = self._above(self.radius, distance) + 4 * memory.moved**2
-        moved = memory.moved + pace * dt / self.smoothing
+        # Once it has begun to move it goes all the way, though the waypoint may fall behind; it
+        # arrives slowly, so that the sample in which it does makes no difference.
+        moved = memory.moved
+        pace = self._whether(self.radius - distance, self.radius) + 4 * moved**2 * (1.05 - moved)
+        moved = moved + pace * dt / self.smoothing
         over = moved >= 1
         number = jnp.where(over, memory.number + 1, memory.number)
         return number, jnp.where(over, 0.0, moved)
@@ -135,8 +138,10 @@ class DynamicPD(AbstractController[Pursued]):
     def _target(
         self, number: Int[Array, ""], moved: Scalar, state: State
     ) -> tuple[Scalar, Scalar]:
+        """North and east (m) of the target relative to the vessel."""
         here, after = self._offset(number, state), self._offset(number + 1, state)
-        return here[0] + moved * (after[0] - here[0]), here[1] + moved * (after[1] - here[1])
+        share = moved**2 * (3 - 2 * moved)
+        return here[0] + share * (after[0] - here[0]), here[1] + share * (after[1] - here[1])
 
     def _offset(self, number: Int[Array, ""], state: State) -> tuple[Scalar, Scalar]:
         at = jnp.minimum(number, self.waypoints.shape[0] - 1)
