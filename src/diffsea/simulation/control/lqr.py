@@ -24,28 +24,38 @@ Inputs = Float[Array, "n m"]
 _DOUBLINGS = 32  # a closed loop that decays by 1e-9 a step has settled by then
 
 
-def riccati(A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"]) -> Square:
+def riccati(
+    A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"], doublings: int = _DOUBLINGS
+) -> Square:
     """The stabilising solution P of the discrete algebraic Riccati equation.
 
     `P = A' P A - A' P B (R + B' P B)^-1 B' P A + Q`, by the structure-preserving doubling
     algorithm (Chu, Fan, Lin and Wang 2004). Not finite where no input stabilises the system.
+
+    `doublings`: the pass number k looks 2^k steps ahead; fewer will do where the closed loop
+    settles within so many, which counts where a gain is found at every step of a run.
     """
     identity = jnp.eye(A.shape[0])
 
     def doubled(carry: tuple, _: None) -> tuple[tuple, None]:
         F, G, H = carry
         W = identity + G @ H
-        WF = jnp.linalg.solve(W, F)
-        WG = jnp.linalg.solve(W, G)
+        both = jnp.linalg.solve(W, jnp.concatenate([F, G], axis=1))
+        WF, WG = both[:, : F.shape[0]], both[:, F.shape[0] :]
         return (F @ WF, G + F @ WG @ F.T, H + F.T @ H @ WF), None
 
     start = (A, B @ jnp.linalg.solve(R, B.T), Q)
-    return jax.lax.scan(doubled, start, length=_DOUBLINGS)[0][2]
+    return jax.lax.scan(doubled, start, length=doublings)[0][2]
 
 
-def discrete_lqr(A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"]) -> Float[Array, "m n"]:
-    """The gain K of `u = -K x` that minimises the sum of `x' Q x + u' R u` for `x+ = A x + B u`."""
-    P = riccati(A, B, Q, R)
+def discrete_lqr(
+    A: Square, B: Inputs, Q: Square, R: Float[Array, "m m"], doublings: int = _DOUBLINGS
+) -> Float[Array, "m n"]:
+    """The gain K of `u = -K x` that minimises the sum of `x' Q x + u' R u` for `x+ = A x + B u`.
+
+    `doublings` as of `riccati`.
+    """
+    P = riccati(A, B, Q, R, doublings)
     return jnp.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
 
 
