@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from campaign import NOISE
 from paths import Path, off_path
 from plant import Plant
 
@@ -64,11 +65,20 @@ def controller(
     )
 
 
-def on_plant(plant: Plant, law: DynamicPD, seconds: float = SECONDS) -> Driven:
-    """Steer the reference plant; it knows nothing of the law nor the law of it."""
+def on_plant(
+    plant: Plant, law: DynamicPD, seconds: float = SECONDS, noise: int | None = None
+) -> Driven:
+    """Steer the reference plant; it knows nothing of the law nor the law of it.
+
+    With `noise`, a seed, the law is shown the state as the sensors of `campaign` measure it.
+    """
     state, memory, rows = REST, law.init(), []
-    for k in range(round(seconds / PERIOD)):
-        memory, orders = _step(law, memory, State(*map(jnp.asarray, state)))
+    errors = np.zeros((round(seconds / PERIOD), 6))
+    if noise is not None:
+        errors = np.random.default_rng(noise).standard_normal(errors.shape) * NOISE
+    for k, error in enumerate(errors):
+        seen = State(*map(jnp.asarray, np.add(state, error)))
+        memory, orders = _step(law, memory, seen)
         held = float(orders["port"]), float(orders["starboard"])
         rows.append((k * PERIOD, *state, *held))
         if bool(law.finished(memory)):

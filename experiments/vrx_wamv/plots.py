@@ -1,0 +1,114 @@
+"""The experiment's figures."""
+
+import numpy as np
+from closed import Driven
+from matplotlib.figure import Figure
+from paths import KEPT_BACK, PATHS, Path
+from plant import NEW, speed_for
+from procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
+from stages import Identified
+from tuning import Tuned
+
+from reporting import panels
+
+
+PLANT, PAPER, OURS, GREY = "#30363d", "#d1720f", "#1f5fa8", "#9aa4ae"
+
+
+def identification(found: Identified) -> Figure:
+    """Steady speed over thrust, and the spin, as the models have them."""
+    figure, ((left, right),) = panels(1, 2, 10.0, 4.0)
+    thrust = np.linspace(2.0, 260.0, 120)
+    left.plot(thrust, [NEW.steady_speed(2 * T) for T in thrust], color=PLANT, label="plant")
+    n, u = plateaus(found.data.straight)
+    left.plot([NEW.thrust(k) for k in n], u, "o", color=PLANT, ms=5, label="measured")
+    for label, model, style in (
+        ("published, first", PUBLISHED_FIRST, {"color": PAPER, "ls": ":"}),
+        ("published, corrected", PUBLISHED, {"color": PAPER}),
+        *(
+            (f"procedure, {name}", one.corrected, {"color": OURS, "ls": dash})
+            for (name, one), dash in zip(found.procedures.items(), ("--", ":"), strict=True)
+        ),
+    ):
+        speeds = [steady_speed(model, speed_for(T)) for T in thrust]
+        left.plot(thrust, speeds, label=label, **style)
+    joint = found.values["joint"]
+    left.plot(thrust, [_speed(joint, T) for T in thrust], color=OURS, label="joint fit")
+    left.set(xlabel="thrust ordered of each engine, N", ylabel="steady speed, m/s", ylim=(0, 2.6))
+    left.legend(fontsize=7, frameon=False)
+    _spin(right, found)
+    return figure
+
+
+def _speed(values: dict[str, float], thrust: float) -> float:
+    """Steady speed of linear plus quadratic drag with thrust c u n + T."""
+    a = -values["X_u"] - 2 * values["c"] * speed_for(thrust)
+    b = -values["X_uu"]
+    return float((-a + np.sqrt(a * a + 8 * b * thrust)) / (2 * b))
+
+
+def _spin(axes, found: Identified) -> None:
+    run = found.data.spin
+    axes.plot(run.t, np.degrees(run.measured["r"]), ".", color=GREY, ms=3, label="measured")
+    axes.plot(run.t, np.degrees(run.true["r"]), color=PLANT, label="plant")
+    for name, model in (("published", PUBLISHED),
+                        *((f"procedure, {k}", p.corrected) for k, p in found.procedures.items())):
+        moment = 2 * model.thrust(30.0, 0.0) * 1.005
+        grown = moment / model.N_r * (1 - np.exp(-model.N_r / model.m33 * run.t))
+        style = {"color": PAPER} if name == "published" else {"color": OURS, "ls": "--"}
+        axes.plot(run.t, np.degrees(grown), label=name, **style)
+    axes.set(xlabel="time, s", ylabel="yaw rate in the spin, deg/s", xlim=(0, 8))
+    axes.legend(fontsize=7, frameon=False, loc="lower right")
+
+
+def following(plant: dict[str, Driven], models: dict[str, dict[str, Driven]]) -> Figure:
+    """The paper's two paths on the plant and on models."""
+    figure, (axes,) = panels(1, len(PATHS), 10.0, 4.6)
+    for one, (path, points) in zip(axes, PATHS.items(), strict=True):
+        _legs(one, points)
+        one.plot(plant[path].motion["y"], plant[path].motion["x"], color=PLANT, lw=2, label="plant")
+        colours = (PAPER, GREY, OURS)
+        for colour, (name, runs) in zip(colours, models.items(), strict=False):
+            motion = runs[path].motion
+            one.plot(motion["y"], motion["x"], color=colour, lw=1, ls="--", label=name)
+        one.set(xlabel="east, m", ylabel="north, m", title=path)
+        one.set_aspect("equal", adjustable="datalim")
+    axes[0].legend(fontsize=7, frameon=False)
+    return figure
+
+
+def tuned(runs: dict[str, dict[str, Driven]], found: Tuned) -> Figure:
+    """The plant's ways before and after, and the cost on the way to the gains."""
+    paths = PATHS | KEPT_BACK
+    figure, (axes,) = panels(1, len(paths) + 1, 14.0, 4.2)
+    for one, (path, points) in zip(axes, paths.items(), strict=False):
+        _legs(one, points)
+        for colour, (name, ways) in zip((PAPER, OURS), runs.items(), strict=False):
+            motion = ways[path].motion
+            one.plot(motion["y"], motion["x"], color=colour, lw=1.2, label=name)
+        kept = " (not tuned on)" if path in KEPT_BACK else ""
+        one.set(xlabel="east, m", ylabel="north, m", title=f"{path}{kept}")
+        one.set_aspect("equal", adjustable="datalim")
+    axes[0].legend(fontsize=7, frameon=False)
+    axes[-1].semilogy(found.costs, "o-", color=OURS, ms=3)
+    axes[-1].set(xlabel="evaluation of the derivatives", ylabel="cost, m$^2$")
+    return figure
+
+
+def diagnosis(record: dict) -> Figure:
+    """What the diagnosis found beside the truth."""
+    figure, ((axes,),) = panels(1, 1, 6.0, 2.4)
+    names = [effect["parameter"] for effect in record["effects"]]
+    share = [effect["value"] / effect["truth"] for effect in record["effects"]]
+    error = [1.645 * effect["std"] / abs(effect["truth"]) for effect in record["effects"]]
+    axes.errorbar(share, range(len(names)), xerr=error, fmt="o", color=OURS, capsize=3)
+    axes.axvline(1.0, color=PLANT, lw=1)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xlabel="found over true, with 90 % intervals", ylim=(-0.6, len(names) - 0.4))
+    return figure
+
+
+def _legs(axes, points: Path) -> None:
+    corners = np.concatenate([np.zeros((1, 2)), points])
+    axes.plot(corners[:, 1], corners[:, 0], color=GREY, lw=0.8, ls=":")
+    axes.plot(points[:, 1], points[:, 0], "o", color=GREY, ms=4, mfc="none")

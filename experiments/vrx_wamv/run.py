@@ -1,0 +1,81 @@
+"""A twin-thruster boat identified and steered along waypoints: the WAM-V of the VRX simulator."""
+
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from reporting import comparison, experiment
+
+import plots
+import stages
+import tables
+from campaign import held_out
+from diagnosed import diagnosed
+
+
+FOLLOWED = ("published", tables.THRUST, "joint")
+
+
+def main() -> None:
+    """Run the stages, write results, tables and figures."""
+    run = experiment(__file__, __doc__)
+    checks = stages.checks()
+    run.say("reference plant checked; the paper's procedure")
+    found = stages.identification(run.quick, run.say)
+    arithmetic = stages.arithmetic(found)
+    errors = stages.predictions(found)
+    run.say("following paths")
+    followed = stages.following(found, FOLLOWED if not run.quick else ("joint",))
+    run.say("tuning gains through the closed loop")
+    tuned = {"tuned": stages.tuning(found, followed.gains, 4 if run.quick else 15, "joint")}
+    if not run.quick:
+        name = f"tuned on {tables.THRUST}"
+        tuned[name] = stages.tuning(found, followed.gains, 15, tables.THRUST)
+    gains = {"by hand": followed.gains} | {name: one.gains for name, one in tuned.items()}
+    ways, quiet = stages.verified(gains, noisy=False)
+    rows = [
+        *tables.plant_rows(checks), *tables.procedure_rows(found, arithmetic),
+        *tables.mass_rows(), *tables.path_rows(followed),
+    ]  # fmt: skip
+    results = {
+        "comparison": rows, "checks": checks, "values": found.values, "seconds_of": found.seconds,
+        "arithmetic": arithmetic, "prediction_errors": errors, "paths": followed.table,
+        "beyond": {"gains": gains, "verified": quiet,
+                   "costs": {name: one.costs for name, one in tuned.items()}},
+    }  # fmt: skip
+    texts = {"published": comparison(rows), "quality": tables.quality(found, errors),
+             "parameters": tables.parameters(found), "paths": tables.paths(followed)}  # fmt: skip
+    if not run.quick:
+        thorough(run, found, followed, gains, tuned, quiet, results, texts)
+        run.save(plots.identification(found), "identification")
+        run.save(plots.following(followed.plant, followed.models), "paths")
+        run.save(plots.tuned(ways, tuned["tuned"]), "tuned")
+    run.write(results, texts)
+
+
+def thorough(run, found, followed, gains, tuned, quiet, results, texts) -> None:
+    """What only a full run does: noise in the loop, repeats, derivatives checked, diagnosis."""
+    run.say("steering with noise; the fit again on other noise and on the older drag")
+    _, noisy = stages.verified(gains, noisy=True)
+    again = stages.repeats(found)
+    slopes = stages.derivatives(found, gains["tuned"])
+    scale = stages.scale(found)
+    linear = found.values["joint, linear"]
+    record = diagnosed([*held_out(stages.SEED + 200), found.data.wide], linear, run.say)
+    run.save(plots.diagnosis(record), "diagnosis")
+    results["scale"] = scale
+    results["repeats"] = again
+    results["beyond"] |= {"verified_with_noise": noisy, "slopes": slopes, "diagnosis": record}
+    texts |= {
+        "scale": tables.gauge(scale), "verified": tables.verified(quiet, noisy),
+        "gains": tables.gains(gains, tuned), "slopes": tables.slopes(slopes),
+        "diagnosis": tables.diagnosis(record),
+        "repeats": tables.repeats(again, found.values["joint"]),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
