@@ -13,7 +13,10 @@ from diffsea.types import Environment, State
 from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_document
 
 
-NAMES = ("blueboat", "esso_osaka", "kvlcc2", "mariner", "otter", "pytheas", "shioji_maru", "wamv")
+NAMES = (
+    "blueboat", "esso_osaka", "kvlcc2", "mariner", "otter", "pytheas", "shioji_maru", "vrx_wamv",
+    "wamv",
+)  # fmt: skip
 CALM = Environment()
 PORT_TO_STARBOARD = {"port": "starboard", "starboard": "port"}
 
@@ -26,6 +29,7 @@ ORDERS = {
     "otter": ({"port": 10.0, "starboard": 6.0}, 1.5),
     "pytheas": ({"thruster.force": 10.0, "thruster.angle": 0.3}, 0.7),
     "shioji_maru": ({"propeller": 2.0, "rudder": 0.2, "bow": 1e4, "stern": -1e4}, 3.0),
+    "vrx_wamv": ({"port": 25.0, "starboard": 15.0}, 1.0),
     "wamv": ({"port": 300.0, "starboard": 100.0}, 1.5),
 }
 
@@ -174,6 +178,14 @@ def test_wamv_settles_where_its_drag_equals_the_thrust(thrust, speed):
     found = steady_speed(vessel, {"port": thrust / 2, "starboard": thrust / 2})
     assert found == pytest.approx((-100 + np.sqrt(1e4 + 600 * thrust)) / 300, rel=1e-9)
     assert found == pytest.approx(speed, abs=5e-5)
+
+
+def test_vrx_wamv_reaches_the_published_largest_speed_at_its_largest_order():
+    # X_u u = 2 (c u n + d n^2) at 29.9 rev/s, 250 N; published 1.5 m/s.
+    vessel, n = read_vessel("vrx_wamv").vessel, 29.9
+    speed = steady_speed(vessel, {"port": n, "starboard": n})
+    assert speed == pytest.approx(2 * 0.299914 * n**2 / (340 + 2 * 0.397956 * n), rel=1e-9)
+    assert speed == pytest.approx(1.5, abs=0.05)
 
 
 def test_wamv_has_the_published_yaw_inertia_about_the_origin():
