@@ -6,10 +6,9 @@ from matplotlib.figure import Figure
 from paths import KEPT_BACK, PATHS, Path
 from plant import NEW, speed_for
 from procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
+from reporting import panels
 from stages import Identified
 from tuning import Tuned
-
-from reporting import panels
 
 
 PLANT, PAPER, OURS, GREY = "#30363d", "#d1720f", "#1f5fa8", "#9aa4ae"
@@ -51,8 +50,10 @@ def _spin(axes, found: Identified) -> None:
     run = found.data.spin
     axes.plot(run.t, np.degrees(run.measured["r"]), ".", color=GREY, ms=3, label="measured")
     axes.plot(run.t, np.degrees(run.true["r"]), color=PLANT, label="plant")
-    for name, model in (("published", PUBLISHED),
-                        *((f"procedure, {k}", p.corrected) for k, p in found.procedures.items())):
+    for name, model in (
+        ("published", PUBLISHED),
+        *((f"procedure, {k}", p.corrected) for k, p in found.procedures.items()),
+    ):
         moment = 2 * model.thrust(30.0, 0.0) * 1.005
         grown = moment / model.N_r * (1 - np.exp(-model.N_r / model.m33 * run.t))
         style = {"color": PAPER} if name == "published" else {"color": OURS, "ls": "--"}

@@ -200,9 +200,7 @@ def masses(
 ) -> tuple[float, float, float]:
     """m11, m22 and m33 of eqs. 13 to 15."""
     swept = density * math.pi * DRAUGHT**2  # kg/m
-    m33 = (
-        MASS * (length**2 + BEAM**2) + 0.5 * (0.1 * MASS * spacing**2 + swept * length**3)
-    ) / 12
+    m33 = (MASS * (length**2 + BEAM**2) + 0.5 * (0.1 * MASS * spacing**2 + swept * length**3)) / 12
     return 1.05 * MASS, MASS + 0.5 * swept * length, m33
 
 

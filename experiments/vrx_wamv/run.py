@@ -7,13 +7,12 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
-from reporting import comparison, experiment
-
 import plots
 import stages
 import tables
 from campaign import held_out
 from diagnosed import diagnosed
+from reporting import comparison, experiment
 
 
 FOLLOWED = ("published", tables.THRUST, "joint")

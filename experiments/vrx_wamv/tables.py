@@ -2,12 +2,11 @@
 
 import numpy as np
 from models import HULL, truth
-from plant import NEW, speed_for
-from procedure import DRAUGHT, PUBLISHED, PUBLISHED_FIRST, WATER, masses, readings_of_masses
+from plant import NEW
+from procedure import PUBLISHED, PUBLISHED_FIRST, masses, readings_of_masses
+from reporting import compared, table
 from stages import Followed, Identified
 from tuning import NAMES, Tuned
-
-from reporting import compared, table
 
 
 SPEEDS, THRUST = "speeds alone", "thrust as ordered"
@@ -129,8 +128,10 @@ def paths(followed: Followed) -> str:
          100 * one["position_share"], one["open_loop_position"])
         for name, by_path in followed.table.items() for path, one in by_path.items()
     ]  # fmt: skip
-    head = ("model", "path", "finished", "time error, %", "distance error, %",
-            "apart at equal times, m", "of the length, %", "apart without a controller, m")  # fmt: skip
+    head = (
+        "model", "path", "finished", "time error, %", "distance error, %",
+        "apart at equal times, m", "of the length, %", "apart without a controller, m",
+    )  # fmt: skip
     return table(head, rows)
 
 

@@ -49,7 +49,9 @@ def by_hand(vessel: Vessel, paths: Sequence[Path]) -> dict[str, float]:
     for K_p in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
         gains = GAINS | {"K_p": K_p}
         runs = [on_model(vessel, controller(path, gains)) for path in paths]
-        short = [run.length < LOOPED * length_of(path) for run, path in zip(runs, paths, strict=True)]
+        short = [
+            run.length < LOOPED * length_of(path) for run, path in zip(runs, paths, strict=True)
+        ]
         if all(run.finished for run in runs) and all(short):
             return gains
     raise RuntimeError("no K_p follows the paths; the model cannot be steered by this law")
@@ -140,7 +142,5 @@ def slope_check(given: Given, z: np.ndarray, smoothing: float, step: float) -> d
     def cost(at: np.ndarray) -> float:
         return float(np.sum(np.square(both(jnp.asarray(at), given, smoothing)[0])))
 
-    differences = [
-        (cost(z + step * e) - cost(z - step * e)) / (2 * step) for e in np.eye(len(z))
-    ]
+    differences = [(cost(z + step * e) - cost(z - step * e)) / (2 * step) for e in np.eye(len(z))]
     return {"exact": (2 * J.T @ residual).tolist(), "differences": differences}

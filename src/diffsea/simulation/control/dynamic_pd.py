@@ -117,9 +117,7 @@ class DynamicPD(AbstractController[Pursued]):
             return jnp.where(excess >= 0, 1.0, 0.0)
         return jax.nn.sigmoid(excess / (MARGIN * scale))
 
-    def _progress(
-        self, memory: Pursued, state: State, dt: Scalar
-    ) -> tuple[Int[Array, ""], Scalar]:
+    def _progress(self, memory: Pursued, state: State, dt: Scalar) -> tuple[Int[Array, ""], Scalar]:
         """Which waypoint is next, and how far on the way to the one after it the target is."""
         north, east = self._offset(memory.number, state)
         distance = jnp.sqrt(north**2 + east**2 + 1e-12)
@@ -135,9 +133,7 @@ class DynamicPD(AbstractController[Pursued]):
         number = jnp.where(over, memory.number + 1, memory.number)
         return number, jnp.where(over, 0.0, moved)
 
-    def _target(
-        self, number: Int[Array, ""], moved: Scalar, state: State
-    ) -> tuple[Scalar, Scalar]:
+    def _target(self, number: Int[Array, ""], moved: Scalar, state: State) -> tuple[Scalar, Scalar]:
         """North and east (m) of the target relative to the vessel."""
         here, after = self._offset(number, state), self._offset(number + 1, state)
         share = moved**2 * (3 - 2 * moved)
