@@ -4,6 +4,7 @@ import dataclasses
 import math
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.oracle import sensors, trials
@@ -18,8 +19,10 @@ from diffsea.identification.problem import default_priors, make_problem
 from diffsea.identification.study import Settings, identify
 from diffsea.identification.trial_numbers import TrialNumbers
 from diffsea.identification.trial_sheet import read_sheet
+from diffsea.simulation import standard
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.catalogue import build
+from diffsea.vessel.effects import EFFECTS
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rdot")
@@ -159,6 +162,52 @@ def test_parameters_come_straight_from_trial_numbers(document, tmp_path):
         assert row["determined"] > 0.9
     for row in objective.residuals(fitted.coordinates):
         assert abs(row["fitted"] - row["given"]) < row["std"], row
+
+
+CIRCLE = """
+[[trial]]
+manoeuvre = "turning-circle"
+angle = {angle}
+side = "{side}"
+speed = {speed}
+seconds = 150.0
+step = 0.2
+[trial.numbers]
+advance = {{ value = {advance}, std = 0.01 }}
+tactical_diameter = {{ value = {tactical_diameter}, std = 0.01 }}
+"""
+
+
+def test_an_effect_comes_out_of_trial_numbers_run_side_by_side(document, tmp_path):
+    effect = EFFECTS["thrust-asymmetry"]
+    uneven = effect.apply(build(document), jnp.array([0.06]))
+    orders = [(35.0, "port", 1.0), (35.0, "starboard", 1.1), (20.0, "starboard", 1.0)]
+    texts, expected = ["format = 1"], []
+    for angle, side, speed in orders:
+        plan = standard.plan(
+            uneven, "turning-circle", np.deg2rad(angle), side=1.0 if side == "starboard" else -1.0,
+            speed=speed, seconds=150.0, step=0.2,
+        )  # fmt: skip
+        numbers = standard.measured(uneven, plan)[1]
+        expected.append(numbers)
+        texts.append(CIRCLE.format(angle=angle, side=side, speed=speed, **numbers))
+    path = tmp_path / "circles.toml"
+    path.write_text("".join(texts), encoding="utf-8")
+    vessel = build(document)
+    prior = default_priors(vessel)["N_r"]
+    objective = TrialNumbers(vessel, [prior], read_sheet(path, vessel), [effect])
+    size = effect.sizes(vessel)[0]
+    for found, numbers in zip(
+        objective.numbers(np.array([0.0, 0.06 / size])), expected, strict=True
+    ):
+        for name, value in found.items():
+            assert value == pytest.approx(float(numbers[name]), rel=1e-9)
+    fitted = objective.fit(("N_r", "thrust-asymmetry"), start=np.array([0.3, 0.0]))
+    assert fitted.coordinates[1] * size == pytest.approx(0.06, abs=1e-4)
+    assert fitted.coordinates[0] == pytest.approx(0.0, abs=1e-3)
+    without = objective.fit(("N_r",), start=np.array([0.3, 0.0]))
+    assert without.coordinates[1] == 0.0
+    assert without.deviance > fitted.deviance + 100
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,10 @@
-"""Parameters straight from trial numbers, by exact derivatives through the trials' switching."""
+"""Parameters straight from trial numbers, by exact derivatives through the trials' switching.
 
+Trials of one kind run side by side, whatever their orders and sides, and one compiled program
+serves fits, Jacobians and numbers: compiling is most of the time that a sheet takes.
+"""
+
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -10,73 +15,103 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.identification.estimates import Estimate, Progress, made, silent
-from diffsea.identification.least_squares import least_squares, with_known_jacobian
+from diffsea.identification.least_squares import ONCE, least_squares_from
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import designed, replace
 from diffsea.priors import Parameter
 from diffsea.simulation import standard
 from diffsea.simulation.standard import Plan
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import Effect
 
 
 STEPS = 30  # of Gauss-Newton in one round
 ROUNDS = 4
+_TOLERANCE = 1e-4  # of a step, in units of the coordinates
+_EFFECT_SPREAD = 3.0  # prior of an effect's coordinates, in its own sizes
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
 
 
 class TrialNumbers:
-    """The objective: whitened differences of simulated and given trial numbers."""
+    """The objective: whitened differences of simulated and given trial numbers.
 
-    def __init__(self, vessel: Vessel, parameters: Sequence[Parameter], sheets: Sequence[Sheet]):
-        """Set up.
+    `effects` of the catalogue take part by name like parameters: their coordinates, in their
+    sizes, follow those of the parameters, and are zero where they are not free.
+    """
 
-        Raises:
-            UserError: a number that a trial does not have, or fewer numbers than one.
-        """
+    def __init__(
+        self,
+        vessel: Vessel,
+        parameters: Sequence[Parameter],
+        sheets: Sequence[Sheet],
+        effects: Sequence[Effect] = (),
+    ):
         self.parameters = tuple(parameters)
+        self.effects = tuple(effects)
         self.sheets = tuple(sheets)
-        self.spreads = np.array([p.spread for p in parameters])
+        self.sizes = {effect.name: effect.sizes(vessel) for effect in effects}
+        owners = [p.name for p in parameters]
+        owners += [name for name, sizes in self.sizes.items() for _ in sizes]
+        self.owners = tuple(owners)  # of each coordinate
+        added = len(owners) - len(self.parameters)
+        self.spreads = np.array([*(p.spread for p in parameters), *[_EFFECT_SPREAD] * added])
         places = designed(vessel)
         shared = tuple(places.get(p.name, (p.name,)) for p in parameters)
-        self._static = _Static((self.parameters, shared, tuple(s.plan for s in self.sheets)))
+        kinds = [_kind(sheet.plan) for sheet in sheets]
+        members = {k: tuple(n for n, one in enumerate(kinds) if one == k) for k in kinds}
+        self._orders = [
+            jax.tree.map(lambda *v: jnp.asarray(v, float), *(_orders(sheets[n].plan) for n in rows))
+            for rows in members.values()
+        ]
+        names = tuple(sheet.names for sheet in sheets)
+        applied = tuple((effect, self.sizes[effect.name]) for effect in self.effects)
+        self._static = _Static((self.parameters, shared, applied, tuple(members.items()), names))
         self._vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-        self._values = [jnp.asarray(s.values) for s in self.sheets]
-        self._stds = [jnp.asarray(s.stds) for s in self.sheets]
-        self._names = tuple(s.names for s in self.sheets)
+        self._values = jnp.concatenate([jnp.asarray(s.values, float) for s in sheets])
+        self._stds = jnp.concatenate([jnp.asarray(s.stds, float) for s in sheets])
 
     def numbers(self, coordinates: Float[np.ndarray, "coordinate"]) -> list[dict[str, float]]:
         """The numbers of each trial at an estimate; NaN where the trial does not reach one."""
-        found = _evaluated(jnp.asarray(coordinates, float), self._given)[2]
-        return [
-            dict(zip(names, map(float, row), strict=True))
-            for names, row in zip(self._names, found, strict=True)
-        ]
+        white = self._evaluated(coordinates)[0]
+        found = np.asarray(self._values) + np.asarray(self._stds) * white
+        found = iter(np.where(white == _MISSED, np.nan, found))
+        return [{name: float(next(found)) for name in sheet.names} for sheet in self.sheets]
 
-    @property
-    def _given(self) -> tuple:
-        spreads = jnp.asarray(self.spreads)
-        return self._vessel, self._values, self._stds, spreads, self._static, _Static(self._names)
+    def _evaluated(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened misfits and their Jacobian."""
+        problem = self._problem(np.ones(len(self.owners)), np.zeros(len(self.owners)))
+        _, white, J = _improve(jnp.asarray(coordinates, float), problem, jnp.asarray(ONCE))
+        count = self._values.size
+        return np.asarray(white)[:count], np.asarray(J)[:count]
+
+    def _problem(self, chosen: np.ndarray, held: np.ndarray) -> tuple:
+        given = (
+            self._vessel, self._values, self._stds, self._orders, jnp.asarray(self.spreads),
+            self._static,
+        )  # fmt: skip
+        return given, jnp.asarray(chosen), jnp.asarray(held)
 
     def fit(
         self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
     ) -> Estimate:
-        """Fit the free parameters by name, from `start`."""
-        coordinates = np.zeros(len(self.parameters)) if start is None else np.array(start, float)
-        index = np.array([k for k, p in enumerate(self.parameters) if p.name in free], int)
-        chosen = np.zeros(len(self.parameters))
+        """Fit the free parameters and effects by name, from `start`."""
+        coordinates = np.zeros(len(self.owners)) if start is None else np.array(start, float)
+        index = np.array([k for k, name in enumerate(self.owners) if name in free], int)
+        chosen = np.zeros(len(self.owners))
         chosen[index] = 1.0
         cost = self.cost(coordinates)
         path = [cost]
         for number in range(ROUNDS):
             held = np.where(chosen > 0, 0.0, coordinates)
-            problem = self._given, jnp.asarray(chosen), jnp.asarray(held)
-            coordinates = np.asarray(_improve(jnp.asarray(coordinates), problem))
+            problem = self._problem(chosen, held)
+            found = _improve(jnp.asarray(coordinates), problem, jnp.asarray(_TOLERANCE))
+            coordinates = np.asarray(found[0])
             last, cost = cost, self.cost(coordinates)
             path.append(cost)
             progress(f"round {number + 1}: misfit {cost:.3f}")
             if last - cost < 1e-3:
                 break
-        J = np.asarray(_evaluated(jnp.asarray(coordinates, float), self._given)[1])[:, index]
+        J = self._evaluated(coordinates)[1][:, index]
         return made(free, coordinates, cost, index, self.spreads, J.T @ J, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
@@ -85,15 +120,14 @@ class TrialNumbers:
 
     def cost(self, coordinates: np.ndarray, fitted: Estimate | None = None) -> float:
         """-2 log posterior without its constant."""
-        white = np.asarray(_evaluated(jnp.asarray(coordinates, float), self._given)[0])
+        white = self._evaluated(coordinates)[0]
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
     def explore(
         self, starts: Float[np.ndarray, "start coordinate"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where a few steps lead from several starts at once, and the cost there."""
-        chosen, held = jnp.ones(len(self.parameters)), jnp.zeros(len(self.parameters))
-        problem = self._given, chosen, held
+        problem = self._problem(np.ones(len(self.owners)), np.zeros(len(self.owners)))
         ends = np.asarray(_improve_all(jnp.asarray(starts), problem))
         return ends, np.array([self.cost(end) for end in ends])
 
@@ -111,19 +145,46 @@ class _Static(eqx.Module):
     value: tuple = eqx.field(static=True)
 
 
-def _numbers(coordinates: Array, given: tuple) -> list[Array]:
-    vessel, _, _, _, static, names = given
-    parameters, places, plans = static.value
+def _kind(plan: Plan) -> Plan:
+    """What of a plan decides the compiled program: everything but the orders' numbers."""
+    speed, throttle = (None if one is None else 0.0 for one in (plan.speed, plan.throttle))
+    return dataclasses.replace(
+        plan, angle=0.0, heading=0.0, side=1.0, seconds=0.0, speed=speed, throttle=throttle,
+        nominal_speed=0.0,
+    )  # fmt: skip
+
+
+def _orders(plan: Plan) -> dict[str, float]:
+    """The numbers of a plan that may differ between trials of one kind."""
+    names = ("angle", "heading", "side", "seconds", "speed", "throttle")
+    return {name: getattr(plan, name) for name in names if getattr(plan, name) is not None}
+
+
+def _numbers(coordinates: Array, given: tuple) -> Array:
+    """The numbers of all sheets, one after the other."""
+    vessel, orders, static = given[0], given[3], given[5]
+    parameters, places, effects, kinds, names = static.value
     chosen = {
         place: parameter.decode(coordinates[k])
         for k, (parameter, shared) in enumerate(zip(parameters, places, strict=True))
         for place in shared
     }
-    changed = replace(vessel, chosen)
-    return [
-        _picked(plan, standard.numbers(plan, standard.run(changed, plan)), wanted)
-        for plan, wanted in zip(plans, names.value, strict=True)
-    ]
+    changed, first = replace(vessel, chosen), len(parameters)
+    for effect, sizes in effects:
+        at = coordinates[first : first + len(sizes)] * jnp.asarray(sizes)
+        changed, first = effect.apply(changed, at), first + len(sizes)
+    found: dict[int, Array] = {}
+    for (kind, rows), ordered in zip(kinds, orders, strict=True):
+
+        def one(order: dict[str, Array], kind: Plan = kind) -> standard.Numbers:
+            plan = dataclasses.replace(kind, **order)
+            return standard.numbers(plan, standard.run(changed, plan))
+
+        table = jax.vmap(one)(ordered)
+        for place, row in enumerate(rows):
+            got = {name: column[place] for name, column in table.items()}
+            found[row] = _picked(kind, got, names[row])
+    return jnp.concatenate([found[row] for row in range(len(names))])
 
 
 def _picked(plan: Plan, found: standard.Numbers, wanted: tuple[str, ...]) -> Array:
@@ -136,51 +197,50 @@ def _picked(plan: Plan, found: standard.Numbers, wanted: tuple[str, ...]) -> Arr
     return jnp.stack([found[name] for name in wanted])
 
 
-def _misfits(coordinates: Array, given: tuple) -> tuple[Array, list[Array]]:
-    """Whitened misfits and the numbers; one that is not reached counts as far off."""
+def _misfits(coordinates: Array, given: tuple) -> Array:
+    """Whitened misfits; a number that is not reached counts as far off."""
     found = _numbers(coordinates, given)
-    white = [
-        jnp.where(jnp.isfinite(number), (number - value) / std, _MISSED)
-        for number, value, std in zip(found, given[1], given[2], strict=True)
-    ]
-    return jnp.concatenate(white), found
+    return jnp.where(jnp.isfinite(found), (found - given[1]) / given[2], _MISSED)
 
 
-def _with_slopes(coordinates: Array, given: tuple) -> tuple[Array, Array, list[Array]]:
-    """Misfits, their exact Jacobian and the numbers."""
+def _with_slopes(coordinates: Array, given: tuple) -> tuple[Array, Array]:
+    """Misfits and their exact Jacobian."""
 
     def along(direction: Array) -> tuple:
         return jax.jvp(lambda at: _misfits(at, given), (coordinates,), (direction,))
 
-    (white, found), (slopes, _) = jax.vmap(along, out_axes=(None, -1))(jnp.eye(coordinates.size))
-    return white, jnp.where(jnp.isfinite(slopes), slopes, 0.0), found
+    white, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(coordinates.size))
+    return white, jnp.where(jnp.isfinite(slopes), slopes, 0.0)
 
 
-_evaluated = eqx.filter_jit(_with_slopes)
+def _solved(start: Array, problem: tuple, tolerance: Array | float) -> tuple[Array, Array, Array]:
+    """Gauss-Newton steps on the coordinates that `chosen` marks; the others stay as held.
 
-
-def _solved(start: Array, problem: tuple) -> Array:
-    """Gauss-Newton steps on the coordinates that `chosen` marks; the others stay as held."""
+    Besides the end, the residual and its Jacobian at an earlier point: at the start, with a
+    tolerance of `ONCE`.
+    """
 
     def residual(at: Array, problem: tuple) -> tuple[Array, Array]:
         given, chosen, held = problem
-        white, J, _ = _with_slopes(held + chosen * at, given)
-        prior = (held + chosen * at) / given[3]
+        white, J = _with_slopes(held + chosen * at, given)
+        spreads = given[4]
+        prior = (held + chosen * at) / spreads
         unused = (1 - chosen) * at
         return (
             jnp.concatenate([white, prior, unused]),
-            jnp.concatenate([J * chosen, jnp.diag(chosen / given[3]), jnp.diag(1 - chosen)]),
+            jnp.concatenate([J * chosen, jnp.diag(chosen / spreads), jnp.diag(1 - chosen)]),
         )
 
-    given, chosen, held = problem
-    begin = chosen * start
-    found = least_squares(with_known_jacobian(residual), begin, problem, STEPS)
-    return held + chosen * found
+    _, chosen, held = problem
+    found, white, J = least_squares_from(residual, chosen * start, problem, STEPS, tolerance)
+    return held + chosen * found, white, J
 
 
-_improve = eqx.filter_jit(_solved)
+@eqx.filter_jit
+def _improve(start: Array, problem: tuple, tolerance: Array) -> tuple[Array, Array, Array]:
+    return _solved(start, problem, tolerance)
 
 
 @eqx.filter_jit
 def _improve_all(starts: Array, problem: tuple) -> Array:
-    return jax.vmap(lambda at: _solved(at, problem))(starts)
+    return jax.vmap(lambda at: _solved(at, problem, _TOLERANCE)[0])(starts)
