@@ -1,0 +1,84 @@
+"""The scheme that most simulators use: the rudder is flipped at the first sample past the heading.
+
+Its value tends to the right one with the step. Its derivative does not: how much later the
+heading is reached does not enter, since the flip stays at its sample until it jumps to the next.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from factors import Factor, scaled
+from jaxtyping import Array, Float
+from trial_lanes import Bench
+
+from diffsea.simulation.control import Helm, throttle_for
+from diffsea.simulation.integrate import advance, begin, history_length
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+
+
+def first_overshoot(
+    vessel: Vessel, speed: float, angle: float, step: float, seconds: float
+) -> Scalar:
+    """First overshoot (rad) of an `angle`/`angle` zig-zag (rad) from samples every `step` s."""
+    zero, helm = jnp.zeros(()), Helm(vessel)
+    throttle = throttle_for(vessel, speed)
+    lengths = {c: history_length(s, step) for c, s in vessel.servos.items()}
+    start = State(zero, zero, zero, jnp.asarray(speed, float), zero, zero)
+    motion = begin(vessel, start, helm.orders(throttle, zero), lengths)
+
+    def body(carry: tuple, k: Array) -> tuple:
+        motion, flips = carry
+        side = 1.0 - 2.0 * (flips % 2)
+        orders = helm.orders(throttle, side * angle)
+        motion = advance(vessel, motion, orders, Environment(), k * step, step)
+        past = side * motion.state.psi >= angle
+        return (motion, flips + past), (motion.state.psi, flips + past)
+
+    count = math.ceil(seconds / step)
+    _, (psi, flips) = jax.lax.scan(body, (motion, 0), jnp.arange(count))
+    return jnp.max(jnp.where(flips == 1, psi, -jnp.inf)) - angle
+
+
+@eqx.filter_jit
+def _program(
+    vessel: Vessel, points: Array, directions: Array, kind: tuple[tuple[Factor, ...], tuple]
+) -> tuple:
+    chosen, settings = kind
+
+    def one(x: Array) -> Scalar:
+        return first_overshoot(scaled(vessel, chosen, x), *settings)
+
+    return jax.vmap(lambda x, d: jax.jvp(one, (x,), (d,)))(points, directions)
+
+
+def sampled(
+    bench: Bench,
+    angle: float,
+    step: float,
+    points: Float[np.ndarray, "lane factor"],
+    directions: Float[np.ndarray, "lane factor"] | None = None,
+) -> tuple[Float[np.ndarray, "lane"], Float[np.ndarray, "lane"]]:
+    """First overshoot (rad) of each lane and its derivative, as the naive scheme has them."""
+    vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), bench.vessel)
+    length = float(bench.vessel.rigid_body.length) / bench.case.speed
+    directions = np.zeros_like(points) if directions is None else directions
+    settings = (bench.case.speed, angle, step, 15.0 * length)
+    found = _program(
+        vessel, jnp.asarray(points), jnp.asarray(directions), (bench.factors, settings)
+    )
+    return np.asarray(found[0]), np.asarray(found[1])
+
+
+def signs_that_differ(
+    wrong: Float[np.ndarray, "factor"], exact: Float[np.ndarray, "factor"], least: float = 0.01
+) -> np.ndarray:
+    """Indices of derivatives of the wrong sign, but for those that matter nowhere.
+
+    `least` is the smallest size that counts, relative to the largest exact derivative.
+    """
+    small = least * np.max(np.abs(exact))
+    return np.flatnonzero((np.sign(wrong) != np.sign(exact)) & (np.abs(exact) > small))
