@@ -72,6 +72,10 @@ def add_trial_options(parser: argparse.ArgumentParser) -> None:
         help="total thrust, left alone, instead of a speed",
     )  # fmt: skip
     group.add_argument(
+        "--keep-speed", action="store_true",
+        help="let the speed controller go on after the execute (by the book it does not)",
+    )  # fmt: skip
+    group.add_argument(
         "--seconds", metavar="S", type=options.positive,
         help="time limit; for acceleration, coasting, spiral and the straight part of a pull-out "
         "how long each order is held (default: by length and speed)",
@@ -101,6 +105,7 @@ def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "Plan":
         seconds=args.seconds,
         step=args.step,
         executes=args.executes,
+        keep_speed=args.keep_speed,
     )
     if args.speed is None and args.thrust is None:
         options.progress(

@@ -5,7 +5,6 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
 
 from diffsea.errors import UserError
 from diffsea.simulation.control import AbstractController
@@ -72,7 +71,7 @@ def run_controlled(
         row = (t, motion.state, orders, executed_now(vessel, motion, orders), ~over)
         new = moved(motion, orders, t)
         diverged = diverged | (~over & ~plausible(vessel, new.state))
-        memory = _kept(over, memory, after)
+        memory = select(over, memory, after)
         motion = select(~over & ~diverged, new, motion)
         over = over | diverged | controller.finished(memory)
         return (motion, memory, over, diverged), (row, memory)
@@ -86,11 +85,6 @@ def run_controlled(
 
 def _floats(tree: object) -> object:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
-
-
-def _kept(over: Bool[Array, ""], before: object, after: object) -> object:
-    """The memory as it was once the run is over."""
-    return jax.tree.map(lambda old, new: jnp.where(over, old, new), before, after)
 
 
 def _trajectory(rows: tuple, carry: tuple, controller: AbstractController) -> Trajectory:

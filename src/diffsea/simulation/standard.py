@@ -33,6 +33,7 @@ from diffsea.simulation.control import (
     full_throttle,
     require_helm,
     speed_for,
+    speed_hold,
     throttle_for_thrust,
 )
 from diffsea.simulation.manoeuvres import FULL_CIRCLES, Stages
@@ -68,6 +69,7 @@ class Plan:
     nominal_speed: float  # m/s, by which durations were chosen
     settings: Settings
     approach_seconds: float
+    keep_speed: bool = False  # the speed controller goes on after the execute
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +97,7 @@ def plan(
     seconds: float | None = None,
     step: float | None = None,
     executes: int = 4,
+    keep_speed: bool = False,
 ) -> Plan:
     """Settle a trial of a vessel. Angles in rad; `None` takes the default.
 
@@ -104,6 +107,8 @@ def plan(
         thrust: total thrust in N, instead of a speed.
         seconds: duration of every timed stage (acceleration, coasting, spiral, the straight
             part of a pull-out); of the other trials the time limit.
+        keep_speed: whether the speed controller goes on after the execute; trials by the book
+            leave the throttle alone.
 
     Raises:
         UserError: an unknown manoeuvre, or one that the vessel cannot run.
@@ -133,6 +138,8 @@ def plan(
             f"{vessel.name!r} does not reach {speed:g} m/s: at full throttle it runs "
             f"{top_speed(vessel):.3g} m/s; choose a lower speed"
         )
+    if keep_speed and throttle is not None:
+        raise UserError("a thrust that is left alone cannot keep the speed: give a speed instead")
     if not helm.propelled:
         throttle = 0.0
     length = float(vessel.rigid_body.length)
@@ -163,7 +170,9 @@ def plan(
             f"approach and {settings.seconds:g} s of {manoeuvre}: take a longer step, a higher "
             "speed, or fewer seconds"
         )
-    return dataclasses.replace(settled, settings=settings, approach_seconds=approach)
+    return dataclasses.replace(
+        settled, settings=settings, approach_seconds=approach, keep_speed=keep_speed
+    )
 
 
 def standard(name: str) -> Standard:
@@ -187,6 +196,7 @@ def run(
     return run_trial(
         vessel, STANDARDS[plan.manoeuvre].stages(plan), speed, throttle, plan.settings,
         approach_seconds=plan.approach_seconds,
+        governor=speed_hold(vessel, speed) if plan.keep_speed else None,
     )  # fmt: skip
 
 
@@ -195,7 +205,9 @@ def measured(vessel: Vessel, plan: Plan) -> tuple[Trial, Numbers]:
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
     start = [None if v is None else jnp.asarray(v, float) for v in (plan.speed, plan.throttle)]
     stages = STANDARDS[plan.manoeuvre].stages(plan)
-    trial = _compiled_run(vessel, stages, *start, plan.settings, plan.approach_seconds)
+    trial = _compiled_run(
+        vessel, stages, *start, plan.settings, plan.approach_seconds, plan.keep_speed
+    )
     return trial, _compiled_numbers(trial, (plan.manoeuvre, plan.side))
 
 
@@ -207,8 +219,13 @@ def _compiled_run(
     throttle: Scalar | None,
     settings: Settings,
     approach_seconds: float,
+    keep_speed: bool,
 ) -> Trial:
-    return run_trial(vessel, stages, speed, throttle, settings, approach_seconds=approach_seconds)
+    governor = speed_hold(vessel, speed) if keep_speed else None
+    return run_trial(
+        vessel, stages, speed, throttle, settings, approach_seconds=approach_seconds,
+        governor=governor,
+    )  # fmt: skip
 
 
 @eqx.filter_jit

@@ -5,13 +5,14 @@ so everything after it is differentiable through the switching.
 """
 
 import math
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.simulation.control import Helm
+from diffsea.simulation.control import AbstractSpeedLaw, FixedThrottle, Helm
 from diffsea.simulation.integrate import Motion, advance
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.types import Environment, Scalar, State
@@ -31,6 +32,8 @@ class Carry(eqx.Module):
     slope: Scalar  # 1/s, derivative of the stage's end function along the step
     switch_times: Float[Array, "stage"]
     diverged: Bool[Array, ""]
+    throttle: Scalar  # held until the governor's next step
+    governing: object  # the governor's memory
 
 
 class Row(eqx.Module):
@@ -53,21 +56,21 @@ class _Run(eqx.Module):
     vessel: Vessel
     stages: Stages
     environment: Environment
-    throttle: Scalar
+    governor: AbstractSpeedLaw
     heading: Scalar  # rad, psi_0
     start: Scalar  # s, the execute
     step: Scalar
     seconds: Scalar
 
-    def orders(self, stage: Int[Array, ""]) -> dict[str, Scalar]:
-        """Orders in a stage; those of the last one after the end."""
-        at = jnp.minimum(stage, self.stages.count - 1)
-        throttle = self.throttle * self.stages.throttle[at]
+    def orders(self, carry: Carry) -> dict[str, Scalar]:
+        """Orders in the stage; those of the last one after the end."""
+        at = jnp.minimum(carry.stage, self.stages.count - 1)
+        throttle = carry.throttle * self.stages.throttle[at]
         return Helm(self.vessel).orders(throttle, self.stages.angle[at])
 
     def advanced(self, carry: Carry, dt: Scalar) -> Motion:
         """The motion `dt` s on, in the stage's orders."""
-        orders = self.orders(carry.stage)
+        orders = self.orders(carry)
         return advance(self.vessel, carry.motion, orders, self.environment, carry.t, dt)
 
     def end_function(self, carry: Carry, motion: Motion, t: Scalar) -> Scalar:
@@ -128,6 +131,8 @@ class _Run(eqx.Module):
         accepted = stepping | landing
         stage = carry.stage + landing
         t = jnp.where(accepted, carry.t + dt, carry.t)
+        # The governor acts on the grid, as a digital one does; events come between its samples.
+        governing, throttle = self.governor.step(carry.governing, motion.state, 1.0, self.step)
         carry = Carry(
             motion=select(accepted, motion, carry.motion),
             t=t,
@@ -143,12 +148,14 @@ class _Run(eqx.Module):
                 landing & (jnp.arange(self.stages.count) == carry.stage), t, carry.switch_times
             ),
             diverged=carry.diverged | (wild & ~finished),
+            throttle=jnp.where(stepping, throttle, carry.throttle),
+            governing=select(stepping, governing, carry.governing),
         )
         return carry, self.row(carry, accepted)
 
     def row(self, carry: Carry, accepted: Bool[Array, ""]) -> Row:
         """What is recorded: the orders that hold from now on."""
-        orders = self.orders(carry.stage)
+        orders = self.orders(carry)
         executed = executed_now(self.vessel, carry.motion, orders)
         return Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
 
@@ -161,7 +168,10 @@ def executed_now(vessel: Vessel, motion: Motion, orders: dict[str, Scalar]) -> d
     }
 
 
-def select(condition: Bool[Array, ""], new: Motion, old: Motion) -> Motion:
+Tree = TypeVar("Tree")
+
+
+def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
     """`new` where the condition holds, else `old`."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
@@ -183,16 +193,22 @@ def run_stages(
     start: Scalar,
     step: float,
     seconds: float,
+    governor: AbstractSpeedLaw | None = None,
 ) -> tuple[Carry, Row]:
-    """Run a table of stages from a motion; rows are those of every pass of the engine."""
+    """Run a table of stages from a motion; rows are those of every pass of the engine.
+
+    The throttle stays as it is, or becomes what a `governor` orders, times the stage's.
+    """
+    governor = FixedThrottle(jnp.asarray(throttle, float)) if governor is None else governor
     run = _Run(
-        vessel, stages, environment, throttle, motion.state.psi, jnp.asarray(start, float),
+        vessel, stages, environment, governor, motion.state.psi, jnp.asarray(start, float),
         jnp.asarray(step, float), jnp.asarray(seconds, float),
     )  # fmt: skip
     zero = jnp.zeros((), int)
     carry = Carry(
         motion, run.start, zero, run.start, zero, zero + _NORMAL, run.step, jnp.ones(()),
-        jnp.full(stages.count, jnp.nan), jnp.zeros((), bool),
+        jnp.full(stages.count, jnp.nan), jnp.zeros((), bool), jnp.asarray(throttle, float),
+        governor.init(),
     )  # fmt: skip
     # An event costs three passes beside the ordinary ones: withdrawn, probe, landing.
     passes = math.ceil(seconds / step) + 3 * stages.count

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control import (
+    AbstractSpeedLaw,
     Course,
     FixedThrottle,
     HeadingHold,
@@ -133,6 +134,7 @@ def run_trial(
     settings: Settings = Settings(),
     environment: Environment | None = None,
     approach_seconds: float | None = None,
+    governor: AbstractSpeedLaw | None = None,
 ) -> Trial:
     """Approach, execute, and run a manoeuvre to its end. Pure: jit, vmap and differentiate it.
 
@@ -144,6 +146,7 @@ def run_trial(
         settings: step, time limits and the criterion of steadiness (static under jit).
         environment: water and air; the vessel's own by default.
         approach_seconds: longest approach; needed under jit where the speed is traced.
+        governor: speed law that goes on after the execute; without one the throttle then stays.
 
     Divergence, a time limit or an unsteady approach is told by the trajectory's `outcome`.
     """
@@ -165,8 +168,9 @@ def run_trial(
             vessel, jnp.asarray(speed, float), throttle, environment, settings, seconds
         )
     carry, rows = run_stages(
-        vessel, stages, motion, throttle, environment, began, settings.step, settings.seconds
-    )
+        vessel, stages, motion, throttle, environment, began, settings.step, settings.seconds,
+        governor,
+    )  # fmt: skip
     outcome = jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(steady, outcome, Outcome.APPROACH_UNSTEADY)
     outcome = jnp.where(wild | (steady & carry.diverged), Outcome.DIVERGED, outcome)

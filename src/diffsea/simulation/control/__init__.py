@@ -15,6 +15,8 @@ from diffsea.simulation.control.guidance import Pursuit as Pursuit
 from diffsea.simulation.control.helm import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
 from diffsea.simulation.control.helm import Helm as Helm
 from diffsea.simulation.control.helm import require_helm as require_helm
+from diffsea.simulation.control.laws import AbstractHeadingLaw as AbstractHeadingLaw
+from diffsea.simulation.control.laws import AbstractSpeedLaw as AbstractSpeedLaw
 from diffsea.simulation.control.laws import FilteredPD as FilteredPD
 from diffsea.simulation.control.laws import FixedThrottle as FixedThrottle
 from diffsea.simulation.control.laws import HeadingHold as HeadingHold

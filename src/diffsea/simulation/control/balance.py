@@ -63,7 +63,7 @@ def _hull_drag(vessel: Vessel, speed: Scalar) -> Scalar:
     return -sum(force(state, Environment(), zero).X for force in vessel.forces.values())
 
 
-def full_throttle(vessel: Vessel) -> float:
+def full_throttle(vessel: Vessel) -> Scalar:
     """Throttle at which the first propulsor reaches its limit; infinite without limits."""
     helm = Helm(vessel)
     limits = []
@@ -73,8 +73,8 @@ def full_throttle(vessel: Vessel) -> float:
             upper = part.servos[thrust].upper
             in_newton = not isinstance(part, Propeller) and getattr(part, "curve", None) is None
             share = helm.count(type(part)) if in_newton else 1
-            limits += [] if upper is None else [share * float(upper)]
-    return min(limits, default=math.inf)
+            limits += [] if upper is None else [share * jnp.asarray(upper, float)]
+    return jnp.min(jnp.stack(limits)) if limits else math.inf
 
 
 def _first_throttle(vessel: Vessel, speed: Scalar) -> Scalar:

@@ -97,13 +97,13 @@ class LineOfSight(AbstractGuidance[tuple[Int[Array, ""], Scalar]]):
     Steers for a point `lookahead` m ahead on the leg. With `integral_gain` above zero the
     cross-track error is integrated, so that a current is met by a constant crab angle (Borhaug,
     Pavlov and Pettersen 2008, eq. 9; Fossen 2021, section 12.5). A leg ends within `radius` m of
-    its waypoint or abeam of it. Memory: the leg, and the integral (m).
+    its waypoint or abeam of it. Memory: the leg, and the integral (s).
     """
 
     waypoints: Waypoints
     lookahead: Scalar  # m
     radius: Scalar  # m
-    integral_gain: Scalar = 0.0
+    integral_gain: Scalar = 0.0  # m/s, below the speed
 
     def init(self) -> tuple[Int[Array, ""], Scalar]:
         return jnp.zeros((), int), jnp.zeros(())

@@ -81,7 +81,7 @@ def steering_model(
         state = State(zero, zero, zero, jnp.asarray(speed, float), motion[0], motion[1])
         orders = helm.orders(throttle, angle[0])
         executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
-        return vessel.acceleration(state, executed, Environment(), zero)[1:]
+        return jnp.stack(vessel.acceleration(state, executed, Environment(), zero)[1:])
 
     at = (jnp.zeros(2), jnp.zeros(1))
     return jax.jacfwd(rates, 0)(*at), jax.jacfwd(rates, 1)(*at)
