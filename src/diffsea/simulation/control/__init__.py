@@ -29,3 +29,5 @@ from diffsea.simulation.control.lqr import discretised as discretised
 from diffsea.simulation.control.lqr import riccati as riccati
 from diffsea.simulation.control.lqr import steering_model as steering_model
 from diffsea.simulation.control.lqr import track_keeper as track_keeper
+from diffsea.simulation.control.waypoint_logic import WaypointLogic as WaypointLogic
+from diffsea.simulation.control.waypoint_logic import waypoint_logic as waypoint_logic
