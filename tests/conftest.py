@@ -1,13 +1,6 @@
-"""Settings of the test run: 64-bit, and the XLA flags that the command line sets."""
+"""Settings of the test run: those of the command line, so that compiled programs are shared."""
 
-import os
-
-from diffsea.cli import XLA_FLAGS
+from diffsea.cli import prepare_jax
 
 
-os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
-
-import jax
-
-
-jax.config.update("jax_enable_x64", True)
+prepare_jax()
