@@ -1,0 +1,51 @@
+"""The cure: recursive least squares on the ship's own equations, behind trust and gate.
+
+What is estimated: how much force the two thrusters and the rudder make of an order, and one steady
+force and moment for wind, current and whatever else pushes. Masses are the anchor. A thruster
+whose force has changed its sign is then five standard deviations off its prior, and a push that
+comes with the tide has a place of its own to go to.
+"""
+
+import equinox as eqx
+from harbour_ship import PERIOD, nominal
+
+from diffsea.identification.online import rls, trust
+from diffsea.identification.online.guarded import RLS_CHANNELS, Guarded, Standing, guarded
+from diffsea.identification.online.trust import Limits
+from diffsea.priors import Parameter
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.environment import SteadyForce
+
+
+MEMORY = 120.0  # s of forgetting
+BANDWIDTH = 0.2  # rad/s, of the filters: sway noise below it, thrusters' changes within it
+LASTING = 5.0  # s that a gust lasts in the residual
+WINDOW = 30.0  # s of the trust, and of the quarantine
+NOISE = (3e3, 3e3, 1.0e5)  # N, N, N m: residual of the sound development runs
+
+FREE = (
+    Parameter("bow.effectiveness", 1.0, scale=1.0, spread=0.2),
+    Parameter("stern.effectiveness", 1.0, scale=1.0, spread=0.2),
+    Parameter("rudder.lift_slope", 2.51, scale=2.51, spread=0.15),
+    Parameter("steady.north", 0.0, scale=1e4, spread=1.0, unit="N"),
+    Parameter("steady.east", 0.0, scale=1e4, spread=1.0, unit="N"),
+    Parameter("steady.moment", 0.0, scale=2e5, spread=1.0, unit="N m"),
+)
+
+
+def model_vessel() -> Vessel:
+    """The nominal ship in calm water with a steady force at zero."""
+    vessel = nominal()
+    forces = {n: f for n, f in vessel.forces.items() if n != "wind"} | {"steady": SteadyForce()}
+    return eqx.tree_at(lambda v: v.forces, vessel, forces, is_leaf=lambda x: x is vessel.forces)
+
+
+def guard(limits: Limits | None = None) -> tuple[Guarded, Standing]:
+    """The estimator behind its gate, before the first measurement."""
+    regression, running = rls.init(
+        model_vessel(), FREE, memory=MEMORY, bandwidth=BANDWIDTH, disturbance_memory=LASTING,
+        noise=NOISE, interval=PERIOD,
+    )  # fmt: skip
+    if limits is None:
+        limits = trust.limits(regression.vessel, regression.parameters, RLS_CHANNELS, WINDOW)
+    return guarded(regression, running, limits)

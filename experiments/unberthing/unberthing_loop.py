@@ -1,0 +1,89 @@
+"""Runs of ship and control system in changing weather, one or a batch of them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from harbour_route import place
+from harbour_ship import PERIOD, Weather
+from jaxtyping import Array, Bool, Float
+from unberthing_system import ControlSystem
+
+from diffsea.simulation.integrate import advance, begin, history_length
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+
+
+LONGEST_DELAY = 8.0  # s, of any actuator of any seed's ship
+
+
+class Log(eqx.Module):
+    """One run, a row per period."""
+
+    t: Float[Array, "time"]
+    state: State  # true, not as measured
+    blades: Float[Array, "time 4"]
+    step: Float[Array, "time"]
+    cross: Float[Array, "time"]  # m, true cross-track error of the step
+    Y_d: Float[Array, "time"]  # m to starboard of the target line
+    side_force: Float[Array, "time"]  # N to starboard that the thrusters' orders stand for
+    model: Float[Array, "time 2 6"]  # the linear model used
+    gain: Float[Array, "time 3 4"]
+    trust: Float[Array, "time"]
+
+
+def started(u: Scalar, x: Scalar = 0.0, y: Scalar = 0.0) -> State:
+    """A ship heading north at `u` m/s."""
+    return State(*(jnp.asarray(value, float) for value in (x, y, 0.0, u, 0.0, 0.0)))
+
+
+def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) -> Log:
+    """One run; pure, for jit and vmap. Rows after the last step have `step` above it."""
+    lengths = {c: history_length(s, PERIOD, longest=LONGEST_DELAY) for c, s in vessel.servos.items()}
+    still = {c: jnp.zeros(()) for c in vessel.channels}
+
+    def body(carry: tuple, row: tuple) -> tuple[tuple, Log]:
+        motion, memory = carry
+        number, air = row
+        t = number * PERIOD
+        true = motion.state
+        memory, ordered = control.step(memory, _measured(true, air.noise), t, PERIOD)
+        environment = Environment(
+            air.current_north, air.current_east, air.wind_north, air.wind_east
+        )
+        ordered = {c: jnp.asarray(order, float) for c, order in ordered.items()}
+        after = advance(vessel, motion, ordered, environment, t, PERIOD)
+        at = place(memory.step, true)
+        log = Log(
+            t, true, memory.blades, memory.step, at.cross, at.Y_d, _side_force(vessel, true, ordered),
+            memory.advice.model.rows, memory.gain, memory.advice.trust,
+        )  # fmt: skip
+        over = control.finished(memory)
+        motion = jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, after)
+        return (motion, memory), log
+
+    carry = begin(vessel, start, still, lengths), control.init()
+    numbers = jnp.arange(weather.current_north.shape[0], dtype=float)
+    return jax.lax.scan(body, carry, (numbers, weather))[1]
+
+
+@eqx.filter_jit
+def run_all(vessels: Vessel, control: ControlSystem, weathers: Weather, start: State) -> Log:
+    """A batch of ships, each in its own weather, all under the same control."""
+    return eqx.filter_vmap(run, in_axes=(eqx.if_array(0), None, eqx.if_array(0), None))(
+        vessels, control, weathers, start
+    )
+
+
+def stacked(members: list) -> object:
+    """Vessels or weathers as one batch."""
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *members)
+
+
+def _measured(state: State, noise: Float[Array, "6"]) -> State:
+    return State(*(value + noise[k] for k, value in enumerate(jax.tree.leaves(state))))
+
+
+def _side_force(vessel: Vessel, state: State, ordered: dict[str, Scalar]) -> Scalar:
+    """What the thrusters' orders come to once executed at this speed (N to starboard)."""
+    parts = (vessel.actuators[name] for name in ("bow", "stern"))
+    return sum(part.force(ordered, state, {}).Y for part in parts)
