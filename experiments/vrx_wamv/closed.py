@@ -1,7 +1,7 @@
 """The controller on the reference plant and on models of it, and what their runs have in common."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from paths import Path, off_path
 from plant import Plant
 
 from diffsea.simulation.closed_loop import run_controlled
-from diffsea.simulation.control.dynamic_pd import DynamicPD
+from diffsea.simulation.control.dynamic_pd import DynamicPD, Pursued
 from diffsea.types import State
 from diffsea.vessel.base import Vessel
 
@@ -72,19 +72,18 @@ def on_plant(
 
     With `noise`, a seed, the law is shown the state as the sensors of `campaign` measure it.
     """
-    state, memory, rows = REST, law.init(), []
+    state, memory, rows, over = REST, law.init(), [], False
     errors = np.zeros((round(seconds / PERIOD), 6))
     if noise is not None:
         errors = np.random.default_rng(noise).standard_normal(errors.shape) * NOISE
     for k, error in enumerate(errors):
-        seen = State(*map(jnp.asarray, np.add(state, error)))
-        memory, orders = _step(law, memory, seen)
-        held = float(orders["port"]), float(orders["starboard"])
-        rows.append((k * PERIOD, *state, *held))
-        if bool(law.finished(memory)):
+        memory, answer = _step(law, memory, np.add(state, error))
+        port, starboard, over = np.asarray(answer).tolist()
+        rows.append((k * PERIOD, *state, port, starboard))
+        if over:
             break
-        state = plant.advanced(state, *held, PERIOD)
-    return _driven(np.array(rows), bool(law.finished(memory)))
+        state = plant.advanced(state, port, starboard, PERIOD)
+    return _driven(np.array(rows), bool(over))
 
 
 def on_model(vessel: Vessel, law: DynamicPD) -> Driven:
@@ -133,7 +132,11 @@ def _driven(rows: np.ndarray, finished: bool) -> Driven:
     return Driven(motion, {"port": rows[:, 7], "starboard": rows[:, 8]}, finished)
 
 
-_step: Callable = eqx.filter_jit(lambda law, memory, state: law.step(memory, state, 0.0, PERIOD))
+@jax.jit
+def _step(law: DynamicPD, memory: Pursued, seen: np.ndarray) -> tuple[Pursued, jax.Array]:
+    """Next memory; the orders and whether the path is finished."""
+    memory, orders = law.step(memory, State(*seen), 0.0, PERIOD)
+    return memory, jnp.stack([orders["port"], orders["starboard"], law.finished(memory) * 1.0])
 
 
 @eqx.filter_jit

@@ -2,11 +2,15 @@
 
 import dataclasses
 import time
+from collections.abc import Callable
 
 from campaign import Run
 from models import document, vessel_of
 
-from diffsea.identification.study import Settings, Study, identify
+from diffsea.identification.estimates import physical_table
+from diffsea.identification.free_run import FreeRun
+from diffsea.identification.objectives import Innovations, Objective
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.parameters import named
 from diffsea.priors import Parameter, hull_prior
 from diffsea.vessel.base import Vessel
@@ -30,20 +34,20 @@ SPREAD = 1.0  # of the priors: a factor of e is unremarkable
 class Joint:
     """A joint fit."""
 
-    study: Study
+    rows: list[dict]  # `estimates.physical_table`
     seconds: float
 
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers, c being the mean of the engines'."""
-        found = dict(self.study.values)
+        found = {row["name"]: row["value"] for row in self.rows}
         slopes = [found.pop(name) for name in CURVES if name in found]
         return found | ({"c": sum(slopes) / len(slopes)} if slopes else {})
 
     @property
     def stds(self) -> dict[str, float]:
         """Standard errors of them; that of c is one engine's."""
-        found = {row["name"]: row["std"] for row in self.study.rows}
+        found = {row["name"]: row["std"] for row in self.rows}
         slopes = [found.pop(name) for name in CURVES if name in found]
         return found | ({"c": slopes[0]} if slopes else {})
 
@@ -61,20 +65,26 @@ def fit_linear(runs: list[Run]) -> Joint:
     values = {key: value for key, value in START.items() if key not in QUADRATIC}
     plain = document(values)
     plain["hull"] = {k: v for k, v in plain["hull"].items() if k not in QUADRATIC}
-    return _fit(build(plain), runs, LINEAR, "innovation")
+    return _fit(build(plain), runs, LINEAR, Innovations)
 
 
 def fit_whole(runs: list[Run]) -> Joint:
     """The model with what the paper's lacks, by the error of free runs."""
-    return _fit(vessel_of(START), runs, WHOLE, "free-run")
+    return _fit(vessel_of(START), runs, WHOLE, FreeRun)
 
 
-def _fit(vessel: Vessel, runs: list[Run], free: tuple[str, ...], objective: str) -> Joint:
+def _fit(
+    vessel: Vessel,
+    runs: list[Run],
+    free: tuple[str, ...],
+    objective: Callable[[Problem], Objective],
+) -> Joint:
     priors = {name: _prior(name, vessel) for name in free}
-    settings = Settings(objective, free, "thrust", priors, profiles=())
     began = time.perf_counter()
-    study = identify(vessel, [run.trajectory() for run in runs], settings)
-    return Joint(study, time.perf_counter() - began)
+    recordings = [run.trajectory() for run in runs]
+    aim = objective(make_problem(vessel, recordings, free, priors=priors))
+    fitted = aim.fit(free)
+    return Joint(physical_table(aim.parameters, fitted), time.perf_counter() - began)
 
 
 def _prior(name: str, vessel: Vessel) -> Parameter:
