@@ -27,7 +27,7 @@ test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 experiments: setup
-	for run in experiments/*/run.py; do $(BIN)/python $$run || exit 1; done
+	$(BIN)/python experiments/every.py
 
 clean:
 	rm -rf $(VENV) out
