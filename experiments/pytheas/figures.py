@@ -1,0 +1,130 @@
+"""The experiment's figures."""
+
+import disturbances
+import numpy as np
+from layouts import Flown
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from reporting import panels
+from sailing import Track
+from sweep import Map
+
+
+BLUE, RED, GREY, ORANGE = "#1f5fa8", "#b03a48", "#8a8a8a", "#d1720f"
+
+
+def circle(ax: Axes, north: float, east: float, radius: float) -> None:
+    """A waypoint's tolerance, east to the right."""
+    angle = np.linspace(0, 2 * np.pi, 100)
+    ax.plot(east + radius * np.sin(angle), north + radius * np.cos(angle), ":", color=GREY, lw=1)
+
+
+def still_water(eight: list[Track], turns: dict[float, Track]) -> Figure:
+    """Runs to eight waypoints, and the tightest turns."""
+    figure, axes = panels(1, 2, 10.0, 4.8)
+    left, right = axes[0]
+    for track, bearing in zip(eight, np.deg2rad(np.arange(-135.0, 181.0, 45.0)), strict=True):
+        left.plot(track.y, track.x, color=BLUE, lw=1.2)
+        circle(left, 20 * np.cos(bearing), 20 * np.sin(bearing), 2.5)
+    left.set(title="to eight waypoints, from rest heading north", aspect="equal")
+    shades = np.linspace(0.3, 1.0, len(turns))
+    for (thrust, track), shade in zip(turns.items(), shades, strict=True):
+        right.plot(track.y, track.x, color=BLUE, alpha=shade, lw=1.2, label=f"{thrust:.0f} N")
+    circle(right, -1.5, 0.0, 1.0)
+    right.set(title="half turns to a waypoint astern", aspect="equal", xlim=(-0.3, 0.7),
+              ylim=(-0.75, 0.15))  # fmt: skip
+    right.legend(frameon=False, fontsize=8, title="full thrust", title_fontsize=8)
+    for ax in (left, right):
+        ax.set(xlabel="east, m", ylabel="north, m")
+    return figure
+
+
+def battery(tracks: dict[str, Track], rotated: dict[str, np.ndarray]) -> Figure:
+    """D1 to D9: obtained, and with positions turned by the heading."""
+    figure, axes = panels(3, 3, 10.0, 8.0)
+    for k, (name, track) in enumerate(tracks.items()):
+        ax = axes.flat[k]
+        ax.plot(track.y, track.x, color=BLUE, lw=1.2, label="obtained")
+        ax.plot(rotated[name][:, 2], rotated[name][:, 1], color=ORANGE, lw=1, ls="--",
+                label="positions turned by the heading")  # fmt: skip
+        circle(ax, 20.0, 0.0, 2.5)
+        bias, direction = disturbances.BIASES[k % 3], disturbances.DIRECTIONS[k // 3]
+        ax.annotate("", (-6 + 6 * np.sin(direction), 12 + 6 * np.cos(direction)), (-6, 12),
+                    arrowprops={"arrowstyle": "->", "color": RED})  # fmt: skip
+        ax.set(title=f"{name}: {bias:.0f} N, published: {disturbances.PUBLISHED[k]}",
+               xlim=(-12, 28), ylim=(-8, 26), aspect="equal")  # fmt: skip
+        ax.title.set_fontsize(9)
+    for ax in axes[-1]:
+        ax.set_xlabel("east, m")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("north, m")
+    axes[0, 0].legend(frameon=False, fontsize=7, loc="lower right")
+    return figure
+
+
+def layouts(found: dict[str, Flown]) -> Figure:
+    """Tracks and headings to the waypoint astern."""
+    figure, axes = panels(1, 2, 10.0, 4.0)
+    colours = (BLUE, RED, ORANGE, GREY)
+    for (name, one), colour in zip(found.items(), colours, strict=True):
+        track = one.tracks[-1]
+        axes[0, 0].plot(track.y, track.x, color=colour, lw=1.3, label=name)
+        axes[0, 1].plot(track.t, np.rad2deg(track.psi), color=colour, lw=1.3)
+    axes[0, 0].set(xlabel="east, m", ylabel="north, m", aspect="equal", xlim=(-1, 4.5),
+                   ylim=(-6, 1.5), title="to a waypoint 20 m astern: the start")  # fmt: skip
+    axes[0, 0].legend(frameon=False, fontsize=8, loc="lower right")
+    axes[0, 1].axhline(180, color="black", lw=0.7, ls=":")
+    axes[0, 1].set(xlabel="time, s", ylabel="heading, deg", title="heading")
+    return figure
+
+
+def design(
+    thrusts: np.ndarray,
+    levers: np.ndarray,
+    least: np.ndarray,
+    directions: np.ndarray,
+    at_best: dict[str, np.ndarray],
+    best: list[tuple[float, float]],
+    published: tuple[float, float],
+) -> Figure:
+    """Least margin over thrust and lever; margin by direction at the two optima."""
+    figure, axes = panels(1, 2, 10.0, 4.2)
+    left, right = axes[0]
+    levels = np.linspace(-5, 1, 13)
+    shown = left.contourf(levers, thrusts, np.clip(least, -5, 1), levels, cmap="RdBu")
+    left.contour(levers, thrusts, least, [0.0], colors="black", linewidths=1.2)
+    figure.colorbar(shown, ax=left, label="margin in the worst direction, m")
+    left.plot(*zip(*[(lever, thrust) for thrust, lever in best], strict=True), "*", color="black",
+              ms=11, mfc="white", label="found by derivative")  # fmt: skip
+    left.plot(published[1], published[0], "o", color="black", ms=6, mfc="white", label="published")
+    left.set(xlabel="thruster ahead of the mass centre, m", ylabel="full thrust, N",
+             title="swell of 20 N from any side")  # fmt: skip
+    left.legend(frameon=False, fontsize=8, loc="lower left")
+    for (name, margin), colour in zip(at_best.items(), (BLUE, ORANGE), strict=True):
+        right.plot(np.rad2deg(directions), margin, color=colour, lw=1.3, label=name)
+    right.axhline(0, color="black", lw=0.7)
+    right.set(xlabel="direction of the swell, deg from the waypoint's bearing",
+              ylabel="margin, m (1 where nearer than 1.5 m)",
+              title="at the optima, published logic")  # fmt: skip
+    right.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def sweep(maps: dict[str, Map], slower: np.ndarray) -> Figure:
+    """Time to the waypoint over thrust and mass, in the worse of several directions."""
+    figure, axes = panels(1, 1, 7.5, 4.6)
+    ax, first = axes[0, 0], next(iter(maps.values()))
+    time = np.where(np.isfinite(slower), slower, np.nan)
+    shown = ax.pcolormesh(first.thrust, first.mass, time.T, cmap="viridis", vmax=40,
+                          rasterized=True)  # fmt: skip
+    figure.colorbar(shown, ax=ax, label="time to the waypoint in the slower direction, s")
+    for (name, found), colour in zip(maps.items(), (RED, ORANGE), strict=True):
+        reached = np.isfinite(found.time).astype(float).T
+        ax.contour(found.thrust, found.mass, reached, [0.5], colors=colour, linewidths=1.2)
+        ax.plot([], [], color=colour, lw=1.2, label=f"limit at {name}")
+    ax.plot(20.0, 7.0, "o", color="white", mec="black", ms=7, label="published boat")
+    ax.set(xscale="log", yscale="log", xlabel="full thrust, N", ylabel="mass, kg",
+           title="swell of 20 N; white: a first attempt fails")  # fmt: skip
+    ax.title.set_fontsize(10)
+    ax.legend(frameon=True, fontsize=8, loc="lower left")
+    return figure

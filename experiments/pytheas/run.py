@@ -1,0 +1,146 @@
+"""A boat with one vectored thruster: its published runs, and its design by derivative."""
+
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import design
+import disturbances
+import figures
+import layouts
+import numpy as np
+import still_water
+import sweep
+from reporting import Experiment, compared, comparison, experiment, table
+
+
+SWELL = 20.0  # N, B of D2, D5 and D8
+LONGER = (10.0, 20.0, 30.0)  # N, all of Table IV
+
+
+def main() -> None:
+    """Published runs first, then the design."""
+    work = experiment(__file__, __doc__)
+    calm, rows, tables = in_still_water(work)
+    trials, more, text = in_swell(work)
+    rows, tables = rows + more, tables | {"battery": text}
+    others, more, text = other_layouts(work)
+    rows, tables = rows + more, tables | {"layouts": text}
+    designs, text = designed(work)
+    tables |= {"designs": text}
+    maps, text = mapped(work)
+    tables |= {"map": text}
+    results = {
+        "comparison": rows, "still_water": calm, "battery": trials, "layouts": others,
+        "beyond": {"design": designs, "sweep": maps},
+    }  # fmt: skip
+    work.write(results, {"comparison": comparison(rows)} | tables)
+
+
+def in_still_water(work: Experiment) -> tuple[dict, list[dict], dict[str, str]]:
+    """Table III and figures 5 and 6."""
+    eight = still_water.eight_waypoints()
+    turns = still_water.tightest_turns()
+    names = list(still_water.READINGS)[: 1 if work.quick else None]
+    found = {"ahead": still_water.acceleration(names, 0.4)}
+    if not work.quick:
+        found["aft"] = still_water.acceleration(names, -0.4)
+    taken = found["ahead"][names[0]]
+    rotated = still_water.rotated_acceleration()
+    found["ahead, positions turned by the heading"] = {names[0]: rotated}
+    arrived = sum(track.t[-1] < 119.0 for track in eight)
+    speed = float(eight[3].u.max())
+    rows = [
+        compared("top speed", "m/s", 1.4, speed),
+        compared("waypoints reached in still water", "of 8", 8, arrived),
+        *still_water.table_three(taken),
+        *still_water.turning_rows(turns),
+    ]
+    results = {
+        "literal_1.4_m_s": still_water.literal_reading(eight[3]),
+        "readings": found,
+        "steady_radius_at_1_N": still_water.steady_radius(1.0),
+    }
+    work.save(figures.still_water(eight, turns), "still_water")
+    work.say("still water")
+    return results, rows, {"readings": still_water.readings_table(found)}
+
+
+def in_swell(work: Experiment) -> tuple[list[dict], list[dict], str]:
+    """The battery D1 to D9, three ways."""
+    tracks = disturbances.fly()
+    ways = [
+        {name: disturbances.printed_run(name, rotated) for name in disturbances.NAMES}
+        for rotated in (False, True)
+    ]
+    trials, text = disturbances.summary(tracks, *ways)
+    work.save(figures.battery(tracks, ways[1]), "disturbances")
+    work.say("disturbances")
+    return trials, disturbances.comparison_rows(trials), text
+
+
+def other_layouts(work: Experiment) -> tuple[dict, list[dict], str]:
+    """Figure 12."""
+    makes = layouts.layouts()
+    chosen = list(makes)[:2] if work.quick else list(makes)
+    found = {name: layouts.flown(*makes[name]) for name in chosen}
+    if not work.quick:
+        work.save(figures.layouts(found), "layouts")
+    work.say("layouts")
+    return layouts.record(found), layouts.comparison_rows(found), layouts.layouts_table(found)
+
+
+def designed(work: Experiment) -> tuple[dict, str]:
+    """Least thrust and the thruster's place."""
+    coarse, fine = (9, 19) if work.quick else (31, 361)
+    check = design.gradient_check(SWELL, np.linspace(0.0, np.pi, coarse))
+    found, lines = [], []
+    for bias in (SWELL,) if work.quick else LONGER:
+        for side in (1,) if work.quick else (1, -1):
+            best = design.least(bias, side, coarse, fine)
+            safe = design.rounded(best, fine)
+            closed = design.head_sea_thrust(bias)
+            found.append(best._asdict() | {"rounded": safe, "head_sea_thrust": closed})
+            lines.append(design.row(best, safe, closed))
+            work.say(f"design for {bias:.0f} N, side {side}")
+    if not work.quick:
+        work.save(design_figure(found, fine), "design")
+    return {"gradient_check": check, "designs": found}, table(design.HEAD, lines)
+
+
+def design_figure(found: list[dict], fine: int):
+    """The margin's landscape and the two optima in it."""
+    thrusts, levers = np.linspace(18.0, 30.0, 25), np.linspace(-0.5, 0.5, 41)
+    least = design.landscape(SWELL, thrusts, levers, 31)
+    directions = np.linspace(0.0, np.pi, fine)
+    best = [one for one in found if one["bias"] == SWELL]
+    places = {
+        f"{one['thrust']:.2f} N, {abs(one['lever']):.3f} m "
+        f"{'ahead' if one['lever'] > 0 else 'aft'}": (one["thrust"], one["lever"])
+        for one in best
+    }
+    at_best = {
+        name: design.margins(np.array(place), SWELL, directions, None)
+        for name, place in places.items()
+    }
+    return figures.design(
+        thrusts, levers, least, directions, at_best, list(places.values()), (20.0, 0.4)
+    )
+
+
+def mapped(work: Experiment) -> tuple[dict, str]:
+    """10^5 designs of thrust and mass in two directions of the swell."""
+    count = 24 if work.quick else 320
+    directions = {"45 deg": np.pi / 4, "135 deg": 3 * np.pi / 4}
+    maps = {name: sweep.sweep(count, SWELL, angle) for name, angle in directions.items()}
+    slower = np.maximum(*(found.time for found in maps.values()))
+    work.save(figures.sweep(maps, slower), "sweep")
+    work.say("sweep")
+    return sweep.record(maps, slower), sweep.summary(maps, slower)
+
+
+if __name__ == "__main__":
+    main()
