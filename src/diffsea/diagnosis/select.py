@@ -209,11 +209,12 @@ def needed(problem: Problem) -> float:
 def nameless(problem: Problem, tried: tuple[Fitted, ...]) -> bool:
     """Whether something was left out that no name could be given to.
 
-    There is evidence for it, but what comes nearest does not predict held-out runs, or has not
-    one size in all the data.
+    All data together speak for it, but what comes nearest does not predict held-out runs clearly,
+    is not physical, or has not one size in all the data. What held-out runs contradict as
+    strongly as the others support it is no sign of anything.
     """
     sound = [one for one in tried if np.isfinite(one.drop)]
-    return any(one.evidence(one.estimate.inflation) > needed(problem) for one in sound)
+    return any(one.support(one.estimate.inflation) > needed(problem) for one in sound)
 
 
 def rivals(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
