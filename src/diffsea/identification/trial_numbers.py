@@ -72,13 +72,13 @@ class TrialNumbers:
 
     def numbers(self, coordinates: Float[np.ndarray, "coordinate"]) -> list[dict[str, float]]:
         """The numbers of each trial at an estimate; NaN where the trial does not reach one."""
-        white = self._evaluated(coordinates)[0]
+        white = self.evaluated(coordinates)[0]
         found = np.asarray(self._values) + np.asarray(self._stds) * white
         found = iter(np.where(white == _MISSED, np.nan, found))
         return [{name: float(next(found)) for name in sheet.names} for sheet in self.sheets]
 
-    def _evaluated(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened misfits and their Jacobian."""
+    def evaluated(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened misfits of all sheets, one after the other, and their Jacobian by coordinate."""
         problem = self._problem(np.ones(len(self.owners)), np.zeros(len(self.owners)))
         _, white, J = _improve(jnp.asarray(coordinates, float), problem, jnp.asarray(ONCE))
         count = self._values.size
@@ -111,7 +111,7 @@ class TrialNumbers:
             progress(f"round {number + 1}: misfit {cost:.3f}")
             if last - cost < 1e-3:
                 break
-        J = self._evaluated(coordinates)[1][:, index]
+        J = self.evaluated(coordinates)[1][:, index]
         return made(free, coordinates, cost, index, self.spreads, J.T @ J, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
@@ -120,7 +120,7 @@ class TrialNumbers:
 
     def cost(self, coordinates: np.ndarray, fitted: Estimate | None = None) -> float:
         """-2 log posterior without its constant."""
-        white = self._evaluated(coordinates)[0]
+        white = self.evaluated(coordinates)[0]
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
     def explore(
