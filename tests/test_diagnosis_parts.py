@@ -1,6 +1,7 @@
 """Parts of the diagnosis against closed forms: null, evidence, looks and detection limits."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
+from diffsea.diagnosis.select import nameless
 from diffsea.identification.estimates import made
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
@@ -129,6 +131,17 @@ def test_what_is_not_physical_hides_only_what_it_may_be_confused_with():
     assert not near_the_best(lever, [early, lever])
     late = dataclasses.replace(early, possible=True)
     assert not near_the_best(drag, [late, drag])
+
+
+def test_what_held_out_runs_contradict_is_no_sign_of_something_unnamed():
+    problem = SimpleNamespace(layout=SimpleNamespace(effects=[EFFECTS["wind"], EFFECTS["current"]]))
+    fitted = SimpleNamespace(inflation=1.0)
+    strong = dataclasses.replace(_refitted("wind", 60.0), estimate=fitted)
+    borne_out, denied = (
+        dataclasses.replace(strong, gain=SimpleNamespace(total=total)) for total in (2.0, -80.0)
+    )
+    assert nameless(problem, (strong,)) and nameless(problem, (borne_out,))
+    assert not nameless(problem, (denied,))
 
 
 def test_doubles_of_the_strongest_are_refitted_too():
