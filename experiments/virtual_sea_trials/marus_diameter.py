@@ -1,0 +1,139 @@
+"""Can the steady turning diameter exceed the tactical one?
+
+With U the speed, r the yaw rate, beta the drift angle (bow into the turn) and psi the change of
+heading, the path runs at the angle psi - beta, so that
+
+    D_T = integral from 0 to pi of (U / r) sin(psi - beta) d psi.
+
+The tactical diameter is read when the *heading* has changed by 180 deg; the path has then
+turned by beta less. Were radius and drift the steady ones from the start, D_T would be
+D cos(beta). A radius that is larger at first makes D_T larger, drift makes it smaller.
+"""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import marus_fit
+import marus_published as published
+import marus_vessel
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffsea.identification.trial_numbers import TrialNumbers
+from diffsea.parameters import replace
+from diffsea.simulation import standard
+
+
+SPREAD = 0.7  # of the draws, in prior widths: half to twice, about
+SECONDS, STEP = 200.0, 0.1  # s
+
+
+def least_drift(run: published.Run) -> float:
+    """Drift (rad) that the published diameters need where the radius is never below the steady."""
+    numbers = run.numbers
+    ratio = numbers["tactical_diameter"] / numbers["steady_turning_diameter"]
+    return math.acos(min(ratio, 1.0))
+
+
+def draws(count: int, seed: int = 1) -> Float[np.ndarray, "draw coordinate"]:
+    """Vessels around the rules of thumb, not around the fit: coordinates of the prior."""
+    parameters = marus_vessel.parameters()
+    spreads = np.array([p.spread for p in parameters])
+    return SPREAD * spreads * np.random.default_rng(seed).normal(size=(count, len(parameters)))
+
+
+def circles(coordinates: Float[np.ndarray, "draw coordinate"]) -> dict[str, np.ndarray]:
+    """Circles to starboard of many vessels: ratio D_T / D, drift, speed loss; finite ones only."""
+    vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), marus_vessel.start())
+    run = published.RUNS[1]
+    plan = marus_fit.plan_of(run, marus_vessel.start())
+    settings = dataclasses.replace(plan.settings, seconds=SECONDS, step=STEP)
+    found = _circles(vessel, jnp.asarray(coordinates), dataclasses.replace(plan, settings=settings))
+    columns = {name: np.asarray(column) for name, column in found.items()}
+    good = np.all([np.isfinite(column) for column in columns.values()], axis=0)
+    good &= columns["turned"] >= 3 * math.pi - 1e-6
+    return {name: column[good] for name, column in columns.items()}
+
+
+@eqx.filter_jit
+def _circles(vessel, coordinates: Array, plan: standard.Plan) -> dict[str, Array]:
+    parameters = marus_vessel.parameters()
+
+    def one(at: Array) -> dict[str, Array]:
+        values = {p.name: p.decode(at[k]) for k, p in enumerate(parameters)}
+        trial = standard.run(replace(vessel, values), plan)
+        numbers = standard.numbers(plan, trial)
+        last = trial.trajectory
+        keep = ("tactical_diameter", "steady_turning_diameter", "speed_loss", "advance")
+        return {name: numbers[name] for name in keep} | {
+            "drift": jnp.arctan2(-last.v[-1], last.u[-1]),
+            "turned": last.psi[-1],
+        }
+
+    return jax.vmap(one)(coordinates)
+
+
+def ratio_of(numbers: dict[str, float]) -> float:
+    """Tactical over steady diameter."""
+    return numbers["tactical_diameter"] / numbers["steady_turning_diameter"]
+
+
+def slopes_of_ratio(objective: TrialNumbers, coordinates: np.ndarray) -> dict[str, float]:
+    """Derivative of log(D / D_T) by every parameter's coordinate, exact; circle to starboard."""
+    gradient = _gradient(objective, coordinates)[: len(objective.parameters)]
+    names = [p.name for p in objective.parameters]
+    return dict(zip(names, map(float, gradient), strict=True))
+
+
+def _gradient(objective: TrialNumbers, coordinates: np.ndarray) -> np.ndarray:
+    """Gradient of log(D / D_T) of the circle to starboard."""
+    white, J = objective.evaluated(coordinates)
+    values = np.concatenate([s.values + s.stds * 0 for s in objective.sheets])
+    stds = np.concatenate([s.stds for s in objective.sheets])
+    first = len(objective.sheets[0].names)
+    names = objective.sheets[1].names
+    tactical = first + names.index("tactical_diameter")
+    steady = first + names.index("steady_turning_diameter")
+    found = values + stds * white
+    by = stds[:, None] * J / found[:, None]
+    return by[steady] - by[tactical]
+
+
+def ascended(
+    objective: TrialNumbers, coordinates: np.ndarray, steps: int, reach: float = 2.0
+) -> list[dict]:
+    """Steps uphill in log(D / D_T), each parameter within `reach` prior widths of its prior."""
+    count = len(objective.parameters)
+    limit = reach * objective.spreads[:count]
+    at = np.array(coordinates, float)
+    path = [_station(objective, at)]
+    for _ in range(steps):
+        gradient = _gradient(objective, at)
+        gradient[count:] = 0.0
+        size = np.linalg.norm(gradient)
+        if not (np.isfinite(size) and size > 1e-6):
+            break
+        at = at + 0.3 * gradient / size
+        at[:count] = np.clip(at[:count], -limit, limit)
+        path.append(_station(objective, at))
+    return path
+
+
+def _station(objective: TrialNumbers, at: np.ndarray) -> dict:
+    circle = objective.numbers(at)[1]
+    hull = {p.name: float(p.decode(at[k])) for k, p in enumerate(objective.parameters)}
+    return {"ratio": 1 / ratio_of(circle), "hull": hull}
+
+
+def steady_drift(hull: dict[str, float], speed: float, yaw_rate: float) -> float:
+    """Drift (rad) of a steady turn by the sway balance, m_x u r = Y_v v + Y_vv |v| v + Y_r r."""
+    mass = hull["mass"] - hull["X_udot"]
+    v = -1e-3
+    for _ in range(100):
+        u = math.sqrt(max(speed**2 - v**2, 1e-12))
+        resistance = hull["Y_v"] + hull["Y_vv"] * abs(v)
+        v = 0.5 * v + 0.5 * (mass * u - hull["Y_r"]) * yaw_rate / resistance
+    return math.atan2(-v, math.sqrt(max(speed**2 - v**2, 1e-12)))

@@ -1,0 +1,166 @@
+"""Hydrodynamic derivatives straight from the figures of tables 3 and 4.
+
+The figures' misfits are weighed by three scales, of lengths, overshoots and yaw rates, each
+the rounding of the last digit and what the best model of all leaves over. Fits start from the
+rules of thumb and from draws of the prior, never from an answer.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import marus_published as published
+import marus_vessel
+import numpy as np
+
+from diffsea.identification.estimates import Estimate, interval
+from diffsea.identification.identifiability import Identifiability, identifiability
+from diffsea.identification.trial_numbers import TrialNumbers
+from diffsea.identification.trial_sheet import Sheet
+from diffsea.simulation import standard
+from diffsea.simulation.standard import Plan
+from diffsea.vessel.base import Vessel
+
+
+STEP = 0.05  # s
+APPROACH = 40.0  # s, at most
+SECONDS = {"turning-circle": 110.0, "zigzag": 40.0}
+CLASSES = ("L", "deg", "deg/s")  # printed units of lengths, overshoots and yaw rates
+FIRST = {"L": 0.05, "deg": 0.1, "deg/s": 0.1}  # misfits allowed at first
+
+
+def plan_of(run: published.Run, vessel: Vessel) -> Plan:
+    """The trial as the paper ran it, from its mean approach speed."""
+    plan = standard.plan(
+        vessel, run.manoeuvre, math.radians(run.angle), math.radians(run.heading) or None,
+        float(run.side), run.speed, seconds=SECONDS[run.manoeuvre], step=STEP, executes=3,
+    )  # fmt: skip
+    return dataclasses.replace(plan, approach_seconds=APPROACH)
+
+
+def sheet_of(run: published.Run, vessel: Vessel, misfit: dict[str, float]) -> Sheet:
+    """A trial's figures in SI with their standard deviations."""
+    names = tuple(run.numbers)
+    factors = np.array([published.in_si(name) for name in names])
+    stds = [math.hypot(misfit[published.unit(n)], published.rounding(n)) for n in names]
+    values = np.array([run.numbers[name] for name in names])
+    return Sheet(plan_of(run, vessel), names, values * factors, np.array(stds) * factors)
+
+
+def objective_of(
+    misfit: dict[str, float],
+    runs: tuple[published.Run, ...] = published.RUNS,
+    effects: tuple = marus_vessel.CANDIDATES,
+) -> TrialNumbers:
+    """The metric objective on some of the published trials."""
+    vessel = marus_vessel.start()
+    sheets = [sheet_of(run, vessel, misfit) for run in runs]
+    return TrialNumbers(vessel, marus_vessel.parameters(), sheets, effects)
+
+
+def misfits(objective: TrialNumbers, fitted: Estimate) -> dict[str, float]:
+    """Root mean square of what a fit leaves over, by printed unit.
+
+    Divided by the share of the figures that the fit's freedom does not use up.
+    """
+    rows = objective.residuals(fitted.coordinates)
+    used = float(np.sum(fitted.shrinkage))
+    left = max(1.0 - used / len(rows), 0.1)
+    out = {}
+    for kind in CLASSES:
+        own = [row for row in rows if published.unit(row["number"]) == kind]
+        off = [(row["fitted"] - row["given"]) / published.in_si(row["number"]) for row in own]
+        out[kind] = float(np.sqrt(np.mean(np.square(off)) / left))
+    return out
+
+
+def best_of(
+    objective: TrialNumbers,
+    free: tuple[str, ...],
+    starts: int,
+    say: Callable[[str], None],
+    seed: int = 0,
+) -> tuple[Estimate, list[float]]:
+    """The best fit from the prior mean and draws of the prior, and every start's deviance."""
+    rng = np.random.default_rng(seed)
+    count, parameters = len(objective.owners), len(objective.parameters)
+    found = []
+    for number in range(starts):
+        begin = np.zeros(count)
+        if number:
+            begin[:parameters] = 0.5 * rng.normal(size=parameters)
+        found.append(objective.fit(free, begin))
+        say(f"start {number + 1} of {starts}: deviance {found[-1].deviance:.2f}")
+    deviances = [one.deviance for one in found]
+    return found[int(np.argmin(deviances))], deviances
+
+
+def derivative_rows(objective: TrialNumbers, fitted: Estimate) -> list[dict]:
+    """One row per derivative: start, estimate, 90 % interval, share due to the figures."""
+    rows = []
+    for number, parameter in enumerate(objective.parameters):
+        place = list(fitted.index).index(number)
+        at, std = float(fitted.coordinates[number]), float(fitted.stds[place])
+        low, high = interval(parameter, at, std)
+        rows.append(
+            {
+                "name": parameter.name, "unit": parameter.unit, "start": parameter.value,
+                "value": float(parameter.decode(at)), "low": low, "high": high,
+                "determined": float(fitted.shrinkage[place]),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def directions(objective: TrialNumbers, fitted: Estimate) -> list[dict]:
+    """Eigenvectors of the figures' information on the derivatives, the least known first.
+
+    In units of the prior's standard deviation; `determined` is the share of a direction's
+    variance that the figures remove.
+    """
+    chosen = [n for n, k in enumerate(fitted.index) if k < len(objective.parameters)]
+    spreads = objective.spreads[fitted.index[chosen]]
+    others = [n for n in range(len(fitted.index)) if n not in chosen]
+    information = fitted.information[np.ix_(chosen, chosen)]
+    if others:
+        mixed = fitted.information[np.ix_(chosen, others)]
+        own = np.linalg.pinv(fitted.information[np.ix_(others, others)])
+        information = information - mixed @ own @ mixed.T
+    values, vectors = np.linalg.eigh(spreads[:, None] * information * spreads)
+    names = [objective.parameters[fitted.index[n]].name for n in chosen]
+    return [
+        {
+            "determined": float(max(value, 0.0) / (1 + max(value, 0.0))),
+            "vector": dict(zip(names, map(float, vector), strict=True)),
+        }
+        for value, vector in zip(values, vectors.T, strict=True)
+    ]
+
+
+def in_words(objective: TrialNumbers, fitted: Estimate) -> Identifiability:
+    """What the figures leave to the prior, as `diffsea fit` would say it."""
+    return identifiability(objective.parameters, fitted)
+
+
+def figures(objective: TrialNumbers, coordinates: np.ndarray) -> list[dict]:
+    """Every figure of tables 3 and 4 in the unit in which it is printed."""
+    found = objective.numbers(coordinates)
+    rows = []
+    for run, numbers in zip(published.RUNS, found, strict=True):
+        for name, value in run.numbers.items():
+            rows.append(
+                {
+                    "run": run.name, "title": run.title, "number": name,
+                    "unit": published.unit(name), "published": value,
+                    "obtained": numbers[name] / published.in_si(name),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def hull_of(objective: TrialNumbers, fitted: Estimate) -> dict[str, float]:
+    """The hull's table with the fitted derivatives."""
+    values = {
+        p.name: float(p.decode(fitted.coordinates[k])) for k, p in enumerate(objective.parameters)
+    }
+    return marus_vessel.HULL | values

@@ -1,0 +1,205 @@
+"""The virtual campaign: the six trials run, logged, traced and made ready to identify.
+
+All trials of one kind run side by side in one compiled program, with actuators that answer at
+once and with ones that do not: lag, dead band and limits are exactly absent at zero.
+"""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import marus_fit
+import marus_published as published
+import marus_vessel
+import numpy as np
+
+from diffsea.campaign import Segment, segments, traceability
+from diffsea.metrics.recorded import recording_metrics
+from diffsea.recordings import resample
+from diffsea.simulation import standard
+from diffsea.simulation.control import RUDDER_EQUIVALENT
+from diffsea.types import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.catalogue import Table, build
+
+
+SETTLING = 34.0  # ship lengths of steady running before the execute: some 120 s, as published
+INTERVAL = 0.05  # s, of the log
+NOISE = {"x": 0.01, "y": 0.01, "psi": math.radians(0.02), "u": 0.002, "v": 0.002,
+         "r": math.radians(0.05)}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Actuators:
+    """How thrusters answer. Forces as shares of the thrust that holds the approach speed."""
+
+    lag: float = 0.0  # s
+    deadband: float = 0.0
+    limit: float = 1e3
+
+    def fitted_to(self, table: Table, thrust: float) -> Table:
+        """The vessel's file with these on both thrusters."""
+        words = {
+            "time_constant": self.lag, "deadband": self.deadband * thrust,
+            "max_force": self.limit * thrust, "min_force": -self.limit * thrust,
+        }  # fmt: skip
+        return table | {"thruster": [part | words for part in table["thruster"]]}
+
+
+AT_ONCE = Actuators()
+REAL = Actuators(lag=0.5, deadband=0.04, limit=0.85)  # assumed: the paper prints none of these
+
+
+@dataclasses.dataclass(frozen=True)
+class Logged:
+    """One trial as it was logged, and what the processing makes of it."""
+
+    run: published.Run
+    log: Trajectory
+    segment: Segment
+    checks: list
+    metrics: dict
+
+
+def vessel_of(hull: dict[str, float], actuators: Actuators, effects: list[Table] = []) -> Vessel:
+    """A fitted hull with actuators and effects."""
+    return build(document_of(hull, actuators, effects))
+
+
+def document_of(hull: dict[str, float], actuators: Actuators, effects: list[Table] = []) -> Table:
+    """The file of a fitted hull with actuators and effects."""
+    thrust = marus_vessel.drag_at(hull, published.TARGET_SPEED)
+    table = actuators.fitted_to(marus_vessel.document(hull), thrust)
+    return table | ({"effect": effects} if effects else {})
+
+
+def simulated(vessels: list[Vessel]) -> list[list[Trajectory]]:
+    """The six trials of each vessel, from 0.8311 m/s held for some 120 s."""
+    stack = jax.tree.map(
+        lambda *leaves: jnp.stack([jnp.asarray(v, float) for v in leaves]), *vessels
+    )
+    out: list[list] = [[None] * len(published.RUNS) for _ in vessels]
+    for kind in ("turning-circle", "zigzag"):
+        rows = [n for n, run in enumerate(published.RUNS) if run.manoeuvre == kind]
+        orders = _orders([published.RUNS[n] for n in rows])
+        plan = marus_fit.plan_of(published.RUNS[rows[0]], vessels[0])
+        settings = dataclasses.replace(plan.settings, steady_lengths=SETTLING)
+        plan = dataclasses.replace(
+            plan, settings=settings, approach_seconds=200.0, angle=0.0, heading=0.0, side=1.0
+        )
+        found = _all(stack, orders, plan)
+        for v in range(len(vessels)):
+            for place, row in enumerate(rows):
+                trial = jax.tree.map(lambda leaf, v=v, k=place: np.asarray(leaf[v][k]), found)
+                out[v][row] = _logged_rows(trial.trajectory, published.RUNS[row].name)
+    return out
+
+
+def _orders(runs: list[published.Run]) -> dict[str, jax.Array]:
+    return {
+        "angle": jnp.radians(jnp.array([run.angle for run in runs])),
+        "heading": jnp.radians(jnp.array([run.heading for run in runs])),
+        "side": jnp.array([float(run.side) for run in runs]),
+        "speed": jnp.full(len(runs), published.TARGET_SPEED),
+    }
+
+
+@eqx.filter_jit
+def _all(vessels: Vessel, orders: dict[str, jax.Array], plan: standard.Plan):
+    def one(vessel: Vessel, order: dict[str, jax.Array]):
+        return standard.run(vessel, dataclasses.replace(plan, **order))
+
+    return jax.vmap(lambda vessel: jax.vmap(lambda order: one(vessel, order))(orders))(vessels)
+
+
+def _logged_rows(trajectory: Trajectory, name: str) -> Trajectory:
+    """What a logger on a fixed clock keeps."""
+    return resample(dataclasses.replace(trajectory, name=name), INTERVAL)
+
+
+def with_noise(log: Trajectory, seed: int) -> Trajectory:
+    """The log as sensors of `NOISE` would give it."""
+    rng = np.random.default_rng(seed)
+    noisy = {
+        name: np.asarray(getattr(log, name)) + std * rng.normal(size=len(log.t))
+        for name, std in NOISE.items()
+    }
+    return dataclasses.replace(log, **noisy)
+
+
+def processed(log: Trajectory, run: published.Run, vessel: Vessel) -> Logged:
+    """The log taken through the campaign: segment, approach, checks and numbers."""
+    kind = "turning" if run.manoeuvre == "turning-circle" else "zigzag"
+    found = segments(log, vessel)
+    chosen = [segment for segment in found if segment.kind == kind]
+    if not chosen:
+        raise SystemExit(f"{run.name}: no {kind} in the log, only {[s.kind for s in found]}")
+    segment = max(chosen, key=lambda one: one.end - one.onset)
+    checks = traceability(segment, log, vessel)
+    metrics = recording_metrics(log, published.LENGTH, run.manoeuvre)
+    return Logged(run, log, segment, checks, metrics)
+
+
+def rudder_equivalent(actuation: dict[str, np.ndarray]) -> np.ndarray:
+    """Eq. 3 (rad), positive to starboard: the paper's sign is the other one."""
+    port, starboard = np.asarray(actuation["port"]), np.asarray(actuation["starboard"])
+    total = port + starboard
+    some = np.abs(total) > 1e-9
+    return np.where(some, RUDDER_EQUIVALENT * (port - starboard) / np.where(some, total, 1.0), 0.0)
+
+
+def onset(log: Trajectory, threshold: float = math.radians(1.0)) -> float:
+    """Eq. 5 (s): when the executed rudder-equivalent first passes the threshold (rad)."""
+    beyond = np.abs(rudder_equivalent(log.executed)) > threshold
+    return float(np.asarray(log.t)[np.argmax(beyond)]) if beyond.any() else math.nan
+
+
+def realisation(log: Trajectory, start: float) -> dict[str, float]:
+    """Eq. 14 over the manoeuvre: median, and extremes of executed over ordered steering."""
+    after = np.asarray(log.t) >= start
+    asked = np.abs(rudder_equivalent(log.commanded))[after]
+    done = np.abs(rudder_equivalent(log.executed))[after]
+    ratio = done[asked > math.radians(1)] / asked[asked > math.radians(1)]
+    low, middle, high = np.quantile(ratio, [0.02, 0.5, 0.98])
+    return {"median": float(middle), "low": float(low), "high": float(high)}
+
+
+def approach_window(log: Trajectory, start: float, seconds: float = published.WINDOW) -> dict:
+    """Eq. 13 and table 2 over the last seconds before the onset."""
+    t = np.asarray(log.t)
+    rows = (t >= start - seconds) & (t < start)
+    speed = np.hypot(np.asarray(log.u)[rows], np.asarray(log.v)[rows])
+    fastest = math.degrees(float(np.max(np.abs(np.asarray(log.r)[rows]))))
+    mean = float(np.mean(speed))
+    accepted = mean >= published.SPEED_LIMIT * published.TARGET_SPEED
+    accepted = accepted and fastest <= published.YAW_RATE_LIMIT
+    return {
+        "speed": mean, "speed_std": float(np.std(speed)), "yaw_rate": fastest,
+        "verdict": "pass" if accepted else "fail",
+    }  # fmt: skip
+
+
+def yaw_consistency(log: Trajectory) -> dict[str, float]:
+    """Eqs. 11 and 12: logged yaw rate against the heading differentiated sample by sample."""
+    t, psi, r = (np.asarray(getattr(log, name)) for name in ("t", "psi", "r"))
+    rebuilt = np.gradient(psi, t)
+    rms = math.degrees(float(np.sqrt(np.mean((r - rebuilt) ** 2))))
+    return {"correlation": float(np.corrcoef(r, rebuilt)[0, 1]), "rms": rms}
+
+
+def state_log(log: Trajectory, start: float) -> dict[str, np.ndarray]:
+    """Eq. 9: the time-aligned log with every derived quantity, time from the onset."""
+    t, psi = np.asarray(log.t), np.asarray(log.psi)
+    at_onset = float(np.interp(start, t, psi))
+    thrust = {side: np.asarray(log.executed[side]) for side in ("port", "starboard")}
+    return {
+        "t": t - start, "x": np.asarray(log.x), "y": np.asarray(log.y),
+        "psi_wrapped": (psi + np.pi) % (2 * np.pi) - np.pi, "psi_unwrapped": psi,
+        "psi_relative": psi - at_onset, "u": np.asarray(log.u), "v": np.asarray(log.v),
+        "r": np.asarray(log.r), "r_calc": np.gradient(psi, t),
+        "delta_cmd": rudder_equivalent(log.commanded), "delta_exec": rudder_equivalent(log.executed),
+        "T_port": thrust["port"], "T_starboard": thrust["starboard"],
+        "tau_z": marus_vessel.ARM * (thrust["port"] - thrust["starboard"]),
+    }  # fmt: skip

@@ -1,0 +1,30 @@
+"""Traceable virtual sea trials of a twin-thruster craft: tables 1 to 4, and what they determine.
+
+Rezayan (2026), arXiv:2606.12349. See README.md.
+"""
+
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from reporting import experiment  # noqa: I001  (sets up JAX)
+
+import marus_stages as stages
+
+
+def main() -> None:
+    """Run every stage and write the results."""
+    work = experiment(__file__, __doc__)
+    identified = stages.identified(work)
+    uneven = stages.asymmetry(work, identified)
+    campaign = stages.campaign(work, identified, uneven)
+    diameters = stages.diameters(work, identified)
+    beyond = stages.actuation(work, identified, campaign)
+    stages.written(work, identified, uneven, campaign, diameters, beyond)
+
+
+if __name__ == "__main__":
+    main()
