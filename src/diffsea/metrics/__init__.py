@@ -16,6 +16,8 @@ from diffsea.metrics.executes import identify as identify
 from diffsea.metrics.imo import imo_verdicts as imo_verdicts
 from diffsea.metrics.preparation import prepared as prepared
 from diffsea.metrics.recorded import recording_metrics as recording_metrics
+from diffsea.metrics.repeats import fit_percent as fit_percent
+from diffsea.metrics.repeats import mean_and_half_width as mean_and_half_width
 from diffsea.metrics.trials import stopping_metrics as stopping_metrics
 from diffsea.metrics.trials import turning_metrics as turning_metrics
 from diffsea.metrics.trials import zigzag_metrics as zigzag_metrics
