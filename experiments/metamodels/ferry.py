@@ -1,0 +1,125 @@
+"""Case 1: a metamodel from a year of service, cross-validated, and two models judged by it."""
+
+import jax.numpy as jnp
+import numpy as np
+from inservice import INTERVAL, Found, Piece, search
+from metamodel import cross_validated, ideal_overshoots, identified, simulated, told, trials
+from models import from_dimensions, from_tests
+from ship import answers, ship
+from voyages import year
+
+from diffsea.metrics.repeats import fit_percent
+from diffsea.types import Environment
+
+
+CHOSEN = 12  # trials with the least side wind, as published
+LONGEST = 480  # samples
+MOST = 150  # trials put aside
+MODERATE = np.radians(60.0)  # heading stays within
+
+
+def zigzag_like(piece: Piece) -> bool:
+    """Whether the ship turned both ways and no further than moderately."""
+    r, psi = piece.channels["r"], piece.channels["psi"]
+    both = min(r.max(), -r.min()) > np.radians(0.1)
+    return bool(both and np.ptp(psi) < MODERATE)
+
+
+def zigzag_groups(found: Found) -> list[list[Piece]]:
+    """Groups most of whose members turn both ways, the largest first."""
+    groups = []
+    for label in range(found.labels.max() + 1):
+        members = [p for p, l in zip(found.pieces, found.labels, strict=True) if l == label]
+        if np.mean([zigzag_like(p) for p in members]) > 0.5 and len(members) > CHOSEN + 4:
+            groups.append([p for p in members if zigzag_like(p)])
+    return groups
+
+
+def set_of(pieces: list[Piece]):
+    """Pieces as trials for the identification."""
+    series = [(p.channels["rudder"], p.channels["r"]) for p in pieces]
+    return trials([d for d, _ in series], [r for _, r in series], INTERVAL, LONGEST)
+
+
+def study(seed: int, days: int) -> dict:
+    """The whole of case 1; figures as plain numbers, series for the pictures under `series`."""
+    logs = year(seed, days)
+    found = search(logs)
+    groups = zigzag_groups(found)
+    rows = [_group(members) for members in groups[:3]]
+    first = rows[0]
+    validation = _validated(first["fit"], first["aside"], seed)
+    return {
+        "logs": len(logs),
+        "excluded": len(found.excluded),
+        "trials": len(found.pieces),
+        "groups": int(found.labels.max() + 1),
+        "group_sizes": [len(g) for g in groups],
+        "metamodels": [row["told"] for row in rows],
+        "validation": validation["figures"],
+        "series": {
+            "found": found,
+            "members": groups[0],
+            "chosen": first["chosen"],
+            "aside": first["aside"],
+            "predicted": first["predicted"],
+            "validation": validation["series"],
+        },
+        "model": first["fit"].model,
+    }
+
+
+def _group(members: list[Piece]) -> dict:
+    calm = sorted(members, key=lambda p: p.side_wind)
+    chosen, aside, rest = calm[:CHOSEN], calm[CHOSEN], calm[CHOSEN + 1 :]
+    fit = identified(set_of(chosen))
+    percent, predicted = (np.asarray(a)[0] for a in cross_validated(fit.model, set_of([aside])))
+    rest = rest[:MOST]
+    others = np.asarray(cross_validated(fit.model, set_of(rest))[0])
+    some = identified(set_of(members[:CHOSEN]))
+    record = told(fit) | {
+        "cross_validation_percent": percent,
+        "others_percent": {
+            "median": float(np.median(others)),
+            "tenth": float(np.quantile(others, 0.1)),
+            "ninetieth": float(np.quantile(others, 0.9)),
+            "count": len(others),
+        },
+        "largest_side_wind": chosen[-1].side_wind,
+        "largest_rudder_deg": float(
+            np.degrees(np.median([np.abs(p.channels["rudder"]).max() for p in chosen]))
+        ),
+        "ideal_overshoots_deg": np.degrees(ideal_overshoots(fit.model)).tolist(),
+        "without_wind_exclusion": {
+            **told(some),
+            "ideal_overshoots_deg": np.degrees(ideal_overshoots(some.model)).tolist(),
+            "cross_validation_percent": float(cross_validated(some.model, set_of([aside]))[0][0]),
+        },
+    }
+    return {"fit": fit, "chosen": chosen, "aside": aside, "predicted": predicted, "told": record}
+
+
+def _validated(fit, aside: Piece, seed: int) -> dict:
+    """Models and the ship herself, in a calm, under the rudder of the trial put aside."""
+    delta = aside.channels["rudder"]
+    speed, calm = float(aside.channels["u"][0]), Environment()
+    meta = np.asarray(simulated(fit.model, 0.0, jnp.asarray(delta), INTERVAL))
+    # The regression knows no screw and so no neutral angle: as published, the bias goes.
+    level = delta - float(fit.model.neutral)
+    cases = {
+        "ship": (ship(), delta),
+        "model 1": (ship(hull=from_tests(seed)), delta),
+        "model 2": (ship(hull=from_dimensions()), level),
+    }
+    series = {
+        name: np.asarray(answers(vessel, jnp.asarray(angles), speed, calm, INTERVAL))
+        for name, (vessel, angles) in cases.items()
+    }
+    figures = {
+        name: {
+            "against_metamodel_percent": float(fit_percent(meta, values)),
+            "against_ship_percent": float(fit_percent(series["ship"], values)),
+        }
+        for name, values in (series | {"metamodel": meta}).items()
+    }
+    return {"figures": figures, "series": series | {"metamodel": meta, "t": aside.t}}

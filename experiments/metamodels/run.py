@@ -1,0 +1,50 @@
+"""Metamodels for validation (Gavrilin and Steen 2017): a year of service, repeats, real trials.
+
+Run it as `python experiments/metamodels/run.py [--quick]`.
+"""
+
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from reporting import experiment  # isort: skip
+
+import averaging
+import beyond
+import ferry
+import gunnerus
+import pictures
+import recorded
+import tables
+
+
+SEED = 2017
+
+
+def main() -> None:
+    """All stages in order."""
+    run = experiment(__file__, __doc__)
+    quick = run.quick
+    run.say("case 1: a year of service")
+    service = ferry.study(SEED, 40 if quick else 365)
+    run.say("case 2: repeated zig-zags on two days, at two speeds")
+    repeats = gunnerus.study(SEED, 3 if quick else 40)
+    run.say("averaging against the metamodel")
+    if quick:
+        errors = averaging.study(SEED, 8, (2, 6), ("calm", "7 to 11"))
+    else:
+        errors = averaging.study(SEED, 60)
+    run.say("real zig-zags")
+    real = recorded.study(run.say)
+    run.say("disturbances as nuisances")
+    further = beyond.study(SEED, quick, service, run.say)
+    pictures.all_of(run.save, service, repeats, errors, real, further)
+    results = tables.results(service, repeats, errors, real, further)
+    run.write(results, tables.tables(results))
+
+
+if __name__ == "__main__":
+    main()

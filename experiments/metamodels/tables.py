@@ -1,0 +1,148 @@
+"""Results as plain numbers, and the README's tables."""
+
+import numpy as np
+from reporting import compared, comparison, table
+
+
+def results(service: dict, repeats: dict, errors: dict, real: dict, further: dict) -> dict:
+    """What is written down: series and models left out."""
+    ferry = {k: v for k, v in service.items() if k not in ("series", "model", "found")}
+    days = {k: v for k, v in repeats.items() if k != "series"}
+    recorded = {
+        name: {k: v for k, v in part.items() if k != "series"} for name, part in real.items()
+    }
+    return {
+        "comparison": _compared(ferry, days),
+        "case_1": ferry,
+        "case_2": days,
+        "averaging": errors,
+        "recorded": recorded,
+        "beyond": {k: v for k, v in further.items() if k != "series"},
+    }
+
+
+def _compared(ferry: dict, days: dict) -> list[dict]:
+    first, checks = ferry["metamodels"][0], ferry["validation"]
+    group, speeds, models = days["days"], days["speeds"], days["validation"]
+    return [
+        compared("case 1: groups of zig-zag-like trials", "", 3, len(ferry["group_sizes"])),
+        compared("trials used, least side wind", "", 12, 12, "chosen, not obtained"),
+        compared("a1 of the metamodel", "1/s", "positive", first["coefficients"]["a1"]),
+        compared("cross-validation", "%", "in a figure only", first["cross_validation_percent"],
+                 "one calm trial put aside, as published"),
+        compared("the same, all other trials, median", "%", None,
+                 first["others_percent"]["median"]),
+        compared("rudder angles", "deg", "up to 5", first["largest_rudder_deg"]),
+        compared("model 1 (planar motion tests) against metamodel", "%", 67.0,
+                 checks["model 1"]["against_metamodel_percent"]),
+        compared("model 2 (from dimensions) against metamodel", "%", 35.0,
+                 checks["model 2"]["against_metamodel_percent"]),
+        compared("case 2: neutral rudder, group 1", "deg", 0.46, group["group 1"]["neutral_deg"],
+                 "port is negative here"),
+        compared("neutral rudder, group 2", "deg", 0.46, group["group 2"]["neutral_deg"],
+                 "likewise"),
+        compared("metamodel's overshoots within 95 % of the means, group 1", "", "all",
+                 group["group 1"]["metamodel_within"], "share over repeated days"),
+        compared("the same, group 2", "", "all", group["group 2"]["metamodel_within"], "likewise"),
+        compared("loss of yaw rate at 0.75 of the speed, metamodels", "%", 25.0,
+                 speeds["metamodels"]),
+        compared("the same, simulation model", "%", 30.0,
+                 models["model 2"]["reduction_percent"], "model 2"),
+        compared("simulation model against metamodel, full speed", "%", 64.4,
+                 models["model 2"]["full_speed_percent"], "model 2"),
+        compared("the same, low speed", "%", 62.3, models["model 2"]["low_speed_percent"],
+                 "model 2"),
+    ]  # fmt: skip
+
+
+def tables(out: dict) -> dict[str, str]:
+    """The README's tables by their keys."""
+    return {
+        "COMPARISON": comparison(out["comparison"]),
+        "METAMODELS": _metamodels(out["case_1"]),
+        "DAYS": _days(out["case_2"]),
+        "MODELS": _models(out["case_1"], out["case_2"]),
+        "AVERAGING": _averaging(out["averaging"]),
+        "RECORDED": _recorded(out["recorded"]),
+        **{key: _rows(rows) for key, rows in out["beyond"].get("tables", {}).items()},
+    }
+
+
+def _metamodels(ferry: dict) -> str:
+    head = ("group", "trials", "side wind", "T, s", "K, 1/s", "neutral, deg", "calm trial aside, %",
+            "others: median, %", "first overshoot 10/10 stbd, deg")  # fmt: skip
+    rows = []
+    for size, row in zip(ferry["group_sizes"], ferry["metamodels"], strict=False):
+        calm = f"up to {row['largest_side_wind']:.1f} m/s"
+        rows.append((size, "12 calmest", calm, *_numbers(row), row["others_percent"]["median"],
+                     row["ideal_overshoots_deg"][0][0]))  # fmt: skip
+        every = row["without_wind_exclusion"]
+        rows.append((size, "12 of any wind", "any", *_numbers(every), None,
+                     every["ideal_overshoots_deg"][0][0]))  # fmt: skip
+    return table(head, rows)
+
+
+def _numbers(row: dict) -> tuple:
+    a = row["coefficients"]
+    return 1 / a["a1"], a["b"] / a["a1"], row["neutral_deg"], row["cross_validation_percent"]
+
+
+def _days(days: dict) -> str:
+    head = (
+        "",
+        "first execute",
+        "overshoot",
+        "mean, deg",
+        "U95, deg",
+        "metamodel, deg",
+        "truth, deg",
+    )
+    rows = []
+    for day, record in days["days"].items():
+        for s, (side, both) in enumerate(record["intervals"].items()):
+            for k, (name, entry) in enumerate(both.items()):
+                asked, true = record["ideal_overshoots_deg"][s][k], days["truth_deg"][s][k]
+                rows.append(
+                    (day, side.split()[0], name, entry["mean_deg"], entry["u95_deg"], asked, true)
+                )
+    return table(head, rows)
+
+
+def _models(ferry: dict, days: dict) -> str:
+    head = ("", "case 1, %", "the same against the ship, %", "case 2, full speed, %",
+            "case 2, low speed, %", "loss of yaw rate, %")  # fmt: skip
+    rows = []
+    for name, row in ferry["validation"].items():
+        if name in days["validation"]:
+            two = days["validation"][name]
+            rows.append((name, row["against_metamodel_percent"], row["against_ship_percent"],
+                         two["full_speed_percent"], two["low_speed_percent"],
+                         two["reduction_percent"]))  # fmt: skip
+    return table(head, rows)
+
+
+def _averaging(errors: dict) -> str:
+    counts = errors["counts"]
+    head = ("control", "wind, m/s", "method", *(f"N = {n}" for n in counts), "bias, N largest")
+    rows = []
+    for control, winds in errors["errors"].items():
+        for wind, methods in winds.items():
+            for method, scores in methods.items():
+                rows.append((control, wind, method, *scores["rms"], scores["bias"][-1]))
+    return table(head, rows)
+
+
+def _recorded(real: dict) -> str:
+    head = ("trial", "wind, m/s", "speed, m/s", "left out: fit, %", "overshoots measured, deg",
+            "predicted, deg")  # fmt: skip
+    rows = []
+    for part in real.values():
+        for name, row in part["trials"].items():
+            both = [" / ".join(f"{x:.1f}" if np.isfinite(x) else "-" for x in row[k])
+                    for k in ("measured_deg", "predicted_deg")]  # fmt: skip
+            rows.append((name, row["wind"], row["speed"], row["percent"], *both))
+    return table(head, rows)
+
+
+def _rows(rows: list[dict]) -> str:
+    return table(list(rows[0]), [list(row.values()) for row in rows])
