@@ -77,7 +77,7 @@ def test_the_joint_fit_predicts_far_better_than_the_procedure(results):
 
 
 def test_the_fitted_model_follows_the_paths_as_the_plant_does(results):
-    for path in ("circle", "zigzag"):
+    for path in ("slow circle", "slow zigzag", "fast circle", "fast zigzag"):
         one = results["paths"]["joint"][path]
         assert one["finished"]
         assert one["time"] < 0.01 and one["distance"] < 0.01 and one["position"] < 0.3

@@ -28,6 +28,7 @@ GAINS = {
     "K_p": 8.0, "K_d": 1.0, "T_f": 0.3, "base_min": 12.0, "base_max": 28.0, "near": 4.0,
     "far": 16.0,
 }  # fmt: skip
+SLOWEST = 24.0  # rev/s, `base_min` of a boat that keeps its speed: 1.3 m/s
 RADIUS = 2.0  # m, within which a waypoint counts as reached
 
 

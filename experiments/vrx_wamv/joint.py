@@ -35,7 +35,7 @@ class Joint:
     """A joint fit."""
 
     rows: list[dict]  # `estimates.physical_table`
-    seconds: float
+    seconds: float  # of processor time
 
     @property
     def values(self) -> dict[str, float]:
@@ -80,11 +80,11 @@ def _fit(
     objective: Callable[[Problem], Objective],
 ) -> Joint:
     priors = {name: _prior(name, vessel) for name in free}
-    began = time.perf_counter()
+    began = time.process_time()
     recordings = [run.trajectory() for run in runs]
     aim = objective(make_problem(vessel, recordings, free, priors=priors))
     fitted = aim.fit(free)
-    return Joint(physical_table(aim.parameters, fitted), time.perf_counter() - began)
+    return Joint(physical_table(aim.parameters, fitted), time.process_time() - began)
 
 
 def _prior(name: str, vessel: Vessel) -> Parameter:

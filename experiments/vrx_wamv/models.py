@@ -47,7 +47,7 @@ def truth(plant: Plant) -> dict[str, float]:
     pairs = {"X": (plant.surge, "u"), "Y": (plant.sway, "v"), "N": (plant.yaw, "r")}
     drag = {}
     for axis, ((linear, square), letter) in pairs.items():
-        drag |= {f"{axis}_{letter}": -linear, f"{axis}_{letter}{letter}": -square}
+        drag |= {f"{axis}_{letter}": 0.0 - linear, f"{axis}_{letter}{letter}": 0.0 - square}
     inertia = {"mass": plant.mass, "x_G": plant.x_G, "I_z": plant.I_zz - plant.mass * plant.x_G**2}
     return inertia | drag | {"c": 0.0, "d": THRUST_PER_SPEED}
 

@@ -36,6 +36,7 @@ def lawn(length: float = 25.0, spacing: float = 10.0) -> Path:
 
 
 PATHS = {"circle": circle(), "zigzag": zigzag()}
+WIDE = {"circle": circle(45.0), "zigzag": zigzag(35.0)}  # for a boat that keeps its speed
 KEPT_BACK = {"lanes": lawn()}
 
 

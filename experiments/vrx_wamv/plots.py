@@ -56,24 +56,31 @@ def _spin(axes, found: Identified) -> None:
     ):
         moment = 2 * model.thrust(30.0, 0.0) * 1.005
         grown = moment / model.N_r * (1 - np.exp(-model.N_r / model.m33 * run.t))
-        style = {"color": PAPER} if name == "published" else {"color": OURS, "ls": "--"}
+        dash = ":" if "ordered" in name else "--"
+        style = {"color": PAPER} if name == "published" else {"color": OURS, "ls": dash}
         axes.plot(run.t, np.degrees(grown), label=name, **style)
     axes.set(xlabel="time, s", ylabel="yaw rate in the spin, deg/s", xlim=(0, 8))
     axes.legend(fontsize=7, frameon=False, loc="lower right")
 
 
 def following(plant: dict[str, Driven], models: dict[str, dict[str, Driven]]) -> Figure:
-    """The paper's two paths on the plant and on models."""
-    figure, (axes,) = panels(1, len(PATHS), 10.0, 4.6)
-    for one, (path, points) in zip(axes, PATHS.items(), strict=True):
+    """The paper's paths on the plant and on models, and how fast they go round the circle."""
+    figure, (axes,) = panels(1, 3, 12.0, 4.2)
+    runs = {"plant": plant} | models
+    styles = dict(zip(runs, ((PLANT, "-"), (PAPER, "--"), (GREY, "--"), (OURS, ":")), strict=False))
+    for name, ways in runs.items():
+        colour, dash = styles[name]
+        for one, path in zip(axes, ("slow circle", "slow zigzag"), strict=False):
+            motion = ways[path].motion
+            one.plot(motion["y"], motion["x"], color=colour, ls=dash, lw=1.5, label=name)
+        motion = ways["slow circle"].motion
+        axes[2].plot(motion["t"], np.hypot(motion["u"], motion["v"]), color=colour, ls=dash)
+    for one, (path, points) in zip(axes, PATHS.items(), strict=False):
         _legs(one, points)
-        one.plot(plant[path].motion["y"], plant[path].motion["x"], color=PLANT, lw=2, label="plant")
-        colours = (PAPER, GREY, OURS)
-        for colour, (name, runs) in zip(colours, models.items(), strict=False):
-            motion = runs[path].motion
-            one.plot(motion["y"], motion["x"], color=colour, lw=1, ls="--", label=name)
         one.set(xlabel="east, m", ylabel="north, m", title=path)
-        one.set_aspect("equal", adjustable="datalim")
+    axes[0].set_aspect("equal")
+    axes[1].set(ylim=(-5, 60))
+    axes[2].set(xlabel="time, s", ylabel="speed on the circle, m/s", ylim=(0, None))
     axes[0].legend(fontsize=7, frameon=False)
     return figure
 

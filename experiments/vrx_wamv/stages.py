@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from campaign import Campaign, campaign, held_out
 from closed import (
+    SLOWEST,
     Driven,
     controller,
     differences,
@@ -17,7 +18,7 @@ from closed import (
 )
 from joint import Joint, fit_linear, fit_whole
 from models import errors_on, truth, vessel_of
-from paths import KEPT_BACK, PATHS
+from paths import KEPT_BACK, PATHS, WIDE
 from plant import NEW, OLD, driven, speed_for
 from procedure import (
     PUBLISHED,
@@ -128,23 +129,29 @@ def predictions(found: Identified) -> dict[str, dict[str, float]]:
 
 @dataclasses.dataclass(frozen=True)
 class Followed:
-    """Closed-loop runs on the paper's paths."""
+    """Closed-loop runs on the paper's paths: slow at waypoints, and near full speed throughout."""
 
     gains: dict[str, float]
-    plant: dict[str, Driven]
-    models: dict[str, dict[str, Driven]]  # by model, by path
+    plant: dict[str, Driven]  # by regime and path, "slow circle"
+    models: dict[str, dict[str, Driven]]  # by model, then likewise
     table: dict[str, dict[str, dict]]  # likewise: differences, and without a controller
 
 
 def following(found: Identified, models: tuple[str, ...]) -> Followed:
     """The same law on the plant and on models of it, gains by hand on the joint model."""
     gains = by_hand(found.vessel("joint"), list(PATHS.values()))
-    plant = {path: on_plant(NEW, controller(points, gains)) for path, points in PATHS.items()}
+    regimes = {"slow": (PATHS, gains), "fast": (WIDE, gains | {"base_min": SLOWEST})}
+    laws = {
+        f"{regime} {path}": controller(points, numbers)
+        for regime, (ways, numbers) in regimes.items()
+        for path, points in ways.items()
+    }
+    plant = {name: on_plant(NEW, law) for name, law in laws.items()}
     runs, table = {}, {}
-    for name in models:
-        vessel = found.vessel(name)
-        runs[name] = {p: on_model(vessel, controller(w, gains)) for p, w in PATHS.items()}
-        table[name] = {path: _compared(run, plant[path]) for path, run in runs[name].items()}
+    for model in models:
+        vessel = found.vessel(model)
+        runs[model] = {name: on_model(vessel, law) for name, law in laws.items()}
+        table[model] = {name: _compared(run, plant[name]) for name, run in runs[model].items()}
     return Followed(gains, plant, runs, table)
 
 

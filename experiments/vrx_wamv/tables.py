@@ -70,14 +70,13 @@ def path_rows(followed: Followed) -> list[dict]:
     """Differences of model and plant on the paper's paths, beside its figures."""
     rows = []
     for model, paths in followed.table.items():
-        for path, published in (("circle", 2.0), ("zigzag", 0.0)):
-            one = paths[path]
-            note = "" if one["finished"] else f"{model} never finishes"
-            rows.append(
-                compared(f"time error, {path}, {model}", "%", published, 100 * one["time"], note)
-            )
-            error = 100 * one["distance"]
-            rows.append(compared(f"distance error, {path}, {model}", "%", 0.37, error, note))
+        for path, one in paths.items():
+            published = 2.0 if path.endswith("circle") else 0.0
+            note = "" if one["finished"] else "the model does not finish in time"
+            words = f"{path}, {model}"
+            time, distance = 100 * one["time"], 100 * one["distance"]
+            rows.append(compared(f"time error, {words}", "%", published, time, note))
+            rows.append(compared(f"distance error, {words}", "%", 0.37, distance, note))
     return rows
 
 
@@ -110,7 +109,14 @@ def quality(found: Identified, errors: dict) -> str:
          found.seconds.get(name))
         for name in found.values
     ]  # fmt: skip
-    head = ("model", "position, m", "surge, m/s", "sway, m/s", "yaw rate, rad/s", "found in, s")
+    head = (
+        "model",
+        "position, m",
+        "surge, m/s",
+        "sway, m/s",
+        "yaw rate, rad/s",
+        "processor time, s",
+    )
     return table(head, rows)
 
 
@@ -179,6 +185,6 @@ def repeats(found: dict, first: dict[str, float]) -> str:
          f"{old['stds'][n]:.2g}")
         for n in names
     ]  # fmt: skip
-    rows.append(("seconds", None, None, other["seconds"], None, old["seconds"], ""))
+    rows.append(("processor time, s", None, None, other["seconds"], None, old["seconds"], ""))
     head = ("", "plant", "joint", "other noise", "older plant", "joint", "standard error")
     return table(head, rows)
