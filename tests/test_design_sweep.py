@@ -1,0 +1,205 @@
+"""The design sweep: its quick run, and its pieces against closed forms."""
+
+import importlib
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from diffsea.vessel.catalogue import read_vessel
+
+
+HOME = Path(__file__).resolve().parents[1] / "experiments" / "design_sweep"
+PARTS = ("loading", "sweeping", "independent", "plain_loops", "neighbours", "wanted")
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """The experiment's modules, gone again afterwards."""
+    paths = [str(HOME), str(HOME.parent)]
+    sys.path[:0] = paths
+    found = SimpleNamespace(**{name: importlib.import_module(name) for name in PARTS})
+    for path in paths:
+        sys.path.remove(path)
+    yield found
+    for name in PARTS:
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture(scope="module")
+def otter():
+    return read_vessel("otter").vessel
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """results.json of the quick variant: 64 designs through the turning circle."""
+    folder = tmp_path_factory.mktemp("sweep")
+    done = subprocess.run(
+        [sys.executable, str(HOME / "run.py"), "--quick", "-o", str(folder)],
+        capture_output=True, text=True, timeout=900, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert (folder / "figures" / "maps.png").exists()
+    return json.loads((folder / "results.json").read_text())
+
+
+# -- the quick run -----------------------------------------------------------------------------
+
+
+def test_every_design_completes_and_has_its_verdict(quick):
+    assert quick["experiment"] == "design_sweep" and quick["quick"]
+    found = quick["beyond"]["sweep"]
+    assert found["designs"] == 64 and found["trials"] == {"circle": {"completed": 64}}
+    rows = {row["quantity"]: row for row in quick["comparison"]}
+    assert rows["tactical diameter"]["published"] == "at most 5"
+    assert rows["advance"]["published"] == "at most 4.5"
+    least, most = map(float, rows["tactical diameter"]["obtained"].split(" to "))
+    assert 4 < least < 5 < most < 8
+    assert 0 < found["share_that_pass_everything"] < 0.5
+    assert quick["beyond"]["memory_gib"] < 2
+
+
+def test_designs_are_those_of_another_simulator(quick):
+    checks = quick["beyond"]["independent"]
+    assert len({(c["thrust"], c["mass"]) for c in checks}) == 2
+    for check in checks:
+        tolerance = 1e-4 if check["number"] == "peak_yaw_rate" else 1e-5
+        assert abs(check["relative_difference"]) < tolerance, check
+
+
+def test_plain_loops_were_timed(quick):
+    speed = quick["beyond"]["speed"]
+    assert speed["python"] > 1e2 and speed["numpy"] > speed["python"]
+    assert speed["over_python"] == pytest.approx(speed["sweep"] / speed["python"])
+
+
+# -- the pieces --------------------------------------------------------------------------------
+
+
+def test_a_design_is_loaded_by_its_mass(parts, otter):
+    found = {name: float(value) for name, value in parts.loading.loaded(otter, 160.0).items()}
+    assert found == pytest.approx(
+        {"mass": 160.0, "I_z": 30.2, "draught": 0.39, "X_udot": -11.0, "Y_vdot": -330.0,
+         "N_rdot": -102.68}
+    )  # fmt: skip
+    names, values = parts.loading.designs(otter, np.array([90.0]), np.array([80.0]))
+    same = dict(zip(names, values[0], strict=True))
+    assert same == pytest.approx(
+        {"thrust": 90.0, "mass": 80.0, "I_z": 15.1, "draught": 0.195, "X_udot": -5.5,
+         "Y_vdot": -82.5, "N_rdot": -25.67}
+    )  # fmt: skip
+
+
+def test_the_other_simulator_is_loaded_alike(parts, otter):
+    hull = parts.independent.document(130.0)["hull"]
+    for name, value in parts.loading.loaded(otter, 130.0).items():
+        assert hull[name] == pytest.approx(float(value)), name
+
+
+def test_thrusters_saturate_where_all_thrust_is_on_one_side(parts, otter):
+    """At 35 deg the outer one carries it all: 0.4374 N s^2 times (16.54 rev/s)^2."""
+    assert parts.loading.saturation(otter, 35.0) == pytest.approx(0.4374 * 16.54**2)
+    assert parts.loading.saturation(otter, 0.0) == pytest.approx(2 * 0.4374 * 16.54**2)
+
+
+def test_the_plain_loop_tends_to_the_other_simulator(parts):
+    """Orders reversed at the sample are late by half a step on average: first order."""
+    constants = parts.plain_loops.Constants(parts.independent.document(100.0))
+    zigzag = parts.loading.KINDS[2]
+    right = parts.independent.trial(zigzag, 90.0, 100.0)["overshoot_1"]
+    angle = math.radians(20)
+    found = parts.plain_loops.one(constants, 90.0, 0.002, angle, 3, 100.0)[0]
+    assert found == pytest.approx(right, abs=math.radians(0.02))
+    together = parts.plain_loops.together(constants, np.array([90.0, 150.0]), 0.1, angle, 300)
+    for thrust, value in zip((90.0, 150.0), together, strict=True):
+        alone = parts.plain_loops.one(constants, thrust, 0.1, angle, 3, 100.0)[0]
+        assert value == pytest.approx(alone, rel=1e-9)
+
+
+def quadratic(x):
+    """Diameter, advance, overshoot and speed that are quadratic in (ln thrust, ln mass)."""
+    t, m = x[..., 0], x[..., 1]
+    return np.stack([t**2, m + t, 3 + t * m, t], axis=-1)
+
+
+@pytest.fixture
+def swept(parts):
+    """A sweep whose numbers are `quadratic`; lengths are of a vessel of 2 m."""
+    thrust, mass = parts.loading.axes(41, 31)
+    x = np.log(np.stack(np.meshgrid(thrust, mass), axis=-1)).reshape(-1, 2)
+    value = quadratic(x)
+    circle = pd.DataFrame(
+        {"tactical_diameter": 2 * value[:, 0], "advance": 2 * value[:, 1],
+         "approach_speed": value[:, 3], "imo_advance": "pass"}
+    )  # fmt: skip
+    circle["imo_tactical_diameter"] = np.where(value[:, 0] <= 25, "pass", "fail")
+    zigzag = pd.DataFrame({"overshoot_1": np.radians(value[:, 2])})
+    tables = {"circle": circle, "zigzag 20/20": zigzag}
+    return parts.sweeping.Swept(thrust, mass, tables, {}, {})
+
+
+def test_first_order_predictions_miss_the_second_order(parts, otter, swept):
+    rows, columns = parts.neighbours.bases(swept, 3)
+    assert rows.tolist() == [0, 0, 0, 15, 15, 15, 30, 30, 30] and columns[1] == 20
+    x = np.stack([np.log(swept.thrust[columns]), np.log(swept.mass[rows])], axis=-1)
+    t, m = x.T
+    one, zero = np.ones_like(t), np.zeros_like(t)
+    slope = np.stack(
+        [np.stack(pair, axis=-1) for pair in ((2 * t, zero), (one, one), (m, t), (one, zero))],
+        axis=1,
+    )
+    found = parts.neighbours.predictions(
+        swept, otter, (rows, columns), quadratic(x), slope, [(0, 2)]
+    )
+    inside = columns + 2 < 41
+    here, there = swept.thrust[columns[inside]], swept.thrust[columns[inside] + 2]
+    change = np.log(there / here)
+    np.testing.assert_allclose(found.step, change)
+    np.testing.assert_allclose(found.error[:, 0], -(change**2) / np.log(there) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(found.error[:, 1:], 0.0, atol=1e-12)
+    kink = parts.loading.saturation(otter, 35.0)
+    assert found.crosses[:, 0].tolist() == ((here <= kink) & (kink <= there)).tolist()
+
+
+def test_errors_of_second_order_grow_with_the_square(parts):
+    step = np.array([0.01, 0.02, 0.05, 0.1])
+    assert parts.neighbours.power(step, 3 * step**2) == pytest.approx(2.0)
+
+
+def test_criteria_count_the_designs_that_pass(parts, swept):
+    rows = {row["criterion"]: row for row in parts.sweeping.criteria(swept, 2.0)[:2]}
+    found = rows["tactical diameter"]
+    assert found["least"] == pytest.approx(math.log(60) ** 2)
+    assert found["share_pass"] == np.mean(np.log(swept.thrust) ** 2 <= 5.0)
+    assert parts.sweeping.compliant(swept).mean() == np.mean(np.log(swept.thrust) ** 2 <= 25)
+
+
+def test_wishes_are_found_by_root_finding(parts):
+    """t^2 and m + t are wanted; at a mass, only the first."""
+    wanted = parts.wanted
+
+    def missing(x, wish):
+        t, m = x
+        value = jnp.stack([t**2, m + t, 3 + t * m, t])
+        return wish[0] @ jnp.concatenate([value, x]) - wish[1]
+
+    start = jnp.log(jnp.asarray(wanted.START))
+    wish = wanted.both(20.0, 3 + 4.5 * math.sqrt(20.0))
+    x, residual, _, solved = wanted.search(missing, start, tuple(map(jnp.asarray, wish)))
+    assert solved and residual < 1e-8
+    np.testing.assert_allclose(x, [math.sqrt(20.0), 4.5], rtol=1e-8)
+    wish = wanted.at_mass("tactical diameter", 25.0, 70.0)
+    x, _, _, solved = wanted.search(missing, start, tuple(map(jnp.asarray, wish)))
+    assert solved
+    np.testing.assert_allclose(x, [5.0, math.log(70.0)], rtol=1e-8)
+    # A square below zero cannot be had, and that is told.
+    wish = wanted.at_mass("tactical diameter", -1.0, 70.0)
+    assert not wanted.search(missing, start, tuple(map(jnp.asarray, wish)))[3]
