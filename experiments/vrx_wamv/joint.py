@@ -68,9 +68,12 @@ def fit_linear(runs: list[Run]) -> Joint:
     return _fit(build(plain), runs, LINEAR, Innovations)
 
 
-def fit_whole(runs: list[Run]) -> Joint:
-    """The model with what the paper's lacks, by the error of free runs."""
-    return _fit(vessel_of(START), runs, WHOLE, FreeRun)
+def fit_whole(runs: list[Run], from_afar: bool = False) -> Joint:
+    """The model with what the paper's lacks, by the error of free runs.
+
+    `from_afar`: from where the innovation likelihood leads, whose basin is wider.
+    """
+    return _fit(vessel_of(START), runs, WHOLE, FreeRun, from_afar)
 
 
 def _fit(
@@ -78,12 +81,15 @@ def _fit(
     runs: list[Run],
     free: tuple[str, ...],
     objective: Callable[[Problem], Objective],
+    from_afar: bool = False,
 ) -> Joint:
     priors = {name: _prior(name, vessel) for name in free}
     began = time.process_time()
     recordings = [run.trajectory() for run in runs]
-    aim = objective(make_problem(vessel, recordings, free, priors=priors))
-    fitted = aim.fit(free)
+    problem = make_problem(vessel, recordings, free, priors=priors)
+    start = Innovations(problem).fit(free).coordinates if from_afar else None
+    aim = objective(problem)
+    fitted = aim.fit(free, start)
     return Joint(physical_table(aim.parameters, fitted), time.process_time() - began)
 
 

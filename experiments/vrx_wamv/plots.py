@@ -80,7 +80,7 @@ def following(plant: dict[str, Driven], models: dict[str, dict[str, Driven]]) ->
         one.set(xlabel="east, m", ylabel="north, m", title=path)
     axes[0].set_aspect("equal")
     axes[1].set(ylim=(-5, 60))
-    axes[2].set(xlabel="time, s", ylabel="speed on the circle, m/s", ylim=(0, None))
+    axes[2].set(xlabel="time, s", ylabel="speed on the circle, m/s", xlim=(0, 60))
     axes[0].legend(fontsize=7, frameon=False)
     return figure
 
