@@ -6,6 +6,7 @@ the README's tables; a quick one, for tests, writes to `out/` and leaves the REA
 
 import argparse
 import dataclasses
+import io
 import json
 import math
 import os
@@ -22,6 +23,7 @@ prepare_jax()
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,11 +43,14 @@ class Experiment:
         print(f"[{time.perf_counter() - self.began:5.0f} s] {message}", flush=True)
 
     def save(self, figure: Figure, name: str) -> None:
-        """Write a figure as `figures/<name>.png`."""
+        """Write a figure as `figures/<name>.png`, with 256 colours: a third of the size."""
         path = self.folder / "figures" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         FigureCanvasAgg(figure)
-        figure.savefig(path, dpi=110)
+        drawn = io.BytesIO()
+        figure.savefig(drawn, dpi=110, format="png")
+        plain_colours = Image.open(drawn).convert("RGB")
+        plain_colours.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
     def write(self, results: dict, tables: dict[str, str] | None = None) -> None:
         """Write results.json; in a full run fill in the README's tables, see `fill`."""

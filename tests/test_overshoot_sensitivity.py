@@ -43,7 +43,8 @@ def quick(tmp_path_factory):
         capture_output=True, text=True, timeout=900, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
-    assert len(list((folder / "figures").glob("*.png"))) == 4
+    figures = list((folder / "figures").glob("*.png"))
+    assert len(figures) == 4 and all(path.stat().st_size < 100_000 for path in figures)
     return json.loads((folder / "results.json").read_text())
 
 
