@@ -2,21 +2,20 @@
 
 The reasoning is the diagnosis's own: each candidate is refitted together with all the
 derivatives, and its evidence is the fall of the deviance less the price of its room in the
-prior (Laplace), with the misfits' scales of the best model for all.
+prior (Laplace), both by the misfits that the best of them leaves.
 """
 
 import dataclasses
 from collections.abc import Callable
 
+import marus_fit
 import marus_vessel
 import numpy as np
 
 from diffsea.diagnosis.select import EVIDENCE
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.trial_numbers import TrialNumbers
-
-
-SIDES = 1.0  # sizes in which an effect is begun, to either side: it is not begun at nothing
+from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,11 +27,14 @@ class Candidate:
     parameters: dict[str, float]  # SI units
     drop: float  # of the deviance against the even vessel
     occam: float  # twice the log of prior over posterior volume
+    size: int = 1  # coordinates
+    inflation: float = 1.0  # of the misfits under the best candidate
 
     @property
     def evidence(self) -> float:
         """Twice the log of the Bayes factor against the even vessel."""
-        return self.drop - max(self.occam, 0.0)
+        room = self.occam - self.size * np.log(self.inflation)
+        return self.drop / self.inflation - max(room, 0.0)
 
     @property
     def log10_odds(self) -> float:
@@ -42,27 +44,26 @@ class Candidate:
 
 def tried(objective: TrialNumbers, even: Estimate, say: Callable[[str], None]) -> list[Candidate]:
     """Every candidate refitted from the even vessel, best first."""
-    found = [_refitted(objective, even, effect) for effect in objective.effects]
-    for one in found:
-        say(f"{one.name}: log10 odds {one.log10_odds:.1f}")
+    found = []
+    for effect in objective.effects:
+        found.append(_refitted(objective, even, effect))
+        say(f"{effect.name}: the deviance falls by {found[-1].drop:.1f}")
+    best = max(found, key=lambda one: one.drop)
+    ratio = marus_fit.inflation(objective, best.estimate)
+    found = [dataclasses.replace(one, inflation=ratio) for one in found]
     return sorted(found, key=lambda one: -one.evidence)
 
 
-def _refitted(objective: TrialNumbers, even: Estimate, effect) -> Candidate:
+def _refitted(objective: TrialNumbers, even: Estimate, effect: Effect) -> Candidate:
     places = [k for k, owner in enumerate(objective.owners) if owner == effect.name]
-    free = (*even.free, effect.name)
-    fits = []
-    for side in (-SIDES, SIDES):
-        begin = np.array(even.coordinates, float)
-        begin[places] = side
-        fits.append(objective.fit(free, begin))
-    best = min(fits, key=lambda fit: fit.deviance)
-    volume = np.linalg.slogdet(best.precision)[1] - np.linalg.slogdet(even.precision)[1]
+    fitted = objective.fit((*even.free, effect.name), np.array(even.coordinates, float))
+    volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(even.precision)[1]
     occam = float(volume + 2 * np.log(objective.spreads[places]).sum())
     sizes = np.array(objective.sizes[effect.name])
-    said = effect.parameters(marus_vessel.start(), best.coordinates[places] * sizes)
+    said = effect.parameters(marus_vessel.start(), fitted.coordinates[places] * sizes)
     parameters = {name: float(value) for name, value in said.items()}
-    return Candidate(effect.name, best, parameters, even.deviance - best.deviance, occam)
+    drop = even.deviance - fitted.deviance
+    return Candidate(effect.name, fitted, parameters, drop, occam, len(places))
 
 
 def rivals(candidates: list[Candidate]) -> list[str]:

@@ -67,13 +67,35 @@ def _circles(vessel, coordinates: Array, plan: standard.Plan) -> dict[str, Array
         trial = standard.run(replace(vessel, values), plan)
         numbers = standard.numbers(plan, trial)
         last = trial.trajectory
-        keep = ("tactical_diameter", "steady_turning_diameter", "speed_loss", "advance")
+        keep = ("tactical_diameter", "steady_turning_diameter", "speed_loss", "final_speed",
+                "steady_yaw_rate")  # fmt: skip
         return {name: numbers[name] for name in keep} | {
             "drift": jnp.arctan2(-last.v[-1], last.u[-1]),
             "turned": last.psi[-1],
         }
 
     return jax.vmap(one)(coordinates)
+
+
+def feasibility() -> dict[str, float]:
+    """Whether the peak rates of the zig-zags go with the circles, by the published figures.
+
+    The exponent of the peak rate in the order; the rate that it gives for a circle (deg/s), the
+    speed that the published diameters then need (m/s), and the share of the approach's lost.
+    """
+    zigzags = {run.angle: run.numbers["peak_yaw_rate"] for run in published.RUNS if run.heading}
+    circles_ = [run for run in published.RUNS if not run.heading]
+    (small, slow), (large, fast) = sorted(zigzags.items())
+    exponent = math.log(fast / slow) / math.log(large / small)
+    rate = fast * (published.LARGEST_ANGLE / large) ** exponent
+    radius = (
+        0.5
+        * published.LENGTH
+        * float(np.mean([run.numbers["steady_turning_diameter"] for run in circles_]))
+    )
+    speed = math.radians(rate) * radius
+    approach = float(np.mean([run.speed for run in circles_]))
+    return {"exponent": exponent, "rate": rate, "speed": speed, "loss": 1 - speed / approach}
 
 
 def ratio_of(numbers: dict[str, float]) -> float:

@@ -62,12 +62,7 @@ def identified(work: Experiment) -> Identified:
         hull = read_vessel("marus_usv").document["hull"]
         return Identified({name: float(value) for name, value in hull.items()})
     work.say("deriving the hydrodynamic derivatives from the figures of tables 3 and 4")
-    objective = marus_fit.objective_of(marus_fit.FIRST)
-    first, _ = marus_fit.best_of(objective, marus_vessel.FREE, STARTS, work.say)
-    # The misfits' scales are those of the best model of all: of the best asymmetry.
-    tried = marus_asymmetry.tried(objective, first, work.say)
-    misfit = marus_fit.misfits(objective, tried[0].estimate)
-    work.say(f"misfits: {misfit}")
+    misfit = marus_fit.misfits()
     objective = marus_fit.objective_of(misfit)
     even, deviances = marus_fit.best_of(objective, marus_vessel.FREE, STARTS, work.say)
     hull = marus_fit.hull_of(objective, even)
@@ -123,6 +118,7 @@ def diameters(work: Experiment, found: Identified) -> dict:
     """Whether the steady diameter can exceed the tactical one."""
     needed = {run.name: marus_diameter.least_drift(run) for run in published.RUNS[:2]}
     result: dict = {"least_drift": {k: float(np.degrees(v)) for k, v in needed.items()}}
+    result["zigzags"] = marus_diameter.feasibility()
     if found.objective is None or found.even is None:
         return result
     work.say(f"turning {DRAWS} vessels drawn around the rules of thumb")
@@ -130,6 +126,11 @@ def diameters(work: Experiment, found: Identified) -> dict:
     drawn = marus_diameter.circles(np.vstack([at, marus_diameter.draws(DRAWS - 1)]))
     ratio = drawn["tactical_diameter"] / drawn["steady_turning_diameter"]
     fitted = {"drift": float(drawn["drift"][0]), "ratio": float(ratio[0])}
+    result["turn"] = {
+        "rate": float(np.degrees(drawn["steady_yaw_rate"][0])),
+        "speed": float(drawn["final_speed"][0]),
+        "loss": float(drawn["speed_loss"][0]),
+    }
     uphill = marus_diameter.ascended(found.objective, found.even.coordinates, UPHILL)
     slopes = marus_diameter.slopes_of_ratio(found.objective, found.even.coordinates)
     work.save(marus_plots.diameters(drawn, fitted, uphill), "diameters")

@@ -27,6 +27,7 @@ def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, d
             "directions": _directions(results["directions"]),
             "asymmetry": _asymmetry(results["asymmetry"]),
             "diameters": _diameters(turning),
+            "zigzags": _zigzags(turning),
             "beyond": _beyond(beyond),
             "effects": _effects(beyond),
         }
@@ -124,11 +125,12 @@ def _trace_table(runs) -> str:
         for one in logged:
             ratio = marus_trials.realisation(one.log, one.segment.onset)
             check = next(c for c in one.checks if c.name == "actuation")
-            shown = one.run.heading and "overshoot_1" or "tactical_diameter"
+            shown = "overshoot_1" if one.run.heading else "tactical_diameter"
             value = one.metrics.get(shown, math.nan) / published.in_si(shown)
+            spread = f"{ratio['low']:.2f} to {ratio['high']:.2f}"
             rows.append(
-                (one.run.title, title, ratio["median"], f"{ratio['low']:.2f} to {ratio['high']:.2f}",
-                 check.verdict, f"{value:.3g} {published.unit(shown)}")
+                (one.run.title, title, ratio["median"], spread, check.verdict,
+                 f"{value:.3g} {published.unit(shown)}")
             )  # fmt: skip
     head = ("trial", "thrusters", "executed / ordered, median", "2 % to 98 %", "check",
             "first overshoot or tactical diameter")  # fmt: skip
@@ -195,7 +197,7 @@ def _asymmetry(rows: list[dict]) -> str:
 
 
 def _diameters(turning: dict) -> str:
-    ends = turning["uphill"]
+    ends, needed = turning["uphill"], turning["least_drift"]
     rows = [
         ("vessels drawn that complete the circle", turning["drawn"]),
         ("of these with the steady diameter the larger one, %", 100 * turning["share_above"]),
@@ -205,12 +207,23 @@ def _diameters(turning: dict) -> str:
         ("fitted vessel: steady drift, deg", turning["fitted"]["drift"]),
         (
             "drift that the published circle to port needs, deg",
-            turning["least_drift"]["circle-port"],
+            needed["circle-port"],
         ),
-        ("and the one to starboard, deg", turning["least_drift"]["circle-starboard"]),
+        ("and the one to starboard, deg", needed["circle-starboard"]),
         ("largest steady over tactical diameter reached uphill", ends["ratio"]),
     ]
     return table(("", ""), rows)
+
+
+def _zigzags(turning: dict) -> str:
+    told, turn = turning["zigzags"], turning["turn"]
+    rows = [
+        ("peak yaw rate goes with the order to the power of", told["exponent"], None),
+        ("yaw rate at 35 deg, deg/s", told["rate"], turn["rate"]),
+        ("speed in the circle, m/s", told["speed"], turn["speed"]),
+        ("speed lost, %", 100 * told["loss"], 100 * turn["loss"]),
+    ]
+    return table(("", "from the published figures", "fitted vessel"), rows)
 
 
 def _beyond(beyond: dict) -> str:

@@ -6,6 +6,7 @@ once and with ones that do not: lag, dead band and limits are exactly absent at 
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -26,9 +27,10 @@ from diffsea.vessel.catalogue import Table, build
 
 
 SETTLING = 34.0  # ship lengths of steady running before the execute: some 120 s, as published
-INTERVAL = 0.05  # s, of the log
-NOISE = {"x": 0.01, "y": 0.01, "psi": math.radians(0.02), "u": 0.002, "v": 0.002,
-         "r": math.radians(0.05)}  # fmt: skip
+INTERVAL = 0.02  # s, of the log: a game engine's usual step
+# Of the log, assumed: m, rad, m/s, rad/s.
+NOISE = {"x": 0.01, "y": 0.01, "psi": math.radians(0.01), "u": 0.002, "v": 0.002,
+         "r": math.radians(0.03)}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,16 +65,20 @@ class Logged:
     metrics: dict
 
 
-def vessel_of(hull: dict[str, float], actuators: Actuators, effects: list[Table] = []) -> Vessel:
+def vessel_of(
+    hull: dict[str, float], actuators: Actuators, effects: Sequence[Table] = ()
+) -> Vessel:
     """A fitted hull with actuators and effects."""
     return build(document_of(hull, actuators, effects))
 
 
-def document_of(hull: dict[str, float], actuators: Actuators, effects: list[Table] = []) -> Table:
+def document_of(
+    hull: dict[str, float], actuators: Actuators, effects: Sequence[Table] = ()
+) -> Table:
     """The file of a fitted hull with actuators and effects."""
     thrust = marus_vessel.drag_at(hull, published.TARGET_SPEED)
     table = actuators.fitted_to(marus_vessel.document(hull), thrust)
-    return table | ({"effect": effects} if effects else {})
+    return table | ({"effect": list(effects)} if effects else {})
 
 
 def simulated(vessels: list[Vessel]) -> list[list[Trajectory]]:
@@ -199,7 +205,8 @@ def state_log(log: Trajectory, start: float) -> dict[str, np.ndarray]:
         "psi_wrapped": (psi + np.pi) % (2 * np.pi) - np.pi, "psi_unwrapped": psi,
         "psi_relative": psi - at_onset, "u": np.asarray(log.u), "v": np.asarray(log.v),
         "r": np.asarray(log.r), "r_calc": np.gradient(psi, t),
-        "delta_cmd": rudder_equivalent(log.commanded), "delta_exec": rudder_equivalent(log.executed),
+        "delta_cmd": rudder_equivalent(log.commanded),
+        "delta_exec": rudder_equivalent(log.executed),
         "T_port": thrust["port"], "T_starboard": thrust["starboard"],
         "tau_z": marus_vessel.ARM * (thrust["port"] - thrust["starboard"]),
     }  # fmt: skip
