@@ -44,7 +44,7 @@ def _trial(run: Trajectory, channel: str, dt: float, reference: float | None, wi
     t, psi = np.asarray(run.t, float), np.unwrap(np.asarray(run.psi, float))
     delta = np.asarray(getattr(run, channel)["rudder"], float)
     size = float(np.quantile(np.abs(delta), 0.9))
-    held = np.where(delta > 0.5 * size, 1, np.where(delta < -0.5 * size, -1, 0))
+    held = np.where(delta > 0.9 * size, 1, np.where(delta < -0.9 * size, -1, 0))
     count = max(3, round(2.0 / float(np.median(np.diff(t)))))
     steady = [
         k for k in range(len(held) - count) if np.all(held[k : k + count] == held[k]) and held[k]

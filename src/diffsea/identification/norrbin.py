@@ -100,11 +100,11 @@ def identify(trials: Trials, tie: Scalar = COMMON, steps: int = STEPS) -> Norrbi
     theta = regression(trials)
     own = jnp.stack([_first_rates(trials), jnp.zeros(trials.r.shape[0])], axis=1)
     stiff = tie * _normal(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
-    start = (theta, own, _cost(theta, own, trials, stiff), jnp.asarray(1e-2), jnp.asarray(jnp.inf))
-    theta, own, _, _, change = jax.lax.scan(
+    start = (theta, own, _cost(theta, own, trials, stiff), jnp.asarray(1e-2))
+    theta, own, cost, _ = jax.lax.scan(
         lambda carry, _: (_improved(carry, trials, stiff), None), start, length=steps
     )[0]
-    return _judged(theta, own, change, trials, stiff)
+    return _judged(theta, own, cost, trials, stiff)
 
 
 def regression(trials: Trials) -> Float[Array, "5"]:
@@ -176,7 +176,8 @@ def _reduced(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, 
 
     Besides: how those follow the coefficients, and their own steps.
     """
-    size = jnp.sqrt(jnp.diagonal(H[:, 5:, 5:], axis1=1, axis2=2)) + 1e-150
+    size = jnp.sqrt(jnp.diagonal(H[:, 5:, 5:], axis1=1, axis2=2))
+    size = jnp.where(size > 0, size, 1.0)  # of a trial of which nothing is known
     both = size[:, :, None] * size[:, None, :]
     inner = H[:, 5:, 5:] / both + (damping + 1e-12) * jnp.eye(2)
     inverse = jnp.linalg.inv(inner) / both
@@ -188,7 +189,7 @@ def _reduced(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, 
 
 def _improved(carry: tuple, trials: Trials, stiff: Array) -> tuple:
     """One step of Levenberg and Marquardt, withdrawn where it makes things worse."""
-    theta, own, cost, damping, change = carry
+    theta, own, cost, damping = carry
     A, scores, share, alone = _reduced(*_normal(theta, own, trials, stiff), damping)
     size = jnp.sqrt(jnp.diag(A)) + 1e-150
     scaled = A / jnp.outer(size, size) + damping * jnp.eye(5)
@@ -201,20 +202,22 @@ def _improved(carry: tuple, trials: Trials, stiff: Array) -> tuple:
         jnp.where(better, own + mine, own),
         jnp.where(better, after, cost),
         jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-12, 1e8),
-        jnp.where(better, (cost - after) / cost, change),
     )
 
 
-def _judged(theta: Array, own: Array, change: Array, trials: Trials, stiff: Array) -> NorrbinFit:
+def _judged(theta: Array, own: Array, cost: Array, trials: Trials, stiff: Array) -> NorrbinFit:
     A, scores, _, _ = _reduced(*_normal(theta, own, trials, stiff), 0.0)
     size = jnp.sqrt(jnp.diag(A)) + 1e-150
     inverse = jnp.linalg.inv(A / jnp.outer(size, size)) / jnp.outer(size, size)
     predicted = _simulated(theta, own, trials)
     count, number = trials.known.sum(), trials.known.any(axis=1).sum()
     left = jnp.sum(_residual(predicted, trials) ** 2)
+    # What another Gauss-Newton step promises to gain, against what is left or was there at all.
+    gain = scores.sum(0) @ inverse @ scores.sum(0)
+    little = 1e-3 * cost + 1e-12 * jnp.sum(jnp.where(trials.known, trials.r, 0.0) ** 2)
     variance = left / jnp.maximum(count - 5 - number, 1)
     spread = scores.T @ scores * number / jnp.maximum(number - 1, 1)
     return NorrbinFit(
         Norrbin.of(theta), own, predicted, jnp.sqrt(variance), variance * inverse,
-        inverse @ spread @ inverse, change < 1e-4,
+        inverse @ spread @ inverse, gain < little,
     )  # fmt: skip
