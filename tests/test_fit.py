@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +13,12 @@ from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
 from diffsea.errors import UserError
+from diffsea.identification import problem
 from diffsea.identification.colour import autocorrelation, inflation
 from diffsea.identification.estimates import physical_table
 from diffsea.identification.fit import _clock, _path, estimate, normalised_rms
 from diffsea.identification.gusts import Noise, gust_model, updated
+from diffsea.identification.least_squares import least_squares_from
 from diffsea.identification.noise import _rerun
 from diffsea.identification.problem import _residual, jacobian, make_problem, selection, traced
 from diffsea.priors import hull_prior
@@ -235,3 +238,33 @@ def test_orders_between_kept_rows_are_averaged(document):
     found = np.asarray(tape.orders["port"])[kept][:-1]
     np.testing.assert_allclose(found, 100 + 80 * np.sin(0.7 * (middle - 0.01)), atol=0.3)
     assert np.abs(found - (100 + 80 * np.sin(0.7 * (middle - 0.5 * dt)))).max() > 4.0
+
+
+def test_a_smaller_trust_region_moves_where_a_large_one_is_rejected():
+    """A force that is flat at the start and steep soon after: the linear step is far too long."""
+
+    def both(x, scale):
+        residual = lambda at: jnp.stack([scale * (1e-2 * at[0] + 30 * at[0] ** 2 - 2e-4), at[0]])
+        return residual(x), jax.jacfwd(residual)(x)
+
+    start = jnp.zeros(1)
+    ends = [
+        float(least_squares_from(both, start, 1e3, 3, radius=radius)[0][0])
+        for radius in (1.0, 1 / 64)
+    ]
+    assert ends[0] == 0.0
+    assert 0 < ends[1] < 0.01
+
+
+def test_a_fit_tries_shorter_steps_where_the_first_are_rejected(monkeypatch):
+    tried = []
+
+    def solved(inputs, layout, begin, tolerance, radius):
+        tried.append(float(radius))
+        return begin + (0.0 if radius == 1 else 0.1), None, None
+
+    monkeypatch.setattr(problem, "_minimise", solved)
+    inputs = SimpleNamespace(owner=np.zeros(3))
+    found = problem.minimise(inputs, None, np.array([0.5, 0.2]))
+    np.testing.assert_allclose(found, [0.6, 0.3])
+    assert tried == list(problem.RADII)

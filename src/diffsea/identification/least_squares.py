@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
@@ -34,8 +35,23 @@ def least_squares(
     ).value  # fmt: skip
 
 
-def _solver(tolerance: Scalar) -> optx.Dogleg:
-    return optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
+class _TrustRegion(optx.AbstractSearch):
+    """Optimistix's trust region with another first radius, which it has fixed at one."""
+
+    radius: Scalar
+    inner: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
+
+    def init(self, y: Any, f_info_struct: Any) -> Any:
+        state = self.inner.init(y, f_info_struct)
+        return jax.tree.map(lambda _: jnp.asarray(self.radius, float), state)
+
+    def step(self, *given: Any) -> tuple:
+        return self.inner.step(*given)
+
+
+def _solver(tolerance: Scalar, radius: Scalar = 1.0) -> optx.Dogleg:
+    solver = optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
+    return eqx.tree_at(lambda s: s.search, solver, _TrustRegion(radius))
 
 
 ONCE = 1e300  # a tolerance that ends a solution where it starts
@@ -47,14 +63,17 @@ def least_squares_from(
     args: Any,
     steps: int,
     tolerance: Scalar = 1e-4,
+    radius: Scalar = 1.0,
 ) -> tuple[Float[Array, "free"], Float[Array, "value"], Float[Array, "value free"]]:
     """As `least_squares` for a `function` that returns residual and Jacobian.
+
+    The trust region begins at `radius`.
 
     Besides the minimum it returns both of them at an earlier point of the way; with a tolerance
     of `ONCE` that is the start. One compiled program thus serves fits and Jacobians.
     """
     found = optx.least_squares(
-        lambda at, args: _both(at, given=(function, args)), _solver(tolerance), start, args,
+        lambda at, args: _both(at, given=(function, args)), _solver(tolerance, radius), start, args,
         has_aux=True, options={"jac": "fwd"}, max_steps=steps, throw=False,
     )  # fmt: skip
     return found.value, *found.aux

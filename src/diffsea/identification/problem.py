@@ -180,28 +180,39 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
 
 
 STEPS = 3  # of Gauss-Newton with the gains held fixed
+RADII = (1.0, 1 / 16)  # of the trust region at first, and where nothing was gained
 
 
 def minimised(
-    inputs: Inputs, layout: Static, start: Array, tolerance: Scalar = 1e-4
+    inputs: Inputs, layout: Static, start: Array, tolerance: Scalar = 1e-4, radius: Scalar = 1.0
 ) -> tuple[Array, Array, Array]:
     """Free numbers after Gauss-Newton steps, and residual and Jacobian on the way."""
-    return least_squares_from(with_jacobian, start, (inputs, layout), STEPS, tolerance)
+    return least_squares_from(with_jacobian, start, (inputs, layout), STEPS, tolerance, radius)
 
 
 _minimise = eqx.filter_jit(minimised)
 
 
 def minimise(inputs: Inputs, layout: Static, start: np.ndarray) -> np.ndarray:
-    """Free coordinates after Gauss-Newton steps with the gains held fixed."""
-    found = _minimise(inputs, layout, _padded(inputs, start), jnp.asarray(1e-4))[0]
-    return np.asarray(found)[: len(start)]
+    """Free coordinates after Gauss-Newton steps with the gains held fixed.
+
+    Where no step within the first radii lowers the sum of squares, shorter ones are tried: the
+    force of a light wind, say, is far from linear over the wind's prior.
+    """
+    begin = _padded(inputs, start)
+    for radius in RADII:
+        given = (jnp.asarray(1e-4), jnp.asarray(radius))
+        found = np.asarray(_minimise(inputs, layout, begin, *given)[0])[: len(start)]
+        if np.any(found != start):
+            break
+    return found
 
 
 def jacobian(start: np.ndarray, args: tuple[Inputs, Static]) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian by the free coordinates at `start`, then by the pushes."""
     inputs, layout = args
-    _, residual, J = _minimise(inputs, layout, _padded(inputs, start), jnp.asarray(ONCE))
+    given = (jnp.asarray(ONCE), jnp.asarray(RADII[0]))
+    _, residual, J = _minimise(inputs, layout, _padded(inputs, start), *given)
     return np.asarray(residual), np.asarray(J)
 
 
