@@ -14,8 +14,8 @@ from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_
 
 
 NAMES = (
-    "blueboat", "esso_osaka", "kvlcc2", "mariner", "otter", "pytheas", "shioji_maru", "vrx_wamv",
-    "wamv",
+    "blueboat", "esso_osaka", "kvlcc2", "mariner", "marus_usv", "otter", "pytheas", "shioji_maru",
+    "vrx_wamv", "wamv",
 )  # fmt: skip
 CALM = Environment()
 PORT_TO_STARBOARD = {"port": "starboard", "starboard": "port"}
@@ -26,6 +26,7 @@ ORDERS = {
     "esso_osaka": ({"propeller": 10.0, "rudder": 0.2}, 0.4),
     "kvlcc2": ({"propeller": 11.0, "rudder": 0.2}, 1.1),
     "mariner": ({"rudder": 0.2}, 7.0),
+    "marus_usv": ({"port": 60.0, "starboard": 30.0}, 0.8),
     "otter": ({"port": 10.0, "starboard": 6.0}, 1.5),
     "pytheas": ({"thruster.force": 10.0, "thruster.angle": 0.3}, 0.7),
     "shioji_maru": ({"propeller": 2.0, "rudder": 0.2, "bow": 1e4, "stern": -1e4}, 3.0),
@@ -178,6 +179,22 @@ def test_wamv_settles_where_its_drag_equals_the_thrust(thrust, speed):
     found = steady_speed(vessel, {"port": thrust / 2, "starboard": thrust / 2})
     assert found == pytest.approx((-100 + np.sqrt(1e4 + 600 * thrust)) / 300, rel=1e-9)
     assert found == pytest.approx(speed, abs=5e-5)
+
+
+def test_marus_usv_turns_as_its_published_circles_by_the_balance_of_forces():
+    """Steady turn of all thrust on one side: surge, sway and yaw in balance, solved by scipy."""
+    vessel, hull = read_vessel("marus_usv").vessel, read_vessel("marus_usv").document["hull"]
+    thrust = -(hull["X_u"] * 0.8268 + hull["X_uu"] * 0.8268**2)
+    executed = {"port": thrust, "starboard": 0.0}
+
+    def unbalanced(motion):
+        return accelerations(vessel, moving(*motion), executed)
+
+    u, v, r = fsolve(unbalanced, [0.65, -0.2, 0.13])
+    diameter = 2 * np.hypot(u, v) / r / hull["length"]
+    assert diameter == pytest.approx(0.5 * (3.530 + 3.686), rel=0.02)
+    # The tactical diameter is the smaller one, as published, so that it drifts by 13 deg or more.
+    assert np.degrees(np.arctan2(-v, u)) > 13.0
 
 
 def test_vrx_wamv_reaches_the_published_largest_speed_at_its_largest_order():
