@@ -70,6 +70,16 @@ def test_the_angle_has_its_slope_at_no_error(vessel):
     assert float(slope) == pytest.approx(FULL_ANGLE / (math.pi / 2), rel=1e-6)
 
 
+def test_the_shorter_way_round_is_taken(vessel):
+    # Heading 3 rad, the waypoint at -3 rad: 0.283 rad to starboard, whatever turns came before.
+    logic = waypoint_logic(vessel, [[20 * math.cos(-3.0), 20 * math.sin(-3.0)]])
+    for turns in (-1, 0, 2):
+        _, orders = logic.step(logic.init(), still(3.0 + 2 * math.pi * turns), 0.0, 0.05)
+        expected = FULL_ANGLE * (2 * math.pi - 6.0) / (math.pi / 2)
+        assert float(orders["thruster.angle"]) == pytest.approx(expected, rel=1e-5)
+        assert float(orders["thruster.force"]) == FULL_THRUST
+
+
 def run(vessel, waypoints, seconds=60.0, start=None, **fields):
     start = still() if start is None else start
     logic = waypoint_logic(vessel, waypoints, **fields)

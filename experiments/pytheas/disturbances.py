@@ -26,6 +26,12 @@ def fly() -> dict[str, Track]:
     return dict(zip(NAMES, run(boats(9), trials()), strict=True))
 
 
+def reached(D: float, lever: float) -> str:
+    """Names of the trials that reach the waypoint with another D (m) or thruster position (m)."""
+    flown = dict(zip(NAMES, run(boats(9, D=D, lever=lever), trials()), strict=True))
+    return " ".join(name for name, track in flown.items() if ended(track.t, track.x, track.y)[0])
+
+
 def printed_run(name: str, rotated: bool, seconds: float = 120.0, D: float | None = None):
     """A trial by the plain-Python equations; `rotated` takes (1) and (2) at their word."""
     k = NAMES.index(name)

@@ -41,7 +41,7 @@ def still_water(eight: list[Track], turns: dict[float, Track]) -> Figure:
 
 def battery(tracks: dict[str, Track], rotated: dict[str, np.ndarray]) -> Figure:
     """D1 to D9: obtained, and with positions turned by the heading."""
-    figure, axes = panels(3, 3, 10.0, 8.0)
+    figure, axes = panels(3, 3, 8.0, 6.8)
     for k, (name, track) in enumerate(tracks.items()):
         ax = axes.flat[k]
         ax.plot(track.y, track.x, color=BLUE, lw=1.2, label="obtained")
@@ -72,7 +72,7 @@ def layouts(found: dict[str, Flown]) -> Figure:
         axes[0, 1].plot(track.t, np.rad2deg(track.psi), color=colour, lw=1.3)
     axes[0, 0].set(xlabel="east, m", ylabel="north, m", aspect="equal", xlim=(-1, 4.5),
                    ylim=(-6, 1.5), title="to a waypoint 20 m astern: the start")  # fmt: skip
-    axes[0, 0].legend(frameon=False, fontsize=8, loc="lower right")
+    axes[0, 1].legend(*axes[0, 0].get_legend_handles_labels(), frameon=False, fontsize=8)
     axes[0, 1].axhline(180, color="black", lw=0.7, ls=":")
     axes[0, 1].set(xlabel="time, s", ylabel="heading, deg", title="heading")
     return figure
@@ -99,32 +99,30 @@ def design(
     left.plot(published[1], published[0], "o", color="black", ms=6, mfc="white", label="published")
     left.set(xlabel="thruster ahead of the mass centre, m", ylabel="full thrust, N",
              title="swell of 20 N from any side")  # fmt: skip
-    left.legend(frameon=False, fontsize=8, loc="lower left")
+    left.legend(fontsize=8, loc="lower left")
     for (name, margin), colour in zip(at_best.items(), (BLUE, ORANGE), strict=True):
         right.plot(np.rad2deg(directions), margin, color=colour, lw=1.3, label=name)
     right.axhline(0, color="black", lw=0.7)
     right.set(xlabel="direction of the swell, deg from the waypoint's bearing",
               ylabel="margin, m (1 where nearer than 1.5 m)",
               title="at the optima, published logic")  # fmt: skip
-    right.legend(frameon=False, fontsize=8)
+    right.legend(frameon=False, fontsize=7, loc="center right", bbox_to_anchor=(0.93, 0.6))
     return figure
 
 
-def sweep(maps: dict[str, Map], slower: np.ndarray) -> Figure:
-    """Time to the waypoint over thrust and mass, in the worse of several directions."""
-    figure, axes = panels(1, 1, 7.5, 4.6)
-    ax, first = axes[0, 0], next(iter(maps.values()))
-    time = np.where(np.isfinite(slower), slower, np.nan)
-    shown = ax.pcolormesh(first.thrust, first.mass, time.T, cmap="viridis", vmax=40,
-                          rasterized=True)  # fmt: skip
-    figure.colorbar(shown, ax=ax, label="time to the waypoint in the slower direction, s")
-    for (name, found), colour in zip(maps.items(), (RED, ORANGE), strict=True):
-        reached = np.isfinite(found.time).astype(float).T
-        ax.contour(found.thrust, found.mass, reached, [0.5], colors=colour, linewidths=1.2)
-        ax.plot([], [], color=colour, lw=1.2, label=f"limit at {name}")
-    ax.plot(20.0, 7.0, "o", color="white", mec="black", ms=7, label="published boat")
-    ax.set(xscale="log", yscale="log", xlabel="full thrust, N", ylabel="mass, kg",
-           title="swell of 20 N; white: a first attempt fails")  # fmt: skip
-    ax.title.set_fontsize(10)
-    ax.legend(frameon=True, fontsize=8, loc="lower left")
+def sweep(maps: dict[str, Map]) -> Figure:
+    """Time to the waypoint over thrust and mass, by the direction of the swell."""
+    figure, axes = panels(1, len(maps), 8.5, 3.5)
+    for ax, (name, found) in zip(axes[0], maps.items(), strict=True):
+        time = np.where(np.isfinite(found.time), found.time, np.nan)
+        shown = ax.pcolormesh(found.thrust, found.mass, time.T, cmap="viridis", vmin=2, vmax=40,
+                              rasterized=True)  # fmt: skip
+        ax.plot(20.0, 7.0, "o", color="white", mec="black", ms=7, label="published boat")
+        ax.set(xscale="log", yscale="log", xlabel="full thrust, N", ylabel="mass, kg",
+               title=f"swell of 20 N towards {name}", facecolor="#d9d9d9")  # fmt: skip
+        ax.set_xticks([5, 10, 20, 40, 80], labels=["5", "10", "20", "40", "80"])
+        ax.set_yticks([3, 7, 15, 30, 60], labels=["3", "7", "15", "30", "60"])
+        ax.minorticks_off()
+        ax.legend(fontsize=8, loc="lower left")
+    figure.colorbar(shown, ax=axes, label="time to the waypoint, s; grey: first attempt fails")
     return figure

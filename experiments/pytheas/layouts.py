@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from boat import FULL_ANGLE, THRUST, floats
-from disturbances import NAMES, ended, words
+from disturbances import NAMES, ended
 from jaxtyping import Array, Float
 from reporting import compared, table
 from sailing import SECONDS, Track, around, run
@@ -127,6 +127,7 @@ class Flown:
     reached: int  # of the five waypoints
     shift: float  # m, how far the boat moved until it had turned by 90 degrees towards one astern
     overshoot: float  # rad, by which it then turned past that waypoint's bearing
+    swinging: float  # rad, rms of the heading about its mean in the second half of D5
     battery: dict[str, tuple[bool, float, float]]
     tracks: list[Track]
 
@@ -148,22 +149,32 @@ def flown(made: Vessel, allocation: Allocated | None) -> Flown:
         np.array([track.at_speed(REACHED)[0] for track in tracks]),
         sum(track.t[-1] < SECONDS - 0.1 for track in tracks),
         float(np.hypot(astern.x[quarter], astern.y[quarter])),
-        float(np.abs(astern.psi).max() - np.pi),
+        float(np.max(_past(astern))),
+        float(np.std(nine[4].psi[len(nine[4].psi) // 2 :])),
         battery,
         tracks,
     )
 
 
+def _past(track: Track) -> np.ndarray:
+    """Heading beyond the bearing of the waypoint astern (rad), in the sense of the turn."""
+    bearing = np.unwrap(np.arctan2(-track.y, -20.0 - track.x))
+    error = track.psi - bearing
+    return np.sign(track.psi[-1]) * (error - 2 * np.pi * np.round(error[-1] / (2 * np.pi)))
+
+
 def layouts_table(found: dict[str, Flown]) -> str:
     """One row per layout."""
     head = ("layout", *(f"{b:.0f} deg, s" for b in np.rad2deg(BEARINGS)), "waypoints reached",
-            "moved in a turn of 90 deg, m", "reached of D1 to D9", "D6", "D8")  # fmt: skip
+            "moved in a turn of 90 deg, m", "turned past the waypoint, deg",
+            "heading swings in D5, deg rms", "reached of D1 to D9")  # fmt: skip
     rows = []
     for name, one in found.items():
         times = [f"{t:.1f}" if np.isfinite(t) else "never" for t in one.to_speed]
         count = sum(one.battery[trial][0] for trial in NAMES)
-        rows.append((name, *times, f"{one.reached} of 5", f"{one.shift:.2f}", f"{count} of 9",
-                     words(one.battery["D6"]), words(one.battery["D8"])))  # fmt: skip
+        past, swings = np.rad2deg([max(one.overshoot, 0.0), one.swinging])
+        rows.append((name, *times, f"{one.reached} of 5", f"{one.shift:.2f}", f"{past:.1f}",
+                     f"{swings:.1f}", f"{count} of 9"))  # fmt: skip
     return table(head, rows)
 
 
@@ -175,6 +186,7 @@ def record(found: dict[str, Flown]) -> dict:
             "reached": one.reached,
             "moved_in_a_turn_of_90_deg": one.shift,
             "overshoot": one.overshoot,
+            "swinging": one.swinging,
             "battery": {trial: end[0] for trial, end in one.battery.items()},
         }
         for name, one in found.items()
@@ -182,9 +194,9 @@ def record(found: dict[str, Flown]) -> dict:
 
 
 PUBLISHED = {
-    "(a)": ("turns on the spot", "shift"),
-    "(b)": ("does not turn on the spot", "shift"),
-    "(c)": ("may oscillate in a turn", "overshoot"),
+    "(a)": "turns on the spot",
+    "(b)": "does not turn on the spot",
+    "(c)": "may oscillate in a turn, with waves",
 }
 
 
@@ -192,9 +204,12 @@ def comparison_rows(found: dict[str, Flown]) -> list[dict]:
     """What the paper says of the layouts in words, beside numbers."""
     rows = []
     for name, one in found.items():
-        if name[:3] in PUBLISHED:
-            said, kind = PUBLISHED[name[:3]]
-            moved = f"moves {one.shift:.2f} m in a turn of 90 deg"
-            past = f"turns {np.rad2deg(one.overshoot):.0f} deg past the waypoint"
-            rows.append(compared(name, "", said, moved if kind == "shift" else past))
+        if name[:3] not in PUBLISHED:
+            continue
+        moved = f"moves {one.shift:.2f} m in a turn of 90 deg"
+        past, swings = np.rad2deg([one.overshoot, one.swinging])
+        beyond = f"turns {past:.1f} deg past the waypoint" if past > 0 else "never turns past it"
+        turned = f"{beyond}; swings by {swings:.1f} deg rms in D5"
+        obtained = turned if name.startswith("(c)") else moved
+        rows.append(compared(name, "", PUBLISHED[name[:3]], obtained))
     return rows

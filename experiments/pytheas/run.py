@@ -49,6 +49,12 @@ def in_still_water(work: Experiment) -> tuple[dict, list[dict], dict[str, str]]:
     if not work.quick:
         found["aft"] = still_water.acceleration(names, -0.4)
     taken = found["ahead"][names[0]]
+    levers = {"ahead": 0.4} if work.quick else {"ahead": 0.4, "aft": -0.4}
+    reached = {
+        f"{name}, {place}": disturbances.reached(still_water.READINGS[name], lever)
+        for name in names
+        for place, lever in levers.items()
+    }
     rotated = still_water.rotated_acceleration()
     found["ahead, positions turned by the heading"] = {names[0]: rotated}
     arrived = sum(track.t[-1] < 119.0 for track in eight)
@@ -62,11 +68,13 @@ def in_still_water(work: Experiment) -> tuple[dict, list[dict], dict[str, str]]:
     results = {
         "literal_1.4_m_s": still_water.literal_reading(eight[3]),
         "readings": found,
+        "reached_by_reading": reached,
         "steady_radius_at_1_N": still_water.steady_radius(1.0),
+        "half_width_of_turns_with_positions_turned": still_water.rotated_widths(work.quick),
     }
     work.save(figures.still_water(eight, turns), "still_water")
     work.say("still water")
-    return results, rows, {"readings": still_water.readings_table(found)}
+    return results, rows, {"readings": still_water.readings_table(found, reached)}
 
 
 def in_swell(work: Experiment) -> tuple[list[dict], list[dict], str]:
@@ -95,13 +103,13 @@ def other_layouts(work: Experiment) -> tuple[dict, list[dict], str]:
 
 def designed(work: Experiment) -> tuple[dict, str]:
     """Least thrust and the thruster's place."""
-    coarse, fine = (9, 19) if work.quick else (31, 361)
+    coarse, fine, finest = (9, 19, 19) if work.quick else (31, 361, 1801)
     check = design.gradient_check(SWELL, np.linspace(0.0, np.pi, coarse))
     found, lines = [], []
     for bias in (SWELL,) if work.quick else LONGER:
         for side in (1,) if work.quick else (1, -1):
             best = design.least(bias, side, coarse, fine)
-            safe = design.rounded(best, fine)
+            safe = design.rounded(best, finest)
             closed = design.head_sea_thrust(bias)
             found.append(best._asdict() | {"rounded": safe, "head_sea_thrust": closed})
             lines.append(design.row(best, safe, closed))
@@ -137,7 +145,7 @@ def mapped(work: Experiment) -> tuple[dict, str]:
     directions = {"45 deg": np.pi / 4, "135 deg": 3 * np.pi / 4}
     maps = {name: sweep.sweep(count, SWELL, angle) for name, angle in directions.items()}
     slower = np.maximum(*(found.time for found in maps.values()))
-    work.save(figures.sweep(maps, slower), "sweep")
+    work.save(figures.sweep(maps), "sweep")
     work.say("sweep")
     return sweep.record(maps, slower), sweep.summary(maps, slower)
 

@@ -18,8 +18,8 @@ READINGS = {
     "draught of two semicircular hulls (taken)": float(draught()),
     "draught of one semicircular hull": float(draught(hulls=1)),
     "draught of a box": MASS / (WATER * LENGTH * BEAM),
-    "twice the draught of two hulls": 2 * float(draught()),
-    "diameter of a submerged cylinder": float(np.sqrt(4 * MASS / (WATER * np.pi * LENGTH))),
+    "diameter of a cylinder that displaces the mass": 2 * float(draught()),
+    "width of the boat": BEAM,
 }  # fmt: skip
 
 
@@ -75,9 +75,12 @@ def literal_reading(track: Track) -> dict:
     return {"time": time, "distance": distance, "closed_form_r_0.01_0.03_0.05": closed}
 
 
-def readings_table(found: dict[str, dict[str, np.ndarray]]) -> str:
-    """Times by the reading of D and the thruster's place, with the largest error."""
-    rows = [("published", "", *TIMES, "", "")]
+def readings_table(found: dict[str, dict[str, np.ndarray]], reached: dict[str, str]) -> str:
+    """Times by the reading of D and the thruster's place, with the largest error.
+
+    `reached` has the trials of Table IV that end well, by reading and place.
+    """
+    rows = [("published", "", *TIMES, "", "", "D1 to D8")]
     for place, readings in found.items():
         for name, values in readings.items():
             off = np.abs(values - np.stack([TIMES, DISTANCES], axis=-1))
@@ -86,9 +89,10 @@ def readings_table(found: dict[str, dict[str, np.ndarray]]) -> str:
                 for part in (off[:, 0], off[:, 1])
             ]
             times = [f"{value:.2f}" if np.isfinite(value) else "never" for value in values[:, 0]]
-            rows.append((f"{name}: {READINGS[name]:.3f} m", place, *times, *worst))
+            ends = reached.get(f"{name}, {place}")
+            rows.append((f"{name}: {READINGS[name]:.3f} m", place, *times, *worst, ends))
     head = ("D", "thruster", *(f"{b:.0f} deg, s" for b in np.rad2deg(BEARINGS)),
-            "largest error, s", "largest error, m")  # fmt: skip
+            "largest error, s", "largest error, m", "reached of D1 to D9")  # fmt: skip
     return table(head, rows)
 
 
@@ -102,6 +106,15 @@ def tightest_turns() -> dict[float, Track]:
 def turning_radius(track: Track) -> float:
     """Half the width of a half turn, m."""
     return float(track.y.max() - track.y.min()) / 2
+
+
+def rotated_widths(quick: bool) -> dict[float, float]:
+    """Half the width of the half turns (m) with positions turned by the heading."""
+    trial, widths = printed.Trial((-1.5, 0.0), 1.0), {}
+    for thrust in THRUSTS[-1:] if quick else THRUSTS:
+        track = printed.run(printed.Boat(thrust=thrust), trial, 110.0, rotated=True)
+        widths[thrust] = float(np.ptp(track[:, 2])) / 2
+    return widths
 
 
 def steady_radius(thrust: float) -> float:
