@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -182,24 +181,25 @@ def test_criteria_count_the_designs_that_pass(parts, swept):
     assert parts.sweeping.compliant(swept).mean() == np.mean(np.log(swept.thrust) ** 2 <= 25)
 
 
-def test_wishes_are_found_by_root_finding(parts):
-    """t^2 and m + t are wanted; at a mass, only the first."""
+def test_wishes_are_found_by_newtons_method(parts):
+    """t^2 and 3 + t m are wanted; at a mass, only the first."""
     wanted = parts.wanted
 
-    def missing(x, wish):
-        t, m = x
-        value = jnp.stack([t**2, m + t, 3 + t * m, t])
-        return wish[0] @ jnp.concatenate([value, x]) - wish[1]
+    def evaluate(x):
+        t, m = x.T
+        one, zero = np.ones_like(t), np.zeros_like(t)
+        rows = ((2 * t, zero), (one, one), (m, t), (one, zero))
+        return quadratic(x), np.stack([np.stack(pair, axis=-1) for pair in rows], axis=1)
 
-    start = jnp.log(jnp.asarray(wanted.START))
-    wish = wanted.both(20.0, 3 + 4.5 * math.sqrt(20.0))
-    x, residual, _, solved = wanted.search(missing, start, tuple(map(jnp.asarray, wish)))
-    assert solved and residual < 1e-8
-    np.testing.assert_allclose(x, [math.sqrt(20.0), 4.5], rtol=1e-8)
-    wish = wanted.at_mass("tactical diameter", 25.0, 70.0)
-    x, _, _, solved = wanted.search(missing, start, tuple(map(jnp.asarray, wish)))
-    assert solved
-    np.testing.assert_allclose(x, [5.0, math.log(70.0)], rtol=1e-8)
-    # A square below zero cannot be had, and that is told.
-    wish = wanted.at_mass("tactical diameter", -1.0, 70.0)
-    assert not wanted.search(missing, start, tuple(map(jnp.asarray, wish)))[3]
+    found = wanted.search(
+        evaluate,
+        [
+            wanted.both(20.0, 3 + 4.5 * math.sqrt(20.0)),
+            wanted.at_mass("tactical diameter", 25.0, 70.0),
+            wanted.at_mass("tactical diameter", -1.0, 70.0),  # no square is below zero
+        ],
+    )
+    assert found.solved.tolist() == [True, True, False]
+    np.testing.assert_allclose(np.log(found.thrust[:2]), [math.sqrt(20.0), 5.0], rtol=1e-9)
+    np.testing.assert_allclose(found.mass[:2], [math.exp(4.5), 70.0], rtol=1e-8)
+    assert found.residual[2] >= 1.0 and found.steps[0] < 12

@@ -1,5 +1,6 @@
 """Derivatives of a design's numbers, and how far they predict its neighbours."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,49 +11,61 @@ from jaxtyping import Array, Bool, Float
 from loading import KINDS, THRUST, loaded, plan, saturation
 from sweeping import Swept
 
+from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.parameters import replace
-from diffsea.simulation import standard
-from diffsea.simulation.control import throttle_for_thrust
+from diffsea.simulation import manoeuvres
+from diffsea.simulation.control import speed_for, throttle_for_thrust
+from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.standard import Plan
+from diffsea.simulation.trials import run_trial
 from diffsea.vessel.base import Vessel
 
 
 QUANTITIES = ("tactical diameter", "advance", "overshoot 20/20", "approach speed")  # L, L, deg, m/s
 CIRCLE, ZIGZAG = KINDS[0], KINDS[2]
-_LANES = 64
+LANES = 32
+_PAST_HALF = math.radians(200)  # the circle may end a little after the tactical diameter
 
 
-def plans(vessel: Vessel) -> tuple[Plan, Plan]:
-    """The two trials whose numbers are differentiated."""
-    return plan(vessel, CIRCLE), plan(vessel, ZIGZAG)
+def both_trials() -> Stages:
+    """The tables of the 35 deg circle and of the 20/20 zig-zag, one above the other.
+
+    The circle has as many stages as the zig-zag, all alike, so that one program runs both.
+    """
+    count = 3
+    ahead, angle = jnp.ones(count), jnp.full(count, math.radians(CIRCLE.angle))
+    levels = _PAST_HALF * jnp.arange(1, count + 1) / count
+    circle = Stages(angle, ahead, ahead, 0 * ahead, 0 * ahead, levels)
+    zigzag = manoeuvres.zigzag(*(math.radians(a) for a in (ZIGZAG.angle, ZIGZAG.heading)), count)
+    return jax.tree.map(lambda a, b: jnp.stack([a, b]), circle, zigzag)
 
 
-def quantities(
-    vessel: Vessel, trials: tuple[Plan, Plan], x: Float[Array, "2"]
-) -> Float[Array, "quantity"]:
-    """`QUANTITIES` of the design x = (ln thrust, ln mass)."""
+def quantities(vessel: Vessel, trial: Plan, x: Float[Array, "2"]) -> Float[Array, "quantity"]:
+    """`QUANTITIES` of the design x = (ln thrust, ln mass); `trial` has times and step."""
     thrust, mass = jnp.exp(x[0]), jnp.exp(x[1])
     design = replace(vessel, loaded(vessel, mass))
     throttle = throttle_for_thrust(design, thrust)
-    circle, zigzag = (
-        standard.numbers(p, standard.run(design, p, throttle=throttle)) for p in trials
-    )
+
+    def one(stages: Stages) -> tuple:
+        run = run_trial(
+            design, stages, None, throttle, trial.settings, approach_seconds=trial.approach_seconds
+        )
+        circle = turning_metrics(run.trajectory, run.execute_time, 1.0)
+        switches = jnp.concatenate([run.execute_time[None], run.switch_times[:-1]])
+        zigzag = zigzag_metrics(run.trajectory, switches)
+        return circle["tactical_diameter"], circle["advance"], zigzag["overshoot_1"]
+
+    (diameter, _), (advance, _), (_, overshoot) = jax.vmap(one)(both_trials())
     length = vessel.rigid_body.length
-    return jnp.stack(
-        [
-            circle["tactical_diameter"] / length,
-            circle["advance"] / length,
-            jnp.degrees(zigzag["overshoot_1"]),
-            circle["approach_speed"],
-        ]
-    )
+    speed = speed_for(design, throttle)
+    return jnp.stack([diameter / length, advance / length, jnp.degrees(overshoot), speed])
 
 
 @eqx.filter_jit
-def _with_slopes(vessel: Vessel, x: Float[Array, "lane 2"], trials: tuple[Plan, Plan]) -> tuple:
+def _with_slopes(vessel: Vessel, x: Float[Array, "lane 2"], trial: Plan) -> tuple:
     def one(at: Float[Array, "2"]) -> tuple:
         def along(direction: Float[Array, "2"]) -> tuple:
-            return jax.jvp(lambda z: quantities(vessel, trials, z), (at,), (direction,))
+            return jax.jvp(lambda z: quantities(vessel, trial, z), (at,), (direction,))
 
         value, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
         return value, slopes.T
@@ -65,11 +78,12 @@ def with_slopes(
 ) -> tuple[Float[np.ndarray, "design quantity"], Float[np.ndarray, "design quantity 2"]]:
     """Quantities of designs, and their exact derivatives by ln thrust and ln mass."""
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    trial = plan(vessel, ZIGZAG)
     values, slopes = [], []
-    for k in range(0, len(x), _LANES):
-        block = x[k : k + _LANES]
-        padded = np.pad(block, ((0, _LANES - len(block)), (0, 0)), mode="edge")
-        value, slope = _with_slopes(arrays, jnp.asarray(padded), plans(vessel))
+    for k in range(0, len(x), LANES):
+        block = x[k : k + LANES]
+        padded = np.pad(block, ((0, LANES - len(block)), (0, 0)), mode="edge")
+        value, slope = _with_slopes(arrays, jnp.asarray(padded), trial)
         values.append(np.asarray(value)[: len(block)])
         slopes.append(np.asarray(slope)[: len(block)])
     return np.concatenate(values), np.concatenate(slopes)

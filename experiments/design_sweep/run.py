@@ -166,7 +166,7 @@ def contour_gap(found: sweeping.Swept, length: float, answer: wanted.Found) -> f
 
 def inverse(run: Experiment, vessel: Vessel, found: sweeping.Swept, length: float) -> dict:
     """Thrust and mass from a wanted tactical diameter and overshoot, and back."""
-    drawn = independent.drawn(found, wanted.LANES, seed=1)
+    drawn = independent.drawn(found, 64, seed=1)
     maps = neighbours.truth(found, vessel).reshape(-1, len(neighbours.QUANTITIES))[drawn]
     run.say("inverse design")
     answer = wanted.solve(vessel, [wanted.both(row[0], row[2]) for row in maps])
@@ -247,16 +247,22 @@ def independent_table(checks: list[dict]) -> str:
 def prediction_table(found: dict) -> str:
     lines = []
     for name in neighbours.QUANTITIES[:3]:
-        entry = found[name]
         for which, label in (("smooth", "no"), ("across", "yes")):
-            cells = [
-                "-" if entry[f"{which}_{p}"]["median"] is None else
-                f"{100 * entry[f'{which}_{p}']['median']:.2g} ({100 * entry[f'{which}_{p}']['worst']:.2g})"
-                for p in (1, 5, 10, 20)
-            ]  # fmt: skip
+            cells = [in_percent(found[name][f"{which}_{p}"]) for p in (1, 5, 10, 20)]
             lines.append((name, label, *cells))
-    head = ("number", "saturates between", *(f"step {p} %" for p in (1, 5, 10, 20)))
+    head = (
+        "error, %: median (worst)",
+        "saturates between",
+        *(f"step {p} %" for p in (1, 5, 10, 20)),
+    )
     return table(head, lines)
+
+
+def in_percent(entry: dict) -> str:
+    """Median and worst error of a bucket in per cent."""
+    if entry["median"] is None:
+        return "-"
+    return f"{100 * entry['median']:.2g} ({100 * entry['worst']:.2g})"
 
 
 def inverse_table(found: dict) -> str:
@@ -265,7 +271,7 @@ def inverse_table(found: dict) -> str:
         ("solved", str(found["solved"])),
         ("... to the design they were drawn from", str(found["same_design"])),
         ("... to another design with the same two numbers", str(found["another_design"])),
-        ("Levenberg-Marquardt steps, median", f"{found['median_steps']:g}"),
+        ("Newton steps, median", f"{found['median_steps']:g}"),
         ("largest residual (L, deg)", f"{found['worst_residual']:.1e}"),
     ]
     for check in found["independent"]:

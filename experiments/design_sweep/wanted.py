@@ -1,22 +1,21 @@
-"""Designs from wanted numbers: roots found by Optimistix on exact derivatives."""
+"""Designs from wanted numbers: Newton's method on exact derivatives, all wishes side by side."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix
-from jaxtyping import Array, Float
-from neighbours import QUANTITIES, plans, quantities
+from jaxtyping import Float
+from neighbours import QUANTITIES, with_slopes
 
-from diffsea.simulation.standard import Plan
 from diffsea.vessel.base import Vessel
 
 
-LANES = 32
 START = (100.0, 100.0)  # N, kg: every search begins here
 _MOST_STEPS = 40
+_LONGEST = 0.3  # of ln thrust and ln mass in one step
+_SMALL = 1e-8  # ship lengths or degrees: found
+
+Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class Wish(NamedTuple):
@@ -31,7 +30,7 @@ class Found(NamedTuple):
 
     thrust: Float[np.ndarray, "wish"]  # N
     mass: Float[np.ndarray, "wish"]  # kg
-    residual: Float[np.ndarray, "wish"]  # largest, in the units of the equations
+    residual: Float[np.ndarray, "wish"]  # in the unit of the worse equation
     steps: np.ndarray
     solved: np.ndarray
 
@@ -57,38 +56,46 @@ def _rows(*names: str) -> np.ndarray:
 
 
 def solve(vessel: Vessel, wishes: list[Wish]) -> Found:
-    """The thrust and mass of each wish, all searched side by side."""
-    arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    parts = []
-    for k in range(0, len(wishes), LANES):
-        block = wishes[k : k + LANES]
-        padded = block + [block[-1]] * (LANES - len(block))
-        rows = jnp.asarray(np.stack([w.rows for w in padded]))
-        level = jnp.asarray(np.stack([w.level for w in padded]))
-        answer = _solved(arrays, rows, level, plans(vessel))
-        parts.append([np.asarray(part)[: len(block)] for part in answer])
-    x, residual, steps, solved = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Found(np.exp(x[:, 0]), np.exp(x[:, 1]), residual, steps, solved)
+    """The thrust and mass of each wish."""
+    return search(lambda x: with_slopes(vessel, x), wishes)
 
 
-@eqx.filter_jit
-def _solved(
-    vessel: Vessel,
-    rows: Float[Array, "lane 2 row"],
-    level: Float[Array, "lane 2"],
-    trials: tuple[Plan, Plan],
-) -> tuple:
-    def missing(x: Float[Array, "2"], wish: tuple) -> Float[Array, "2"]:
-        return wish[0] @ jnp.concatenate([quantities(vessel, trials, x), x]) - wish[1]
+def search(evaluate: Evaluate, wishes: list[Wish]) -> Found:
+    """Roots of all wishes by Newton's method with halved steps; `evaluate` as `with_slopes`."""
+    rows = np.stack([wish.rows for wish in wishes])
+    level = np.stack([wish.level for wish in wishes])
+    x = np.tile(np.log(START), (len(wishes), 1))
+    missing, slope = equations(evaluate, x, rows, level)
+    steps, share = np.zeros(len(wishes), int), np.ones(len(wishes))
+    for _ in range(_MOST_STEPS):
+        open_ = size(missing) > _SMALL
+        if not open_.any():
+            break
+        newton = -np.einsum("wij,wj->wi", np.linalg.pinv(slope), missing)
+        reach = np.maximum(1.0, np.abs(newton).max(axis=-1, keepdims=True) / _LONGEST)
+        trial = np.where(open_[:, None], x + share[:, None] * newton / reach, x)
+        after, there = equations(evaluate, trial, rows, level)
+        better = open_ & (size(after) < size(missing))
+        x = np.where(better[:, None], trial, x)
+        missing = np.where(better[:, None], after, missing)
+        slope = np.where(better[:, None, None], there, slope)
+        share = np.where(better, 1.0, 0.5 * share)
+        steps += open_
+    residual = size(missing)
+    return Found(np.exp(x[:, 0]), np.exp(x[:, 1]), residual, steps, residual <= _SMALL)
 
-    return jax.vmap(lambda r, b: search(missing, jnp.log(jnp.asarray(START)), (r, b)))(rows, level)
+
+def equations(
+    evaluate: Evaluate, x: np.ndarray, rows: np.ndarray, level: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is missing to each wish, and its derivatives by x."""
+    value, slope = evaluate(x)
+    whole = np.concatenate([value, x], axis=-1)
+    slopes = np.concatenate([slope, np.tile(np.eye(2), (len(x), 1, 1))], axis=1)
+    missing = np.einsum("wij,wj->wi", rows, whole) - level
+    return missing, np.einsum("wij,wjk->wik", rows, slopes)
 
 
-def search(missing, start: Float[Array, "2"], wish: tuple) -> tuple:
-    """Root, largest residual there, steps taken and whether it was found."""
-    solver = optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9)
-    found = optimistix.root_find(
-        missing, solver, start, wish, options={"jac": "fwd"}, max_steps=_MOST_STEPS, throw=False
-    )
-    residual = jnp.max(jnp.abs(missing(found.value, wish)))
-    return found.value, residual, found.stats["num_steps"], residual < 1e-6
+def size(missing: Float[np.ndarray, "wish 2"]) -> Float[np.ndarray, "wish"]:
+    """The larger of the two misses; infinite where a trial does not have the number."""
+    return np.nan_to_num(np.abs(missing).max(axis=-1), nan=np.inf)

@@ -244,10 +244,11 @@ def differences_table(vessels: dict) -> str:
     lines = []
     for name, found in vessels.items():
         for number, entry in found["differences"].items():
-            errors = dict(zip(np.round(np.log10(entry["steps"]), 1), entry["median_error"],
-                              strict=True))  # fmt: skip
-            lines.append((name, number, *(f"{errors[k]:.1e}" for k in (-1, -3, -5, -9)),
-                          f"{entry['best_step']:.0e}", f"{entry['worst_error_at_best']:.1e}"))  # fmt: skip
+            powers = np.round(np.log10(entry["steps"]), 1)
+            errors = dict(zip(powers, entry["median_error"], strict=True))
+            shown = [f"{errors[k]:.1e}" for k in (-1, -3, -5, -9)]
+            best = (f"{entry['best_step']:.0e}", f"{entry['worst_error_at_best']:.1e}")
+            lines.append((name, number, *shown, *best))
     head = ("vessel", "number", "h = 0.1", "1e-3", "1e-5", "1e-9", "best h", "worst there")
     return table(head, lines)
 
