@@ -8,8 +8,8 @@ Learning rate and number of samples are not published.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 from harbour_ship import PERIOD, TURNS_SQUARED, orders
+from jaxtyping import Array, Bool, Float
 
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
@@ -18,7 +18,10 @@ from diffsea.vessel.base import Vessel
 UPDATES = 100  # per control period, published
 DELAYS = (15.0, 10.0)  # s, tau_v and tau_r, published
 SAMPLES = 120  # T_r: one minute, chosen
-RATE = 0.05  # alpha, chosen
+# alpha while unberthing and while leaving. Chosen on development seeds and on Exp. 1's weather: the
+# first so that thrusters turn the wrong way about when the paper's did, the second as large as
+# leaves rudder control sound.
+RATES = (0.03, 0.001)
 TERMS = ("v", "r", "rudder", "bow", "stern", "bias")  # regressors, in this order
 
 # Which terms the sway and the yaw equation have: eq. 4 while unberthing, eq. 5 while leaving.
@@ -155,10 +158,10 @@ def descended(
 
 
 def estimated(
-    model: Linear, window: Window, leaving: Bool[Array, ""], rate: Scalar = RATE
+    model: Linear, window: Window, leaving: Bool[Array, ""], rates: Float[Array, "2"]
 ) -> Linear:
     """The model after one control period of gradient descent."""
-    rows = []
+    rows, rate = [], jnp.where(leaving, rates[1], rates[0])
     for k in range(2):
         terms = jnp.where(leaving, jnp.array(LEAVING[k]), jnp.array(UNBERTHING[k])).astype(float)
         rows.append(descended(model.rows[k], *normal_equations(window, k, terms), rate))

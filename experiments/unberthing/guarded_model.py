@@ -1,15 +1,17 @@
 """The cure: recursive least squares on the ship's own equations, behind trust and gate.
 
-What is estimated: how much force the two thrusters and the rudder make of an order, and one steady
-force and moment for wind, current and whatever else pushes. Masses are the anchor. A thruster
-whose force has changed its sign is then five standard deviations off its prior, and a push that
-comes with the tide has a place of its own to go to.
+What is estimated: how much force the two thrusters make of an order, and one steady force and
+moment for wind, current and whatever else pushes. Masses are the anchor. A thruster whose force has
+changed its sign is then five standard deviations off its prior, and a push that comes with the tide
+has a place of its own to go to.
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 from harbour_ship import PERIOD, nominal
 
 from diffsea.identification.online import rls, trust
+from diffsea.identification.online.gate import Gate
 from diffsea.identification.online.guarded import RLS_CHANNELS, Guarded, Standing, guarded
 from diffsea.identification.online.trust import Limits
 from diffsea.priors import Parameter
@@ -21,12 +23,12 @@ MEMORY = 120.0  # s of forgetting
 BANDWIDTH = 0.2  # rad/s, of the filters: sway noise below it, thrusters' changes within it
 LASTING = 5.0  # s that a gust lasts in the residual
 WINDOW = 30.0  # s of the trust, and of the quarantine
-NOISE = (3e3, 3e3, 1.0e5)  # N, N, N m: residual of the sound development runs
+REOPEN = 0.6  # trust that opens the gate: while leaving, the thrusters rest and tell nothing
+NOISE = (1.5e3, 2.5e3, 4.0e4)  # N, N, N m: residual of the leaving phase on development seeds
 
 FREE = (
     Parameter("bow.effectiveness", 1.0, scale=1.0, spread=0.2),
     Parameter("stern.effectiveness", 1.0, scale=1.0, spread=0.2),
-    Parameter("rudder.lift_slope", 2.51, scale=2.51, spread=0.15),
     Parameter("steady.north", 0.0, scale=1e4, spread=1.0, unit="N"),
     Parameter("steady.east", 0.0, scale=1e4, spread=1.0, unit="N"),
     Parameter("steady.moment", 0.0, scale=2e5, spread=1.0, unit="N m"),
@@ -48,4 +50,6 @@ def guard(limits: Limits | None = None) -> tuple[Guarded, Standing]:
     )  # fmt: skip
     if limits is None:
         limits = trust.limits(regression.vessel, regression.parameters, RLS_CHANNELS, WINDOW)
-    return guarded(regression, running, limits)
+    gate = Gate(limits.window, reopen=jnp.asarray(REOPEN))
+    made, standing = guarded(regression, running, limits)
+    return eqx.tree_at(lambda g: g.gate, made, gate), standing

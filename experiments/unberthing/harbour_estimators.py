@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from gradient_model import (
-    RATE,
+    RATES,
     Linear,
     Window,
     derivatives,
@@ -63,7 +63,7 @@ class Gradient(AbstractEstimator):
 
     unberthing: Linear
     leaving: Linear
-    rate: Scalar
+    rates: Float[Array, "2"]
 
     def init(self) -> tuple[Linear, Window]:
         return self.unberthing, empty()
@@ -72,7 +72,7 @@ class Gradient(AbstractEstimator):
         start = _where(seen.leaving, self.leaving, self.unberthing)
         model = _where(seen.fresh, start, memory[0])
         window = push(memory[1], seen.speeds, seen.blades[1:], seen.fresh)
-        model = estimated(model, window, seen.leaving, self.rate)
+        model = estimated(model, window, seen.leaving, self.rates)
         return (model, window), Advice(model, jnp.zeros(2), jnp.ones(()))
 
 
@@ -112,17 +112,15 @@ class Recursive(AbstractEstimator):
         return guarded_step(self.guard, standing, orders(seen.blades), row, dt)
 
 
-def gradient(rate: float = RATE) -> Gradient:
+def gradient(rates: tuple[float, float] = RATES) -> Gradient:
     """The published estimator, from the regressions' ship at 1 and at 3 kn."""
     models = (nominal_linear(nominal(), jnp.asarray(knots * KNOT)) for knots in (1.0, 3.0))
-    return Gradient(*models, jnp.asarray(rate))
+    return Gradient(*models, jnp.array(rates, float))
 
 
-def recursive(
-    limits: Limits | None = None, gated: bool = True, forward: bool = False
-) -> Recursive:
+def recursive(limits: Limits | None = None, gated: bool = True, forward: bool = False) -> Recursive:
     """The library's estimator with its trust and gate."""
-    return Recursive(*guard(limits), jnp.asarray(float(gated)), jnp.asarray(float(forward)))
+    return Recursive(*guard(limits), *(jnp.asarray(switch, float) for switch in (gated, forward)))
 
 
 def _where(which: Bool[Array, ""], one: Linear, other: Linear) -> Linear:

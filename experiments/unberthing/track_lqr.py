@@ -60,9 +60,7 @@ def surge_gains(vessel: Vessel) -> Surge:
     theta_P = steady_blades(vessel, speed)
     A, B = derivatives(vessel, jnp.asarray(speed), theta_P)
     bad, R = jnp.array(WORST_SURGE[:2]), jnp.eye(1) / WORST_SURGE[2] ** 2
-    phi, gamma = discrete(
-        jnp.array([[A[0, 0], 0.0], [1.0, 0.0]]), jnp.array([[B[0, 0]], [0.0]])
-    )
+    phi, gamma = discrete(jnp.array([[A[0, 0], 0.0], [1.0, 0.0]]), jnp.array([[B[0, 0]], [0.0]]))
     both = discrete_lqr(phi, gamma, jnp.diag(1 / bad**2), R)[0]
     alone = discrete_lqr(phi[:1, :1], gamma[:1], jnp.eye(1) / bad[0] ** 2, R)[0]
     return Surge(both, jnp.append(alone, 0.0), theta_P / speed**2)

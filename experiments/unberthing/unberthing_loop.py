@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from harbour_route import place
 from harbour_ship import PERIOD, Weather
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from unberthing_system import ControlSystem
 
 from diffsea.simulation.integrate import advance, begin, history_length
@@ -25,6 +25,7 @@ class Log(eqx.Module):
     step: Float[Array, "time"]
     cross: Float[Array, "time"]  # m, true cross-track error of the step
     Y_d: Float[Array, "time"]  # m to starboard of the target line
+    speeds: Float[Array, "time 2"]  # v and r as filtered
     side_force: Float[Array, "time"]  # N to starboard that the thrusters' orders stand for
     model: Float[Array, "time 2 6"]  # the linear model used
     gain: Float[Array, "time 3 4"]
@@ -38,7 +39,9 @@ def started(u: Scalar, x: Scalar = 0.0, y: Scalar = 0.0) -> State:
 
 def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) -> Log:
     """One run; pure, for jit and vmap. Rows after the last step have `step` above it."""
-    lengths = {c: history_length(s, PERIOD, longest=LONGEST_DELAY) for c, s in vessel.servos.items()}
+    lengths = {
+        c: history_length(s, PERIOD, longest=LONGEST_DELAY) for c, s in vessel.servos.items()
+    }
     still = {c: jnp.zeros(()) for c in vessel.channels}
 
     def body(carry: tuple, row: tuple) -> tuple[tuple, Log]:
@@ -54,8 +57,9 @@ def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) 
         after = advance(vessel, motion, ordered, environment, t, PERIOD)
         at = place(memory.step, true)
         log = Log(
-            t, true, memory.blades, memory.step, at.cross, at.Y_d, _side_force(vessel, true, ordered),
-            memory.advice.model.rows, memory.gain, memory.advice.trust,
+            t, true, memory.blades, memory.step, at.cross, at.Y_d, memory.speeds,
+            _side_force(vessel, true, ordered), memory.advice.model.rows, memory.gain,
+            memory.advice.trust,
         )  # fmt: skip
         over = control.finished(memory)
         motion = jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, after)
@@ -67,16 +71,19 @@ def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) 
 
 
 @eqx.filter_jit
-def run_all(vessels: Vessel, control: ControlSystem, weathers: Weather, start: State) -> Log:
+def run_all(vessels: Vessel, control: ControlSystem, weathers: Weather, starts: State) -> Log:
     """A batch of ships, each in its own weather, all under the same control."""
-    return eqx.filter_vmap(run, in_axes=(eqx.if_array(0), None, eqx.if_array(0), None))(
-        vessels, control, weathers, start
+    some = eqx.if_array(0)
+    return eqx.filter_vmap(run, in_axes=(some, None, some, some))(
+        vessels, control, weathers, starts
     )
 
 
 def stacked(members: list) -> object:
     """Vessels or weathers as one batch."""
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *members)
+    return jax.tree.map(
+        lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *members
+    )
 
 
 def _measured(state: State, noise: Float[Array, "6"]) -> State:

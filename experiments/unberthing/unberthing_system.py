@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from gradient_model import Linear
 from harbour_estimators import AbstractEstimator, Advice, Seen
 from harbour_route import DONE, Place, next_step, place
-from harbour_ship import KNOT, PERIOD, nominal, orders
+from harbour_ship import PERIOD, nominal, orders
 from jaxtyping import Array, Bool, Float
 from track_lqr import (
     SPEED_RATE,
@@ -46,9 +46,9 @@ class ControlSystem(AbstractController[Memory]):
     estimator: AbstractEstimator
     surge: Surge
     weights: Weights
-    first_step: Scalar = 1.0
-    last_step: Scalar = 5.0
-    compensate: Scalar = 1.0  # eq. 16: 1, 0 for none, -1 with the printed sign
+    first_step: Scalar
+    last_step: Scalar
+    compensate: Scalar  # eq. 16: 1, 0 for none, -1 with the printed sign
 
     def init(self) -> Memory:
         zero, still = jnp.zeros(()), State(*(jnp.zeros(()) for _ in range(6)))
@@ -91,4 +91,6 @@ class ControlSystem(AbstractController[Memory]):
 
 def system(estimator: AbstractEstimator, **options: float) -> ControlSystem:
     """A control system for the nominal ship."""
-    return ControlSystem(estimator, surge_gains(nominal()), bryson(), **options)
+    numbers = {"first_step": 1.0, "last_step": 5.0, "compensate": 1.0} | options
+    arrays = {name: jnp.asarray(value, float) for name, value in numbers.items()}
+    return ControlSystem(estimator, surge_gains(nominal()), bryson(), **arrays)

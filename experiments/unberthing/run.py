@@ -1,0 +1,91 @@
+"""Unberthing under online estimation: Shioji Maru's control system, its failure and the cure."""
+
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import unberthing_figures as figures
+import unberthing_stages as stages
+import unberthing_tables as tables
+from reporting import comparison, experiment
+from unberthing_scores import score
+
+
+def main() -> None:
+    """Run the stages, write results, tables and figures."""
+    run = experiment(__file__, __doc__)
+    lanes, draws = (4, 2) if run.quick else (20, 10)
+    control = stages.systems()
+    published, cured = control["published"], control["trusted, push borne"]
+
+    run.say("Exp. 1: unberthing")
+    cases = stages.repeats(stages.EXP_1, 2 * draws)
+    first = list(stages.logs(published, cases, lanes))
+    cured_first = list(stages.logs(cured, cases, lanes))
+    rows = tables.exp_1_rows(first, [score(log) for log in cured_first])
+
+    run.say("Exps. 2 and 3: leaving, with eq. 16 three ways")
+    leaving, variants = leave(stages.changed(published, first_step=3), draws, lanes)
+    rows += tables.leaving_rows(leaving, variants)
+
+    run.say("seeds under every control system")
+    seeds = range(1, 5) if run.quick else stages.SCORED
+    names = ("published", "trusted, push borne") if run.quick else tuple(control)
+    cases = stages.seeded(seeds)
+    judged = {name: stages.scores(control[name], cases, lanes) for name in names}
+    summaries = {name: tables.summary(found) for name, found in judged.items()}
+    beyond = {"seeds": len(seeds), "systems": summaries}
+    texts = {"published": comparison(rows), "seeds": tables.scored_table(summaries)}
+    if not run.quick:
+        texts |= thorough(run, control, cases, beyond)
+    failed = max(range(len(first)), key=lambda k: score(first[k]).wrong_way)
+    run.save(figures.exp_1(first[failed], cured_first[failed]), "unberthing")
+    run.save(figures.leaving({name: logs[0] for name, logs in leaving.items()}), "leaving")
+    run.save(figures.scored(judged, summaries | beyond.get("learning_rates", {})), "seeds")
+    run.write({"comparison": rows, "beyond": beyond}, texts)
+
+
+def leave(published, draws: int, lanes: int) -> tuple[dict, dict]:
+    """Logs of the leaving phase, and scores with the compensation left out or as printed."""
+    weathers = {"Exp. 2": stages.EXP_2, "Exp. 3": stages.EXP_3}
+    cases = [c for w in weathers.values() for c in stages.repeats(w, draws, stages.under_way)]
+
+    def both(found: list) -> dict:
+        return {"Exp. 2": found[:draws], "Exp. 3": found[draws:]}
+
+    variants = {
+        way: both(stages.scores(stages.changed(published, compensate=sign), cases, lanes))
+        for way, sign in (("without eq. 16", 0), ("eq. 16 as printed", -1))
+    }
+    return both(list(stages.logs(published, cases, lanes))), variants
+
+
+def thorough(run, control: dict, cases: list, beyond: dict) -> dict:
+    """What only a full run does: delays of the plant, learning rates, and a faulty speed log."""
+    run.say("delays that suit the plant")
+    frozen = stages.at_rate(control["published"], 0.0)
+    beyond["best_delays"] = stages.best_delays(list(stages.logs(frozen, cases[:20], 20)))
+    run.say("other learning rates")
+    beyond["learning_rates"] = {
+        f"published, alpha {rate:g}": tables.summary(
+            stages.scores(stages.at_rate(control["published"], rate), cases, 20)
+        )
+        for rate in stages.RATES
+    }
+    run.say("a speed log that is off for 40 s")
+    faulty = stages.seeded(stages.SCORED, fault=True)
+    names = ("published", "trusted, push borne", "no gate, push borne")
+    beyond["faulty_log"] = {
+        name: tables.summary(stages.scores(control[name], faulty, 20)) for name in names
+    }
+    return {
+        "rates": tables.scored_table(beyond["learning_rates"]),
+        "faults": tables.scored_table(beyond["faulty_log"]),
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""What the stages say, as rows beside published figures and as tables."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from reporting import compared, table
+from unberthing_loop import Log
+from unberthing_scores import Score, bootstrap, pooled, score, wilson
+
+
+TABLE_3 = {"Exp. 2": (1.4, -4.1, -3.5), "Exp. 3": (3.1, -4.0, -3.9)}  # m, published
+
+
+def exp_1_rows(found: Sequence[Log], cured: Sequence[Score]) -> list[dict]:
+    """The unberthing phase beside what section 5.1 says of it."""
+    judged = [score(log) for log in found]
+    wrong = [one for one in judged if one.wrong_way > 0]
+    counts = f"{len(wrong)} of {len(judged)} draws of gusts and noise"
+    first = np.median([one.first_wrong for one in wrong]) if wrong else None
+    inside = [log.model[log.step <= 2] for log in found]
+    bow, stern = (np.array([rows[:, 0, k].min() < 0 for rows in inside]) for k in (3, 4))
+    ends = np.array([rows[-1, 0, 3] < 0 for rows in inside])
+    fades = np.array([rows[-1, 1, 3] < rows[len(rows) // 3, 1, 3] for rows in inside])
+    rows = []
+    for step, published in ((1, 1.6), (2, 7.1)):
+        size = np.abs([one.worst[step] for one in judged])
+        name = f"Exp. 1, Step {step}: largest cross-track error"
+        spread = f"median; {size.min():.2g} to {size.max():.2g} over {len(judged)} draws"
+        rows.append(compared(name, "m", published, np.median(size), spread))
+    better = np.median(np.abs([one.worst[2] for one in cured]))
+    return rows + [
+        compared("same, least squares with trust bearing the push", "m", None, better, "median"),
+        compared("thrusters turned the wrong way", "", "once in one run", counts),
+        compared("when that began", "s", 520.0, first, "median of those draws"),
+        compared("gamma_vB below zero in Exp. 1", "", "yes", _share(bow)),
+        compared("gamma_vB below zero at its end", "", "yes", _share(ends)),
+        compared("gamma_vS below zero in Exp. 1", "", "yes", _share(stern),
+                 "here the bow thruster, which fades first, is the one to go"),
+        compared("gamma_rB falls as speed grows", "", "yes", _share(fades)),
+    ]  # fmt: skip
+
+
+def leaving_rows(
+    found: dict[str, Sequence[Log]], variants: dict[str, dict[str, Sequence[Score]]]
+) -> list[dict]:
+    """The leaving phase beside Table 3; medians with their signs."""
+    rows = []
+    for name, runs in found.items():
+        judged = [score(log) for log in runs]
+        for k, published in zip((3, 4, 5), TABLE_3[name], strict=True):
+            worst = np.median([one.worst[k] for one in judged])
+            rows.append(compared(f"{name}, Step {k}: largest deviation", "m", published, worst))
+        bias = np.mean([np.median(log.model[log.step == 5][:, 0, 5]) for log in runs])
+        rows.append(compared(f"{name}: c_v in Step 5", "m/s", "negative", bias))
+        grown = [_growth(log) for log in runs]
+        rows.append(compared(f"{name}: gamma_r_delta, Step 5 over start", "1", "above 1",
+                             np.median(grown)))  # fmt: skip
+    for way, by_name in variants.items():
+        for name, judged in by_name.items():
+            worst = np.median([max(abs(v) for v in one.worst.values()) for one in judged])
+            rows.append(compared(f"{name}, largest deviation, {way}", "m", None, worst))
+    return rows
+
+
+def summary(judged: Sequence[Score]) -> dict:
+    """The figures by which a control system is judged over seeds."""
+    runs = len(judged)
+    wrong = sum(one.wrong_way > 0 for one in judged)
+    sign = sum(one.wrong_sign > 0 for one in judged)
+    low, high = wilson(wrong, runs)
+    errors = [np.abs(one.error) for one in judged]
+    worst_2 = np.abs([one.worst.get(2, np.nan) for one in judged])
+    return {
+        "runs": runs, "wrong_way": wrong / runs, "wrong_way_interval": [low, high],
+        "wrong_sign": sign / runs, "wrong_sign_interval": list(wilson(sign, runs)),
+        "p95_error": float(np.percentile(np.concatenate(errors), 95)),
+        "p95_error_interval": list(pooled(errors)),
+        "p95_worst_step_2": float(np.nanpercentile(worst_2, 95)),
+        "p95_worst_step_2_interval": list(bootstrap(worst_2[np.isfinite(worst_2)])),
+        "median_worst_step_2": float(np.nanmedian(worst_2)),
+        "finished": sum(one.finished for one in judged) / runs,
+    }  # fmt: skip
+
+
+def scored_table(found: dict[str, dict]) -> str:
+    """One row per control system."""
+    head = ("control system", "runs with thrusters the wrong way", "runs with a wrong sign",
+            "95th percentile of error", "of the largest in Step 2", "median of that")  # fmt: skip
+    rows = [
+        (name, _percent(one["wrong_way"], one["wrong_way_interval"]),
+         _percent(one["wrong_sign"], one["wrong_sign_interval"]),
+         _metres(one["p95_error"], one["p95_error_interval"]),
+         _metres(one["p95_worst_step_2"], one["p95_worst_step_2_interval"]),
+         f"{one['median_worst_step_2']:.1f} m")
+        for name, one in found.items()
+    ]  # fmt: skip
+    return table(head, rows)
+
+
+def _growth(log: Log) -> float:
+    leaving = log.model[(log.step >= 3) & (log.step <= 5)][:, 1, 2]
+    return float(np.median(leaving[-200:]) / leaving[0])
+
+
+def _share(flags: np.ndarray) -> str:
+    return f"in {int(flags.sum())} of {len(flags)} draws"
+
+
+def _percent(share: float, interval: Sequence[float]) -> str:
+    return f"{100 * share:.0f} % ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
+
+
+def _metres(value: float, interval: Sequence[float]) -> str:
+    return f"{value:.1f} m ({interval[0]:.1f} to {interval[1]:.1f})"
