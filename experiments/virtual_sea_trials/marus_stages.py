@@ -23,7 +23,7 @@ from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import catalogue_name
 
 
-STARTS = 5
+STARTS = 3
 DRAWS = 768
 UPHILL = 20  # steps
 
@@ -63,8 +63,7 @@ def identified(work: Experiment) -> Identified:
         return Identified({name: float(value) for name, value in hull.items()})
     work.say("deriving the hydrodynamic derivatives from the figures of tables 3 and 4")
     misfit = marus_fit.misfits()
-    objective = marus_fit.objective_of(misfit)
-    even, deviances = marus_fit.best_of(objective, marus_vessel.FREE, STARTS, work.say)
+    objective, even, deviances = marus_fit.best_of(misfit, marus_vessel.FREE, STARTS, work.say)
     hull = marus_fit.hull_of(objective, even)
     return Identified(hull, objective, even, tuple(deviances), misfit)
 
@@ -98,7 +97,7 @@ def campaign(work: Experiment, found: Identified, uneven: Uneven) -> Campaign:
     for vessel, runs in zip(vessels, logs, strict=True):
         sets.append(
             [
-                marus_trials.processed(marus_trials.with_noise(log, seed), run, vessel)
+                marus_trials.processed(log, seed, run, vessel)
                 for seed, (run, log) in enumerate(zip(published.RUNS, runs, strict=True))
             ]
         )
@@ -167,10 +166,13 @@ def actuation(work: Experiment, found: Identified, runs: Campaign) -> dict:
         values = marus_actuation.values_of(*marus_actuation.identified(nominal, recordings))
         result["ways"][way] = values
     work.say("diagnosing the orders alone")
-    told = marus_actuation.diagnosed(nominal, train, test, work.say)
-    result["ways"]["after the diagnosis"] = marus_actuation.values_of(told.split.train, told.final)
+    known = {name: one["value"] for name, one in result["ways"]["executed thrusts"].items()}
+    told = marus_actuation.diagnosed(
+        marus_actuation.nominal_vessel(hull | known), train, test, work.say
+    )
     result["verdict"] = told.verdict
     result["effects"] = marus_actuation.effects_of(told)
+    result["actuators"] = marus_actuation.actuators_of(hull)
     result["errors"] = {
         way: marus_actuation.errors(result["truth"], values)
         for way, values in result["ways"].items()

@@ -239,7 +239,8 @@ def _beyond(beyond: dict) -> str:
 
 
 def _effects(beyond: dict) -> str:
-    rows = []
+    true = ", ".join(f"{name} {value:.3g}" for name, value in beyond["actuators"].items())
+    rows: list[tuple] = [("hidden", true, "", "")]
     for one in beyond["effects"]:
         told = ", ".join(f"{name} {value:.3g}" for name, value in one["parameters"].items())
         rows.append((one["name"], told, f"{one['log10_odds']:.0f}", ", ".join(one["alternatives"])))

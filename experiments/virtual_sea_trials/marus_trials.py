@@ -26,6 +26,7 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.catalogue import Table, build
 
 
+GUARD = 0.1  # s before the onset that no approach is judged by
 SETTLING = 34.0  # ship lengths of steady running before the execute: some 120 s, as published
 INTERVAL = 0.02  # s, of the log: a game engine's usual step
 # Of the log, assumed: m, rad, m/s, rad/s.
@@ -135,8 +136,13 @@ def with_noise(log: Trajectory, seed: int) -> Trajectory:
     return dataclasses.replace(log, **noisy)
 
 
-def processed(log: Trajectory, run: published.Run, vessel: Vessel) -> Logged:
-    """The log taken through the campaign: segment, approach, checks and numbers."""
+def processed(clean: Trajectory, seed: int, run: published.Run, vessel: Vessel) -> Logged:
+    """A log taken through the campaign: segment, approach, checks and numbers.
+
+    Segment and checks are of the log with noise. Numbers are read off the one without, as the
+    paper's are: smoothing noise away rounds the reversals and moves the largest yaw rates.
+    """
+    log = with_noise(clean, seed)
     kind = "turning" if run.manoeuvre == "turning-circle" else "zigzag"
     found = segments(log, vessel)
     chosen = [segment for segment in found if segment.kind == kind]
@@ -144,7 +150,7 @@ def processed(log: Trajectory, run: published.Run, vessel: Vessel) -> Logged:
         raise SystemExit(f"{run.name}: no {kind} in the log, only {[s.kind for s in found]}")
     segment = max(chosen, key=lambda one: one.end - one.onset)
     checks = traceability(segment, log, vessel)
-    metrics = recording_metrics(log, published.LENGTH, run.manoeuvre)
+    metrics = recording_metrics(clean, published.LENGTH, run.manoeuvre)
     return Logged(run, log, segment, checks, metrics)
 
 
@@ -175,7 +181,8 @@ def realisation(log: Trajectory, start: float) -> dict[str, float]:
 def approach_window(log: Trajectory, start: float, seconds: float = published.WINDOW) -> dict:
     """Eq. 13 and table 2 over the last seconds before the onset."""
     t = np.asarray(log.t)
-    rows = (t >= start - seconds) & (t < start)
+    # The onset is known to a few samples only: the last ones may have seen the order.
+    rows = (t >= start - seconds) & (t < start - GUARD)
     speed = np.hypot(np.asarray(log.u)[rows], np.asarray(log.v)[rows])
     fastest = math.degrees(float(np.max(np.abs(np.asarray(log.r)[rows]))))
     mean = float(np.mean(speed))
