@@ -1,6 +1,7 @@
 """Rows of the comparison with the paper, and the README's tables."""
 
 import numpy as np
+from closed import SECONDS
 from models import HULL, truth
 from plant import NEW
 from procedure import PUBLISHED, PUBLISHED_FIRST, masses, readings_of_masses
@@ -72,12 +73,19 @@ def path_rows(followed: Followed) -> list[dict]:
     for model, paths in followed.table.items():
         for path, one in paths.items():
             published = 2.0 if path.endswith("circle") else 0.0
-            note = "" if one["finished"] else "the model does not finish in time"
-            words = f"{path}, {model}"
-            time, distance = 100 * one["time"], 100 * one["distance"]
+            words, time, distance, note = f"{path}, {model}", *_errors(one), ""
+            if not one["finished"]:
+                note = f"the model is not at the end after {SECONDS:g} s"
             rows.append(compared(f"time error, {words}", "%", published, time, note))
             rows.append(compared(f"distance error, {words}", "%", 0.37, distance, note))
     return rows
+
+
+def _errors(one: dict) -> tuple[float | None, float | None]:
+    """Errors of time and distance in per cent; none of a run that was cut off."""
+    if not one["finished"]:
+        return None, None
+    return 100 * one["time"], 100 * one["distance"]
 
 
 def parameters(found: Identified) -> str:
@@ -130,7 +138,7 @@ def gauge(rows: list[dict]) -> str:
 def paths(followed: Followed) -> str:
     """Every model on the paper's paths."""
     rows = [
-        (name, path, one["finished"], 100 * one["time"], 100 * one["distance"], one["position"],
+        (name, path, one["finished"], *_errors(one), one["position"],
          100 * one["position_share"], one["open_loop_position"])
         for name, by_path in followed.table.items() for path, one in by_path.items()
     ]  # fmt: skip
@@ -162,8 +170,9 @@ def gains(sets: dict[str, dict], results: dict[str, Tuned]) -> str:
 
 def slopes(found: dict) -> str:
     """Derivatives beside differences."""
-    rows = zip(found["names"], found["exact"], found["differences"], strict=True)
-    return table(("gain", "exact", "central difference"), rows)
+    columns = (found[key] for key in ("names", "exact", "differences", "trend"))
+    head = ("gain", "exact", "difference over 0.001 %", "difference over 2 %")
+    return table(head, zip(*columns, strict=True))
 
 
 def diagnosis(record: dict) -> str:

@@ -135,12 +135,18 @@ def both(z: jax.Array, given: Given, smoothing: float) -> tuple[jax.Array, jax.A
     return found, columns.T
 
 
-def slope_check(given: Given, z: np.ndarray, smoothing: float, step: float) -> dict[str, list]:
-    """Derivatives of the cost by the logarithms of the gains: exact, and by differences."""
+STEPS = {"differences": 1e-5, "trend": 0.02}  # of the gains' logarithms
+
+
+def slope_check(given: Given, z: np.ndarray, smoothing: float) -> dict[str, list]:
+    """Derivatives of the cost by the logarithms of the gains: exact, and by central differences."""
     residual, J = map(np.asarray, both(jnp.asarray(z), given, smoothing))
 
     def cost(at: np.ndarray) -> float:
         return float(np.sum(np.square(both(jnp.asarray(at), given, smoothing)[0])))
 
-    differences = [(cost(z + step * e) - cost(z - step * e)) / (2 * step) for e in np.eye(len(z))]
-    return {"exact": (2 * J.T @ residual).tolist(), "differences": differences}
+    found = {
+        name: [(cost(z + step * e) - cost(z - step * e)) / (2 * step) for e in np.eye(len(z))]
+        for name, step in STEPS.items()
+    }
+    return {"exact": (2 * J.T @ residual).tolist(), **found}
