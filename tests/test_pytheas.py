@@ -191,13 +191,15 @@ def test_positions_turned_by_the_heading_move_where_a_boat_only_turns(parts):
         assert off[0] <= error < off[1]
 
 
-def test_the_head_sea_thrust_is_that_of_the_surge_equation(parts):
+@pytest.mark.parametrize("seconds", [60.0, 47.3])
+def test_the_head_sea_thrust_is_that_of_the_surge_equation(parts, seconds, monkeypatch):
+    monkeypatch.setattr(parts.design, "SECONDS", seconds)
     thrust = parts.design.head_sea_thrust(20.0)
 
     def rate(t, s):
         return [s[1], (thrust - 20.0 - 5 * np.sin(0.4 * np.pi * t) - 14 * s[1]) / 7.21]
 
-    solved = solve_ivp(rate, (0, 60), [0.0, 0.0], rtol=1e-10, atol=1e-12, max_step=0.05)
+    solved = solve_ivp(rate, (0, seconds), [0.0, 0.0], rtol=1e-10, atol=1e-12, max_step=0.05)
     assert solved.y[0].max() == pytest.approx(17.5, abs=1e-4)
 
 

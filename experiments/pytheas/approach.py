@@ -64,14 +64,14 @@ def approach(
     direction: Scalar,
     seconds: float,
     sharpness: float | None = None,
-    mass: Scalar = 7.0,
+    D: Scalar | None = None,
 ) -> Approach:
     """Closest approach of one design to the waypoint in one disturbance within `seconds`.
 
     The logic never stops here, so that the distance goes on having a derivative within the
     tolerance. `sharpness` None is the published logic.
     """
-    vessel = disturbed(boat(thrust, lever, mass), bias, direction)
+    vessel = disturbed(boat(thrust, lever, D=D), bias, direction)
     logic = waypoint_logic(vessel, [[RANGE, 0.0]], tolerance=0.0, sharpness=sharpness)
     count = round(seconds / PERIOD)
 

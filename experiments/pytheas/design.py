@@ -166,6 +166,31 @@ def landscape(
     return np.array(rows)
 
 
+def shortest_levers(
+    bias: float, thrust: float, readings: dict[str, float], coarse: int
+) -> dict[str, dict[str, float]]:
+    """Lever (m, to a centimetre) from which on every direction is reached, by D and by side."""
+    directions = np.linspace(0.0, np.pi, coarse)
+    levers = np.linspace(0.01, HIGH, round(100 * HIGH))
+
+    @jax.jit
+    def least(lever: Scalar, D: Scalar) -> Scalar:
+        def one(direction: Scalar) -> Scalar:
+            return approach(thrust, lever, bias, direction, SECONDS, None, D).closest
+
+        return TOLERANCE - jnp.max(jax.vmap(one)(directions))
+
+    found: dict[str, dict[str, float]] = {}
+    for name, D in readings.items():
+        found[name] = {}
+        for side, place in ((1, "ahead"), (-1, "aft")):
+            margin = np.array([float(least(side * lever, D)) for lever in levers])
+            failing = np.flatnonzero(margin < 0)
+            first = 0 if failing.size == 0 else failing[-1] + 1
+            found[name][place] = float(levers[first]) if first < len(levers) else np.nan
+    return found
+
+
 def rounded(design: Design, fine: int) -> dict:
     """The design rounded up to 0.1 N and 0.01 m, and what becomes of it with less of either."""
     thrust = np.ceil(10 * design.thrust) / 10

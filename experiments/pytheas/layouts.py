@@ -208,8 +208,12 @@ def comparison_rows(found: dict[str, Flown]) -> list[dict]:
             continue
         moved = f"moves {one.shift:.2f} m in a turn of 90 deg"
         past, swings = np.rad2deg([one.overshoot, one.swinging])
-        beyond = f"turns {past:.1f} deg past the waypoint" if past > 0 else "never turns past it"
-        turned = f"{beyond}; swings by {swings:.1f} deg rms in D5"
+        beyond = (
+            f"turns {past:.1f} deg past the waypoint"
+            if past > 0
+            else "never turns past the waypoint"
+        )
+        turned = f"{beyond} past the waypoint; swings by {swings:.1f} deg rms in D5"
         obtained = turned if name.startswith("(c)") else moved
         rows.append(compared(name, "", PUBLISHED[name[:3]], obtained))
     return rows

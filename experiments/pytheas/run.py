@@ -29,8 +29,8 @@ def main() -> None:
     rows, tables = rows + more, tables | {"battery": text}
     others, more, text = other_layouts(work)
     rows, tables = rows + more, tables | {"layouts": text}
-    designs, text = designed(work)
-    tables |= {"designs": text}
+    designs, more_tables = designed(work)
+    tables |= more_tables
     maps, text = mapped(work)
     tables |= {"map": text}
     results = {
@@ -101,7 +101,7 @@ def other_layouts(work: Experiment) -> tuple[dict, list[dict], str]:
     return layouts.record(found), layouts.comparison_rows(found), layouts.layouts_table(found)
 
 
-def designed(work: Experiment) -> tuple[dict, str]:
+def designed(work: Experiment) -> tuple[dict, dict[str, str]]:
     """Least thrust and the thruster's place."""
     coarse, fine, finest = (9, 19, 19) if work.quick else (31, 361, 1801)
     check = design.gradient_check(SWELL, np.linspace(0.0, np.pi, coarse))
@@ -114,9 +114,19 @@ def designed(work: Experiment) -> tuple[dict, str]:
             found.append(best._asdict() | {"rounded": safe, "head_sea_thrust": closed})
             lines.append(design.row(best, safe, closed))
             work.say(f"design for {bias:.0f} N, side {side}")
+    results = {"gradient_check": check, "designs": found}
+    tables = {"designs": table(design.HEAD, lines)}
     if not work.quick:
         work.save(design_figure(found, fine), "design")
-    return {"gradient_check": check, "designs": found}, table(design.HEAD, lines)
+        names = list(still_water.READINGS)[:4]
+        readings = {name: still_water.READINGS[name] for name in names}
+        levers = design.shortest_levers(SWELL, 24.2, readings, coarse)
+        results["shortest_levers_by_D"] = levers
+        rows = [
+            (f"{n}: {readings[n]:.3f} m", one["ahead"], one["aft"]) for n, one in levers.items()
+        ]
+        tables["levers"] = table(("D", "lever ahead, m", "lever aft, m"), rows)
+    return results, tables
 
 
 def design_figure(found: list[dict], fine: int):

@@ -109,8 +109,13 @@ def record(maps: dict[str, Map], slower: np.ndarray) -> dict:
 def summary(maps: dict[str, Map], slower: np.ndarray) -> str:
     """How many designs reach the waypoint, and how fast they were run."""
     rows = [
-        (name, slower.size, f"{100 * np.isfinite(found.time).mean():.1f} %", f"{found.rate:.2g}")
+        (
+            name,
+            str(slower.size),
+            f"{100 * np.isfinite(found.time).mean():.1f} %",
+            f"{found.rate:.2g}",
+        )
         for name, found in maps.items()
     ]
-    rows.append(("both", slower.size, f"{100 * np.isfinite(slower).mean():.1f} %", ""))
+    rows.append(("both", str(slower.size), f"{100 * np.isfinite(slower).mean():.1f} %", ""))
     return table(("direction", "designs", "reach the waypoint", "vessel-steps per second"), rows)
