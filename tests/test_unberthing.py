@@ -297,3 +297,32 @@ def test_thrusters_push_the_resting_ship_sideways_by_force_over_mass(parts):
     assert float(u_dot) == pytest.approx(0.0, abs=1e-6)
     assert float(v_dot) == pytest.approx(-60e3 / 2.164e6, rel=1e-3)
     assert float(r_dot) == pytest.approx(-30e3 * (21 - 18) / 3.363e8, rel=1e-3)
+
+
+def test_a_control_period_is_a_fine_enough_step(parts):
+    ship, loop = parts.harbour_ship, parts.unberthing_loop
+    vessel = ship.ship(7)
+    lengths = {c: loop.history_length(s, 0.125, longest=8.0) for c, s in vessel.servos.items()}
+    still = {c: jnp.zeros(()) for c in vessel.channels}
+    air = loop.Environment(0.1, 0.1, -4.0, 3.0)
+
+    @jax.jit
+    def end(parts_of_a_period):
+        dt = 0.5 / parts_of_a_period
+
+        def body(motion, k):
+            t = k * dt
+            thrusters = jnp.where(t < 40.0, 1.0, -0.5) * jnp.array([0.0, 0.0, 8.0, -5.0])
+            rudder = jnp.where(t >= 60.0, jnp.array([5.0, 10.0, 0.0, 0.0]), 0.0)
+            ordered = ship.orders((thrusters + rudder) * DEGREE)
+            moved = loop.advance(vessel, motion, ordered, air, t, dt)
+            over = t >= 100.0 - 1e-9
+            return jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, moved), None
+
+        begun = loop.begin(vessel, loop.started(0.5), still, lengths)
+        return jax.lax.scan(body, begun, jnp.arange(800.0))[0].state
+
+    coarse, fine = end(1.0), end(4.0)
+    assert float(jnp.hypot(coarse.x - fine.x, coarse.y - fine.y)) < 2e-3
+    assert float(jnp.abs(coarse.psi - fine.psi)) < 1e-4
+    assert float(fine.x) > 30.0 and abs(float(fine.psi)) > 0.05
