@@ -28,10 +28,10 @@ PUBLISHED, TRIALWISE, NUISANCE, LIKELY = (
 
 def study(seed: int, quick: bool, service: dict, say) -> dict:
     """Both comparisons and their tables."""
-    sets, likely = (12, 0) if quick else (100, 12)
+    sets, likely = (12, 0) if quick else (48, 8)
     known = _known(seed, sets, likely, say)
     say("beyond: trials of service in any wind")
-    served = _service(seed, service, 6 if quick else 40)
+    served = _service(seed, service, 6 if quick else 24)
     return {
         "known": known,
         "service": served,

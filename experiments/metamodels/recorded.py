@@ -54,7 +54,8 @@ def _trial(run: Trajectory, channel: str, dt: float, reference: float | None, wi
     changes = _departures(delta, held, steady, size)
     reversals = np.array(changes[:3])
     begin = max(first - round(3.0 / float(np.median(np.diff(t)))), 0)
-    end = changes[3] if len(changes) > 3 else len(t) - 1
+    # What follows the last order is no trial any more.
+    end = changes[3] if len(changes) > 3 else min(steady[-1] + count, len(t) - 1)
     marks = side * (psi[reversals] - psi[begin])
     senses = np.array([1.0, -1.0, 1.0])
     ends = np.append(reversals[1:], end)

@@ -31,12 +31,12 @@ def main() -> None:
     run.say("case 1: a year of service")
     service = ferry.study(SEED, 40 if quick else 365)
     run.say("case 2: repeated zig-zags on two days, at two speeds")
-    repeats = gunnerus.study(SEED, 3 if quick else 20)
+    repeats = gunnerus.study(SEED, 3 if quick else 12)
     run.say("averaging against the metamodel")
     if quick:
         errors = averaging.study(SEED, 8, (2, 6), ("calm", "7 to 11"))
     else:
-        errors = averaging.study(SEED, 40)
+        errors = averaging.study(SEED, 24)
     run.say("real zig-zags")
     real = recorded.study(run.say)
     run.say("disturbances as nuisances")

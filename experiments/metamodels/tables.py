@@ -44,6 +44,8 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
         compared("metamodel's overshoots within 95 % of the means, group 1", "", "all",
                  group["group 1"]["metamodel_within"], "share over repeated days"),
         compared("the same, group 2", "", "all", group["group 2"]["metamodel_within"], "likewise"),
+        compared("fit to a benchmark trial, metamodels of groups 1 / 2", "%", "nearly identical",
+                 " / ".join(f"{v:.1f}" for v in days["benchmark_percent"].values())),
         compared("loss of yaw rate at 0.75 of the speed, metamodels", "%", 25.0,
                  speeds["metamodels"]),
         compared("the same, simulation model", "%", 30.0,
@@ -72,7 +74,8 @@ def _metamodels(ferry: dict) -> str:
     head = ("group", "trials", "side wind", "T, s", "K, 1/s", "neutral, deg", "calm trial aside, %",
             "others: median, %", "first overshoot 10/10 stbd, deg")  # fmt: skip
     rows = []
-    for size, row in zip(ferry["group_sizes"], ferry["metamodels"], strict=False):
+    for number, row in enumerate(ferry["metamodels"], 1):
+        size = f"{number}, of {ferry['group_sizes'][number - 1]}"
         calm = f"up to {row['largest_side_wind']:.1f} m/s"
         rows.append((size, "12 calmest", calm, *_numbers(row), row["others_percent"]["median"],
                      row["ideal_overshoots_deg"][0][0]))  # fmt: skip
