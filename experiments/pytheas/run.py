@@ -120,7 +120,7 @@ def designed(work: Experiment) -> tuple[dict, dict[str, str]]:
         work.save(design_figure(found, fine), "design")
         names = list(still_water.READINGS)[:4]
         readings = {name: still_water.READINGS[name] for name in names}
-        levers = design.shortest_levers(SWELL, 24.2, readings, coarse)
+        levers = design.shortest_levers(SWELL, 24.2, readings, 37)
         results["shortest_levers_by_D"] = levers
         rows = [
             (f"{n}: {readings[n]:.3f} m", one["ahead"], one["aft"]) for n, one in levers.items()
