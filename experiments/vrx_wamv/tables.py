@@ -182,7 +182,12 @@ def diagnosis(record: dict) -> str:
          ", ".join(e["alternatives"]) or "none")
         for e in record["effects"]
     ]  # fmt: skip
-    return table(("effect", "parameter", "unit", "plant", "found", "cannot be told from"), rows)
+    head = ("effect", "parameter", "unit", "plant", "found", "cannot be told from")
+    before, after = record["fit"]["nominal"]["test"], record["fit"]["diagnosed"]["test"]
+    return (
+        f"{table(head, rows)}\n\nVerdict: {record['verdict']}. Misfit of what was kept back, in "
+        f"units of the noise: {before:.2f} with the linear model, {after:.2f} with these."
+    )
 
 
 def repeats(found: dict, first: dict[str, float]) -> str:
