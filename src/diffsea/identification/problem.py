@@ -180,7 +180,7 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
 
 
 STEPS = 3  # of Gauss-Newton with the gains held fixed
-RADII = (1.0, 1 / 16)  # of the trust region at first, and where nothing was gained
+RADII = (1.0, 1 / 16, 1 / 256)  # of the trust region at first, and where nothing was gained
 
 
 def minimised(
