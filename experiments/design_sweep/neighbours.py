@@ -12,7 +12,7 @@ from loading import KINDS, THRUST, loaded, plan, saturation
 from sweeping import Swept
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
-from diffsea.parameters import replace
+from diffsea.parameters import designed, replace, spread
 from diffsea.simulation import manoeuvres
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.manoeuvres import Stages
@@ -40,10 +40,19 @@ def both_trials() -> Stages:
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), circle, zigzag)
 
 
-def quantities(vessel: Vessel, trial: Plan, x: Float[Array, "2"]) -> Float[Array, "quantity"]:
-    """`QUANTITIES` of the design x = (ln thrust, ln mass); `trial` has times and step."""
+Places = tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def quantities(
+    vessel: Vessel, trial: Plan, places: Places, x: Float[Array, "2"]
+) -> Float[Array, "quantity"]:
+    """`QUANTITIES` of the design x = (ln thrust, ln mass); `trial` has times and step.
+
+    `places` of the vessel's numbers as `designed` has them: the cross-flow drag keeps a
+    draught of its own.
+    """
     thrust, mass = jnp.exp(x[0]), jnp.exp(x[1])
-    design = replace(vessel, loaded(vessel, mass))
+    design = replace(vessel, spread(dict(places), loaded(vessel, mass)))
     throttle = throttle_for_thrust(design, thrust)
 
     def one(stages: Stages) -> tuple:
@@ -62,10 +71,10 @@ def quantities(vessel: Vessel, trial: Plan, x: Float[Array, "2"]) -> Float[Array
 
 
 @eqx.filter_jit
-def _with_slopes(vessel: Vessel, x: Float[Array, "lane 2"], trial: Plan) -> tuple:
+def _with_slopes(vessel: Vessel, x: Float[Array, "lane 2"], kind: tuple[Plan, Places]) -> tuple:
     def one(at: Float[Array, "2"]) -> tuple:
         def along(direction: Float[Array, "2"]) -> tuple:
-            return jax.jvp(lambda z: quantities(vessel, trial, z), (at,), (direction,))
+            return jax.jvp(lambda z: quantities(vessel, *kind, z), (at,), (direction,))
 
         value, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
         return value, slopes.T
@@ -78,12 +87,12 @@ def with_slopes(
 ) -> tuple[Float[np.ndarray, "design quantity"], Float[np.ndarray, "design quantity 2"]]:
     """Quantities of designs, and their exact derivatives by ln thrust and ln mass."""
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    trial = plan(vessel, ZIGZAG)
+    kind = plan(vessel, ZIGZAG), tuple(designed(vessel).items())
     values, slopes = [], []
     for k in range(0, len(x), LANES):
         block = x[k : k + LANES]
         padded = np.pad(block, ((0, LANES - len(block)), (0, 0)), mode="edge")
-        value, slope = _with_slopes(arrays, jnp.asarray(padded), trial)
+        value, slope = _with_slopes(arrays, jnp.asarray(padded), kind)
         values.append(np.asarray(value)[: len(block)])
         slopes.append(np.asarray(slope)[: len(block)])
     return np.concatenate(values), np.concatenate(slopes)

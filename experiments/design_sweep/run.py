@@ -37,7 +37,10 @@ def main() -> None:
     run.say("independent simulator done")
     speeds = rates(run, found)
     beyond = {"independent": checks, "speed": speeds, "sweep": outcomes(found)}
+    beyond["memory_gib"] = sweeping.most_memory()
     if not run.quick:
+        # What is known so far, before what takes longest.
+        run.write({"comparison": rows(criteria), "beyond": beyond}, tables(criteria, beyond))
         beyond["prediction"] = predicted(run, vessel, found)
         beyond["front"] = front(run, vessel, found, length)
         beyond["inverse"] = inverse(run, vessel, found, length)
@@ -85,10 +88,10 @@ def rates(run: Experiment, found: sweeping.Swept) -> dict:
 
 def predicted(run: Experiment, vessel: Vessel, found: sweeping.Swept) -> dict:
     """First-order predictions of neighbours from exact derivatives."""
-    each = 16
+    each = 8
     at = neighbours.bases(found, each)
     x = np.stack([np.log(found.thrust[at[1]]), np.log(found.mass[at[0]])], axis=-1)
-    run.say("differentiating 256 designs")
+    run.say("differentiating 64 designs")
     value, slope = neighbours.with_slopes(vessel, x)
     maps = neighbours.truth(found, vessel)[at[0], at[1]]
     offsets = [(s * a, s * b) for s in (-1, 1) for k in (1, 2, 5, 10, 20, 40)
@@ -166,7 +169,7 @@ def contour_gap(found: sweeping.Swept, length: float, answer: wanted.Found) -> f
 
 def inverse(run: Experiment, vessel: Vessel, found: sweeping.Swept, length: float) -> dict:
     """Thrust and mass from a wanted tactical diameter and overshoot, and back."""
-    drawn = independent.drawn(found, 64, seed=1)
+    drawn = independent.drawn(found, 32, seed=1)
     maps = neighbours.truth(found, vessel).reshape(-1, len(neighbours.QUANTITIES))[drawn]
     run.say("inverse design")
     answer = wanted.solve(vessel, [wanted.both(row[0], row[2]) for row in maps])

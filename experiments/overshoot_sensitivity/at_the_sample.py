@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from factors import Factor, scaled
 from jaxtyping import Array, Float
-from trial_lanes import Bench
+from trial_lanes import LANES, Bench
 
 from diffsea.simulation.control import Helm, throttle_for
 from diffsea.simulation.integrate import advance, begin, history_length
@@ -64,13 +64,17 @@ def sampled(
 ) -> tuple[Float[np.ndarray, "lane"], Float[np.ndarray, "lane"]]:
     """First overshoot (rad) of each lane and its derivative, as the naive scheme has them."""
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), bench.vessel)
-    length = float(bench.vessel.rigid_body.length) / bench.case.speed
+    passing = float(bench.vessel.rigid_body.length) / bench.case.speed  # s
     directions = np.zeros_like(points) if directions is None else directions
-    settings = (bench.case.speed, angle, step, 15.0 * length)
-    found = _program(
-        vessel, jnp.asarray(points), jnp.asarray(directions), (bench.factors, settings)
-    )
-    return np.asarray(found[0]), np.asarray(found[1])
+    kind = (bench.factors, (bench.case.speed, angle, step, 15.0 * passing))
+    parts = []
+    for k in range(0, len(points), LANES):  # all of one size, so that one program serves them
+        block = (points[k : k + LANES], directions[k : k + LANES])
+        spare = ((0, LANES - len(block[0])), (0, 0))
+        found = _program(vessel, *(jnp.asarray(np.pad(part, spare)) for part in block), kind)
+        parts.append([np.asarray(part)[: len(block[0])] for part in found])
+    value, slope = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return value, slope
 
 
 def signs_that_differ(
