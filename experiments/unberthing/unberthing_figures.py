@@ -24,19 +24,16 @@ def exp_1(published: Log, cured: Log) -> Figure:
         rows = np.asarray(log.step) <= 2
         t, colour = log.t[rows], COLOURS[name]
         label = {"published": "gradient descent"}.get(name, "least squares, trust, push borne")
-        axes[0, 0].plot(log.state.y[rows], log.state.x[rows], color=colour, label=label)
-        axes[0, 1].plot(t, log.cross[rows], color=colour)
-        sides = ((3, "bow", "-"), (4, "stern", "--"))
-        for k, side, style in sides:
-            axes[0, 2 if k == 3 else 2].plot(
-                t, log.blades[rows, k - 1] / DEGREE, style, color=colour, lw=1, label=side
-            )
+        axes[0, 0].plot(log.state.y[rows], log.state.x[rows], color=colour)
+        axes[0, 1].plot(t, log.cross[rows], color=colour, label=label)
+        for k, style in ((3, "-"), (4, "--")):
+            axes[0, 2].plot(t, log.blades[rows, k - 1] / DEGREE, style, color=colour, lw=1)
             axes[1, 0].plot(t, log.model[rows, 0, k], style, color=colour)
             axes[1, 1].plot(t, log.model[rows, 1, k], style, color=colour)
     axes[0, 0].plot([0, -40, -40], [0, 0, 300], ":", color="black", lw=1)
-    axes[0, 0].set(xlabel="east, m", ylabel="north, m", title="track")
-    axes[0, 0].legend(frameon=False, fontsize=8, loc="center")
-    axes[0, 0].set_xlim(-75, 10)
+    axes[0, 0].set(xlabel="east, m", ylabel="north, m", title="track (dotted: plan)")
+    axes[0, 0].set(xlim=(-60, 10))
+    axes[0, 1].legend(frameon=False, fontsize=8, loc="upper left")
     axes[0, 1].set(title="cross-track error, m", xlabel="time, s")
     axes[0, 2].set(title="blade angles, deg (bow solid, stern dashed)", xlabel="time, s")
     axes[1, 0].set(title="$\\gamma_{vB}$ solid, $\\gamma_{vS}$ dashed", xlabel="time, s")
