@@ -2,7 +2,7 @@
 
 One log of trials with a lag, a dead band and a limit between order and thrust is identified
 twice: with the executed thrusts, and with the orders taken for them. Then the diagnosis sees
-the orders alone, and the hull that the executed thrusts gave, and is asked what is left out.
+the orders alone, with a hull that is right, and is asked what is left out.
 """
 
 import dataclasses

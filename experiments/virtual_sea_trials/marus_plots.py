@@ -125,7 +125,6 @@ def biases(ways: dict[str, dict[str, float]]) -> Figure:
         places = np.arange(len(names)) + (k - 0.5 * (len(ways) - 1)) * width
         axis.bar(places, [100 * found[name] for name in names], width, color=colour, label=way)
     axis.axhline(0, color="black", linewidth=0.8)
-    axis.set_yscale("symlog", linthresh=10)
     axis.set_xticks(range(len(names)), names, fontsize=8)
     axis.set_ylabel("error of the estimate, %")
     axis.legend(fontsize=8)

@@ -56,11 +56,16 @@ class Campaign:
     clean: dict[str, Trajectory]  # logs of real actuators on the even vessel, without noise
 
 
+def shipped_hull() -> dict[str, float]:
+    """The hull's table of `marus_usv`."""
+    hull = read_vessel("marus_usv").document["hull"]
+    return {name: float(value) for name, value in hull.items()}
+
+
 def identified(work: Experiment) -> Identified:
     """Fit the figures; a quick run takes the vessel of the catalogue instead."""
     if work.quick:
-        hull = read_vessel("marus_usv").document["hull"]
-        return Identified({name: float(value) for name, value in hull.items()})
+        return Identified(shipped_hull())
     work.say("deriving the hydrodynamic derivatives from the figures of tables 3 and 4")
     misfit = marus_fit.misfits()
     objective, even, deviances = marus_fit.best_of(misfit, marus_vessel.FREE, STARTS, work.say)
@@ -87,11 +92,11 @@ def asymmetry(work: Experiment, found: Identified) -> Uneven:
     return Uneven(tuple(candidates), ({"name": catalogue_name(best.name), **best.parameters},))
 
 
-def campaign(work: Experiment, found: Identified, uneven: Uneven) -> Campaign:
-    """Run, log and process the six trials."""
+def campaign(work: Experiment) -> Campaign:
+    """Run, log and process the six trials of the vessel that ships."""
     work.say("running the six trials, with actuators that answer at once and with real ones")
     actuators = (marus_trials.AT_ONCE, marus_trials.REAL)
-    vessels = [marus_trials.vessel_of(found.hull, one) for one in actuators]
+    vessels = [marus_trials.vessel_of(shipped_hull(), one) for one in actuators]
     logs = marus_trials.simulated(vessels)
     sets = []
     for vessel, runs in zip(vessels, logs, strict=True):
@@ -144,11 +149,11 @@ def diameters(work: Experiment, found: Identified) -> dict:
     }
 
 
-def actuation(work: Experiment, found: Identified, runs: Campaign) -> dict:
+def actuation(work: Experiment, runs: Campaign) -> dict:
     """The bias of orders taken for realised actuation, and the diagnosis of the orders alone."""
     if work.quick:
         return {}
-    hull = found.hull
+    hull = shipped_hull()
     nominal = marus_actuation.nominal_vessel(marus_actuation.wrong_start(hull))
     log = {
         name: marus_actuation.recording(runs.clean[name], seed)
@@ -166,10 +171,7 @@ def actuation(work: Experiment, found: Identified, runs: Campaign) -> dict:
         values = marus_actuation.values_of(*marus_actuation.identified(nominal, recordings))
         result["ways"][way] = values
     work.say("diagnosing the orders alone")
-    known = {name: one["value"] for name, one in result["ways"]["executed thrusts"].items()}
-    told = marus_actuation.diagnosed(
-        marus_actuation.nominal_vessel(hull | known), train, test, work.say
-    )
+    told = marus_actuation.diagnosed(marus_actuation.nominal_vessel(hull), train, test, work.say)
     result["verdict"] = told.verdict
     result["effects"] = marus_actuation.effects_of(told)
     result["actuators"] = marus_actuation.actuators_of(hull)

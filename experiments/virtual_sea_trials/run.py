@@ -20,9 +20,9 @@ def main() -> None:
     work = experiment(__file__, __doc__)
     identified = stages.identified(work)
     uneven = stages.asymmetry(work, identified)
-    campaign = stages.campaign(work, identified, uneven)
+    campaign = stages.campaign(work)
     diameters = stages.diameters(work, identified)
-    beyond = stages.actuation(work, identified, campaign)
+    beyond = stages.actuation(work, campaign)
     stages.written(work, identified, uneven, campaign, diameters, beyond)
 
 
