@@ -118,14 +118,19 @@ def _service_table(served: dict) -> list[dict]:
         {
             "method": method,
             "sets": len(record["aside"]),
-            "fit to calm trials aside: median, %": float(np.median(record["aside"])),
-            "its tenth percentile, %": float(np.quantile(record["aside"], 0.1)),
+            "fit to calm trials aside: median, %": float(np.median(_counted(record["aside"]))),
+            "its tenth percentile, %": float(np.quantile(_counted(record["aside"]), 0.1)),
             "a1 positive, %": 100 * record["stable"],
             "ideal 10/10 completed, %": 100 * float(np.isfinite(record["ideal"]).mean()),
             "rms error of its overshoots, deg": _rms(record["ideal"]),
         }
         for method, record in served.items()
     ]
+
+
+def _counted(fits) -> np.ndarray:
+    """Fits (per cent), zero for sets whose metamodel runs away on a trial put aside."""
+    return np.nan_to_num(np.asarray(fits, float), nan=0.0)
 
 
 def _rms(values: np.ndarray) -> float:
@@ -143,6 +148,6 @@ def _boxes(known: dict, served: dict) -> dict:
             short[m]: known[m]["aside"] for m in short if m in known
         },
         "service in any wind: fit to calm trials, %": {
-            m.replace(" ", "\n"): r["aside"] for m, r in served.items()
+            m.replace(" ", "\n"): _counted(r["aside"]) for m, r in served.items()
         },
     }

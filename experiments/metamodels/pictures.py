@@ -77,8 +77,9 @@ def _averaging(errors: dict):
                 axis.plot(errors["counts"], scores["rms"], "o-", ms=3, lw=1.2,
                           color=COLOURS[method], label=method)  # fmt: skip
             axis.set(xscale="log", yscale="log", ylim=(0.08, 4.0), xticks=errors["counts"],
-                     xticklabels=errors["counts"], title=f"{control} control, wind {wind}"
-                     + ("" if wind == "calm" else " m/s"))  # fmt: skip
+                     xticklabels=errors["counts"])  # fmt: skip
+            unit = "" if wind == "calm" else " m/s"
+            axis.set_title(f"{control} control, {wind}{unit}", fontsize=9)
             axis.minorticks_off()
             axis.grid(alpha=0.3)
         row[0].set_ylabel("rms error of overshoots, deg")
