@@ -28,7 +28,7 @@ APPROACH = 40.0  # s, at most
 SECONDS = {"turning-circle": 110.0, "zigzag": 40.0}
 CLASSES = ("L", "deg", "deg/s")  # printed units of lengths, overshoots and yaw rates
 MODEL_ERROR = 0.005  # of lengths and yaw rates
-BLUR = 5.0  # factor on the misfits in the first fit from a start
+BLURS = (5.0, 2.5, 1.5, 1.0, 1.0)  # factors on the misfits in the fits from a start
 SEED = 0
 
 
@@ -89,21 +89,24 @@ def best_of(
     """The objective, the best fit from the prior mean and draws, every start's deviance.
 
     Overshoots are far from linear in the derivatives: every start is fitted to blurred figures
-    first.
+    first, and then to ever sharper ones.
     """
-    objective = objective_of(misfit)
-    blurred = objective_of({kind: BLUR * scale for kind, scale in misfit.items()})
+    objectives = [objective_of({k: blur * one for k, one in misfit.items()}) for blur in BLURS]
+    objective = objectives[-1]
     rng = np.random.default_rng(SEED)
     count, parameters = len(objective.owners), len(objective.parameters)
     found = []
     for number in range(starts):
-        begin = np.zeros(count)
+        at = np.zeros(count)
         if number:
-            begin[:parameters] = 0.5 * rng.normal(size=parameters)
-        rough = blurred.fit(free, begin)
-        found.append(objective.fit(free, rough.coordinates))
-        told = f"{rough.deviance:.1f} blurred, {found[-1].deviance:.1f}"
-        say(f"start {number + 1} of {starts}: deviance {told}")
+            at[:parameters] = 0.5 * rng.normal(size=parameters)
+        path = []
+        for sharper in objectives:
+            fitted = sharper.fit(free, at)
+            at = fitted.coordinates
+            path.append(f"{fitted.deviance:.1f}")
+        found.append(fitted)
+        say(f"start {number + 1} of {starts}: deviance {', '.join(path)}")
     deviances = [one.deviance for one in found]
     return objective, found[int(np.argmin(deviances))], deviances
 

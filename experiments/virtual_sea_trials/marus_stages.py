@@ -23,7 +23,7 @@ from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import catalogue_name
 
 
-STARTS = 3
+STARTS = 2
 DRAWS = 768
 UPHILL = 20  # steps
 
