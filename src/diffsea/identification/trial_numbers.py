@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.identification.estimates import Estimate, Progress, made, silent
-from diffsea.identification.least_squares import ONCE, least_squares_from
+from diffsea.identification.least_squares import least_squares, with_known_jacobian
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import designed, replace
 from diffsea.priors import Parameter
@@ -25,8 +25,11 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
-STEPS = 30  # of Gauss-Newton in one round
-ROUNDS = 4
+STEPS = 60  # of Levenberg and Marquardt
+LONGEST = 0.7  # step, in prior widths
+DAMPED = 1e9  # times the normal matrix: nothing is to be gained
+SETTLED = 1e-5  # of the misfit, gained in a step
+_EXPLORED = 30  # Gauss-Newton steps from each of several starts
 _TOLERANCE = 1e-4  # of a step, in units of the coordinates
 _EFFECT_SPREAD = 3.0  # prior of an effect's coordinates, in its own sizes
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
@@ -79,40 +82,52 @@ class TrialNumbers:
 
     def evaluated(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whitened misfits of all sheets, one after the other, and their Jacobian by coordinate."""
-        problem = self._problem(np.ones(len(self.owners)), np.zeros(len(self.owners)))
-        _, white, J = _improve(jnp.asarray(coordinates, float), problem, jnp.asarray(ONCE))
-        count = self._values.size
-        return np.asarray(white)[:count], np.asarray(J)[:count]
+        white, J = _evaluated(jnp.asarray(coordinates, float), self._given)
+        return np.asarray(white), np.asarray(J)
 
-    def _problem(self, chosen: np.ndarray, held: np.ndarray) -> tuple:
-        given = (
+    @property
+    def _given(self) -> tuple:
+        return (
             self._vessel, self._values, self._stds, self._orders, jnp.asarray(self.spreads),
             self._static,
         )  # fmt: skip
-        return given, jnp.asarray(chosen), jnp.asarray(held)
 
     def fit(
         self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
     ) -> Estimate:
-        """Fit the free parameters and effects by name, from `start`."""
+        """Fit the free parameters and effects by name, from `start`.
+
+        Levenberg and Marquardt's steps on the exact Jacobian; none is longer than a prior's
+        width, as numbers that are largest values have kinks.
+        """
         coordinates = np.zeros(len(self.owners)) if start is None else np.array(start, float)
         index = np.array([k for k, name in enumerate(self.owners) if name in free], int)
-        chosen = np.zeros(len(self.owners))
-        chosen[index] = 1.0
-        cost = self.cost(coordinates)
-        path = [cost]
-        for number in range(ROUNDS):
-            held = np.where(chosen > 0, 0.0, coordinates)
-            problem = self._problem(chosen, held)
-            found = _improve(jnp.asarray(coordinates), problem, jnp.asarray(_TOLERANCE))
-            coordinates = np.asarray(found[0])
-            last, cost = cost, self.cost(coordinates)
+        spreads, damping = self.spreads[index], 1.0
+        white, J = self.evaluated(coordinates)
+        path = [self._deviance(white, coordinates)]
+        for number in range(STEPS):
+            own = J[:, index]
+            normal = own.T @ own + np.diag(1 / spreads**2)
+            slope = own.T @ white + coordinates[index] / spreads**2
+            tried = np.array(coordinates)
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
+            tried[index] += np.clip(step, -LONGEST * spreads, LONGEST * spreads)
+            there, J_there = self.evaluated(tried)
+            cost = self._deviance(there, tried)
+            progress(f"step {number + 1}: misfit {min(cost, path[-1]):.3f}")
+            if not cost < path[-1]:
+                damping *= 5.0
+                if damping > DAMPED:
+                    break
+                continue
+            settled = path[-1] - cost < SETTLED * (1 + cost) and damping < 1.0
+            coordinates, white, J = tried, there, J_there
             path.append(cost)
-            progress(f"round {number + 1}: misfit {cost:.3f}")
-            if last - cost < 1e-3:
+            damping /= 5.0
+            if settled:
                 break
-        J = self.evaluated(coordinates)[1][:, index]
-        return made(free, coordinates, cost, index, self.spreads, J.T @ J, path=path)
+        own = J[:, index]
+        return made(free, coordinates, path[-1], index, self.spreads, own.T @ own, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
         """Fit again; a sheet's uncertainties are given, so that nothing is kept."""
@@ -120,15 +135,16 @@ class TrialNumbers:
 
     def cost(self, coordinates: np.ndarray, fitted: Estimate | None = None) -> float:
         """-2 log posterior without its constant."""
-        white = self.evaluated(coordinates)[0]
+        return self._deviance(self.evaluated(coordinates)[0], coordinates)
+
+    def _deviance(self, white: np.ndarray, coordinates: np.ndarray) -> float:
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
     def explore(
         self, starts: Float[np.ndarray, "start coordinate"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where a few steps lead from several starts at once, and the cost there."""
-        problem = self._problem(np.ones(len(self.owners)), np.zeros(len(self.owners)))
-        ends = np.asarray(_improve_all(jnp.asarray(starts), problem))
+        ends = np.asarray(_improve_all(jnp.asarray(starts), self._given))
         return ends, np.array([self.cost(end) for end in ends])
 
     def residuals(self, coordinates: np.ndarray) -> list[dict]:
@@ -213,34 +229,16 @@ def _with_slopes(coordinates: Array, given: tuple) -> tuple[Array, Array]:
     return white, jnp.where(jnp.isfinite(slopes), slopes, 0.0)
 
 
-def _solved(start: Array, problem: tuple, tolerance: Array | float) -> tuple[Array, Array, Array]:
-    """Gauss-Newton steps on the coordinates that `chosen` marks; the others stay as held.
-
-    Besides the end, the residual and its Jacobian at an earlier point: at the start, with a
-    tolerance of `ONCE`.
-    """
-
-    def residual(at: Array, problem: tuple) -> tuple[Array, Array]:
-        given, chosen, held = problem
-        white, J = _with_slopes(held + chosen * at, given)
-        spreads = given[4]
-        prior = (held + chosen * at) / spreads
-        unused = (1 - chosen) * at
-        return (
-            jnp.concatenate([white, prior, unused]),
-            jnp.concatenate([J * chosen, jnp.diag(chosen / spreads), jnp.diag(1 - chosen)]),
-        )
-
-    _, chosen, held = problem
-    found, white, J = least_squares_from(residual, chosen * start, problem, STEPS, tolerance)
-    return held + chosen * found, white, J
+_evaluated = eqx.filter_jit(_with_slopes)
 
 
 @eqx.filter_jit
-def _improve(start: Array, problem: tuple, tolerance: Array) -> tuple[Array, Array, Array]:
-    return _solved(start, problem, tolerance)
+def _improve_all(starts: Array, given: tuple) -> Array:
+    """A few Gauss-Newton steps of every coordinate from each start."""
 
+    def residual(at: Array, given: tuple) -> tuple[Array, Array]:
+        white, J = _with_slopes(at, given)
+        return jnp.concatenate([white, at / given[4]]), jnp.concatenate([J, jnp.diag(1 / given[4])])
 
-@eqx.filter_jit
-def _improve_all(starts: Array, problem: tuple) -> Array:
-    return jax.vmap(lambda at: _solved(at, problem, _TOLERANCE)[0])(starts)
+    known = with_known_jacobian(residual)
+    return jax.vmap(lambda at: least_squares(known, at, given, _EXPLORED, _TOLERANCE))(starts)
