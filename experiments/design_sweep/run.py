@@ -35,7 +35,7 @@ def main() -> None:
     run.save(design_maps.maps(found, length, KINDS), "maps")
     checks = independent.differences(found, independent.drawn(found, 2 if run.quick else 6))
     run.say("independent simulator done")
-    speeds = rates(run, found)
+    speeds = rates(run, vessel, found)
     beyond = {"independent": checks, "speed": speeds, "sweep": outcomes(found)}
     beyond["memory_gib"] = sweeping.most_memory()
     if not run.quick:
@@ -72,13 +72,14 @@ def outcomes(found: sweeping.Swept) -> dict:
     }
 
 
-def rates(run: Experiment, found: sweeping.Swept) -> dict:
-    """Vessel-steps per second of the sweep beside plain loops, in this same run."""
+def rates(run: Experiment, vessel: Vessel, found: sweeping.Swept) -> dict:
+    """Vessel-steps per second of a sweep beside plain loops, one right after the other."""
+    kind = KINDS[0] if run.quick else KINDS[2]
     few = 2 if run.quick else 8
     thrusts = np.linspace(*THRUST, few).tolist()
     masses = np.linspace(*MASS, few).tolist()
     plain = plain_loops.timed(independent.document, thrusts, masses, STEP, 100.0)
-    sweep = float(np.median(list(found.rates.values())))
+    sweep = sweeping.rate(vessel, kind, 16 if run.quick else 48)
     run.say("plain loops done")
     return {
         "sweep": sweep, "sweep_by_trial": found.rates, **plain,

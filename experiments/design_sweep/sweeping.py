@@ -16,6 +16,10 @@ from diffsea.vessel.base import Vessel
 
 # Panel: title, kind, column of the table, unit, IMO limit, its section of MSC.137(76).
 LENGTH, ANGLE = "L", "deg"
+KEPT = (
+    "thrust", "mass", "advance", "transfer", "tactical_diameter", "initial_turning_distance",
+    "overshoot_1", "overshoot_2", "peak_yaw_rate", "approach_speed",
+)  # fmt: skip
 PANELS = (
     ("tactical diameter", 0, "tactical_diameter", LENGTH, 5.0, "5.3.1"),
     ("advance", 0, "advance", LENGTH, 4.5, "5.3.1"),
@@ -48,11 +52,26 @@ def swept(run: Experiment, vessel: Vessel, size: tuple[int, int], kinds: tuple[K
     tables, rates, seconds = {}, {}, {}
     for kind in kinds:
         began = time.perf_counter()
-        tables[kind.label], rates[kind.label] = sweeps.sweep(vessel, plan(vessel, kind), table)
+        rows, rates[kind.label] = sweeps.sweep(vessel, plan(vessel, kind), table)
+        tables[kind.label] = slimmed(rows)
         seconds[kind.label] = time.perf_counter() - began
         rate, took = rates[kind.label], seconds[kind.label]
         run.say(f"{kind.label}: {len(table.values)} designs in {took:.0f} s, {rate:.2g} steps/s")
     return Swept(thrust, mass, tables, rates, seconds)
+
+
+def slimmed(table: pd.DataFrame) -> pd.DataFrame:
+    """The columns that are shown or compared; words as categories."""
+    words = [name for name in table if name == "outcome" or str(name).startswith("imo_")]
+    kept = [name for name in KEPT if name in table]
+    return pd.concat([table[kept], table[words].astype("category")], axis=1)
+
+
+def rate(vessel: Vessel, kind: Kind, count: int) -> float:
+    """Vessel-steps per second of a sweep of some designs, compiled before."""
+    pairs = np.meshgrid(*axes(count, count))
+    table = designs(vessel, pairs[0].ravel(), pairs[1].ravel())
+    return sweeps.sweep(vessel, plan(vessel, kind), table)[1]
 
 
 def in_units(values: np.ndarray, unit: str, length: float) -> np.ndarray:
