@@ -198,6 +198,7 @@ def test_wishes_are_found_by_newtons_method(parts):
             wanted.at_mass("tactical diameter", 25.0, 70.0),
             wanted.at_mass("tactical diameter", -1.0, 70.0),  # no square is below zero
         ],
+        np.log([[10.0, 1.0], wanted.START]),
     )
     assert found.solved.tolist() == [True, True, False]
     np.testing.assert_allclose(np.log(found.thrust[:2]), [math.sqrt(20.0), 5.0], rtol=1e-9)

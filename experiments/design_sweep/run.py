@@ -173,7 +173,9 @@ def inverse(run: Experiment, vessel: Vessel, found: sweeping.Swept, length: floa
     drawn = independent.drawn(found, 32, seed=1)
     maps = neighbours.truth(found, vessel).reshape(-1, len(neighbours.QUANTITIES))[drawn]
     run.say("inverse design")
-    answer = wanted.solve(vessel, [wanted.both(row[0], row[2]) for row in maps])
+    coarse = neighbours.bases(found, 6)
+    known = np.log(np.stack([found.thrust[coarse[1]], found.mass[coarse[0]]], axis=-1))
+    answer = wanted.solve(vessel, [wanted.both(row[0], row[2]) for row in maps], known)
     table_ = found.tables[KINDS[0].label].iloc[drawn]
     thrust, mass = table_["thrust"].to_numpy(), table_["mass"].to_numpy()
     same = np.hypot(answer.thrust / thrust - 1, answer.mass / mass - 1) < 1e-4

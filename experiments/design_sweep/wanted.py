@@ -10,7 +10,7 @@ from neighbours import QUANTITIES, with_slopes
 from diffsea.vessel.base import Vessel
 
 
-START = (100.0, 100.0)  # N, kg: every search begins here
+START = (100.0, 100.0)  # N, kg: where a search begins without known designs
 _MOST_STEPS = 40
 _LONGEST = 0.3  # of ln thrust and ln mass in one step
 _SMALL = 1e-8  # ship lengths or degrees: found
@@ -55,16 +55,20 @@ def _rows(*names: str) -> np.ndarray:
     return rows
 
 
-def solve(vessel: Vessel, wishes: list[Wish]) -> Found:
-    """The thrust and mass of each wish."""
-    return search(lambda x: with_slopes(vessel, x), wishes)
+def solve(vessel: Vessel, wishes: list[Wish], known: np.ndarray | None = None) -> Found:
+    """The thrust and mass of each wish, from the nearest of some `known` designs (ln N, ln kg)."""
+    if known is None:
+        known = np.log([START])
+    return search(lambda x: with_slopes(vessel, x), wishes, known)
 
 
-def search(evaluate: Evaluate, wishes: list[Wish]) -> Found:
+def search(evaluate: Evaluate, wishes: list[Wish], known: Float[np.ndarray, "design 2"]) -> Found:
     """Roots of all wishes by Newton's method with halved steps; `evaluate` as `with_slopes`."""
+    value = np.concatenate([evaluate(known)[0], known], axis=-1)
+    starts = [np.argmin(size(value @ wish.rows.T - wish.level)) for wish in wishes]
     rows = np.stack([wish.rows for wish in wishes])
     level = np.stack([wish.level for wish in wishes])
-    x = np.tile(np.log(START), (len(wishes), 1))
+    x = known[starts]
     missing, slope = equations(evaluate, x, rows, level)
     steps, share = np.zeros(len(wishes), int), np.ones(len(wishes))
     for _ in range(_MOST_STEPS):
