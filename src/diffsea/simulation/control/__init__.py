@@ -9,6 +9,8 @@ from diffsea.simulation.control.balance import speed_for as speed_for
 from diffsea.simulation.control.balance import straight_balance as straight_balance
 from diffsea.simulation.control.balance import throttle_for as throttle_for
 from diffsea.simulation.control.balance import throttle_for_thrust as throttle_for_thrust
+from diffsea.simulation.control.dynamic_pd import DynamicPD as DynamicPD
+from diffsea.simulation.control.dynamic_pd import dynamic_pd as dynamic_pd
 from diffsea.simulation.control.guidance import Course as Course
 from diffsea.simulation.control.guidance import LineOfSight as LineOfSight
 from diffsea.simulation.control.guidance import Pursuit as Pursuit
