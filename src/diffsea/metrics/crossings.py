@@ -180,6 +180,19 @@ def slopes(t: Float[Array, "time"], value: Float[Array, "time"]) -> Float[Array,
     return jnp.where(inside[1:-1], central[1:-1], one_sided)
 
 
+def cornered(smooth: Curve, times: Float[Array, "corner"]) -> Curve:
+    """The curve with a second sample at each of some times (s), where its slope may jump.
+
+    A yaw rate has such a corner where thrust answers an order at once; differences across it
+    would round it off, by an amount that depends on how the samples lie.
+    """
+    times = jnp.clip(times, smooth.t[0], smooth.t[-1])
+    added = jax.vmap(lambda time: value_at(smooth, time))(times)
+    t, value = jnp.concatenate([smooth.t, times]), jnp.concatenate([smooth.value, added])
+    order = jnp.argsort(jax.lax.stop_gradient(t), stable=True)
+    return Curve(t[order], value[order], slopes(t[order], value[order]))
+
+
 class _Piece(NamedTuple):
     """Intervals between samples. `step` is 1 where an interval is empty, so that neither
     a value nor a derivative divides by zero; `proper` says which are not."""

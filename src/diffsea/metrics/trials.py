@@ -21,6 +21,7 @@ from diffsea.metrics.circles import fitted_radius
 from diffsea.metrics.crossings import (
     Crossing,
     Curve,
+    cornered,
     first_crossing,
     highest,
     interval_at,
@@ -79,7 +80,7 @@ def turning_metrics(
         "time_to_180": known(to_180.time - start, to_180.found),
         **steady,
         "speed_loss": known(1 - steady["final_speed"] / _nonzero(approach), approach > 0),
-        "peak_yaw_rate": _peak_yaw_rate(run, start),
+        "peak_yaw_rate": _peak_yaw_rate(run.yaw, start),
         "approach_speed": approach,
     }
 
@@ -118,7 +119,7 @@ def zigzag_metrics(
         "initial_turning_time": known(turned.time - start, turned.found),
         "reach_time": known(back.time - start, back.found & happened[1]),
         "period": _period(times, happened),
-        "peak_yaw_rate": _peak_yaw_rate(run, start),
+        "peak_yaw_rate": _peak_yaw_rate(cornered(run.yaw, times), start),
         "approach_speed": _approach_speed(run, start, approach_seconds),
     }
 
@@ -229,12 +230,11 @@ def _approach_speed(run: _Run, execute_time: Scalar, seconds: Scalar) -> Float[A
     return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
 
 
-def _peak_yaw_rate(run: _Run, execute_time: Scalar) -> Float[Array, ""]:
+def _peak_yaw_rate(yaw: Curve, execute_time: Scalar) -> Float[Array, ""]:
     """Largest yaw rate (rad/s) to either side after the execute."""
-    within = run.counts & (run.yaw.t >= execute_time)
-    sampled = jnp.max(jnp.where(within, jnp.abs(run.yaw.value), -jnp.inf))
+    sampled = jnp.max(jnp.where(yaw.t >= execute_time, jnp.abs(yaw.value), -jnp.inf))
     senses = jnp.array([1.0, -1.0])
-    peaks = jax.vmap(lambda sense: highest(run.yaw, sense, after=execute_time))(senses)
+    peaks = jax.vmap(lambda sense: highest(yaw, sense, after=execute_time))(senses)
     between = jnp.max(jnp.where(peaks.found, senses * peaks.value, -jnp.inf))
     return jnp.maximum(sampled, between)
 
