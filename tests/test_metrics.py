@@ -319,6 +319,22 @@ def test_zigzag_of_a_nomoto_ship(side):
     assert got["reach_time"] == pytest.approx(t[dense][0] - times[0], abs=0.25)
 
 
+@pytest.mark.parametrize("offset", [1e-7, 0.004, 0.05, 0.0999])
+def test_the_peak_yaw_rate_is_the_corner_at_the_reversal_wherever_samples_lie(offset):
+    """One sample at the reversal, as in simulated trials; the next comes `offset` s later."""
+    gain, lag, order, reversal = 0.25, 4.0, math.radians(20), 2.5
+    turn = gain * order
+    out, back = np.linspace(0, reversal, 26), np.append(0.0, offset + 0.1 * np.arange(12))
+    rate = turn * (1 - np.exp(-out / lag))
+    psi = turn * (out - lag + lag * np.exp(-out / lag))
+    after = (rate[-1] + turn) * np.exp(-back / lag) - turn
+    psi_after = psi[-1] + lag * (rate[-1] + turn) * (1 - np.exp(-back / lag)) - turn * back
+    t = np.append(out, reversal + back[1:])
+    run = straight_ahead(t, np.append(psi, psi_after[1:]), np.append(rate, after[1:]))
+    got = ZIGZAG(run, np.array([0.0, reversal, np.nan]), side=jnp.array(1.0))
+    assert got["peak_yaw_rate"] == pytest.approx(rate[-1], rel=1e-9)
+
+
 def test_zigzag_overshoot_has_the_derivative_of_the_closed_form():
     """The first leg and the return in closed form, so everything depends on (K, T)."""
     order = heading = math.radians(20)
