@@ -58,9 +58,9 @@ def odds(rows: list[dict]) -> Figure:
     return figure
 
 
-def diameters(drawn: dict[str, np.ndarray], fitted: dict, uphill: list[dict]) -> Figure:
-    """Tactical over steady diameter against drift, and where ascent by exact derivatives leads."""
-    figure, axes = panels(1, 2, 10.0, 4.2)
+def diameters(drawn: dict[str, np.ndarray], fitted: dict) -> Figure:
+    """Tactical over steady diameter against drift."""
+    figure, axes = panels(1, 1, 6.5, 4.2)
     axis = axes[0, 0]
     drift = np.degrees(drawn["drift"])
     ratio = drawn["tactical_diameter"] / drawn["steady_turning_diameter"]
@@ -80,11 +80,6 @@ def diameters(drawn: dict[str, np.ndarray], fitted: dict, uphill: list[dict]) ->
     axis.set_xlabel("steady drift angle, deg")
     axis.set_ylabel("tactical over steady diameter")
     axis.legend(fontsize=7)
-    other = axes[0, 1]
-    other.plot([station["ratio"] for station in uphill], "o-", color=BLUE, markersize=3)
-    other.axhline(1, color=GREY, linewidth=0.6)
-    other.set_xlabel("steps uphill from the fitted vessel")
-    other.set_ylabel("steady over tactical diameter")
     return figure
 
 

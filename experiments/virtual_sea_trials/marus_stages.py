@@ -25,7 +25,6 @@ from diffsea.vessel.effects import catalogue_name
 
 STARTS = 2
 DRAWS = 768
-UPHILL = 20  # steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,16 +134,14 @@ def diameters(work: Experiment, found: Identified) -> dict:
         "speed": float(drawn["final_speed"][0]),
         "loss": float(drawn["speed_loss"][0]),
     }
-    uphill = marus_diameter.ascended(found.objective, found.even.coordinates, UPHILL)
     slopes = marus_diameter.slopes_of_ratio(found.objective, found.even.coordinates)
-    work.save(marus_plots.diameters(drawn, fitted, uphill), "diameters")
+    work.save(marus_plots.diameters(drawn, fitted), "diameters")
     return result | {
         "drawn": len(ratio),
         "share_above": float(np.mean(ratio < 1)),
         "least_ratio": float(np.min(ratio)),
         "share_below_cosine": float(np.mean(ratio < np.cos(drawn["drift"]) - 1e-3)),
         "fitted": {"drift": float(np.degrees(fitted["drift"])), "ratio": fitted["ratio"]},
-        "uphill": uphill[-1],
         "slopes": slopes,
     }
 

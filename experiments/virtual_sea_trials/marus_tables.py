@@ -197,7 +197,7 @@ def _asymmetry(rows: list[dict]) -> str:
 
 
 def _diameters(turning: dict) -> str:
-    ends, needed = turning["uphill"], turning["least_drift"]
+    needed = turning["least_drift"]
     rows = [
         ("vessels drawn that complete the circle", turning["drawn"]),
         ("of these with the steady diameter the larger one, %", 100 * turning["share_above"]),
@@ -210,7 +210,6 @@ def _diameters(turning: dict) -> str:
             needed["circle-port"],
         ),
         ("and the one to starboard, deg", needed["circle-starboard"]),
-        ("largest steady over tactical diameter reached uphill", ends["ratio"]),
     ]
     return table(("", ""), rows)
 
