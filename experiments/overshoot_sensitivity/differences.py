@@ -44,5 +44,6 @@ def best(steps: Float[np.ndarray, "step"], error: Float[np.ndarray, "step chosen
 
 
 def order(steps: Float[np.ndarray, "step"], error: Float[np.ndarray, "step"]) -> float:
-    """Power of the step with which an error falls, over the three largest steps."""
-    return float(np.polyfit(np.log(steps[:3]), np.log(error[:3]), 1)[0])
+    """Power of the step with which an error falls, where neither limits nor rounding matter yet."""
+    small = (steps < 5e-3) & (steps > 2e-4)
+    return float(np.polyfit(np.log(steps[small]), np.log(error[small]), 1)[0])

@@ -112,7 +112,7 @@ def limits(bench: Bench, local: list) -> list[dict]:
 
 def by_differences(run: Experiment, bench: Bench, local: list, figures: list) -> dict:
     """Central differences of the 10/10 and 20/20 numbers at many steps, beside the exact ones."""
-    steps = differences.STEPS[::4] if run.quick else differences.STEPS
+    steps = differences.STEPS
     chosen = list(range(len(bench.factors)))
     columns, result = [bench.case.numbers.index(name) for name in ZIGZAG_NUMBERS], {}
     for trial in range(1 if run.quick else 2):
