@@ -66,6 +66,11 @@ CHOSEN = ("mass", "I_z", "x_G", "length", "draught", "X_uu", "Y_v", "N_r", "N_rd
           "port.y", "starboard.angle", "crossflow-drag.cd")  # fmt: skip
 
 
+# A settled zig-zag of a boat whose sides are alike peaks alike to port and starboard: the larger of the
+# two has a kink against what makes the sides differ.
+KINKED = {("port.y", "peak_yaw_rate"), ("starboard.angle", "peak_yaw_rate")}
+
+
 @pytest.mark.parametrize("name", CHOSEN)
 def test_derivatives_are_those_of_the_trials_own_numbers(name, derivatives, numbers):
     """Fourth-order central differences, whose own error is far below the tolerance."""
@@ -76,6 +81,8 @@ def test_derivatives_are_those_of_the_trials_own_numbers(name, derivatives, numb
     nominal = numbers(DOCUMENT)
     assert derivatives.keys() == {n for n, value in nominal.items() if np.isfinite(value)}
     for number, row in derivatives.items():
+        if (name, number) in KINKED:
+            continue
         outer, inner = (runs[k][number] - runs[-k][number] for k in (2, 1))
         slope = (8 * inner - outer) / (12 * step)
         # What is left of an approach that lasts a step longer is a billionth of the number.
