@@ -66,8 +66,8 @@ CHOSEN = ("mass", "I_z", "x_G", "length", "draught", "X_uu", "Y_v", "N_r", "N_rd
           "port.y", "starboard.angle", "crossflow-drag.cd")  # fmt: skip
 
 
-# A settled zig-zag of a boat whose sides are alike peaks alike to port and starboard: the larger of the
-# two has a kink against what makes the sides differ.
+# A settled zig-zag of a boat whose sides are alike peaks alike to port and starboard: the larger
+# of the two has a kink against what makes the sides differ.
 KINKED = {("port.y", "peak_yaw_rate"), ("starboard.angle", "peak_yaw_rate")}
 
 
