@@ -1,16 +1,13 @@
 """The design sweep: its quick run, and its pieces against closed forms."""
 
-import importlib
-import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from tests.experiment_runs import modules, quick_run
 
 from diffsea.vessel.catalogue import read_vessel
 
@@ -21,15 +18,9 @@ PARTS = ("loading", "sweeping", "independent", "plain_loops", "neighbours", "wan
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules, gone again afterwards."""
-    paths = [str(HOME), str(HOME.parent)]
-    sys.path[:0] = paths
-    found = SimpleNamespace(**{name: importlib.import_module(name) for name in PARTS})
-    for path in paths:
-        sys.path.remove(path)
-    yield found
-    for name in PARTS:
-        sys.modules.pop(name, None)
+    """The experiment's modules."""
+    with modules("design_sweep", *PARTS) as found:
+        yield SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +32,9 @@ def otter():
 def quick(tmp_path_factory):
     """results.json of the quick variant: 64 designs through the turning circle."""
     folder = tmp_path_factory.mktemp("sweep")
-    done = subprocess.run(
-        [sys.executable, str(HOME / "run.py"), "--quick", "-o", str(folder)],
-        capture_output=True, text=True, timeout=900, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
+    found = quick_run("design_sweep", folder)
     assert (folder / "figures" / "maps.png").stat().st_size < 100_000
-    return json.loads((folder / "results.json").read_text())
+    return found
 
 
 # -- the quick run -----------------------------------------------------------------------------

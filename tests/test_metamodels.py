@@ -1,9 +1,7 @@
 """Metamodels: Norrbin's equation, its identification, ideal zig-zags, grouping, the experiment."""
 
 import dataclasses
-import json
 import math
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import t as student
+from tests.experiment_runs import quick_run
 
 from diffsea.campaign.places import by_place, features
 from diffsea.errors import UserError
@@ -290,10 +289,9 @@ def _means(fine: np.ndarray) -> np.ndarray:
 def quick(tmp_path_factory) -> dict:
     """Results of the quick run."""
     folder = tmp_path_factory.mktemp("metamodels")
-    script = ROOT / "experiments" / "metamodels" / "run.py"
-    subprocess.run([sys.executable, str(script), "--quick", "-o", str(folder)], check=True)
+    found = quick_run("metamodels", folder)
     assert {"service.png", "averaging.png"} <= {p.name for p in (folder / "figures").iterdir()}
-    return json.loads((folder / "results.json").read_text())
+    return found
 
 
 def test_every_published_figure_has_its_row(quick):

@@ -1,10 +1,6 @@
 """Overshoot sensitivities: the quick run, and its pieces against closed forms and the oracle."""
 
-import importlib
-import json
 import math
-import subprocess
-import sys
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -12,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.experiment_runs import modules, quick_run
 from tests.oracle import trials as oracle
 
 from diffsea.parameters import named
@@ -25,27 +22,19 @@ DRAG = 77.55  # N, the Otter's at 1 m/s
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules, gone again afterwards."""
-    sys.path.insert(0, str(HOME))
-    found = SimpleNamespace(**{name: importlib.import_module(name) for name in PARTS})
-    sys.path.remove(str(HOME))
-    yield found
-    for name in PARTS:
-        sys.modules.pop(name, None)
+    """The experiment's modules."""
+    with modules("overshoot_sensitivity", *PARTS) as found:
+        yield SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """results.json of the quick variant."""
     folder = tmp_path_factory.mktemp("overshoot")
-    done = subprocess.run(
-        [sys.executable, str(HOME / "run.py"), "--quick", "-o", str(folder)],
-        capture_output=True, text=True, timeout=900, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
+    found = quick_run("overshoot_sensitivity", folder)
     figures = list((folder / "figures").glob("*.png"))
     assert len(figures) == 4 and all(path.stat().st_size < 100_000 for path in figures)
-    return json.loads((folder / "results.json").read_text())
+    return found
 
 
 @pytest.fixture(scope="module")

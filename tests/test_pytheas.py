@@ -1,9 +1,5 @@
 """experiments/pytheas: its quick run, and its pieces against closed forms and scipy."""
 
-import importlib
-import json
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.experiment_runs import modules, quick_run
 
 from diffsea.parameters import named
 from diffsea.types import Environment, State
@@ -24,29 +21,18 @@ PUBLISHED_TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules, gone again afterwards: other experiments use the same names."""
-    before = dict(sys.modules)
-    for name in ("reporting", "approach", "sweep", "figures", *PARTS):
-        sys.modules.pop(name, None)
-    sys.path[:0] = [str(HOME), str(HOME.parent)]
-    yield SimpleNamespace(**{name: importlib.import_module(name) for name in PARTS})
-    sys.path[:2] = []
-    for name in set(sys.modules) - set(before):
-        if str(HOME.parent) in str(getattr(sys.modules[name], "__file__", "")):
-            del sys.modules[name]
+    """The experiment's modules."""
+    with modules("pytheas", *PARTS) as found:
+        yield SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """results.json of the quick variant."""
     folder = tmp_path_factory.mktemp("pytheas")
-    done = subprocess.run(
-        [sys.executable, str(HOME / "run.py"), "--quick", "-o", str(folder)],
-        capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
+    found = quick_run("pytheas", folder)
     assert len(list((folder / "figures").glob("*.png"))) >= 3
-    return json.loads((folder / "results.json").read_text())
+    return found
 
 
 def row(quick, quantity):

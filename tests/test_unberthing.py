@@ -1,9 +1,5 @@
 """The unberthing experiment: its quick run, and its pieces against closed forms and scipy."""
 
-import importlib
-import json
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
+from tests.experiment_runs import modules, quick_run
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,25 +23,18 @@ DEGREE, KNOT = np.pi / 180, 1852 / 3600
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules by name; the path is put back."""
-    sys.path[:0] = PLACES
-    found = SimpleNamespace(**{name: importlib.import_module(name) for name in MODULES})
-    for place in PLACES:
-        sys.path.remove(place)
-    yield found
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    """The experiment's modules."""
+    with modules("unberthing", *MODULES) as found:
+        yield SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     """results.json of the quick variant."""
     out = tmp_path_factory.mktemp("unberthing")
-    command = [sys.executable, str(FOLDER / "run.py"), "--quick", "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
-    assert done.returncode == 0, done.stderr[-2000:]
+    found = quick_run("unberthing", out)
     assert {p.stem for p in (out / "figures").glob("*.png")} == {"unberthing", "leaving", "seeds"}
-    return json.loads((out / "results.json").read_text())
+    return found
 
 
 def obtained(results, start):

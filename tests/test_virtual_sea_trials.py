@@ -1,15 +1,13 @@
 """The virtual sea trials: the quick run, and the pieces against closed forms and scipy."""
 
-import importlib
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.experiment_runs import modules, quick_run
 
 from diffsea.types import Trajectory
 
@@ -21,20 +19,16 @@ MODULES = ("published", "vessel", "trials", "diameter", "asymmetry", "fit")
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules by the end of their names."""
-    sys.path[:0] = [str(FOLDER)]
-    yield {name: importlib.import_module(f"marus_{name}") for name in MODULES}
-    sys.path.remove(str(FOLDER))
+    """The experiment's modules."""
+    with modules("virtual_sea_trials", *(f"marus_{name}" for name in MODULES)) as found:
+        yield {name: found[f"marus_{name}"] for name in MODULES}
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict:
     """results.json of the quick variant, and its folder."""
     out = tmp_path_factory.mktemp("virtual_sea_trials")
-    command = [sys.executable, str(FOLDER / "run.py"), "--quick", "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads((out / "results.json").read_text()) | {"folder": out}
+    return quick_run("virtual_sea_trials", out) | {"folder": out}
 
 
 # -- the quick run ---------------------------------------------------------------------------
@@ -176,12 +170,9 @@ def test_yaw_rates_of_one_motion_agree(parts):
     assert parts["trials"].yaw_consistency(late)["rms"] > 1.0
 
 
-def test_drag_and_steady_drift_are_the_balance_of_forces(parts):
+def test_drag_is_the_polynomial_of_speed(parts):
     hull = parts["vessel"].HULL
     assert parts["vessel"].drag_at(hull, 0.8) == pytest.approx(100 * 0.8 + 50 * 0.64)
-    drift = parts["diameter"].steady_drift(hull | {"Y_vv": 0.0}, 0.7, 0.13)
-    # Linear: Y_v v = m_x u r, tan(beta) = m_x r / |Y_v|.
-    assert math.tan(drift) == pytest.approx(315.0 * 0.13 / 100.0, rel=1e-6)
 
 
 def test_the_least_drift_is_the_angle_whose_cosine_is_the_ratio(parts):

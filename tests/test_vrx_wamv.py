@@ -1,15 +1,12 @@
 """The WAM-V experiment: its quick run, and its pieces against closed forms and scipy."""
 
-import importlib
-import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.experiment_runs import modules, quick_run
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -19,23 +16,15 @@ MODULES = ("plant", "campaign", "procedure", "paths")
 
 @pytest.fixture(scope="module")
 def parts():
-    """The experiment's modules that need no compiling, by name; the path is put back."""
-    sys.path.insert(0, str(FOLDER))
-    found = {name: importlib.import_module(name) for name in MODULES}
-    sys.path.remove(str(FOLDER))
-    yield found
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    """The experiment's modules."""
+    with modules("vrx_wamv", *MODULES) as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     """results.json of the quick variant."""
-    out = tmp_path_factory.mktemp("vrx_wamv")
-    command = [sys.executable, str(FOLDER / "run.py"), "--quick", "-o", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads((out / "results.json").read_text())
+    return quick_run("vrx_wamv", tmp_path_factory.mktemp("vrx_wamv"))
 
 
 # -- the quick run ---------------------------------------------------------------------------

@@ -98,11 +98,6 @@ def feasibility() -> dict[str, float]:
     return {"exponent": exponent, "rate": rate, "speed": speed, "loss": 1 - speed / approach}
 
 
-def ratio_of(numbers: dict[str, float]) -> float:
-    """Tactical over steady diameter."""
-    return numbers["tactical_diameter"] / numbers["steady_turning_diameter"]
-
-
 def slopes_of_ratio(objective: TrialNumbers, coordinates: np.ndarray) -> dict[str, float]:
     """Derivative of log(D / D_T) by every parameter's coordinate, exact; circle to starboard."""
     gradient = _gradient(objective, coordinates)[: len(objective.parameters)]
@@ -122,14 +117,3 @@ def _gradient(objective: TrialNumbers, coordinates: np.ndarray) -> np.ndarray:
     found = values + stds * white
     by = stds[:, None] * J / found[:, None]
     return by[steady] - by[tactical]
-
-
-def steady_drift(hull: dict[str, float], speed: float, yaw_rate: float) -> float:
-    """Drift (rad) of a steady turn by the sway balance, m_x u r = Y_v v + Y_vv |v| v + Y_r r."""
-    mass = hull["mass"] - hull["X_udot"]
-    v = -1e-3
-    for _ in range(100):
-        u = math.sqrt(max(speed**2 - v**2, 1e-12))
-        resistance = hull["Y_v"] + hull["Y_vv"] * abs(v)
-        v = 0.5 * v + 0.5 * (mass * u - hull["Y_r"]) * yaw_rate / resistance
-    return math.atan2(-v, math.sqrt(max(speed**2 - v**2, 1e-12)))
