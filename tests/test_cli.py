@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import pathlib
 import subprocess
 import sys
 
@@ -296,6 +297,20 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
             raise UserError("stop")
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
     assert (tmp_path / "x.json").read_text() == "old"
+
+
+def test_commands_that_start_together_may_share_a_new_folder(tmp_path, monkeypatch):
+    shared, mkdir = tmp_path / "runs", pathlib.Path.mkdir
+
+    def made_by_another_first(path, *arguments, **options):
+        if path == shared:
+            mkdir(path)
+        mkdir(path, *arguments, **options)
+
+    monkeypatch.setattr(pathlib.Path, "mkdir", made_by_another_first)
+    with options.Outputs(shared / "one") as out:
+        out.json("x.json", {})
+    assert (shared / "one" / "x.json").exists()
 
 
 def test_a_table_has_numbers_to_the_right():

@@ -16,6 +16,7 @@ import plain_loops
 import sweeping
 import wanted
 from loading import KINDS, MASS, STEP, THRUST
+from memory import peak_memory
 from reporting import Experiment, compared, comparison, experiment, table
 
 from diffsea.vessel.base import Vessel
@@ -37,14 +38,14 @@ def main() -> None:
     run.say("independent simulator done")
     speeds = rates(run, vessel, found)
     beyond = {"independent": checks, "speed": speeds, "sweep": outcomes(found)}
-    beyond["memory_gib"] = sweeping.most_memory()
+    beyond["memory_gib"] = peak_memory()
     if not run.quick:
         # What is known so far, before what takes longest.
         run.write({"comparison": rows(criteria), "beyond": beyond}, tables(criteria, beyond))
         beyond["prediction"] = predicted(run, vessel, found)
         beyond["front"] = front(run, vessel, found, length)
         beyond["inverse"] = inverse(run, vessel, found, length)
-    beyond["memory_gib"] = sweeping.most_memory()
+    beyond["memory_gib"] = peak_memory()
     run.write({"comparison": rows(criteria), "beyond": beyond}, tables(criteria, beyond))
 
 

@@ -1,6 +1,5 @@
 """The sweep itself through `diffsea.sweeps`, and what the maps show of it."""
 
-import resource
 import time
 from typing import NamedTuple
 
@@ -106,8 +105,3 @@ def compliant(found: Swept) -> np.ndarray:
             if str(name).startswith("imo_"):
                 verdict &= (table[name] == "pass").to_numpy().reshape(shape)
     return verdict
-
-
-def most_memory() -> float:
-    """Largest resident memory (GiB) of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

@@ -10,7 +10,6 @@ programs of the first. Writes out/diagnosis_benchmark/results.json.
 import json
 import os
 import re
-import resource
 import sys
 import tempfile
 import time
@@ -80,6 +79,7 @@ def main() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    from experiments.memory import peak_memory
     from tests.oracle.simulator import load
 
     from diffsea.vessel.catalogue import build
@@ -90,7 +90,7 @@ def main() -> None:
     for name, seed in (("cold", 5), ("warm", 6)):
         results[name] = one(vessel, document, seed)
         print(name, json.dumps(results[name], indent=1), flush=True)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
+    peak = peak_memory()
     results["peak_memory_GiB"] = round(peak, 2)
     print(f"peak memory {peak:.2f} GiB")
     OUT.mkdir(parents=True, exist_ok=True)

@@ -198,8 +198,13 @@ class Outputs:
         if not folder.is_dir():
             if folder.parent != folder:
                 self._make(folder.parent)
-            folder.mkdir()
-            self._made.append(folder)
+            try:
+                folder.mkdir()
+            except FileExistsError:  # another command may make the same folder at this moment
+                if not folder.is_dir():
+                    raise
+            else:
+                self._made.append(folder)
 
     def _remove_made(self) -> None:
         for folder in reversed(self._made):
