@@ -1,7 +1,7 @@
 """Nonlinear least squares with exact Jacobians, as every objective uses it."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -77,6 +77,45 @@ def least_squares_from(
         has_aux=True, options={"jac": "fwd"}, max_steps=steps, throw=False,
     )  # fmt: skip
     return found.value, *found.aux
+
+
+class Step(NamedTuple):
+    """Where a solution stands after a step."""
+
+    at: Float[Array, "free"]
+    cost: float  # sum of squares
+    accepted: bool
+    length: float  # of the step that was tried, in units of the coordinates
+
+
+def least_squares_steps(
+    function: Callable[[Array, Any], tuple[Array, Array]],
+    start: Float[Array, "free"],
+    args: Any,
+    steps: int,
+    tolerance: float = 1e-4,
+) -> Iterator[Step]:
+    """The steps of `least_squares_from`, taken outside of a compiled program.
+
+    `function`, compiled by itself, is called once a step: where compiling takes most of the time
+    nothing else need contain it, and progress can be told. Ends with a small accepted step, or
+    where even steps of a thousandth of the tolerance are rejected, as at a kink.
+    """
+    fn = lambda at, args: _both(at, given=(function, args))
+    options, tags = {"jac": "fwd"}, frozenset()
+    solver, at = _solver(tolerance), start
+    structure = jax.eval_shape(lambda: fn(start, args))
+    state = solver.init(fn, at, args, options, *structure, tags)
+    for _ in range(steps):
+        tried, counted = state.y_eval, int(state.num_accepted_steps)
+        length = float(jnp.linalg.norm(tried - at))
+        at, state, _ = solver.step(fn, at, args, options, state, tags)
+        accepted = int(state.num_accepted_steps) > counted
+        residual = state.f_info.residual
+        yield Step(at, float(residual @ residual), accepted, length)
+        ended = bool(solver.terminate(fn, at, args, options, state, tags)[0])
+        if ended or (not accepted and 0 < length < 1e-3 * tolerance):
+            return
 
 
 @eqx.filter_custom_jvp

@@ -15,7 +15,11 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.identification.estimates import Estimate, Progress, made, silent
-from diffsea.identification.least_squares import least_squares, with_known_jacobian
+from diffsea.identification.least_squares import (
+    least_squares,
+    least_squares_steps,
+    with_known_jacobian,
+)
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import designed, replace
 from diffsea.priors import Parameter
@@ -25,12 +29,10 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
-STEPS = 60  # of Levenberg and Marquardt
-LONGEST = 0.7  # step, in prior widths
-DAMPED = 1e9  # times the normal matrix: nothing is to be gained
-SETTLED = 1e-5  # of the misfit, gained in a step
+STEPS = 60  # at most, of a fit
 _EXPLORED = 30  # Gauss-Newton steps from each of several starts
-_TOLERANCE = 1e-4  # of a step, in units of the coordinates
+_TOLERANCE = 1e-4  # of a step, in units of the coordinates, from several starts
+_SETTLED = 1e-6  # likewise, at the end of a fit
 _EFFECT_SPREAD = 3.0  # prior of an effect's coordinates, in its own sizes
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
 
@@ -95,38 +97,20 @@ class TrialNumbers:
     def fit(
         self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
     ) -> Estimate:
-        """Fit the free parameters and effects by name, from `start`.
-
-        Levenberg and Marquardt's steps on the exact Jacobian; none is longer than a prior's
-        width, as numbers that are largest values have kinks.
-        """
+        """Fit the free parameters and effects by name, from `start`."""
         coordinates = np.zeros(len(self.owners)) if start is None else np.array(start, float)
         index = np.array([k for k, name in enumerate(self.owners) if name in free], int)
-        spreads, damping = self.spreads[index], 1.0
-        white, J = self.evaluated(coordinates)
-        path = [self._deviance(white, coordinates)]
-        for number in range(STEPS):
-            own = J[:, index]
-            normal = own.T @ own + np.diag(1 / spreads**2)
-            slope = own.T @ white + coordinates[index] / spreads**2
-            tried = np.array(coordinates)
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slope)
-            tried[index] += np.clip(step, -LONGEST * spreads, LONGEST * spreads)
-            there, J_there = self.evaluated(tried)
-            cost = self._deviance(there, tried)
-            progress(f"step {number + 1}: misfit {min(cost, path[-1]):.3f}")
-            if not cost < path[-1]:
-                damping *= 5.0
-                if damping > DAMPED:
-                    break
-                continue
-            settled = path[-1] - cost < SETTLED * (1 + cost) and damping < 1.0
-            coordinates, white, J = tried, there, J_there
-            path.append(cost)
-            damping /= 5.0
-            if settled:
-                break
-        own = J[:, index]
+        given = (jnp.asarray(coordinates), index, self._given)
+        held = float(np.sum(np.delete(coordinates / self.spreads, index) ** 2))
+        path: list[float] = []
+        solution = least_squares_steps(
+            _free_misfits, jnp.asarray(coordinates[index]), given, STEPS, _SETTLED
+        )
+        for number, step in enumerate(solution):
+            coordinates[index] = np.asarray(step.at)
+            path.append(step.cost + held)
+            progress(f"step {number}: misfit {path[-1]:.3f}")
+        own = self.evaluated(coordinates)[1][:, index]
         return made(free, coordinates, path[-1], index, self.spreads, own.T @ own, path=path)
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
@@ -230,6 +214,17 @@ def _with_slopes(coordinates: Array, given: tuple) -> tuple[Array, Array]:
 
 
 _evaluated = eqx.filter_jit(_with_slopes)
+
+
+def _free_misfits(free: Array, args: tuple) -> tuple[Array, Array]:
+    """Misfits, then the prior's, and their Jacobian by the coordinates that `index` tells."""
+    coordinates, index, given = args
+    white, J = _evaluated(coordinates.at[index].set(free), given)
+    spreads = given[4][index]
+    return (
+        jnp.concatenate([white, free / spreads]),
+        jnp.concatenate([J[:, index], jnp.diag(1 / spreads)]),
+    )
 
 
 @eqx.filter_jit
