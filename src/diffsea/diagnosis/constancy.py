@@ -17,7 +17,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
 
 
-LEVEL = 1e-3
+LEVEL = 0.01
 SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
 
 

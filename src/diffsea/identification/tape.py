@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
+from diffsea.identification.heel import predicted_heel
 from diffsea.identification.lanes import Lanes, in_lanes
-from diffsea.simulation.replay import recorded_actuation, recorded_heel
+from diffsea.simulation.replay import recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -30,7 +31,7 @@ class Tape(eqx.Module):
     run: Int[Array, "row"]
     starts: Bool[Array, "row"]  # first row of a run
     first: Float[Array, "row 6"]  # the run's first state, a rough guess
-    heel: Float[Array, "row"]  # rad, as recorded; zero where it was not
+    heel: Float[Array, "row"]  # rad, as predicted from before; zero where none was recorded
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
     order_times: Float[Array, "order"]  # s, with one order long before each run
@@ -162,7 +163,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
         "run": np.full(len(t), number),
         "starts": starts,
         "first": np.broadcast_to(_first_state(t, motion), motion.shape).copy(),
-        "heel": _means(every, recorded_heel(recording), keep),
+        "heel": _means(every, predicted_heel(recording), keep),
         "orders": {c: _means(every, series, keep) for c, series in orders.items()},
         "executed": {c: _means(every, series, keep) for c, series in executed.items()},
     }
