@@ -63,7 +63,7 @@ class Diagnosis:
     before: Screening  # against the nominal model
     after: Screening  # against the final one
     where: Screening  # unnamed forces in the nominal model, measured by the final noise
-    dropped: tuple[str, ...] = ()  # accepted first, found needless later
+    dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
     unnamed: Remainder | None = None  # a model of what is left, where that is significant
 
     @property
@@ -120,22 +120,42 @@ def diagnose(
     if kept.changed:
         current = kept.estimate
         screening = screen(data.train, current, data.recordings)
-    left = screening.remainder
-    if not kept.effects and nameless(data.train, shown):
+    left, named = screening.remainder, kept.effects
+    outdone = [one.name for one in named if left < ALPHA and _outdone(one, screening)]
+    if outdone:
+        current = _without(data.train, current, outdone)
+        screening = screen(data.train, current, data.recordings)
+        named = tuple(one for one in named if one.name not in outdone)
+        left = min(left, screening.remainder)
+    if not named and nameless(data.train, shown):
         left = min(left, screening.p_value)
-    verdict = _verdict(kept.effects, left)
+    verdict = _verdict(named, left)
     unnamed = None
     if verdict == "unexplained":
         progress("modelling what is left")
         unnamed = remainder(data, current)
     where = first
-    if kept.effects:
+    if named:
         progress("locating the mismatch")
         where = locate(data.train, nominal, current)
     return Diagnosis(
-        verdict, data, nominal, current, kept.effects, shown, first, screening, where,
-        kept.dropped, unnamed,
+        verdict, data, nominal, current, named, shown, first, screening, where,
+        (*kept.dropped, *outdone), unnamed,
     )  # fmt: skip
+
+
+def _outdone(one: Accepted, after: Screening) -> bool:
+    """Whether what is left stands out more than an effect did: then both may have another cause."""
+    strongest = max((cell.z**2 for cell in after.cells), default=0.0)
+    return one.fitted.seen.score.statistic < strongest
+
+
+def _without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
+    """The estimate without some of its effects."""
+    free = tuple(name for name in current.free if name not in names)
+    start = np.array(current.coordinates, float)
+    start[problem.layout.indices(tuple(names))] = 0.0
+    return estimate(problem, free, start, current.noise)
 
 
 def _doubtful(problem: Problem, current: Estimate) -> set[str]:
@@ -251,12 +271,9 @@ def revised(
     effects, dropped, changed = list(accepted), [], False
     for one in accepted[:-1]:
         progress(f"asking again for {one.name}")
-        free = tuple(name for name in current.free if name != one.name)
-        start = np.array(current.coordinates, float)
-        start[data.train.layout.indices((one.name,))] = 0.0
-        without = estimate(data.train, free, start, current.noise)
+        without = _without(data.train, current, [one.name])
         options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]
-        options = {t.effect: t for t in options if t.effect not in free}
+        options = {t.effect: t for t in options if t.effect not in without.free}
         again = ranked([completed(data, without, t) for t in options.values()])
         best = decide(data, without, again, progress)
         if best is None:
