@@ -13,7 +13,7 @@ from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
-from diffsea.diagnosis.select import nameless
+from diffsea.diagnosis.select import Accepted, nameless, outdone
 from diffsea.identification.estimates import made
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
@@ -142,6 +142,17 @@ def test_what_held_out_runs_contradict_is_no_sign_of_something_unnamed():
     )
     assert nameless(problem, (strong,)) and nameless(problem, (borne_out,))
     assert not nameless(problem, (denied,))
+
+
+def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
+    fitted = _refitted("wind", 60.0)
+    score = fitted.seen.score._replace(statistic=25.0)
+    seen = dataclasses.replace(fitted.seen, score=score)
+    named = Accepted("wind", dataclasses.replace(fitted, seen=seen), ())
+    left = lambda z: SimpleNamespace(cells=[SimpleNamespace(z=0.5), SimpleNamespace(z=-z)])
+    assert outdone(named, left(5.1))
+    assert not outdone(named, left(4.9))
+    assert not outdone(named, SimpleNamespace(cells=[]))
 
 
 def test_doubles_of_the_strongest_are_refitted_too():

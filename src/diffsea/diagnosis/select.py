@@ -121,7 +121,7 @@ def diagnose(
         current = kept.estimate
         screening = screen(data.train, current, data.recordings)
     left, named = screening.remainder, kept.effects
-    outdone = [one.name for one in named if left < ALPHA and _outdone(one, screening)]
+    outdone = [one.name for one in named if left < ALPHA and outdone(one, screening)]
     if outdone:
         current = _without(data.train, current, outdone)
         screening = screen(data.train, current, data.recordings)
@@ -144,7 +144,7 @@ def diagnose(
     )  # fmt: skip
 
 
-def _outdone(one: Accepted, after: Screening) -> bool:
+def outdone(one: Accepted, after: Screening) -> bool:
     """Whether what is left stands out more than an effect did: then both may have another cause."""
     strongest = max((cell.z**2 for cell in after.cells), default=0.0)
     return one.fitted.seen.score.statistic < strongest
