@@ -121,11 +121,11 @@ def diagnose(
         current = kept.estimate
         screening = screen(data.train, current, data.recordings)
     left, named = screening.remainder, kept.effects
-    outdone = [one.name for one in named if left < ALPHA and outdone(one, screening)]
-    if outdone:
-        current = _without(data.train, current, outdone)
+    doubtful = [one.name for one in named if left < ALPHA and outdone(one, screening)]
+    if doubtful:
+        current = _without(data.train, current, doubtful)
         screening = screen(data.train, current, data.recordings)
-        named = tuple(one for one in named if one.name not in outdone)
+        named = tuple(one for one in named if one.name not in doubtful)
         left = min(left, screening.remainder)
     if not named and nameless(data.train, shown):
         left = min(left, screening.p_value)
@@ -140,7 +140,7 @@ def diagnose(
         where = locate(data.train, nominal, current)
     return Diagnosis(
         verdict, data, nominal, current, named, shown, first, screening, where,
-        (*kept.dropped, *outdone), unnamed,
+        (*kept.dropped, *doubtful), unnamed,
     )  # fmt: skip
 
 
@@ -220,6 +220,18 @@ def decide(
     return None
 
 
+def _stands(problem: Problem, accepted: Fitted) -> bool:
+    """Whether an effect that held-out data have spoken for once is still needed.
+
+    Beside others they may leave it open; against it speaks a lack of evidence, or their loss.
+    """
+    gain, constant = accepted.gain, accepted.constancy
+    if not accepted.possible or gain is None or constant is None or not constant.holds:
+        return False
+    enough = accepted.evidence(accepted.estimate.inflation) > needed(problem)
+    return enough and (gain.open or gain.clear)
+
+
 def needed(problem: Problem) -> float:
     """Evidence that a name needs: odds of 150 to 1 with one chance for the whole catalogue."""
     names = {catalogue_name(effect.name) for effect in problem.layout.effects}
@@ -276,6 +288,9 @@ def revised(
         options = {t.effect: t for t in options if t.effect not in without.free}
         again = ranked([completed(data, without, t) for t in options.values()])
         best = decide(data, without, again, progress)
+        mine = next((t for t in again if t.effect == one.name), None)
+        if best is None and mine is not None and _stands(data.train, mine):
+            continue
         if best is None:
             effects.remove(one)
             dropped.append(one.name)
