@@ -282,6 +282,25 @@ def written(tmp_path_factory):
     return folder
 
 
+def test_an_effect_that_makes_a_run_diverge_is_halved(monkeypatch):
+    whole, runs, bad = draw.run, [], {2, 9}
+
+    def diverging(model, *arguments):
+        track = whole(model, *arguments)
+        runs.append(track)
+        if len(runs) in bad:
+            track.states[-1] = np.nan
+        return track
+
+    monkeypatch.setattr(draw, "run", diverging)
+    _, truth = draw.make_case(CASE)
+    assert len(runs) == 2 + 6
+    for before, after in zip(CASE["effects"], truth["effects"], strict=True):
+        assert after["limits"] == 0.5 * before["limits"] and after["size"] == 0.5 * before["size"]
+    with pytest.raises(ValueError, match="c0001"):
+        draw.make_case(CASE | {"effects": []})
+
+
 def test_a_case_follows_from_its_seed(written):
     recordings, truth = draw.make_case(CASE)
     run1 = (written / "cases/c0001/train/run1.csv").read_text(encoding="utf-8")

@@ -119,7 +119,20 @@ def _pair(rng: np.random.Generator, hull: Hull, deck) -> list[dict]:
 
 
 def make_case(case: dict) -> tuple[list[dict], dict]:
-    """Recordings (columns by name) in the order of RUNS, and the truth."""
+    """Recordings (columns by name) in the order of RUNS, and the truth.
+
+    Effects so large that a run diverges are halved until none does.
+    """
+    while (made := _made(case)) is None:
+        smaller = [e | {k: 0.5 * e[k] for k in ("limits", "size")} for e in case["effects"]]
+        if not smaller or smaller[0]["limits"] < 0.1:
+            raise ValueError(f"{case['id']}: the runs diverge whatever the effect's size")
+        case = case | {"effects": smaller}
+    return made
+
+
+def _made(case: dict) -> tuple[list[dict], dict] | None:
+    """Recordings and truth of a case as it is; None where a run diverges."""
     hull = HULLS[case["hull"]]
     rng = np.random.default_rng(case["seed"])
     model, done = true_vessel(case, rng)
@@ -127,6 +140,8 @@ def make_case(case: dict) -> tuple[list[dict], dict]:
     recordings = []
     for policy in policies:
         track = run(model, hull, policy, rng)
+        if not np.isfinite(track.states).all():
+            return None
         recordings.append(columns(track, model, hull, rng))
     return recordings, {**case, **done, "hull_values": _numbers(model.hull)}
 

@@ -9,9 +9,12 @@ case) and DIR/manifest.json with the SHA-256 of every file of both.
 import argparse
 import csv
 import io
+import itertools
 import json
 import math
+import os
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -56,10 +59,10 @@ def generate(set_name: str, count: int, seed: int, part: int | None, folder: Pat
         cases = draw.subset(cases, part)
     (folder / "sealed").mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
-    for i, case in enumerate(cases):
-        write_case(case, folder)
-        if i % 20 == 19:
-            print(f"[{time.monotonic() - began:5.0f} s] {i + 1} cases", flush=True)
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for i, _ in enumerate(pool.map(write_case, cases, itertools.repeat(folder)), 1):
+            if i % 20 == 0:
+                print(f"[{time.monotonic() - began:5.0f} s] {i} cases", flush=True)
     plan = {"set": set_name, "count": count, "seed": seed, "subset": part, "cases": cases}
     text = json.dumps(plan, indent=1) + "\n"
     (folder / "sealed" / "plan.json").write_text(text, encoding="utf-8")
