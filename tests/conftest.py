@@ -1,6 +1,20 @@
 """Settings of the test run: those of the command line, so that compiled programs are shared."""
 
+import jax
+import pytest
+
 from diffsea.cli import prepare_jax
 
 
 prepare_jax()
+
+
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory):
+    """A cache of compiled programs that ends with the module."""
+    patch = pytest.MonkeyPatch()
+    patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+    before = jax.config.jax_compilation_cache_dir
+    yield
+    patch.undo()
+    jax.config.update("jax_compilation_cache_dir", before)

@@ -3,7 +3,6 @@
 A new command joins by a line in `COMMANDS`.
 """
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -30,15 +29,7 @@ OF_VESSELS = ("trial", "sensitivity", "sweep", "predict", "fit", "diagnose")
 OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "segment")
 OF_ORDERS = ("predict", "fit", "diagnose")
 
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    patch = pytest.MonkeyPatch()
-    patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    before = jax.config.jax_compilation_cache_dir
-    yield
-    patch.undo()
-    jax.config.update("jax_compilation_cache_dir", before)
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import io
 import json
 import tomllib
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -25,15 +24,7 @@ ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]
 GRID = ["speed=1.0:1.4:2", "mass=-190:230:3", "N_r=-300:60000:2", "I_z=300:3000:2"]
 AXES = ["speed", "mass", "N_r", "I_z"]
 
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    patch = pytest.MonkeyPatch()
-    patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    before = jax.config.jax_compilation_cache_dir
-    yield
-    patch.undo()
-    jax.config.update("jax_compilation_cache_dir", before)
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")
