@@ -139,7 +139,10 @@ def _made(case: dict) -> tuple[list[dict], dict] | None:
     policies = orders.run_set(rng, hull, model.sensing, case["stratum"] == "uninformative")
     recordings = []
     for policy in policies:
-        track = run(model, hull, policy, rng)
+        try:
+            track = run(model, hull, policy, rng)
+        except ArithmeticError:
+            return None
         if not np.isfinite(track.states).all():
             return None
         recordings.append(columns(track, model, hull, rng))

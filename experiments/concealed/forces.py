@@ -151,8 +151,10 @@ def rudder_force(model: Model, a: Actuator) -> Callable:
         if n > 0.0 and ua > 0.0:
             J = ua / (n * D)
             K = max(k_T[0] + k_T[1] * J + k_T[2] * J * J, 0.0)
-            race = 1.0 + kappa * (math.sqrt(1.0 + 8.0 * K / (math.pi * J * J)) - 1.0)
-            u_R = eps * ua * math.sqrt(eta * race * race + 1.0 - eta)
+            jet = math.sqrt(ua * ua + 8.0 * K * (n * D) ** 2 / math.pi)  # without dividing by J
+            u_R = eps * math.hypot(
+                math.sqrt(eta) * (ua + kappa * (jet - ua)), math.sqrt(1.0 - eta) * ua
+            )
         v_R = -gamma * (v + l_R * r)
         attack = angle - math.atan2(v_R, u_R)
         normal = slope * (u_R * u_R + v_R * v_R) * math.sin(attack)
