@@ -2,8 +2,8 @@
 
 Physics of the catalogue holds in every run and throughout each; an intermittent fault, or a law
 that only resembles what happens, fits some parts and not others. An effect's coordinates are
-allowed to differ between the halves of every run, and what that explains is compared with
-what the effect itself does.
+allowed to differ between parts of every run, long and short ones, and what that explains is
+compared with what the effect itself does.
 """
 
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from diffsea.identification.problem import Problem
 
 
 LEVEL = 0.01
+PARTS = (2, 8)  # of each run
 SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
 
 
@@ -31,7 +32,7 @@ class Constancy(NamedTuple):
     @property
     def holds(self) -> bool:
         """Whether the size is constant, or differs by little against the effect itself."""
-        return self.p_value > LEVEL or self.share < SHARE
+        return self.p_value > LEVEL / len(PARTS) or self.share < SHARE
 
 
 def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
@@ -41,7 +42,15 @@ def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float)
     projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]
-    parts = np.concatenate([J * half[:, None] for half in _halves(problem, len(J))], axis=1)
+    tests = [_differing(problem, projection, J, count, explained) for count in PARTS]
+    return min(tests, key=lambda test: (test.holds, test.p_value))
+
+
+def _differing(
+    problem: Problem, projection: Projection, J: np.ndarray, count: int, explained: float
+) -> Constancy:
+    """The test with a size for each of `count` parts of every run."""
+    parts = np.concatenate([J * part[:, None] for part in _parts(problem, len(J), count)], axis=1)
     # A part without information has nothing to differ in.
     parts = parts[:, (parts**2).sum(0) > 1e-9 * (J**2).sum()]
     if parts.shape[1] <= J.shape[1]:
@@ -53,12 +62,12 @@ def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float)
     return Constancy(score.statistic, p_value, excess * score.inflation / max(explained, 1e-9))
 
 
-def _halves(problem: Problem, length: int) -> list[np.ndarray]:
-    """Which values belong to each half of each run, those of the prior to none."""
+def _parts(problem: Problem, length: int, count: int) -> list[np.ndarray]:
+    """Which values belong to each of `count` parts of each run, those of the prior to none."""
     run, known = np.asarray(problem.tape.run), np.asarray(problem.tape.known).any(1)
     out = []
     for number in range(problem.tape.runs):
-        for rows in np.array_split(np.flatnonzero((run == number) & known), 2):
+        for rows in np.array_split(np.flatnonzero((run == number) & known), count):
             if len(rows):
                 member = np.zeros(length)
                 member.reshape(-1)[(6 * rows[:, None] + np.arange(6)).ravel()] = 1.0
