@@ -1,0 +1,65 @@
+"""Whether an effect's size is one: a lasting gyro bias, and one that comes and goes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracle import sensors
+from tests.oracle.simulator import load, simulate
+
+from diffsea.diagnosis.constancy import constancy
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
+from diffsea.types import Trajectory
+from diffsea.vessel.catalogue import build
+from diffsea.vessel.effects import EFFECTS
+
+
+FREE, BIAS = ("X_u", "N_r"), 0.01  # rad/s
+SECONDS, STEP = 96.0, 0.25
+
+
+@pytest.fixture(scope="module")
+def document(request) -> dict:
+    return load(str(request.path.parent / "oracle" / "usv.toml"))
+
+
+@pytest.fixture(scope="module")
+def plain(document) -> Trajectory:
+    """A run of the oracle without any bias."""
+    rng = np.random.default_rng(7)
+    thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
+    sim = simulate(document, [(t, thrust()) for t in np.arange(0, SECONDS, 4.0)], SECONDS)
+    t = np.arange(0.0, SECONDS, STEP)
+    rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
+    motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
+    commanded = {c: np.asarray(rec[f"cmd_{c}"], float) for c in ("port", "starboard")}
+    return Trajectory(
+        t, **motion, commanded=commanded, executed={}, extra={}, valid=np.ones(len(t), bool)
+    )
+
+
+def judged(document, run: Trajectory, bias: np.ndarray):
+    """The test of a gyro bias fitted to a run whose yaw rate has some bias in each row."""
+    biased = dataclasses.replace(run, r=run.r + bias)
+    problem = make_problem(build(document), [biased], FREE, (EFFECTS["gyro-bias"],), False, 1)
+    without = estimate(problem, FREE)
+    fitted = estimate(problem, (*FREE, "gyro-bias"), without.coordinates)
+    return constancy(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
+
+
+def test_a_lasting_bias_has_one_size(document, plain):
+    found = judged(document, plain, np.full(len(plain.t), BIAS))
+    assert found.holds and found.share < 0.05
+
+
+def test_a_bias_that_comes_and_goes_in_each_half_has_not(document, plain):
+    # Four eighths of the run, two in either half: halves alone would agree.
+    on = np.isin(np.arange(len(plain.t)) * 8 // len(plain.t), (1, 3, 5, 7))
+    found = judged(document, plain, np.where(on, 2 * BIAS, 0.0))
+    assert not found.holds and found.share > 0.5
+
+
+def test_a_bias_of_one_half_has_not(document, plain):
+    late = np.arange(len(plain.t)) > len(plain.t) // 2
+    assert not judged(document, plain, np.where(late, 2 * BIAS, 0.0)).holds
