@@ -1,6 +1,6 @@
 """Esso Osaka, wind concealed: audit, diagnose, infer the wind of every run, then score it.
 
-python experiments/esso_osaka/run.py audit diagnosis wind
+python experiments/esso_osaka/run.py audit circles diagnosis wind
 """
 
 import copy
@@ -13,6 +13,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
+import circles
 import numpy as np
 import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -68,7 +69,7 @@ SMOOTHED = ("u", "v")  # low-passed and late
 
 def main() -> None:
     """Run the parts that are named, all by default."""
-    parts = sys.argv[1:] or ["audit", "diagnosis", "wind"]
+    parts = sys.argv[1:] or ["audit", "circles", "diagnosis", "wind"]
     pattern = "esso_osaka/recordings/*.csv"
     repaired = load(HERE, pattern, "mapping_repaired.toml")
     runs = spans(repaired, TRAIN | HELD_OUT | REST)
@@ -76,6 +77,8 @@ def main() -> None:
     document["effect"] = [{"name": "wind", "speed": 0.0, "direction": 0.0, **AREAS}]
     if "audit" in parts:
         _audit({"as published": load(HERE, pattern), "repaired": repaired})
+    if "circles" in parts:
+        _circles(repaired)
     if "diagnosis" in parts:
         _diagnosis(document, runs)
     if "wind" in parts:
@@ -90,6 +93,26 @@ def _audit(sets: dict[str, dict[str, Trajectory]]) -> None:
     for title, found in findings.items():
         show_audit(title, found)
     write_results("esso_osaka/audit", findings)
+
+
+def _circles(recordings: dict[str, Trajectory]) -> None:
+    turns = {name: run for name, run in recordings.items() if name.startswith("turn")}
+    found = circles.drifts(turns)
+    # What was concealed is read only here.
+    record = circles.scored(found, {name: measured(run) for name, run in turns.items()})
+    for row in record["rows"]:
+        print(f"  {row['recording']}: drifts at {row['speed']:.3f} +- {row['scatter']:.3f} m/s, "
+              f"as if wind from {row['from']:.0f} of {row['measured_from']:.0f} deg")  # fmt: skip
+    print(f"  median error {record['median_direction_error']:.0f} deg")
+    folder = DATA / "esso_osaka"
+    pairs = [
+        circles.seconds(folder / "recordings" / name, folder / "measured_wind" / name)
+        for name in recordings
+    ]
+    record["mounting"] = circles.mounting(pairs)
+    print("  the anemometer's zero is turned by {turned:.0f} deg, {interval}".format(
+        **record["mounting"]))  # fmt: skip
+    write_results("esso_osaka/circles", record)
 
 
 def _diagnosis(document: Table, runs: dict[str, Trajectory]) -> None:
