@@ -532,6 +532,8 @@ def test_figures_and_files(tmp_path):
     assert "| false alarms, clean | 10 % (2 to 40), 1/10 |" in (tmp_path / "scores.md").read_text()
     failures = (tmp_path / "failures.csv").read_text(encoding="utf-8")
     assert failures.count("wrong name") == 2 and failures.count(",ambiguous,") == 2
+    lines = (tmp_path / "cases.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + len(everything) > len(failures.splitlines())
     assert (tmp_path / "confusion.png").stat().st_size > 2000
 
 

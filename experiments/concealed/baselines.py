@@ -170,10 +170,11 @@ def screened(folder: Path, case: str) -> list[str] | None:
 
 
 def run(folder: Path) -> list[dict]:
-    """Names of every method for every case of the plan, as rows for score.py."""
+    """Names of every method for the cases that the tool has diagnosed, as rows for score.py."""
     from .score import share
 
     plan = json.loads((folder / "sealed" / "plan.json").read_text(encoding="utf-8"))["cases"]
+    plan = [c for c in plan if (folder / "results" / c["id"] / "run.json").exists()]
     names: dict[str, dict[str, list[str]]] = {m: {} for m in ("score test", *METHODS)}
     for i, case in enumerate(plan):
         here = folder / "cases" / case["id"]

@@ -27,7 +27,8 @@ def write(folder: Path, scores: dict, outcomes: list[Outcome]) -> None:
     rows, columns, counts = confusion(outcomes)
     _confusion_files(folder, rows, columns, counts)
     _power_figure(folder / "power.png", scores["power"])
-    _failures(folder / "failures.csv", outcomes)
+    _table(folder / "failures.csv", outcomes, failed_only=True)
+    _table(folder / "cases.csv", outcomes, failed_only=False)
 
 
 def _clean(value):
@@ -147,19 +148,27 @@ def _power_figure(path: Path, power: list[dict]) -> None:
     plt.close(figure)
 
 
-def _failures(path: Path, outcomes: list[Outcome]) -> None:
-    """Every case with a wrong name, a missed large effect, an alarm, or an error."""
+def _table(path: Path, outcomes: list[Outcome], failed_only: bool) -> None:
+    """A line for each case; `what` for a wrong name, a missed large effect, an alarm, an error."""
+    columns = ("case", "hull", "stratum", "true", "limits", "verdict", "named", "rivals",
+               "log10 odds", "errors", "covered", "seconds", "what", "message")  # fmt: skip
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["case", "hull", "stratum", "true", "limits", "verdict", "named", "rivals",
-                         "what", "message"])  # fmt: skip
+        writer.writerow(columns)
         for o in outcomes:
-            if what := _failure(o):
-                message = (o.failure or "").strip().splitlines()[-1:] or [""]
-                writer.writerow([o.case, o.hull, o.stratum, "+".join(o.keys),
-                                 "+".join(f"{x:g}" for x in o.limits), o.verdict,
-                                 "+".join(o.named), "+".join(o.rivals), what,
-                                 message[0]])  # fmt: skip
+            what = _failure(o)
+            if failed_only and not what:
+                continue
+            message = (o.failure or "").strip().splitlines()[-1:] or [""]
+            odds = [x for x in o.log10_odds if x is not None]
+            writer.writerow([o.case, o.hull, o.stratum, "+".join(o.keys), _joined(o.limits),
+                             o.verdict, "+".join(o.named), "+".join(o.rivals), _joined(odds),
+                             _joined(o.errors.values()), "+".join(map(str, o.covered.values())),
+                             o.seconds, what, message[0]])  # fmt: skip
+
+
+def _joined(numbers) -> str:
+    return "+".join(f"{x:.3g}" for x in numbers)
 
 
 def _failure(o: Outcome) -> str:

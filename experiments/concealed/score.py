@@ -3,7 +3,8 @@
     python -m experiments.concealed.score --set develop
 
 Reads DIR/results and DIR/sealed (after checking the sealed files against DIR/manifest.json),
-writes DIR/scores/: scores.json, scores.md, confusion.csv, confusion.png, power.png, failures.csv.
+writes DIR/scores/: scores.json, scores.md, confusion.csv, confusion.png, power.png, cases.csv
+and failures.csv.
 """
 
 import argparse
