@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from diffsea.diagnosis import select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
-from diffsea.diagnosis.select import Accepted, nameless, outdone
+from diffsea.diagnosis.select import Accepted, nameless, outdone, stalled
 from diffsea.identification.estimates import made
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
@@ -153,6 +154,21 @@ def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
     assert outdone(named, left(5.1))
     assert not outdone(named, left(4.9))
     assert not outdone(named, SimpleNamespace(cells=[]))
+
+
+@pytest.mark.parametrize(
+    ("promised", "without", "found"),
+    [(30.0, 910.0, True), (60.0, 910.0, False), (30.0, 990.0, False)],
+)
+def test_a_name_is_not_had_for_the_progress_of_a_fit(monkeypatch, promised, without, found):
+    # The fit with the effect gains 100 over 1000; without it again, from there, `without` is left.
+    again = SimpleNamespace(deviance=without)
+    monkeypatch.setattr(select, "_without", lambda problem, start, names: again)
+    fitted = _refitted("wind", 100.0)
+    score = fitted.seen.score._replace(statistic=promised, inflation=1.0)
+    best = dataclasses.replace(fitted, seen=dataclasses.replace(fitted.seen, score=score))
+    better = stalled(SimpleNamespace(), SimpleNamespace(deviance=1000.0), best)
+    assert (better is again) if found else better is None
 
 
 def test_doubles_of_the_strongest_are_refitted_too():

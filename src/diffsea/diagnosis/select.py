@@ -27,6 +27,8 @@ ALPHA = 0.01  # family-wise
 EVIDENCE = 10.0  # twice the log of odds of 150 to 1
 MOST_EFFECTS = 3
 ROOM = 8  # coordinates that effects found together may have
+BEYOND = 2.0  # times what its score promises: more than that an effect seldom gains
+RESUMED = 2  # times at most that a fit is found to have stopped early
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,13 +107,20 @@ def diagnose(
     first = screen(data.train, nominal, data.recordings)
     accepted: list[Accepted] = []
     shown: tuple[Fitted, ...] = ()
-    current, screening = nominal, first
+    current, screening, resumed = nominal, first, 0
     while len(accepted) < MOST_EFFECTS and screening.p_value < ALPHA:
         tried = _tried(data, current, screening, progress)
-        shown = shown or tuple(tried)
+        shown = tuple(tried) if not accepted else shown
         best = decide(data, current, tried, progress)
         if best is None:
             break
+        better = stalled(data.train, current, best) if resumed < RESUMED else None
+        if better is not None:
+            progress(f"{best.effect}: its fit went on where the one without it had stopped")
+            current, resumed = better, resumed + 1
+            screening = screen(data.train, current, data.recordings)
+            nominal, first = (nominal, first) if accepted else (current, screening)
+            continue
         accepted.append(Accepted(best.effect, best, rivals(best, tried), tuple(tried)))
         progress(f"accepted: {catalogue_name(best.effect)}")
         current = best.estimate
@@ -148,6 +157,19 @@ def outdone(one: Accepted, after: Screening) -> bool:
     """Whether what is left stands out more than an effect did: then both may have another cause."""
     strongest = max((cell.z**2 for cell in after.cells), default=0.0)
     return one.fitted.seen.score.statistic < strongest
+
+
+def stalled(problem: Problem, current: Estimate, best: Fitted) -> Estimate | None:
+    """A better fit without the effect, where the one so far had stopped early; else None.
+
+    Sought from where the fit with the effect ended, if that gained more than scores promise: a
+    name is not to be had for the progress of a fit.
+    """
+    promised = best.seen.score.statistic * best.seen.score.inflation
+    if best.drop < BEYOND * promised:
+        return None
+    again = _without(problem, best.estimate, [best.effect])
+    return again if current.deviance - again.deviance > 0.5 * best.drop else None
 
 
 def _without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
