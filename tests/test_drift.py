@@ -37,6 +37,18 @@ def test_the_centre_moves_as_it_was_moved(rate, bent):
     assert found.scatter < 1e-4
 
 
+def test_laps_may_take_ever_longer():
+    t = np.arange(0.0, 240.0, 0.1)
+    psi = 0.12 * t - 1.5e-4 * t**2
+    run = dataclasses.replace(
+        circle(), t=t, psi=psi, x=5 * np.sin(psi) + 0.03 * t, y=-5 * np.cos(psi) - 0.01 * t,
+        **{c: np.full(len(t), np.nan) for c in ("u", "v", "r")}, valid=np.ones(len(t), bool),
+    )  # fmt: skip
+    found = circle_drift(run, 0.0)
+    assert (found.north, found.east) == pytest.approx((0.03, -0.01), abs=1e-4)
+    assert found.scatter < 1e-4
+
+
 def test_headings_may_be_wrapped_and_samples_missing():
     run = circle(noise=0.02)
     psi = (np.asarray(run.psi) + math.pi) % (2 * math.pi) - math.pi
