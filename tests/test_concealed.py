@@ -248,7 +248,7 @@ def test_every_effect_changes_the_readings_and_none_does_at_zero(name):
     hull = HULLS[name]
     rng = np.random.default_rng(0)
     model = outside.true_model(hull, rng, 0.0)
-    policy = orders.run_set(rng, hull, model.sensing, False)[0]
+    policy = orders.full(rng, hull, model.sensing)[0]
     rows = 80
 
     def readings(m):
@@ -345,6 +345,23 @@ def test_plan_is_balanced_and_sets_share_nothing():
     small = draw.subset(plans["scored"], 40)
     assert len(small) == 40 and len({c["stratum"] for c in small}) == len(draw.SHARES)
     assert draw.plan("develop", 400, 5) == plans["develop"]
+
+
+def test_sets_beside_the_scored_one():
+    three = draw.plan("triples", 24, 5)
+    names = [{e["key"].split(":")[0] for e in c["effects"]} for c in three]
+    assert all(len(n) == 3 for n in names) and len(set.union(*names)) > 15
+    standard = draw.plan("standard", 24, 5)
+    assert all(len(c["effects"]) == 1 for c in standard)
+    hulls = {c["hull"] for c in draw.plan("scored", 24, 5)}
+    assert {c["hull"] for c in three} == {c["hull"] for c in standard} == hulls
+
+
+def test_standard_trials_are_zigzags_and_circles():
+    model = outside.true_model(USV, np.random.default_rng(1))
+    found = orders.RUN_SETS["standard"](np.random.default_rng(2), USV, model.sensing)
+    assert [type(p) for p in found] == 3 * [orders.Zigzag, orders.Table]
+    assert len({tuple(p.stages) for p in found[::2]}) == 3
 
 
 def test_detection_limit_of_a_gyro_bias_is_near_its_floor():

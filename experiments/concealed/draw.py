@@ -7,6 +7,7 @@ of a case decides everything else: true derivatives, gusts, sensor noise, manoeu
 import hashlib
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,27 @@ SHARES = {
     "uninformative": 0.08,
 }  # fmt: skip
 LEAST, MOST = 1.0, 30.0  # detection limits
+
+
+@dataclass(frozen=True)
+class Set:
+    """Whose hulls, in which shares the strata, how many cases, and the plan's seed."""
+
+    hulls: str
+    seed: int
+    shares: dict[str, float]
+    count: int
+
+
+SETS = {
+    "develop": Set("develop", 20_001, SHARES, 400),
+    "scored": Set("scored", 90_017, SHARES, 400),
+    # Beside the 400: what they hold none of, and what makes rivals.
+    "triples": Set("scored", 31_013, {"triple": 1.0}, 24),
+    "standard": Set("scored", 52_021, {"standard": 1.0}, 40),
+}
 RUNS = ("train/run1", "train/run2", "train/run3", "train/run4", "test/run5", "test/run6")
+TOGETHER = {"pair": 2, "triple": 3}
 # What only a turn (or anything but a constant speed) can show.
 NEEDS_TURNING = (
     "crossflow-drag", "quadratic-damping:N_rr", "quadratic-damping:Y_vv",
@@ -57,11 +78,12 @@ def available(hull: Hull) -> list[str]:
 
 
 def plan(set_name: str, count: int, seed: int) -> list[dict]:
-    """`count` cases of a set, shares of strata as SHARES, hulls in turn, effects in turn."""
+    """`count` cases of a set: strata in its shares, hulls in turn, effects in turn."""
     rng = np.random.default_rng(seed)
-    hulls = [h for h in HULLS.values() if h.set == set_name]
-    quota = {s: round(count * share) for s, share in SHARES.items()}
-    quota["single"] += count - sum(quota.values())
+    drawn = SETS[set_name]
+    hulls = [h for h in HULLS.values() if h.set == drawn.hulls]
+    quota = {s: round(count * share) for s, share in drawn.shares.items()}
+    quota[max(quota, key=lambda s: drawn.shares[s])] += count - sum(quota.values())
     decks = {h.name: _deck(rng, available(h)) for h in hulls}
     cases = []
     for stratum, number in quota.items():
@@ -71,8 +93,10 @@ def plan(set_name: str, count: int, seed: int) -> list[dict]:
             deck = decks[hull.name]
             if stratum == "single":
                 cases[-1]["effects"] = [_sized(rng, hull, next(deck))]
-            elif stratum == "pair":
-                cases[-1]["effects"] = _pair(rng, hull, deck)
+            elif stratum in TOGETHER:
+                cases[-1]["effects"] = _together(rng, hull, deck, TOGETHER[stratum])
+            elif stratum == "standard":
+                cases[-1]["effects"] = [_sized(rng, hull, next(deck), 8.0)]
             elif stratum == "uninformative":
                 there = [k for k in NEEDS_TURNING if k in available(hull)]
                 cases[-1]["effects"] = [_sized(rng, hull, str(rng.choice(there)))]
@@ -109,13 +133,14 @@ def _sized(rng: np.random.Generator, hull: Hull, key: str, least: float = LEAST)
             "extra": entry.draw(rng, hull)}  # fmt: skip
 
 
-def _pair(rng: np.random.Generator, hull: Hull, deck) -> list[dict]:
-    """Two effects of different names, each at least four limits."""
-    first = _sized(rng, hull, next(deck), 4.0)
-    second = next(deck)
-    while second.split(":")[0] == first["key"].split(":")[0]:
-        second = next(deck)
-    return [first, _sized(rng, hull, second, 4.0)]
+def _together(rng: np.random.Generator, hull: Hull, deck, count: int) -> list[dict]:
+    """Effects of different names, each at least four limits."""
+    chosen: list[dict] = []
+    while len(chosen) < count:
+        key = next(deck)
+        if key.split(":")[0] not in {e["key"].split(":")[0] for e in chosen}:
+            chosen.append(_sized(rng, hull, key, 4.0))
+    return chosen
 
 
 def make_case(case: dict) -> tuple[list[dict], dict]:
@@ -136,7 +161,7 @@ def _made(case: dict) -> tuple[list[dict], dict] | None:
     hull = HULLS[case["hull"]]
     rng = np.random.default_rng(case["seed"])
     model, done = true_vessel(case, rng)
-    policies = orders.run_set(rng, hull, model.sensing, case["stratum"] == "uninformative")
+    policies = orders.RUN_SETS.get(case["stratum"], orders.full)(rng, hull, model.sensing)
     recordings = []
     for policy in policies:
         try:

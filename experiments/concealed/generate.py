@@ -24,7 +24,6 @@ from . import draw, sealing
 from .hulls import HULLS
 
 
-SEEDS = {"develop": 20_001, "scored": 90_017}
 OUT = Path("out/concealed")
 
 
@@ -74,15 +73,17 @@ def generate(set_name: str, count: int, seed: int, part: int | None, folder: Pat
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", choices=SEEDS, default="develop")
-    parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("--set", choices=draw.SETS, default="develop")
+    parser.add_argument("--count", type=int, help="cases (default: the set's own number)")
     parser.add_argument("--subset", type=int, help="write only a balanced part of so many cases")
     parser.add_argument("--seed", type=int, help="of the plan (default: one for each set)")
     parser.add_argument("--out", type=Path, help=f"folder (default: {OUT}/SET)")
     args = parser.parse_args()
     folder = args.out or OUT / args.set
-    seed = SEEDS[args.set] if args.seed is None else args.seed
-    cases = generate(args.set, args.count, seed, args.subset, folder)
+    drawn = draw.SETS[args.set]
+    seed = drawn.seed if args.seed is None else args.seed
+    count = drawn.count if args.count is None else args.count
+    cases = generate(args.set, count, seed, args.subset, folder)
     print(f"{len(cases)} cases in {folder}")
 
 

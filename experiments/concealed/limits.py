@@ -56,7 +56,7 @@ def detection_limits(
     start = start or {}
     rng = np.random.default_rng(SEED)
     model = outside.true_model(hull, rng, 0.0)
-    policies = orders.run_set(rng, hull, model.sensing, False)[:4]
+    policies = orders.full(rng, hull, model.sensing)[:4]
     replays = [orders.Replay(_still(model, hull, p).orders) for p in policies]
     tracks = [_still(model, hull, p) for p in replays]
     readings = lambda m: [_readings(m, hull, p) for p in replays]

@@ -139,23 +139,14 @@ def straight(rng, rows, mix) -> Table:
     return Table([(-(10**6), rng.uniform(0.35, 0.6), 0.0)], mix)
 
 
-def run_set(rng: np.random.Generator, hull, sensing: Sensing, uninformative: bool) -> list:
-    """Four training policies and two of other manoeuvres, for one case."""
-    mix, rows, noise = hull.mix, hull.rows, hull.instruments["compass"].std
-    if uninformative:
-        return [straight(rng, rows, mix) for _ in range(6)]
-    every = max(1, round(hull.control / hull.step))
-    hold = hull.hold / hull.step
-    steer = lambda kind: kind(mix, sensing, noise, every, rng)
-    angle = lambda: math.radians(rng.uniform(15.0, 35.0))
-    half = rows // 2
-    zig = steer(Zigzag).configure([(-1, rng.uniform(0.2, 0.4), rng.uniform(0.25, 0.5), angle()),
-                                   (half, rng.uniform(0.5, 0.8), rng.uniform(0.25, 0.5), angle())
-                                   ])  # fmt: skip
+def full(rng: np.random.Generator, hull, sensing: Sensing) -> list:
+    """Four training policies and two of other manoeuvres."""
+    mix, rows, hold = hull.mix, hull.rows, hull.hold / hull.step
+    zig = _zigzag(rng, hull, sensing)
     legs = np.cumsum(rng.choice([-1.0, 1.0], 5) * np.radians(rng.uniform(40.0, 110.0, 5)))
     marks = (np.arange(6) * rows // 6).tolist()
     aims = [0.0, *legs.tolist()]
-    pilot = steer(Autopilot).configure(
+    pilot = _steered(Autopilot, rng, hull, sensing).configure(
         [(m if m else -1, rng.uniform(0.25, 0.75), a) for m, a in zip(marks, aims, strict=True)],
         hull.gain, hull.lead_time, 0.6,
     )  # fmt: skip
@@ -167,3 +158,32 @@ def run_set(rng: np.random.Generator, hull, sensing: Sensing, uninformative: boo
         pilot,
         random_steps(rng, rows, 1.5 * hold, (0.05, 0.5), 0.9, mix),
     ]
+
+
+def uninformative(rng: np.random.Generator, hull, sensing: Sensing) -> list:
+    """Straight runs at constant speed."""
+    return [straight(rng, hull.rows, hull.mix) for _ in range(6)]
+
+
+def standard(rng: np.random.Generator, hull, sensing: Sensing) -> list:
+    """Zig-zags and circles alone, as trials have them; the last two are held out."""
+    zig = lambda: _zigzag(rng, hull, sensing)
+    circle = lambda: circles(rng, hull.rows, hull, hull.mix)
+    return [zig(), circle(), zig(), circle(), zig(), circle()]
+
+
+RUN_SETS = {"uninformative": uninformative, "standard": standard}  # of a stratum; others `full`
+
+
+def _zigzag(rng: np.random.Generator, hull, sensing: Sensing) -> Zigzag:
+    """Slow in the first half, fast in the second, each with an angle of its own."""
+    angle = lambda: math.radians(rng.uniform(15.0, 35.0))
+    return _steered(Zigzag, rng, hull, sensing).configure([
+        (-1, rng.uniform(0.2, 0.4), rng.uniform(0.25, 0.5), angle()),
+        (hull.rows // 2, rng.uniform(0.5, 0.8), rng.uniform(0.25, 0.5), angle()),
+    ])  # fmt: skip
+
+
+def _steered(kind, rng: np.random.Generator, hull, sensing: Sensing):
+    every = max(1, round(hull.control / hull.step))
+    return kind(hull.mix, sensing, hull.instruments["compass"].std, every, rng)

@@ -26,7 +26,8 @@ def write(folder: Path, scores: dict, outcomes: list[Outcome]) -> None:
     (folder / "scores.md").write_text(markdown(scores), encoding="utf-8")
     rows, columns, counts = confusion(outcomes)
     _confusion_files(folder, rows, columns, counts)
-    _power_figure(folder / "power.png", scores["power"])
+    if any(row["right"]["n"] for row in scores["power"]):
+        _power_figure(folder / "power.png", scores["power"])
     _table(folder / "failures.csv", outcomes, failed_only=True)
     _table(folder / "cases.csv", outcomes, failed_only=False)
 
@@ -55,6 +56,8 @@ def markdown(scores: dict) -> str:
              + ", ".join(f"{n} {s}" for s, n in scores["strata"].items()) + ".", "",
              "| figure | found (Wilson 95 %) | target |", "| --- | --- | --- |"]  # fmt: skip
     for name, s in scores["rates"].items():
+        if not s["n"] and name not in targets:
+            continue  # a stratum that this set has not
         lines.append(f"| {name} | {percent(s)} | {targets.get(name, '')} |")
     for name, x in scores["numbers"].items():
         lines.append(
@@ -93,9 +96,9 @@ def markdown(scores: dict) -> str:
 
 def confusion(outcomes: list[Outcome]) -> tuple[list[str], list[str], np.ndarray]:
     """True effect (single ones, and the strata without) against the first name or the verdict."""
-    label = lambda o: o.true[0] if o.stratum in ("single", "uninformative") else f"({o.stratum})"
+    label = lambda o: o.true[0] if o.true else f"({o.stratum})"
     said = lambda o: o.named[0] if o.decided else f"({o.verdict})"
-    used = [o for o in outcomes if o.stratum != "pair"]
+    used = [o for o in outcomes if len(o.true) < 2]
     rows = sorted({label(o) for o in used}, key=lambda n: (n.startswith("("), n))
     names = {said(o) for o in used} | {r for r in rows if not r.startswith("(")}
     columns = sorted(n for n in names if not n.startswith("("))
@@ -176,6 +179,6 @@ def _failure(o: Outcome) -> str:
         return "error"
     if o.wrong:
         return "wrong name"
-    if o.stratum in ("single", "pair") and not o.right and min(o.limits) >= 8.0:
+    if o.true and o.stratum != "uninformative" and not o.right and min(o.limits) >= 8.0:
         return "ambiguous" if set(o.true) <= o.offered else "missed"
     return ""

@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from experiments.concealed import sealing
+from experiments.concealed import draw, sealing
 
 
 OUT = ROOT / "out" / "concealed"
@@ -174,9 +174,9 @@ def run(folder: Path, workers: int, wanted: list[str] | None, redo: bool, any_re
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", choices=("develop", "scored"))
+    parser.add_argument("--set", choices=draw.SETS)
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
-    parser.add_argument("--count", type=int, default=400, help="cases to draw where none are")
+    parser.add_argument("--count", type=int, help="cases to draw where none are")
     parser.add_argument("--subset", type=int, help="draw only a balanced part of so many")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cases", nargs="+", help="only these")
@@ -187,7 +187,8 @@ def main() -> None:
     folder = args.out or OUT / (args.set or "subset")
     if not (folder / "manifest.json").exists():
         command = [sys.executable, "-m", "experiments.concealed.generate", "--out", str(folder)]
-        command += ["--set", args.set or "scored", "--count", str(args.count)]
+        command += ["--set", args.set or "scored"]
+        command += ["--count", str(args.count)] if args.count else []
         part = args.subset or (None if args.set else 40)
         command += ["--subset", str(part)] if part else []
         subprocess.run(command, cwd=ROOT, check=True)

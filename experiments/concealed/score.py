@@ -54,7 +54,9 @@ def share(flags: Iterable[bool]) -> dict:
 def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> dict:
     """All figures of a set."""
     of = lambda *strata: [o for o in outcomes if o.stratum in strata]
-    single, effects = of("single"), of("single", "pair", "uninformative")
+    single, effects = of("single"), [o for o in outcomes if o.true]
+    standard = of("standard")
+    found = lambda o: len(set(o.named) & set(o.true))
     large = [o for o in single if o.limits[0] >= LARGE]
     errors = [(k, e) for o in effects for k, e in o.errors.items()]
     values = [e for _, e in errors]
@@ -74,9 +76,13 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
             set(o.true) <= o.offered for o in single if o.offered
         ),
         "pairs: both named, nothing else": share(o.right for o in of("pair")),
-        "pairs: at least one named rightly": share(
-            bool(set(o.named) & set(o.true)) for o in of("pair")
-        ),
+        "pairs: at least one named rightly": share(found(o) >= 1 for o in of("pair")),
+        "triples: all three named, nothing else": share(o.right for o in of("triple")),
+        "triples: at least two named rightly": share(found(o) >= 2 for o in of("triple")),
+        "triples: at least one named rightly": share(found(o) >= 1 for o in of("triple")),
+        "standard trials: named rightly, of decided": share(o.right for o in standard if o.decided),
+        "standard trials: named rightly, of all": share(o.right for o in standard),
+        "standard trials: ambiguous": share(o.verdict == "ambiguous" for o in standard),
         "wrong name, any case": share(o.wrong for o in outcomes),
         "outside the catalogue: no catalogue name": share(not o.named for o in of("outside")),
         "outside the catalogue: unexplained": share(
@@ -88,6 +94,9 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "onset within 5 % of the run": share(o.onset for o in effects if o.onset is not None),
         "degree of freedom of the first place": share(
             o.where for o in effects if o.where is not None
+        ),
+        "ambiguous: truth in the set offered": share(
+            set(o.true) <= o.offered for o in effects if o.verdict == "ambiguous"
         ),
         "ambiguous, resolved by the recommended manoeuvre": share(r["resolved"] for r in resolved),
     }
