@@ -28,6 +28,7 @@ COMMANDS = {
     "real_fits": [["run.py", "kvlcc2", "--objective", "free-run"]],
     "audit_power": [["run.py", "--quick"]],
     "coverage": [["run.py", "--cases", "10"]],
+    "null_calibration": [["run.py", "--quick"]],
     "fit_benchmark": [["run.py", "--repeats", "1"]],
     "concealed": [
         ["-m", "experiments.concealed.generate", "--set", "scored", "--subset", "8", *FEW],

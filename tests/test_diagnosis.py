@@ -7,6 +7,8 @@ import pytest
 from tests.oracle import make_recordings
 from tests.oracle.simulator import load
 
+from diffsea.diagnosis import select
+from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.experiment import commands, next_experiment
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.screening import mimicry
@@ -115,6 +117,20 @@ def test_a_current_of_one_run_is_not_taken_for_one_of_all(document, tmp_path):
     found = diagnose(build(document), runs[:2], runs[2:])
     assert found.verdict == "unexplained"
     assert "current" not in found.names
+
+
+def test_what_simulated_data_show_as_often_is_not_named(document, tmp_path, monkeypatch):
+    common = Bootstrap(np.linspace(0.0, 1e-30, 200), np.linspace(0.0, 1e-30, 200))
+    monkeypatch.setattr(select, "bootstrap", lambda *_: common)
+    hidden = {"current": {"speed": 0.3, "direction": 2.0}}
+    make_recordings.produce(tmp_path, document, 5, hidden, seconds=50.0, runs=RUNS[:2])
+    runs = [read_recording(tmp_path / f"{name}.csv") for name in RUNS[:2]]
+    found = diagnose(build(document), runs[:1], runs[1:], draws=200)
+    record = summary(found, [])
+    assert (record["verdict"], record["effects"]) == ("consistent", [])
+    assert record["null"]["p_value"] < 1e-6
+    assert record["null"]["bootstrap"] == {"draws": 200, "p_value": 1.0}
+    assert record["remainder_p_value"] == 1.0
 
 
 def test_nothing_is_found_where_nothing_is_hidden(document, tmp_path_factory):

@@ -41,6 +41,10 @@ def register(commands: Any) -> None:
         help="whether wind and current are the same in all recordings (default: %(default)s)",
     )  # fmt: skip
     diagnose.add_argument(
+        "--bootstrap", metavar="DRAWS", type=int, default=0,
+        help="judge chance by so many simulated and refitted data sets (100 or more; seconds each)",
+    )  # fmt: skip
+    diagnose.add_argument(
         "--next-manoeuvre", metavar="CSV", type=pathlib.Path,
         help="write the manoeuvre that separates rivals as a command sequence (t, cmd_...)",
     )  # fmt: skip
@@ -120,7 +124,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         tell(f"auditing {len(runs) + len(test)} recordings")
         findings = [f.as_dict() for run in [*runs, *test] for f in audit(run)]
         per_run = args.environment == "per-recording"
-        diagnosis = diagnose(file.vessel, runs, test, per_run, args.free, tell)
+        diagnosis = diagnose(file.vessel, runs, test, per_run, args.free, tell, args.bootstrap)
         result = summary(diagnosis, findings)
         tell("looking for the manoeuvre that would tell more")
         experiment = next_experiment(diagnosis)

@@ -78,8 +78,8 @@ class Stages:
 class Messages:
     """Progress messages of an analysis as a bar.
 
-    `round 3: ...` and `refitting 2 of 6: ...` are shares of a stage, any other message begins
-    the next one.
+    `round 3: ...`, `refitting 2 of 6: ...` and `simulating 2 of 100 data sets` are shares of a
+    stage, any other message begins the next one.
     """
 
     def __init__(self, total: int, stream: TextIO | None = None):
@@ -91,8 +91,8 @@ class Messages:
         share = 0.0
         if rounds := re.match(r"round (\d+)", message):
             share = int(rounds[1]) / _ROUNDS
-        elif counted := re.match(r"(\w+) (\d+) of (\d+): ", message):
-            self._stage = f"{counted[1]} {counted[3]} hypotheses"
+        elif counted := re.match(r"(\w+) (\d+) of (\d+)(?:: | ([\w ]+)$)", message):
+            self._stage = f"{counted[1]} {counted[3]} {counted[4] or 'hypotheses'}"
             share = (int(counted[2]) - 1) / int(counted[3])
         else:
             self._stage = message

@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
 from diffsea.diagnosis.candidates import candidates
 from diffsea.diagnosis.refit import Fitted, Progress, completed, ranked, refitted
 from diffsea.diagnosis.remainder import Remainder, remainder
@@ -67,11 +68,17 @@ class Diagnosis:
     where: Screening  # unnamed forces in the nominal model, measured by the final noise
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
     unnamed: Remainder | None = None  # a model of what is left, where that is significant
+    bootstrap: Bootstrap = NONE
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the accepted effects."""
         return tuple(accepted.name for accepted in self.effects)
+
+    @property
+    def left(self) -> float:
+        """Family-wise p-value of what the final model leaves."""
+        return self.bootstrap.of_located(self.after.remainder)
 
 
 def diagnose(
@@ -81,6 +88,7 @@ def diagnose(
     per_run: bool = False,
     free: tuple[str, ...] | None = None,
     progress: Progress = lambda message: None,
+    draws: int = 0,
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -90,9 +98,10 @@ def diagnose(
         test: held-out recordings; the last part of each recording where there are none.
         per_run: whether wind and current differ from run to run.
         free: parameters that may move; `free_by_default` if None.
+        draws: data sets to simulate and refit for the chance of what is seen; 0: to first order.
 
     Raises:
-        UserError: recordings that do not fit the vessel.
+        UserError: recordings that do not fit the vessel; too few draws.
     """
     free = free_by_default(vessel) if free is None else free
     effects = candidates(vessel, [*recordings, *(test or [])])
@@ -105,10 +114,11 @@ def diagnose(
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")
     first = screen(data.train, nominal, data.recordings)
+    drawn = bootstrap(data.train, nominal, data.recordings, draws, progress) if draws else NONE
     accepted: list[Accepted] = []
     shown: tuple[Fitted, ...] = ()
     current, screening, resumed = nominal, first, 0
-    while len(accepted) < MOST_EFFECTS and screening.p_value < ALPHA:
+    while len(accepted) < MOST_EFFECTS and drawn.of_strongest(screening.p_value) < ALPHA:
         tried = _tried(data, current, screening, progress)
         shown = tuple(tried) if not accepted else shown
         best = decide(data, current, tried, progress)
@@ -129,15 +139,15 @@ def diagnose(
     if kept.changed:
         current = kept.estimate
         screening = screen(data.train, current, data.recordings)
-    left, named = screening.remainder, kept.effects
+    left, named = drawn.of_located(screening.remainder), kept.effects
     doubtful = [one.name for one in named if left < ALPHA and outdone(one, screening)]
     if doubtful:
         current = _without(data.train, current, doubtful)
         screening = screen(data.train, current, data.recordings)
         named = tuple(one for one in named if one.name not in doubtful)
-        left = min(left, screening.remainder)
+        left = min(left, drawn.of_located(screening.remainder))
     if not named and nameless(data.train, shown):
-        left = min(left, screening.p_value)
+        left = min(left, drawn.of_strongest(screening.p_value))
     verdict = _verdict(named, left)
     unnamed = None
     if verdict == "unexplained":
@@ -149,7 +159,7 @@ def diagnose(
         where = locate(data.train, nominal, current)
     return Diagnosis(
         verdict, data, nominal, current, named, shown, first, screening, where,
-        (*kept.dropped, *doubtful), unnamed,
+        (*kept.dropped, *doubtful), unnamed, drawn,
     )  # fmt: skip
 
 

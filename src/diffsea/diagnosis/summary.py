@@ -50,14 +50,22 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
         },
         "map": _map(diagnosis, diagnosis.where),
         "map_after": _map(diagnosis, diagnosis.after),
-        "null": {
-            "draws": len(diagnosis.before.null.smallest),
-            "alpha": ALPHA,
-            "threshold": diagnosis.before.null.level,
-            "p_value": diagnosis.before.p_value,
-        },
-        "remainder_p_value": diagnosis.after.remainder,
+        "null": _null(diagnosis),
+        "remainder_p_value": diagnosis.left,
     }
+
+
+def _null(diagnosis: Diagnosis) -> dict:
+    """How chance was told from cause; with `bootstrap` where data were simulated and refitted."""
+    before, drawn = diagnosis.before, diagnosis.bootstrap
+    told = {
+        "draws": len(before.null.smallest), "alpha": ALPHA, "threshold": before.null.level,
+        "p_value": before.p_value,
+    }  # fmt: skip
+    if not drawn.draws:
+        return told
+    p = drawn.of_strongest(before.p_value)
+    return told | {"bootstrap": {"draws": drawn.draws, "p_value": p}}
 
 
 def _held_out(diagnosis: Diagnosis) -> dict:
@@ -140,7 +148,7 @@ def _unexplained(diagnosis: Diagnosis) -> dict:
         "name": "unexplained",
         "remainder": None if left is None else left.as_dict(),
         "parameters": {},
-        "evidence": {"score": 0.0, "p_value": diagnosis.after.remainder, "cost_drop": 0.0},
+        "evidence": {"score": 0.0, "p_value": diagnosis.left, "cost_drop": 0.0},
         "alternatives": [],
     }
 

@@ -214,13 +214,13 @@ def innovations(
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
-        z, trail = _restarted(*carry, row, tape.memory)
+        z, trail = restarted(*carry, row, tape.memory)
         nu = innovation(row, shown(vessel, z[:6], row, trail))
         z = z + _applied(correction, nu)
         trail = trail.after(z[:6], row["dt"])
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
-        x = propagate(vessel, _faster(z[:6], kick), row, flow, tape.substeps)
-        z = jnp.concatenate([_faster(x, kick), gusts.decay * z[6:]])
+        x = propagate(vessel, faster(z[:6], kick), row, flow, tape.substeps)
+        z = jnp.concatenate([faster(x, kick), gusts.decay * z[6:]])
         return (z, trail), _applied(whitening, nu)
 
     push = jnp.zeros((tape.t.size, 3)) if push is None else push
@@ -231,7 +231,7 @@ def innovations(
     return scan(body, start, inputs, tape.lanes)
 
 
-def _restarted(
+def restarted(
     z: Float[Array, "9"], trail: Trail, row: dict, memory: int
 ) -> tuple[Float[Array, "9"], Trail]:
     """State and trail, those of a run's beginning where the row is its first."""
@@ -245,7 +245,7 @@ def _first(row: dict) -> Float[Array, "9"]:
     return jnp.concatenate([row["first"], jnp.zeros(3)])
 
 
-def _faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
+def faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
     """The vessel's state with its speeds raised."""
     return jnp.concatenate([x[:3], x[3:] + kick])
 
@@ -276,7 +276,7 @@ def tune(
         row, gust, Q = inputs
         *before, P = carry
         flow = row["flow"]
-        z, trail = _restarted(*before, row, tape.memory)
+        z, trail = restarted(*before, row, tape.memory)
         P = jnp.where(row["starts"], P0, P)
         nu = innovation(row, shown(vessel, z[:6], row, trail))
         H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
@@ -287,10 +287,10 @@ def tune(
         z = z + _applied(K, nu)
         trail = trail.after(z[:6], row["dt"])
         kick = gust.half * z[6:]
-        x = _faster(z[:6], kick)
+        x = faster(z[:6], kick)
         F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
-        x = _faster(propagate(vessel, x, row, flow, tape.substeps), kick)
+        x = faster(propagate(vessel, x, row, flow, tape.substeps), kick)
         out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick)
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 

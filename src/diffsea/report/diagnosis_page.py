@@ -192,7 +192,10 @@ def _method(result: dict) -> dict:
     """How it was decided, for the provenance."""
     null = result.get("null") or {}
     told = {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}
-    return {"significance from simulated data without effects": told} if told else {}
+    method = {"significance from simulated data without effects": told} if told else {}
+    if "bootstrap" in null:
+        method["the same, every simulated data set fitted anew"] = null["bootstrap"]
+    return method
 
 
 def _used(result: dict, recordings: Sequence, held_out: Sequence) -> list:
