@@ -5,11 +5,12 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from diffsea.identification.estimates import made
 from diffsea.identification.gusts import Noise
 from diffsea.identification.problem import make_problem
-from diffsea.identification.simulated import simulated
+from diffsea.identification.simulated import _shocks, simulated
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
 
@@ -81,6 +82,23 @@ def test_gusts_last_as_long_as_they_should(drawn):
     assert np.mean(u[lag:] * u[:-lag]) == pytest.approx(kept, rel=0.25)
 
 
+def test_what_gusts_add_to_speed_and_acceleration_goes_together(setting):
+    problem, fitted = setting
+    white, memory = jnp.log(jnp.full(3, 1e-3)), jnp.log(jnp.full(3, 0.3))
+    quiet = Noise(white, fitted.noise.slow, memory, fitted.noise.sensor)
+    found = _shocks(quiet, problem.tape, np.random.default_rng(3))[: ROWS - 1]
+    for k in range(3):
+        # Covariance of (speed, acceleration) after a step by Van Loan's exponential (1978).
+        A = np.array([[0.0, 1.0], [0.0, -1 / 0.3]])
+        Q = np.diag([1e-6, 2 * SLOW[k] ** 2 / 0.3])
+        block = expm(STEP * np.block([[-A, Q], [np.zeros((2, 2)), A.T]]))
+        exact = block[2:, 2:].T @ block[:2, 2:]
+        drawn = np.cov(found[:, [3 + k, 6 + k]].T)
+        scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+        assert np.max(np.abs(drawn - exact) / scale) < 0.04
+    assert not found[:, :3].any()
+
+
 def test_readings_have_their_own_noise(drawn):
     found = long_run(drawn)
     for k in range(3):  # two differences leave next to nothing of the motion
@@ -114,7 +132,9 @@ def test_runs_start_where_the_filter_found_them(setting):
     known = np.asarray(problem.tape.known)[:, :1]
     measured = np.asarray(problem.tape.measured) + known * place * np.eye(6)[0]
     first = np.asarray(problem.tape.first) + place * np.eye(6)[0]
-    moved = dataclasses.replace(problem.tape, measured=jnp.asarray(measured), first=jnp.asarray(first))
+    moved = dataclasses.replace(
+        problem.tape, measured=jnp.asarray(measured), first=jnp.asarray(first)
+    )
     made = simulated(dataclasses.replace(problem, tape=moved), fitted, np.random.default_rng(1))
     starts = np.asarray(made.tape.measured)[rows][:, 0]
     assert starts[:2] == pytest.approx([-40.0, 70.0], abs=5 * SENSOR[0])
