@@ -9,10 +9,11 @@ from tests.oracle.simulator import load
 
 from diffsea.diagnosis import select
 from diffsea.diagnosis.bootstrap import Bootstrap
+from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.experiment import commands, next_experiment
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.screening import mimicry
-from diffsea.diagnosis.select import Accepted, _verdict, diagnose
+from diffsea.diagnosis.select import _verdict, diagnose
 from diffsea.diagnosis.summary import summary, vessel_document
 from diffsea.identification.holdout import transferred
 from diffsea.recordings import read_recording

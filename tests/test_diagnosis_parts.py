@@ -9,12 +9,13 @@ from scipy import stats
 
 from diffsea.diagnosis import select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
+from diffsea.diagnosis.decision import Accepted, nameless, outdone
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
-from diffsea.diagnosis.select import Accepted, nameless, outdone, stalled
+from diffsea.diagnosis.select import stalled
 from diffsea.identification.estimates import made
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
@@ -163,7 +164,7 @@ def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
 def test_a_name_is_not_had_for_the_progress_of_a_fit(monkeypatch, promised, without, found):
     # The fit with the effect gains 100 over 1000; without it again, from there, `without` is left.
     again = SimpleNamespace(deviance=without)
-    monkeypatch.setattr(select, "_without", lambda problem, start, names: again)
+    monkeypatch.setattr(select, "without", lambda problem, start, names: again)
     fitted = _refitted("wind", 100.0)
     score = fitted.seen.score._replace(statistic=promised, inflation=1.0)
     best = dataclasses.replace(fitted, seen=dataclasses.replace(fitted.seen, score=score))

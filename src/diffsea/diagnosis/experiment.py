@@ -11,9 +11,10 @@ import dataclasses
 import numpy as np
 
 from diffsea.diagnosis.columns import columns_at
+from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.score import Projection
-from diffsea.diagnosis.select import Accepted, Diagnosis
+from diffsea.diagnosis.select import Diagnosis
 from diffsea.identification.design import (
     LIBRARY,
     SECONDS,

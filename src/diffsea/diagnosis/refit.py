@@ -187,3 +187,11 @@ def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
     if effect.positive:
         out[:, 0] = np.maximum(out[:, 0], 0.1)
     return out.ravel()
+
+
+def without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
+    """The estimate without some of its effects."""
+    free = tuple(name for name in current.free if name not in names)
+    start = np.array(current.coordinates, float)
+    start[problem.layout.indices(tuple(names))] = 0.0
+    return estimate(problem, free, start, current.noise)

@@ -7,16 +7,16 @@ until nothing is left to explain or nothing explains it, and each is then asked 
 
 import dataclasses
 
-import numpy as np
-
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
 from diffsea.diagnosis.candidates import candidates
-from diffsea.diagnosis.refit import Fitted, Progress, completed, ranked, refitted
+from diffsea.diagnosis.decision import Accepted, decide, nameless, outdone, rivals
+from diffsea.diagnosis.refit import Fitted, Progress, refitted, without
 from diffsea.diagnosis.remainder import Remainder, remainder
+from diffsea.diagnosis.revision import revised
 from diffsea.diagnosis.screening import Screening, locate, screen, short_list
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import Split, exchanged_gain, split
+from diffsea.identification.holdout import Split, split
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.tape import Shape
 from diffsea.types import Trajectory
@@ -25,32 +25,10 @@ from diffsea.vessel.effects import catalogue_name
 
 
 ALPHA = 0.01  # family-wise
-EVIDENCE = 10.0  # twice the log of odds of 150 to 1
 MOST_EFFECTS = 3
 ROOM = 8  # coordinates that effects found together may have
 BEYOND = 2.0  # times what its score promises: more than that an effect seldom gains
 RESUMED = 2  # times at most that a fit is found to have stopped early
-
-
-@dataclasses.dataclass(frozen=True)
-class Accepted:
-    """An effect that was accepted, with what else could have been."""
-
-    name: str
-    fitted: Fitted
-    rivals: tuple[str, ...]
-    tried: tuple[Fitted, ...] = ()  # the short list it was chosen from, best first
-
-    @property
-    def ahead(self) -> float:
-        """Twice the log of the odds against the next best name, or none; all data together."""
-        inflation = self.fitted.estimate.inflation
-        others = [
-            one.support(inflation)
-            for one in self.tried
-            if one.possible and catalogue_name(one.effect) != catalogue_name(self.name)
-        ]
-        return self.fitted.support(inflation) - max([0.0, *others])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +93,26 @@ def diagnose(
     progress("screening the catalogue")
     first = screen(data.train, nominal, data.recordings)
     drawn = bootstrap(data.train, nominal, data.recordings, draws, progress) if draws else NONE
+    found = forward(data, nominal, first, drawn, progress)
+    return concluded(data, found, drawn, progress)
+
+
+@dataclasses.dataclass(frozen=True)
+class Forward:
+    """Where the forward search ended."""
+
+    nominal: Estimate
+    first: Screening  # against it
+    current: Estimate
+    screening: Screening  # against that
+    accepted: tuple[Accepted, ...]
+    shown: tuple[Fitted, ...]  # the first short list
+
+
+def forward(
+    data: Split, nominal: Estimate, first: Screening, drawn: Bootstrap, progress: Progress
+) -> Forward:
+    """Add one effect after the other until nothing is left to explain or nothing explains it."""
     accepted: list[Accepted] = []
     shown: tuple[Fitted, ...] = ()
     current, screening, resumed = nominal, first, 0
@@ -135,38 +133,39 @@ def diagnose(
         progress(f"accepted: {catalogue_name(best.effect)}")
         current = best.estimate
         screening = screen(data.train, current, data.recordings)
-    kept = revised(data, accepted, current, progress)
+    return Forward(nominal, first, current, screening, tuple(accepted), shown)
+
+
+def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress) -> Diagnosis:
+    """Ask for every name again, withdraw what more than it is left beside, and say what is left."""
+    current, screening = found.current, found.screening
+    kept = revised(data, list(found.accepted), current, progress)
+    named = kept.effects
     if kept.changed:
         current = kept.estimate
         screening = screen(data.train, current, data.recordings)
-    left, named = drawn.of_located(screening.remainder), kept.effects
+    left = drawn.of_located(screening.remainder)
     doubtful = [one.name for one in named if left < ALPHA and outdone(one, screening)]
     if doubtful:
-        current = _without(data.train, current, doubtful)
+        current = without(data.train, current, doubtful)
         screening = screen(data.train, current, data.recordings)
         named = tuple(one for one in named if one.name not in doubtful)
         left = min(left, drawn.of_located(screening.remainder))
-    if not named and nameless(data.train, shown):
+    if not named and nameless(data.train, found.shown):
         left = min(left, drawn.of_strongest(screening.p_value))
     verdict = _verdict(named, left)
     unnamed = None
     if verdict == "unexplained":
         progress("modelling what is left")
         unnamed = remainder(data, current)
-    where = first
+    where = found.first
     if named:
         progress("locating the mismatch")
-        where = locate(data.train, nominal, current)
+        where = locate(data.train, found.nominal, current)
     return Diagnosis(
-        verdict, data, nominal, current, named, shown, first, screening, where,
+        verdict, data, found.nominal, current, named, found.shown, found.first, screening, where,
         (*kept.dropped, *doubtful), unnamed, drawn,
     )  # fmt: skip
-
-
-def outdone(one: Accepted, after: Screening) -> bool:
-    """Whether what is left stands out more than an effect did: then both may have another cause."""
-    strongest = max((cell.z**2 for cell in after.cells), default=0.0)
-    return one.fitted.seen.score.statistic < strongest
 
 
 def stalled(problem: Problem, current: Estimate, best: Fitted) -> Estimate | None:
@@ -178,16 +177,8 @@ def stalled(problem: Problem, current: Estimate, best: Fitted) -> Estimate | Non
     promised = best.seen.score.statistic * best.seen.score.inflation
     if best.drop < BEYOND * promised:
         return None
-    again = _without(problem, best.estimate, [best.effect])
+    again = without(problem, best.estimate, [best.effect])
     return again if current.deviance - again.deviance > 0.5 * best.drop else None
-
-
-def _without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
-    """The estimate without some of its effects."""
-    free = tuple(name for name in current.free if name not in names)
-    start = np.array(current.coordinates, float)
-    start[problem.layout.indices(tuple(names))] = 0.0
-    return estimate(problem, free, start, current.noise)
 
 
 def _doubtful(problem: Problem, current: Estimate) -> set[str]:
@@ -221,118 +212,6 @@ def _tried(
     if not names:
         return []
     return refitted(data, current, screening.seen, names, progress)
-
-
-def decide(
-    data: Split, current: Estimate, tried: list[Fitted], progress: Progress
-) -> Fitted | None:
-    """The best hypothesis for which evidence and held-out data both speak.
-
-    It is the one that all data support most, or one that they support nearly as well. Where
-    held-out data leave one open, they and the training data change places.
-    """
-    judged = [one for one in tried if one.possible and one.gain is not None]
-    if not judged:
-        return None
-    inflation = judged[0].estimate.inflation
-    enough = needed(data.train)
-    for one in judged:
-        if judged[0].support(inflation) - one.support(inflation) > EVIDENCE:
-            return None
-        gain, constant = one.gain, one.constancy
-        if gain is None or constant is None or one.evidence(inflation) <= enough:
-            continue
-        if not constant.holds:
-            continue
-        if gain.open and data.head is None:
-            progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
-            gain = gain.pooled(exchanged_gain(data, current, one.estimate))
-        if gain.clear:
-            return dataclasses.replace(one, gain=gain)
-    return None
-
-
-def _stands(problem: Problem, accepted: Fitted) -> bool:
-    """Whether an effect that held-out data have spoken for once is still needed.
-
-    Beside others they may leave it open; against it speaks a lack of evidence, or their loss.
-    """
-    gain, constant = accepted.gain, accepted.constancy
-    if not accepted.possible or gain is None or constant is None or not constant.holds:
-        return False
-    enough = accepted.evidence(accepted.estimate.inflation) > needed(problem)
-    return enough and (gain.open or gain.clear)
-
-
-def needed(problem: Problem) -> float:
-    """Evidence that a name needs: odds of 150 to 1 with one chance for the whole catalogue."""
-    names = {catalogue_name(effect.name) for effect in problem.layout.effects}
-    return EVIDENCE + 2 * float(np.log(len(names)))
-
-
-def nameless(problem: Problem, tried: tuple[Fitted, ...]) -> bool:
-    """Whether something was left out that no name could be given to.
-
-    All data together speak for it, but what comes nearest does not predict held-out runs clearly,
-    is not physical, or has not one size in all the data. What held-out runs contradict as
-    strongly as the others support it is no sign of anything.
-    """
-    sound = [one for one in tried if np.isfinite(one.drop)]
-    return any(one.support(one.estimate.inflation) > needed(problem) for one in sound)
-
-
-def rivals(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
-    """Names that the same data support nearly as well."""
-    names: list[str] = []
-    inflation = best.estimate.inflation
-    for other in tried:
-        name = catalogue_name(other.effect)
-        same = name == catalogue_name(best.effect) or name in names
-        judged = other.possible and other.gain is not None
-        if judged and not same and best.support(inflation) - other.support(inflation) < EVIDENCE:
-            names.append(name)
-    return tuple(names)
-
-
-@dataclasses.dataclass(frozen=True)
-class Revision:
-    """What was accepted, after each of it was asked for again."""
-
-    effects: tuple[Accepted, ...]
-    estimate: Estimate
-    dropped: tuple[str, ...]
-    changed: bool
-
-
-def revised(
-    data: Split, accepted: list[Accepted], current: Estimate, progress: Progress
-) -> Revision:
-    """Ask for every effect but the last again, now that the others are in the model.
-
-    Without it, and with each of its near rivals instead: what was accepted first was judged
-    while the others' effects were still in the data.
-    """
-    effects, dropped, changed = list(accepted), [], False
-    for one in accepted[:-1]:
-        progress(f"asking again for {one.name}")
-        without = _without(data.train, current, [one.name])
-        options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]
-        options = {t.effect: t for t in options if t.effect not in without.free}
-        again = ranked([completed(data, without, t) for t in options.values()])
-        best = decide(data, without, again, progress)
-        mine = next((t for t in again if t.effect == one.name), None)
-        if best is None and mine is not None and _stands(data.train, mine):
-            continue
-        if best is None:
-            effects.remove(one)
-            dropped.append(one.name)
-            current, changed = without, True
-        elif best.effect != one.name or rivals(best, again) != one.rivals:
-            new = Accepted(best.effect, best, rivals(best, again), tuple(again))
-            effects[effects.index(one)] = new
-            changed = changed or best.effect != one.name
-            current = best.estimate
-    return Revision(tuple(effects), current, tuple(dropped), changed)
 
 
 def _verdict(accepted: tuple[Accepted, ...], left: float) -> str:

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from diffsea.diagnosis.decision import Accepted, needed
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.locate import DEGREES, Cell
 from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.remainder import latent_force
 from diffsea.diagnosis.screening import Screening
-from diffsea.diagnosis.select import ALPHA, Accepted, Diagnosis, needed
+from diffsea.diagnosis.select import ALPHA, Diagnosis
 from diffsea.identification.estimates import Estimate, physical_table
 from diffsea.identification.found_effects import effect_table, place_of, reported
 from diffsea.identification.holdout import transferred
