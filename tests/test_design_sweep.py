@@ -161,11 +161,29 @@ def test_errors_of_second_order_grow_with_the_square(parts):
 
 
 def test_criteria_count_the_designs_that_pass(parts, swept):
-    rows = {row["criterion"]: row for row in parts.sweeping.criteria(swept, 2.0)[:2]}
+    rows = {row["criterion"]: row for row in parts.sweeping.criteria(swept, 8.0)}
     found = rows["tactical diameter"]
-    assert found["least"] == pytest.approx(math.log(60) ** 2)
-    assert found["share_pass"] == np.mean(np.log(swept.thrust) ** 2 <= 5.0)
+    assert found["least"] == pytest.approx(math.log(60) ** 2 / 4)
+    assert 0 < found["share_pass"] == np.mean(np.log(swept.thrust) ** 2 / 4 <= 5.0)
+    least = 3 + math.log(60) ** 2  # deg, at 60 N and 60 kg
+    assert rows["first overshoot, 20/20"]["least"] == pytest.approx(least)
     assert parts.sweeping.compliant(swept).mean() == np.mean(np.log(swept.thrust) ** 2 <= 25)
+
+
+def test_newtons_steps_are_halved_where_they_go_too_far(parts):
+    """From 0.1 beside the root of arctan(50 x) a whole step, even the longest, is worse."""
+
+    def evaluate(x):
+        far = 50 * (x[:, 0] - 3.0)
+        value = np.stack([np.arctan(far), *3 * [np.zeros_like(far)]], axis=-1)
+        slope = np.zeros((len(x), 4, 2))
+        slope[:, 0, 0] = 50 / (1 + far**2)
+        return value, slope
+
+    wish = parts.wanted.at_mass("tactical diameter", 0.0, 70.0)
+    found = parts.wanted.search(evaluate, [wish], np.array([[3.1, np.log(70.0)]]))
+    assert found.solved.all() and found.steps[0] < 20
+    np.testing.assert_allclose(np.log(found.thrust), 3.0, rtol=1e-9)
 
 
 def test_wishes_are_found_by_newtons_method(parts):

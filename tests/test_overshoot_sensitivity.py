@@ -164,6 +164,7 @@ def test_sobol_indices_see_an_interaction(parts):
     found = analysis.indices(bench, width, points, 0)["product"]
     variance = width**2 / 3
     assert 1 - found["S1"].sum() == pytest.approx(variance / (2 + variance), abs=0.02)
+    assert found["ST"] == pytest.approx(2 * [(1 + variance) / (2 + variance)], abs=0.02)
 
 
 def test_twins_are_one_factor_and_zeros_none(parts):
