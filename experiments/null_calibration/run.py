@@ -35,7 +35,7 @@ def main() -> None:
     results = {}
     for hull in hulls:
         case = next(c for c in clean if c["hull"] == hull)
-        drawn = nothing_missing(run, case, 2 * FEWEST if not run.quick else FEWEST)
+        drawn = nothing_missing(run, case, FEWEST)
         results[hull] = {"case": case["id"], "draws": drawn.draws,
                          "strongest": drawn.strongest, "located": drawn.located}  # fmt: skip
         run.write({"hulls": results, "rates": rates(results)}, {"rates": rates_table(results)})
