@@ -38,6 +38,7 @@ def write_case(case: dict, folder: Path) -> None:
     with (here / "vessel.toml").open("wb") as file:
         tomli_w.dump(HULLS[case["hull"]].document, file)
     text = json.dumps(truth, indent=1, default=float) + "\n"
+    (folder / "sealed").mkdir(exist_ok=True)
     (folder / "sealed" / f"{case['id']}.json").write_text(text, encoding="utf-8")
 
 
@@ -56,7 +57,6 @@ def generate(set_name: str, count: int, seed: int, part: int | None, folder: Pat
     cases = draw.plan(set_name, count, seed)
     if part is not None:
         cases = draw.subset(cases, part)
-    (folder / "sealed").mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for i, _ in enumerate(pool.map(write_case, cases, itertools.repeat(folder)), 1):
