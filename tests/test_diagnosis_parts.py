@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import select
+from diffsea.diagnosis import revision, select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.decision import Accepted, nameless, outdone
 from diffsea.diagnosis.limits import detection_limits
@@ -170,6 +170,24 @@ def test_a_name_is_not_had_for_the_progress_of_a_fit(monkeypatch, promised, with
     best = dataclasses.replace(fitted, seen=dataclasses.replace(fitted.seen, score=score))
     better = stalled(SimpleNamespace(), SimpleNamespace(deviance=1000.0), best)
     assert (better is again) if found else better is None
+
+
+def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
+    sizes = {"wind": 2, "current": 2, "wide": 3, "lever-arm": 2}
+    indices = lambda names: [k for name in names for k in range(sizes.get(name, 1))]
+    problem = SimpleNamespace(layout=SimpleNamespace(indices=indices), width=5)
+    judged = {"gain": SimpleNamespace(), "possible": True}
+    tried = [SimpleNamespace(effect=name, **judged) for name in ("wind", "wide", "lever-arm")]
+    accepted = [Accepted("wind", tried[0], (), tuple(tried)), Accepted("current", None, ())]
+    asked = []
+    bare = SimpleNamespace(free=("X_u", "current"))
+    monkeypatch.setattr(revision, "without", lambda *_: bare)
+    monkeypatch.setattr(revision, "completed", lambda data, bare, t: asked.append(t.effect) or t)
+    monkeypatch.setattr(revision, "ranked", lambda found: found)
+    monkeypatch.setattr(revision, "decide", lambda data, bare, again, progress: again[0])
+    monkeypatch.setattr(revision, "rivals", lambda best, again: ())
+    revision.revised(SimpleNamespace(train=problem), accepted, None, lambda text: None)
+    assert asked == ["wind", "lever-arm"]
 
 
 def test_doubles_of_the_strongest_are_refitted_too():

@@ -189,6 +189,12 @@ def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
     return out.ravel()
 
 
+def has_room(problem: Problem, current: Estimate, name: str) -> bool:
+    """Whether the compiled program has room for one more effect beside those of an estimate."""
+    indices = problem.layout.indices
+    return len(indices((*current.free, name))) <= problem.width
+
+
 def without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
     """The estimate without some of its effects."""
     free = tuple(name for name in current.free if name not in names)

@@ -3,7 +3,7 @@
 import dataclasses
 
 from diffsea.diagnosis.decision import Accepted, decide, rivals, stands
-from diffsea.diagnosis.refit import Progress, completed, ranked, without
+from diffsea.diagnosis.refit import Progress, completed, has_room, ranked, without
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split
 
@@ -31,7 +31,11 @@ def revised(
         progress(f"asking again for {one.name}")
         bare = without(data.train, current, [one.name])
         options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]
-        options = {t.effect: t for t in options if t.effect not in bare.free}
+        options = {
+            t.effect: t
+            for t in options
+            if t.effect not in bare.free and has_room(data.train, bare, t.effect)
+        }
         again = ranked([completed(data, bare, t) for t in options.values()])
         best = decide(data, bare, again, progress)
         mine = next((t for t in again if t.effect == one.name), None)

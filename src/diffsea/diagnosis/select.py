@@ -10,7 +10,7 @@ import dataclasses
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
 from diffsea.diagnosis.candidates import candidates
 from diffsea.diagnosis.decision import Accepted, decide, nameless, outdone, rivals
-from diffsea.diagnosis.refit import Fitted, Progress, refitted, without
+from diffsea.diagnosis.refit import Fitted, Progress, has_room, refitted, without
 from diffsea.diagnosis.remainder import Remainder, remainder
 from diffsea.diagnosis.revision import revised
 from diffsea.diagnosis.screening import Screening, locate, screen, short_list
@@ -201,12 +201,11 @@ def _tried(
 ) -> list[Fitted]:
     """The short list refitted, as far as the compiled program has room for it."""
     problem = data.train
-    room = problem.width - len(problem.layout.indices(current.free))
     declared = {effect.name: effect.confusables for effect in problem.layout.effects}
     names = [
         name
         for name in short_list(screening, declared)
-        if len(problem.layout.indices((name,))) <= room
+        if has_room(problem, current, name)
         and catalogue_name(name) not in _doubtful(problem, current)
     ]
     if not names:
