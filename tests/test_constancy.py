@@ -7,7 +7,7 @@ import pytest
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
-from diffsea.diagnosis.constancy import constancy
+from diffsea.diagnosis.constancy import SHARE, constancy
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.types import Trajectory
@@ -63,3 +63,9 @@ def test_a_bias_that_comes_and_goes_in_each_half_has_not(document, plain):
 def test_a_bias_of_one_half_has_not(document, plain):
     late = np.arange(len(plain.t)) > len(plain.t) // 2
     assert not judged(document, plain, np.where(late, 2 * BIAS, 0.0)).holds
+
+
+def test_a_sensor_error_must_be_there_all_the_time(document, plain):
+    on = np.arange(len(plain.t)) * 12 // len(plain.t) != 5
+    found = judged(document, plain, np.where(on, 4 * BIAS, 0.0))
+    assert not found.holds and found._replace(tolerated=SHARE).holds
