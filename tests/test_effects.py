@@ -230,6 +230,27 @@ def test_a_step_of_a_servo_has_the_moments_of_its_response(stages):
             assert float(response.final) == pytest.approx(end, abs=1e-11)
 
 
+@pytest.mark.parametrize("early", [0.0, 1e-13, -1e-13])
+@pytest.mark.parametrize("stage", ["time_constant", "delay", "backlash", "slowness"])
+def test_an_order_at_the_end_of_a_step_is_the_next_ones(stage, early):
+    # Its stamp meets the sum of steps to rounding.
+    history = OrderHistory(jnp.array([-5.0, 3.2 - early]), jnp.array([0.0, 1.0]))
+    step = 0.16
+
+    def mean(size, t):
+        servo = Servo(**({"delay": jnp.zeros(())} | {stage: size}))
+        breaks, values = servo.segments(history, jnp.asarray(t), jnp.asarray(step))
+        response = servo.answer(jnp.zeros(()), breaks, values, jnp.asarray(step))
+        return (response.start + 4 * response.middle + response.end) / 6
+
+    slope = lambda t: float(jax.jacfwd(lambda size: mean(size, t))(jnp.zeros(())))
+    before, after = slope(3.2 - step), slope(3.2)
+    lost = {"time_constant": 1 / step, "delay": 1 / step, "backlash": 1.0, "slowness": 0.5 / step}
+    assert before == 0.0
+    if early <= 0 or stage != "delay":
+        assert after == pytest.approx(-lost[stage], rel=1e-6)
+
+
 def test_a_lag_keeps_its_accuracy_in_single_precision():
     # 20 s against a step of 0.05 s.
     history = OrderHistory(jnp.zeros(1, jnp.float32), jnp.ones(1, jnp.float32))

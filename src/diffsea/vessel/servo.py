@@ -20,6 +20,7 @@ from diffsea.types import Scalar
 
 SEGMENTS = 4  # orders that can fall within one step after a delay
 SHORTEST = 1e-12  # s
+ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of orders
 
 # Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
 _SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
@@ -225,8 +226,12 @@ def _play(value: Scalar, target: Scalar, width: Scalar) -> Scalar:
 
 
 def _fraction(value: Scalar) -> Scalar:
-    """Clip to [0, 1], passing the derivative on the ends (jnp.clip halves it there)."""
-    return jnp.where(value < 0, 0.0, jnp.where(value > 1, 1.0, value))
+    """Clip to [0, 1], with the derivative on the lower end (jnp.clip halves it there).
+
+    What takes effect at the end of a step, to rounding, is the next step's alone: it must have no
+    derivative in this one, however short the time left.
+    """
+    return jnp.where(value < 0, 0.0, jnp.where(value > 1 - ROUNDING, 1.0, value))
 
 
 def _dead_band(value: Scalar, width: Scalar) -> Scalar:
