@@ -96,9 +96,9 @@ def markdown(scores: dict) -> str:
 
 def confusion(outcomes: list[Outcome]) -> tuple[list[str], list[str], np.ndarray]:
     """True effect (single ones, and the strata without) against the first name or the verdict."""
-    label = lambda o: o.true[0] if o.true else f"({o.stratum})"
+    label = lambda o: o.true[0] if o.limits else f"({o.stratum})"
     said = lambda o: o.named[0] if o.decided else f"({o.verdict})"
-    used = [o for o in outcomes if len(o.true) < 2]
+    used = [o for o in outcomes if len(o.limits) < 2]
     rows = sorted({label(o) for o in used}, key=lambda n: (n.startswith("("), n))
     names = {said(o) for o in used} | {r for r in rows if not r.startswith("(")}
     columns = sorted(n for n in names if not n.startswith("("))
@@ -179,6 +179,6 @@ def _failure(o: Outcome) -> str:
         return "error"
     if o.wrong:
         return "wrong name"
-    if o.true and o.stratum != "uninformative" and not o.right and min(o.limits) >= 8.0:
+    if o.limits and o.stratum != "uninformative" and not o.right and min(o.limits) >= 8.0:
         return "ambiguous" if set(o.true) <= o.offered else "missed"
     return ""

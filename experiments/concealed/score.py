@@ -54,7 +54,7 @@ def share(flags: Iterable[bool]) -> dict:
 def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> dict:
     """All figures of a set."""
     of = lambda *strata: [o for o in outcomes if o.stratum in strata]
-    single, effects = of("single"), [o for o in outcomes if o.true]
+    single, effects = of("single"), [o for o in outcomes if o.limits]
     standard = of("standard")
     found = lambda o: len(set(o.named) & set(o.true))
     large = [o for o in single if o.limits[0] >= LARGE]
