@@ -1,12 +1,15 @@
 """What simulated and refitted data sets say of chance."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from diffsea.cli.progress import Messages
 from diffsea.diagnosis import bootstrap as module
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
+from diffsea.diagnosis.select import diagnose
 from diffsea.errors import UserError
 
 
@@ -64,3 +67,16 @@ def test_data_sets_that_diverge_are_left_out_up_to_a_tenth(screened, monkeypatch
             screened(100)
     else:
         assert screened(100).draws == 95
+
+
+def test_too_few_draws_are_refused_before_anything_is_fitted():
+    with pytest.raises(UserError, match="5 bootstrap draws"):
+        diagnose(None, [], draws=5)
+
+
+def test_data_sets_are_one_stage_of_the_progress():
+    said = io.StringIO()
+    tell = Messages(4, said)
+    for number in (1, 2, 3):
+        tell(f"simulating {number} of 100 data sets")
+    assert said.getvalue().count("\n") == 1 and "simulating 100 data sets" in said.getvalue()

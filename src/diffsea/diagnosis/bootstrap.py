@@ -56,6 +56,12 @@ def _share(drawn: Float[np.ndarray, "draw"], p_value: float) -> float:
     return float(1 + np.sum(drawn <= p_value)) / (1 + len(drawn))
 
 
+def check(draws: int) -> None:
+    """Raise UserError for fewer draws than can show one per cent."""
+    if draws < FEWEST:
+        raise UserError(f"{draws} bootstrap draws cannot show one per cent: take {FEWEST} or more")
+
+
 def bootstrap(
     problem: Problem,
     nominal: Estimate,
@@ -68,8 +74,7 @@ def bootstrap(
     Raises:
         UserError: fewer than 100 draws; more than a tenth of the simulated runs diverge.
     """
-    if draws < FEWEST:
-        raise UserError(f"{draws} bootstrap draws cannot show one per cent: take {FEWEST} or more")
+    check(draws)
     rng = np.random.default_rng(SEED)
     found: list[tuple[float, float]] = []
     for number in range(draws):

@@ -7,7 +7,7 @@ until nothing is left to explain or nothing explains it, and each is then asked 
 
 import dataclasses
 
-from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
+from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap, check
 from diffsea.diagnosis.candidates import candidates
 from diffsea.diagnosis.decision import Accepted, decide, nameless, outdone, rivals
 from diffsea.diagnosis.refit import Fitted, Progress, has_room, refitted, without
@@ -81,6 +81,8 @@ def diagnose(
     Raises:
         UserError: recordings that do not fit the vessel; too few draws.
     """
+    if draws:
+        check(draws)
     free = free_by_default(vessel) if free is None else free
     effects = candidates(vessel, [*recordings, *(test or [])])
 

@@ -14,6 +14,7 @@ from diffsea.identification.layout import Layout, equipped
 from diffsea.identification.likelihood import Trail, faster, propagate, restarted, rows, shown
 from diffsea.identification.problem import Problem, Static
 from diffsea.identification.tape import Tape
+from diffsea.vessel.base import Vessel
 
 
 def simulated(problem: Problem, fitted: Estimate, rng: np.random.Generator) -> Problem:
@@ -56,7 +57,7 @@ def _shocks(noise: Noise, tape: Tape, rng: np.random.Generator) -> Float[np.ndar
 
 @eqx.filter_jit
 def _measured(
-    base, layout: Static, tape: Tape, coordinates: Array, noise: Noise, first: Array,
+    base: Vessel, layout: Static, tape: Tape, coordinates: Array, noise: Noise, first: Array,
     begin: Array, shocks: Array,
 ) -> Float[Array, "row 6"]:  # fmt: skip
     """What sensors without noise show along a tape that gusts have shaken."""
