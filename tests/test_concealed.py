@@ -563,3 +563,13 @@ def test_baselines_find_a_gross_gyro_bias(tmp_path):
     problem = terms.regression(here, sorted((here / "train").glob("*.csv"))[:3])
     for name, method in baselines.METHODS.items():
         assert method(problem)[0] == "gyro-bias", name
+
+
+def test_what_a_nuisance_mimics_has_a_limit_of_three_prior_deviations_at_least():
+    # A Munk moment is N_uv by another name: no record shows it below what N_uv may be off.
+    for hull in HULLS.values():
+        lift = hull.document["hull"].get("N_uv")
+        if lift is not None:
+            limit = draw.limits(hull.name)["munk-moment"]
+            assert limit > 0.99 * limits.SIGMA * outside.SPREAD * abs(lift), hull.name
+    assert draw.limits("craft")["munk-moment"] == pytest.approx(9.75, rel=0.01)

@@ -12,6 +12,7 @@ is the effect's size in standard deviations; the detection limit is the size at 
 import json
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,8 @@ from .simulate import CHANNELS, Track, _motion, derivative, simulate
 
 
 SIGMA = 3.0  # standard deviations that count as seen
+STEP = 1e-3  # relative, to either side, for the nuisances' derivatives
+FAINT = 0.3  # standard deviations: a trace of which a derivative is taken
 ABRUPT = ("rate-limit", "thrust-saturation", "deadband", "backlash")
 SEED = 77  # of the manoeuvres
 MEASURED = CHANNELS[:6]
@@ -67,19 +70,30 @@ def detection_limits(
         pairs = zip(readings(m), before, filters, strict=True)
         return np.concatenate([f.whiten(a - b) for a, b, f in pairs])
 
-    columns = []
-    for name, value in _nuisances(model):
-        changed = model.copy()
-        changed.hull[name] = value * 1.02
-        columns.append(whitened(changed) / 0.02)  # for a relative change of one
-    J = np.column_stack(columns)
+    def changed(name: str, value: float) -> np.ndarray:
+        nuisance = model.copy()
+        nuisance.hull[name] = value
+        return whitened(nuisance)
+
+    # Orders replayed, runs drift apart: a change of two per cent is no derivative any more.
+    columns = [
+        (changed(name, value * (1 + STEP)) - changed(name, value * (1 - STEP))) / (2 * STEP)
+        for name, value in _nuisances(model)
+    ]
+    J = np.column_stack(columns)  # for a relative change of one
     normal = cho_factor(J.T @ J + np.eye(J.shape[1]) / outside.SPREAD**2)
 
-    def seen(effect: effects.Effect, extra: dict, size: float) -> float:
+    def trace(effect: effects.Effect, extra: dict, size: float) -> np.ndarray:
+        """Whitened deviation that a size makes; what no size at all does is none of it."""
+        traces = []
+        for amount in (size, 1e-6 * size):
+            with_it = model.copy()
+            effect.put(with_it, hull, amount, extra)
+            traces.append(whitened(with_it))
+        return traces[0] - traces[1]
+
+    def unlike(a: np.ndarray) -> float:
         """Length of what the nuisances cannot mimic, in standard deviations."""
-        changed = model.copy()
-        effect.put(changed, hull, size, extra)
-        a = whitened(changed)
         b = J.T @ a
         return math.sqrt(max(float(a @ a - b @ cho_solve(normal, b)), 0.0))
 
@@ -88,29 +102,30 @@ def detection_limits(
         if only is not None and key not in only:
             continue
         extra = effects.typical_extra(effect, hull)
-        # Far off, runs drift apart in ways that a filter would follow: a small deviation is
-        # measured and extrapolated, but where nothing happens below some size.
-        part, near = (1.0, 1.1) if effect.name in ABRUPT else (0.06, 4.0)
-        first = start.get(key, effect.first / part) * part
-        found[key] = _search(
-            lambda s, e=effect, x=extra: seen(e, x, s), first, effect.most, part * SIGMA, near
-        )
+        at = lambda s, e=effect, x=extra: trace(e, x, s)
+        first = min(start.get(key, effect.first), effect.most)
+        if effect.name in ABRUPT:
+            size, length = _search(lambda s: unlike(at(s)), first, effect.most, SIGMA, 1.1)
+        else:
+            # Far off, runs drift apart in ways that a filter would follow: a derivative counts.
+            small = lambda s: float(np.linalg.norm(at(s)))
+            size, _ = _search(small, FAINT * first, effect.most, FAINT, 3.0)
+            length = unlike(2 * at(size) - 0.5 * at(2 * size))
+        found[key] = float(f"{size * SIGMA / max(length, 1e-3):.4g}")
         tell(f"{hull.name} {key}: {found[key]:.4g} (largest {effect.most:.4g})")
     return found
 
 
-def _search(seen, first: float, most: float, aim: float, near: float) -> float:
-    """The size at which `seen` is SIGMA, in proportion to one where it is `aim` or `near` times
-    more or less."""
-    size = min(first, most)
+def _search(
+    length: Callable[[float], float], size: float, most: float, aim: float, near: float
+) -> tuple[float, float]:
+    """A size whose `length` is `aim` or up to `near` times more or less, and that length."""
     for _ in range(12):
-        length = seen(size)
-        if aim / near < length < aim * near:
+        found = length(size)
+        if aim / near < found < aim * near or (size >= most and found < aim):
             break
-        if size >= most and length < aim:
-            break
-        size = min(size * min(max(aim / max(length, 1e-9), 0.01), 10.0), most)
-    return float(f"{size * SIGMA / max(length, 1e-3):.4g}")
+        size = min(size * min(max(aim / max(found, 1e-9), 0.01), 10.0), most)
+    return size, found
 
 
 def _nuisances(model: Model) -> list[tuple[str, float]]:
