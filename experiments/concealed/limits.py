@@ -97,13 +97,9 @@ def detection_limits(
         b = J.T @ a
         return math.sqrt(max(float(a @ a - b @ cho_solve(normal, b)), 0.0))
 
-    found = {}
-    for key, effect in effects.catalogue(hull).items():
-        if only is not None and key not in only:
-            continue
+    def limit(effect: effects.Effect, first: float) -> float:
         extra = effects.typical_extra(effect, hull)
-        at = lambda s, e=effect, x=extra: trace(e, x, s)
-        first = min(start.get(key, effect.first), effect.most)
+        at = lambda size: trace(effect, extra, size)
         if effect.name in ABRUPT:
             size, length = _search(lambda s: unlike(at(s)), first, effect.most, SIGMA, 1.1)
         else:
@@ -111,7 +107,13 @@ def detection_limits(
             small = lambda s: float(np.linalg.norm(at(s)))
             size, _ = _search(small, FAINT * first, effect.most, FAINT, 3.0)
             length = unlike(2 * at(size) - 0.5 * at(2 * size))
-        found[key] = float(f"{size * SIGMA / max(length, 1e-3):.4g}")
+        return float(f"{size * SIGMA / max(length, 1e-3):.4g}")
+
+    found = {}
+    for key, effect in effects.catalogue(hull).items():
+        if only is not None and key not in only:
+            continue
+        found[key] = limit(effect, min(start.get(key, effect.first), effect.most))
         tell(f"{hull.name} {key}: {found[key]:.4g} (largest {effect.most:.4g})")
     return found
 
