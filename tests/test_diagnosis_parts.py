@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import revision, select
+from diffsea.diagnosis import refit, revision, select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.decision import Accepted, nameless, outdone
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
-from diffsea.diagnosis.refit import Fitted, first_guess, near_the_best
+from diffsea.diagnosis.refit import Fitted, beside, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
 from diffsea.diagnosis.select import stalled
 from diffsea.identification.estimates import made
+from diffsea.identification.layout import Layout
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
 
@@ -182,11 +183,14 @@ def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
     asked = []
     bare = SimpleNamespace(free=("X_u", "current"))
     monkeypatch.setattr(revision, "without", lambda *_: bare)
-    monkeypatch.setattr(revision, "completed", lambda data, bare, t: asked.append(t.effect) or t)
+    monkeypatch.setattr(
+        revision, "completed", lambda data, bare, t, start: asked.append(t.effect) or t
+    )
     monkeypatch.setattr(revision, "ranked", lambda found: found)
     monkeypatch.setattr(revision, "decide", lambda data, bare, again, progress: again[0])
     monkeypatch.setattr(revision, "rivals", lambda best, again: ())
-    revision.revised(SimpleNamespace(train=problem), accepted, None, lambda text: None)
+    now = SimpleNamespace(coordinates=None)
+    revision.revised(SimpleNamespace(train=problem), accepted, now, lambda text: None)
     assert asked == ["wind", "lever-arm"]
 
 
@@ -206,16 +210,105 @@ def test_doubles_of_the_strongest_are_refitted_too():
     assert len(short_list(Screening(faint, (), None), {})) == 3
 
 
-def test_a_detection_limit_is_three_standard_errors_of_the_worst_direction(boat):
+def _limits(boat, columns: dict[str, np.ndarray]) -> dict[str, dict]:
+    """Detection limits by name from columns with a row for each coordinate's prior at the end."""
+    seen = {}
+    for name, data in columns.items():
+        seen[name] = _seen(name, np.concatenate([data, np.eye(data.shape[1]) / 3]))
+
     class Problem:
         base = boat
-        layout = type("Layout", (), {"effects": (EFFECTS["current"], EFFECTS["gyro-bias"])})
+        layout = type("Layout", (), {"effects": tuple(EFFECTS[name] for name in columns)})
+        tape = type("Tape", (), {"measured": np.zeros(50)})
 
+    assert not detection_limits(Problem, Screening(seen, (), None), tuple(columns))
+    rows = detection_limits(Problem, Screening(seen, (), None), ())
+    return dict(zip(columns, rows, strict=True))
+
+
+def test_a_detection_limit_is_three_standard_errors_of_the_data(boat):
     strong, weak = np.zeros((50, 2)), np.zeros((50, 1))
     strong[0, 0], strong[1, 1], weak[0, 0] = 8.0, 4.0, 0.05
-    seen = {"current": _seen("current", strong), "gyro-bias": _seen("gyro-bias", weak)}
-    found = {row["name"]: row for row in detection_limits(Problem, Screening(seen, (), None), ())}
+    found = _limits(boat, {"current": strong, "gyro-bias": weak})
     # 3 standard errors of 1/4 prior size, and a prior size of 0.3 m/s.
     assert found["current"]["limit"] == pytest.approx(3 / 4 * 0.3, rel=1e-6)
     assert found["gyro-bias"]["limit"] is None
-    assert not detection_limits(Problem, Screening(seen, (), None), ("current", "gyro-bias"))
+
+
+def test_a_detection_limit_is_of_the_parameter_that_it_names(boat):
+    drift, lag = np.zeros((50, 2)), np.zeros((50, 1))
+    drift[0, 0], drift[1, 1] = 10.0, 0.5  # rate known well, offset hardly
+    drift[2] = 3.0, 0.1
+    V = drift.T @ drift
+    found = _limits(boat, {"clock-drift": drift, "thrust-lag:propulsion": lag})
+    rate = 3 * np.sqrt(np.linalg.inv(V)[0, 0]) * EFFECTS["clock-drift"].sizes(boat)[0]
+    assert found["clock-drift"]["limit"] == pytest.approx(rate, rel=1e-6)
+    # Nothing in the data: its prior alone is no limit.
+    assert found["thrust-lag:propulsion"]["limit"] is None
+
+
+def test_a_change_late_in_a_long_record_has_room_in_its_prior(boat):
+    effect = EFFECTS["thrust-change"]
+    size = effect.sizes(boat)[1]
+    layout = Layout((), (effect,), (effect.sizes(boat),), 1, False, latest=100 * size)
+    assert layout.spreads().tolist() == [3.0, 100.0]
+    assert dataclasses.replace(layout, latest=0.0).spreads().tolist() == [3.0, 3.0]
+
+
+def test_onsets_are_looked_at_where_something_was_recorded(boat):
+    runs = tuple(SimpleNamespace(t=np.linspace(a, a + 50.0, 101)) for a in (0.0, 3000.0, 3040.0))
+    effect = EFFECTS["thrust-change"]
+    tried = looks(effect, boat, runs)
+    at = np.array([look.at[1] for look in tried]) * effect.sizes(boat)[1]
+    assert len(at) == 11
+    assert (((at > 0) & (at < 50)) | ((at > 3000) & (at < 3090))).all()
+    assert (at < 50).sum() == pytest.approx(11 * 50 / 140, abs=1)
+    spacing = shape_spacings((effect,), boat, tried, 0.1)[effect.name] * effect.sizes(boat)[1]
+    assert spacing == pytest.approx(140 / 12)
+
+
+def test_what_answers_late_is_looked_at_from_afar_too(boat):
+    run = (SimpleNamespace(t=np.arange(10.0)),)
+    for name in ("thrust-lag", "thrust-delay", "rate-limit", "backlash"):
+        tried = looks(EFFECTS[f"{name}:propulsion"], boat, run)
+        assert [look.finite for look in tried] == [False, True, True, True], name
+    assert all(look.finite for look in looks(EFFECTS["thrust-saturation:propulsion"], boat, run))
+
+
+def test_a_refit_starts_without_what_is_not_in_the_model_any_more():
+    index = {"X_u": [0], "deadband": [1], "rate-limit": [2], "wind": [3]}
+    layout = SimpleNamespace(indices=lambda names: [k for name in names for k in index[name]])
+    problem = SimpleNamespace(layout=layout)
+    bare = SimpleNamespace(free=("X_u", "wind"), coordinates=np.array([1.0, 0, 0, 4]), deviance=9.0)
+    then = ("X_u", "deadband", "rate-limit")
+    old = SimpleNamespace(free=then, coordinates=np.array([7.0, 8, 2, 0]), deviance=0.0)
+    one = SimpleNamespace(effect="rate-limit", estimate=old)
+    assert beside(problem, bare, one).tolist() == [1.0, 0, 2, 4]
+    both = SimpleNamespace(**vars(bare) | {"free": ("X_u", "deadband")})
+    assert beside(problem, both, one).tolist() == [7.0, 8, 2, 0]
+
+
+def _copied(amounts, stds, recorded):
+    """A fit of a shallowness for each run, of which some were recorded."""
+    count = len(amounts)
+    layout = SimpleNamespace(copies=lambda effect: count, indices=lambda names: list(range(count)))
+    run, known = np.arange(count), np.zeros((count, 6), bool)
+    known[recorded] = True
+    problem = SimpleNamespace(layout=layout, tape=SimpleNamespace(run=run, known=known))
+    fitted = SimpleNamespace(
+        coordinates=np.array(amounts), precision=np.diag(1 / np.array(stds) ** 2),
+        covariance=np.diag(4.0 * np.array(stds) ** 2), index=np.arange(count),
+    )  # fmt: skip
+    return problem, EFFECTS["shallow-water"], fitted
+
+
+def test_what_cannot_be_negative_may_be_absent_in_some_runs():
+    assert refit._positive(*_copied([2.3, -0.03, 0.0], [0.1, 0.1, 3.0], [0, 1]))
+    assert not refit._positive(*_copied([2.3, -0.5, 0.0], [0.1, 0.1, 3.0], [0, 1]))
+    assert not refit._positive(*_copied([-0.03, -0.1], [0.1, 0.1], [0, 1]))
+    assert not refit._positive(*_copied([-0.03], [0.1], [0]))
+    assert refit._positive(*_copied([0.03], [0.1], [0]))
+
+
+def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
+    assert refit._own_inflation(*_copied([1.0, 1.0], [0.1, 0.2], [0, 1])) == pytest.approx(4.0)

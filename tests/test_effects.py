@@ -83,7 +83,7 @@ def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
 
 PLACES = [(name, k) for name in POSSIBLE for k in range(at_zero(name).size)]
 # Coordinates that do nothing while the effect is absent: shapes, and what has finite sizes only.
-FLAT = [(n, k) for n, k in PLACES if EFFECTS[n].shape == k or EFFECTS[n].finite]
+FLAT = [(n, k) for n, k in PLACES if EFFECTS[n].shape == k or EFFECTS[n].flat]
 SIZES = np.array([EFFECTS[name].sizes(VESSEL)[k] for name, k in PLACES])
 
 
@@ -349,3 +349,15 @@ def test_effects_in_a_file_reach_the_sensors():
     expected = {"heading_offset": 0.07, "gyro_bias": -0.02}
     expected |= {"latency_position": 0.3, "latency_heading": 0.3}
     assert {name: float(value) for name, value in read.items() if value} == expected
+
+
+@pytest.mark.parametrize("order", [0.0, 0.3, -0.3])
+def test_a_bias_has_its_derivative_beside_a_dead_band_of_no_width(order):
+    def executed(bias, width):
+        return Servo(bias=bias, deadband=width).target(jnp.asarray(order))
+
+    # Whatever the order, zero among them: every candidate is attached while effects are sought.
+    assert float(jax.grad(executed)(0.0, 0.0)) == 1.0
+    assert float(jax.grad(executed, argnums=1)(0.0, 0.0)) == -np.sign(order)
+    assert float(executed(0.0, 0.0)) == order
+    assert float(executed(0.0, 0.2)) == pytest.approx(order - 0.2 * np.sign(order))

@@ -14,7 +14,7 @@ class Look:
     """One way in which an effect may first be seen.
 
     `at` are its coordinates in prior sizes: zero but for a shape, which does nothing while the
-    effect is absent, or for the finite size of an effect without a derivative at zero.
+    effect is absent, or for a finite size.
     """
 
     effect: str
@@ -55,21 +55,43 @@ def looks(
     sizes = effect.sizes(vessel)
     zero = [0.0] * len(sizes)
     moved = tuple(k for k in range(len(sizes)) if k != effect.shape)
-    if effect.finite:
-        return [Look(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
+    secants = [Look(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
+    if effect.flat:
+        return secants
     if effect.shape is None or effect.grid is None:
-        return [Look(effect.name, tuple(zero), moved)]
-    first = min(float(np.asarray(run.t)[0]) for run in recordings)
-    last = max(float(np.asarray(run.t)[-1]) for run in recordings)
-    values = effect.grid(vessel, first, last)
+        return [Look(effect.name, tuple(zero), moved), *secants]
+    spans = _spans(recordings)
+    values = effect.grid(vessel, 0.0, sum(end - start for start, end in spans))
     if effect.periodic:
         values = tuple(() if frequencies is None else np.asarray(frequencies) - values[0])
+    else:
+        values = tuple(_recorded(spans, value) for value in values)
     out = []
     for value in values:
         at = list(zero)
         at[effect.shape] = value / sizes[effect.shape]
         out.append(Look(effect.name, tuple(at), moved))
     return out
+
+
+def _spans(recordings: tuple[Trajectory, ...]) -> list[tuple[float, float]]:
+    """Times (s, on the runs' clocks) at which anything was recorded: start and end of each span."""
+    spans: list[tuple[float, float]] = []
+    for start, end in sorted((float(run.t[0]), float(run.t[-1])) for run in recordings):
+        if spans and start <= spans[-1][1]:
+            spans[-1] = spans[-1][0], max(spans[-1][1], end)
+        else:
+            spans.append((start, end))
+    return spans
+
+
+def _recorded(spans: list[tuple[float, float]], after: float) -> float:
+    """The time at which so many seconds have been recorded."""
+    for start, end in spans:
+        if after <= end - start:
+            return start + after
+        after -= end - start
+    return spans[-1][1]
 
 
 def shape_spacings(
@@ -85,7 +107,7 @@ def shape_spacings(
         if effect.shape is None:
             continue
         values = [look.at[effect.shape] for look in tried if look.effect == effect.name]
-        out[effect.name] = float(np.diff(np.sort(values)).max(initial=0.0))
+        out[effect.name] = float(np.median(np.diff(np.sort(values)))) if len(values) > 1 else 0.0
         if effect.periodic:
             out[effect.name] = resolution / effect.sizes(vessel)[effect.shape]
     return out

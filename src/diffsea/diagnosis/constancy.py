@@ -72,7 +72,11 @@ def _differing(
         return Constancy(0.0, 1.0, 0.0)
     run = np.asarray(problem.tape.run)
     richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
-    projection = Projection(residual, nuisance, run, richer.correlation)
+    # All parts together are the effect but for its prior, which says nothing of constancy.
+    own = np.array(J)
+    own[: 6 * len(run)] = 0.0
+    whole = np.concatenate([nuisance, own], axis=1)
+    projection = Projection(residual, whole, run, richer.correlation)
     score = projection.score(projection.efficient(parts))
     degrees = parts.shape[1] - J.shape[1]
     p_value = float(stats.chi2.sf(score.statistic, degrees))

@@ -27,7 +27,7 @@ class Accepted:
     @property
     def ahead(self) -> float:
         """Twice the log of the odds against the next best name, or none; all data together."""
-        inflation = self.fitted.estimate.inflation
+        inflation = self.fitted.inflation
         others = [
             one.support(inflation)
             for one in self.tried
@@ -47,7 +47,7 @@ def decide(
     judged = [one for one in tried if one.possible and one.gain is not None]
     if not judged:
         return None
-    inflation = judged[0].estimate.inflation
+    inflation = judged[0].inflation
     enough = needed(data.train)
     for one in judged:
         if judged[0].support(inflation) - one.support(inflation) > EVIDENCE:
@@ -73,7 +73,7 @@ def stands(problem: Problem, accepted: Fitted) -> bool:
     gain, constant = accepted.gain, accepted.constancy
     if not accepted.possible or gain is None or constant is None or not constant.holds:
         return False
-    enough = accepted.evidence(accepted.estimate.inflation) > needed(problem)
+    enough = accepted.evidence(accepted.inflation) > needed(problem)
     return enough and (gain.open or gain.clear)
 
 
@@ -91,13 +91,13 @@ def nameless(problem: Problem, tried: tuple[Fitted, ...]) -> bool:
     strongly as the others support it is no sign of anything.
     """
     sound = [one for one in tried if np.isfinite(one.drop)]
-    return any(one.support(one.estimate.inflation) > needed(problem) for one in sound)
+    return any(one.support(one.inflation) > needed(problem) for one in sound)
 
 
 def rivals(best: Fitted, tried: list[Fitted]) -> tuple[str, ...]:
     """Names that the same data support nearly as well."""
     names: list[str] = []
-    inflation = best.estimate.inflation
+    inflation = best.inflation
     for other in tried:
         name = catalogue_name(other.effect)
         same = name == catalogue_name(best.effect) or name in names

@@ -122,9 +122,15 @@ def _one_way(
     nuisance = tuple(n for n in true.free if n not in (name, other))
     residual, N = columns_at(problem, gains, at, nuisance)
     projection = Projection(residual, N, np.asarray(problem.tape.run))
-    A = projection.efficient(columns_at(problem, gains, at, (name,))[1])
+    place = problem.layout.indices((name,))
+    columns = columns_at(problem, gains, at, (name,))[1].copy()
+    columns[projection.rows + np.array(place)] = 0.0  # its prior is no evidence of a manoeuvre
+    A = projection.efficient(columns)
     B = projection.efficient(columns_at(problem, gains, at, (other,))[1])
-    eta = coordinates[problem.layout.indices((name,))]
+    eta = coordinates[place].copy()
+    effect = next(one for one in problem.layout.effects if one.name == name)
+    if effect.shape is not None:
+        eta[effect.shape] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())

@@ -21,6 +21,7 @@ Progress = Callable[[str], None]
 
 NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
 FULL = 4  # at most so many
+ABSENT = 2.0  # standard errors below zero that an effect which is absent in a run may come out
 ENOUGH = 0.8  # of the gain that the linear model promises: less is a stalled refit
 
 
@@ -36,6 +37,8 @@ class Fitted:
     seen: Seen
     possible: bool  # inside physical bounds, and a change within the recordings
     constancy: Constancy | None = None  # of its size; None where it was not fitted to its end
+    copies: int = 1  # sets of coordinates: one for each run, for an environment of its own
+    inflation: float = 1.0  # variance of its own scores over the information, at least one
 
     def evidence(self, inflation: float) -> float:
         """Twice the log of the Bayes factor against the hypothesis without it (Laplace).
@@ -48,7 +51,7 @@ class Fitted:
     @property
     def size(self) -> int:
         """Coordinates that it adds."""
-        return len(self.seen.look.at)
+        return len(self.seen.look.at) * self.copies
 
     def support(self, inflation: float) -> float:
         """Evidence and held-out gain together: what all data say."""
@@ -102,7 +105,7 @@ def ranked(tried: list[Fitted]) -> list[Fitted]:
     """Hypotheses by what all data say, those not judged on held-out data last."""
     judged = [one for one in tried if one.gain is not None and one.possible]
     best = max(judged, key=lambda one: one.drop, default=None)
-    inflation = 1.0 if best is None else best.estimate.inflation
+    inflation = 1.0 if best is None else best.inflation
     return sorted(tried, key=lambda one: (one.gain is None, -one.support(inflation)))
 
 
@@ -128,17 +131,37 @@ def _finite_deviance(fitted: Estimate) -> float:
     return fitted.deviance if np.isfinite(fitted.deviance) else np.inf
 
 
-def completed(data: Split, current: Estimate, one: Fitted) -> Fitted:
-    """The hypothesis fitted to its end, with noise of its own, and judged on held-out data."""
+def completed(
+    data: Split, current: Estimate, one: Fitted, start: np.ndarray | None = None
+) -> Fitted:
+    """The hypothesis fitted to its end, with noise of its own, and judged on held-out data.
+
+    From `start`, if that is known better than `beside` knows it.
+    """
     problem, free = data.train, (*current.free, one.effect)
-    start = one.estimate if one.estimate.deviance < current.deviance else current
-    fitted = estimate(problem, free, start.coordinates, current.noise)
+    start = beside(problem, current, one) if start is None else start
+    fitted = estimate(problem, free, start, current.noise)
     effect = next(e for e in problem.layout.effects if e.name == one.effect)
     made = _made(problem, current, fitted, effect, one.seen, gain(data, current, fitted))
     if not np.isfinite(made.drop):
         return made
     constant = constancy(problem, fitted, one.effect, made.drop)
     return dataclasses.replace(made, constancy=constant)
+
+
+def beside(problem: Problem, current: Estimate, one: Fitted) -> np.ndarray:
+    """Coordinates of a current estimate with one effect more, where its own fit may start.
+
+    As it was refitted, if that was on top of these very effects; else its coordinates alone, for
+    what it was fitted together with may not be in the model any more.
+    """
+    if set(one.estimate.free) == {*current.free, one.effect}:
+        better = one.estimate.deviance < current.deviance
+        return one.estimate.coordinates if better else current.coordinates
+    out = np.array(current.coordinates, float)
+    place = problem.layout.indices((one.effect,))
+    out[place] = one.estimate.coordinates[place]
+    return out
 
 
 def _made(
@@ -150,8 +173,7 @@ def _made(
     judged: Gain | None,
 ) -> Fitted:
     places = problem.layout.indices((effect.name,))
-    amounts = problem.layout.physical(effect.name, fitted.coordinates)[:, 0]
-    within = effect.positive is False or bool((amounts > 0).all())
+    within = not effect.positive or _positive(problem, effect, fitted)
     if effect.shape is not None:
         shape = fitted.coordinates[places[effect.shape]]
         within = within and abs(shape - seen.look.at[effect.shape]) < seen.reach
@@ -160,8 +182,39 @@ def _made(
     return Fitted(
         effect.name, fitted, current.deviance - fitted.deviance,
         float(volume + 2 * np.log(spreads).sum()), judged, seen,
-        within,
+        within, copies=len(_recorded_copies(problem, effect)),
+        inflation=_own_inflation(problem, effect, fitted),
     )  # fmt: skip
+
+
+def _own_inflation(problem: Problem, effect: Effect, fitted: Estimate) -> float:
+    """How many dependent values count as one for an effect's coordinates.
+
+    The mean over everything free would be that of the parameters that data hardly determine.
+    """
+    own = [list(fitted.index).index(k) for k in problem.layout.indices((effect.name,))]
+    plain = np.diag(np.linalg.inv(fitted.precision))[own]
+    return max(1.0, float(np.mean(np.diag(fitted.covariance)[own] / plain)))
+
+
+def _recorded_copies(problem: Problem, effect: Effect) -> list[int]:
+    """Copies of an effect's coordinates that belong to recorded runs: a tape has spare ones."""
+    if problem.layout.copies(effect) == 1:
+        return [0]
+    return np.unique(np.asarray(problem.tape.run)[np.asarray(problem.tape.known).any(1)]).tolist()
+
+
+def _positive(problem: Problem, effect: Effect, fitted: Estimate) -> bool:
+    """Whether an effect that cannot be negative is not; of several copies some may be absent."""
+    copies = _recorded_copies(problem, effect)
+    places = np.array(problem.layout.indices((effect.name,)))
+    first = places.reshape(problem.layout.copies(effect), -1)[copies, 0]
+    amounts = fitted.coordinates[first]
+    if len(copies) == 1:
+        return bool(amounts[0] > 0)
+    covariance = np.linalg.inv(fitted.precision)
+    stds = np.sqrt(np.diag(covariance)[[list(fitted.index).index(k) for k in first]])
+    return bool((amounts > -ABSENT * stds).all() and (amounts > 0).any())
 
 
 def _starts(problem: Problem, current: Estimate, effect: Effect, seen: Seen) -> list[np.ndarray]:

@@ -36,7 +36,10 @@ def revised(
             for t in options
             if t.effect not in bare.free and has_room(data.train, bare, t.effect)
         }
-        again = ranked([completed(data, bare, t) for t in options.values()])
+        again = ranked([
+            completed(data, bare, t, current.coordinates if t.effect == one.name else None)
+            for t in options.values()
+        ])  # fmt: skip
         best = decide(data, bare, again, progress)
         mine = next((t for t in again if t.effect == one.name), None)
         if best is None and mine is not None and stands(data.train, mine):

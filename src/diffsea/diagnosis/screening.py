@@ -13,6 +13,7 @@ from diffsea.diagnosis.score import Projection, Score
 from diffsea.diagnosis.spectrum import peaks
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
+from diffsea.identification.layout import SPREAD
 from diffsea.identification.problem import Problem
 from diffsea.types import Trajectory
 from diffsea.vessel.effects import catalogue_name
@@ -134,8 +135,10 @@ def _best(
 
 def _expected(score: Score, columns: np.ndarray) -> float:
     """Twice the log evidence that a refit would give were the model linear."""
-    information = columns.T @ columns / score.inflation
-    return score.statistic - float(np.linalg.slogdet(np.eye(len(information)) + 9 * information)[1])
+    precision = columns.T @ columns - np.eye(columns.shape[1]) / SPREAD**2  # without the prior's
+    information = SPREAD**2 * precision / score.inflation
+    room = float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
+    return score.statistic - room
 
 
 def mimicry(A: np.ndarray, B: np.ndarray) -> float:

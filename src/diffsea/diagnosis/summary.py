@@ -157,7 +157,7 @@ def _unexplained(diagnosis: Diagnosis) -> dict:
 def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
     problem, final = diagnosis.split.train, diagnosis.final
     copies = reported(problem, final, accepted.name)
-    fitted, inflation = accepted.fitted, accepted.fitted.estimate.inflation
+    fitted, inflation = accepted.fitted, accepted.fitted.inflation
     evidence = {
         "score": fitted.seen.score.statistic,
         "p_value": fitted.seen.score.p_value,
@@ -208,7 +208,7 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
     rivals = {name for one in diagnosis.effects for name in one.rivals}
     rows = []
     tried = {one.effect: one for one in diagnosis.refitted}
-    inflation = diagnosis.refitted[0].estimate.inflation if tried else 1.0
+    inflation = diagnosis.refitted[0].inflation if tried else 1.0
     for name, seen in sorted(diagnosis.before.seen.items(), key=lambda i: -i[1].expected):
         row: dict = {"name": catalogue_name(name), **place_of(problem.base, name)}
         row["p_value"] = diagnosis.before.null.family_wise(seen.score.p_value)

@@ -14,11 +14,15 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
+SPREAD = 3.0  # prior standard deviation of an effect's coordinates, in prior sizes
+
+
 @dataclasses.dataclass(frozen=True)
 class Layout:
     """Which coordinates there are: first the parameters, then each effect's.
 
-    Environment effects have one set per run where `per_run`, all others one set.
+    Environment effects have one set per run where `per_run`, all others one set. `latest` (s) is
+    the time furthest from zero on the runs' clocks: the time of a change may be as far.
     """
 
     parameters: tuple[Parameter, ...]
@@ -26,6 +30,7 @@ class Layout:
     sizes: tuple[tuple[float, ...], ...]
     runs: int
     per_run: bool
+    latest: float = dataclasses.field(default=0.0, compare=False)
 
     def copies(self, effect: Effect) -> int:
         """How many sets of coordinates an effect has."""
@@ -58,10 +63,13 @@ class Layout:
 
     def spreads(self) -> np.ndarray:
         """Prior standard deviation of every coordinate."""
-        effects = sum(
-            self.copies(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)
-        )
-        return np.array([p.spread for p in self.parameters] + [3.0] * effects)
+        out = [p.spread for p in self.parameters]
+        for effect, sizes in zip(self.effects, self.sizes, strict=True):
+            own = [SPREAD] * len(sizes)
+            if effect.shape is not None and not effect.periodic:
+                own[effect.shape] = max(SPREAD, self.latest / sizes[effect.shape])
+            out += own * self.copies(effect)
+        return np.array(out)
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
         """Positions of the coordinates of parameters and effects by name."""

@@ -281,7 +281,9 @@ def tune(
         nu = innovation(row, shown(vessel, z[:6], row, trail))
         H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
         spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
-        used = row["known"] & ((jnp.abs(nu) < gate * spread) | row["starts"])
+        # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.
+        near = (jnp.abs(nu) < gate * spread) | ~jnp.isfinite(nu / spread)
+        used = row["known"] & (near | row["starts"])
         nu = jnp.where(used, nu, 0.0)
         K, W, P, variance = updated(P, H, R, used)
         z = z + _applied(K, nu)

@@ -17,6 +17,7 @@ from diffsea.vessel.base import Vessel
 
 SEPARATION = 1e4  # s between runs on the tape's clock, beyond any delay
 LONGEST_STEP = 0.3  # of sqrt(L / g)
+GAP = 3.0  # usual rows, or sqrt(L / g) where that is longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
 
 
@@ -29,8 +30,8 @@ class Tape(eqx.Module):
     measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
     known: Bool[Array, "row 6"]
     run: Int[Array, "row"]
-    starts: Bool[Array, "row"]  # first row of a run
-    first: Float[Array, "row 6"]  # the run's first state, a rough guess
+    starts: Bool[Array, "row"]  # first row of a run, or after a gap in it
+    first: Float[Array, "row 6"]  # the first state since then, a rough guess
     heel: Float[Array, "row"]  # rad, as predicted from before; zero where none was recorded
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
@@ -150,10 +151,9 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     known = np.isfinite(motion)
     if not known.any():
         raise UserError(f"{recording.name}: no motion channel has any value")
-    dt = np.append(np.diff(t), 0.0)
+    starts = _begins(t, natural_time(vessel))
+    dt = np.where(np.append(starts[1:], True), 0.0, np.append(np.diff(t), 0.0))
     orders, executed = recorded_actuation(vessel, recording)
-    starts = np.zeros(len(t), bool)
-    starts[0] = True
     return {
         "t": t - t[0] + SEPARATION * (number + 1),
         "run_time": t,
@@ -162,7 +162,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
         "known": known,
         "run": np.full(len(t), number),
         "starts": starts,
-        "first": np.broadcast_to(_first_state(t, motion), motion.shape).copy(),
+        "first": _first_states(t, motion, starts),
         "heel": _means(every, predicted_heel(recording), keep),
         "orders": {c: _means(every, series, keep) for c, series in orders.items()},
         "executed": {c: _means(every, series, keep) for c, series in executed.items()},
@@ -191,15 +191,32 @@ def _kept(known: np.ndarray, every: int) -> np.ndarray:
     return np.flatnonzero(rows | known[:, slow].any(1))
 
 
+def _begins(t: np.ndarray, natural: float) -> np.ndarray:
+    """The first row, and rows after a gap so long that no integration should bridge it."""
+    steps = np.diff(t)
+    return np.append(True, steps > GAP * max(natural, float(np.median(steps))))
+
+
+def _first_states(t: np.ndarray, motion: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The first state since the last start, for every row."""
+    part = np.cumsum(starts) - 1
+    firsts = [_first_state(t[part == k], motion[part == k]) for k in range(part[-1] + 1)]
+    return np.stack(firsts)[part]
+
+
 def _first_state(t: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """First finite value of each channel; speeds that are not measured, from differences."""
+    """First finite value of each channel; speeds that are not measured, from differences.
+
+    Without a heading, ahead is where the positions go.
+    """
     first = np.zeros(6)
     for k in range(6):
         finite = np.flatnonzero(np.isfinite(motion[:, k]))
         first[k] = motion[finite[0], k] if len(finite) else 0.0
     unknown = [not np.isfinite(motion[:, k]).any() for k in range(6)]
-    if unknown[3] and not (unknown[0] or unknown[1] or unknown[2]):
+    if unknown[3] and not (unknown[0] or unknown[1]):
         north, east = (_first_slope(t, motion[:, k]) for k in (0, 1))
+        first[2] = np.arctan2(east, north) if unknown[2] else first[2]
         first[3] = np.cos(first[2]) * north + np.sin(first[2]) * east
         first[4] = np.cos(first[2]) * east - np.sin(first[2]) * north
     return first

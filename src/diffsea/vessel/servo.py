@@ -235,8 +235,9 @@ def _fraction(value: Scalar) -> Scalar:
 
 
 def _dead_band(value: Scalar, width: Scalar) -> Scalar:
-    """No action within +-width, shifted by it outside."""
-    return jnp.where(jnp.abs(value) > width, value - jnp.sign(value) * width, 0.0)
+    """No action within +-width, shifted by it outside; without a width the value, at zero too."""
+    acts = (jnp.abs(value) > width) | (width <= 0)
+    return jnp.where(acts, value - jnp.sign(value) * width, 0.0)
 
 
 def _remaining(span: Scalar, tau: Scalar) -> Scalar:

@@ -91,6 +91,7 @@ class Stage:
     stated: Callable[[Servo, Scalar], Servo]  # the servo with what a file says
     positive: bool = True
     finite: tuple[float, ...] = ()
+    flat: bool = False
     limited: bool = False  # only where limits are stated
 
     def apply(
@@ -139,7 +140,8 @@ class Stage:
             lambda v, at: self.apply(v, channels(v), at[0], SIDES.get(kind, 0)),
             lambda v: (self.size(full(v, channels(v)), time_scale(v)),),
             possible, self.positive, decode=decode, coordinate_names=("size",),
-            finite=self.finite, where={"kind": kind}, law=self.law, confusables=self.confusables,
+            finite=self.finite, flat=self.flat, where={"kind": kind}, law=self.law,
+            confusables=self.confusables,
         )  # fmt: skip
 
     def _unit(self, kind: str) -> str:
@@ -184,6 +186,9 @@ def _clipped(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
     return dataclasses.replace(servo, upper=upper, lower=lower)
 
 
+# A response that is late by several rows is nothing like the derivative for one that is not.
+LATE = (0.3, 1.0, 3.0)
+
 STAGES = {
     stage.name: stage
     for stage in (
@@ -191,17 +196,18 @@ STAGES = {
             "thrust-lag", "time_constant", True, _plus("time_constant"), lambda n, t: t,
             "dn/dt = (order - n) / time_constant, exact for orders that hold between samples",
             ("thrust-delay", "rate-limit", "backlash", "sensor-latency", "clock-drift"),
-            _added("time_constant"),
+            _added("time_constant"), finite=LATE,
         ),
         Stage(
             "thrust-delay", "delay", True, _plus("delay"), lambda n, t: t,
             "an order takes effect `delay` later",
             ("thrust-lag", "clock-drift", "sensor-latency", "rate-limit"), _added("delay"),
+            finite=LATE,
         ),
         Stage(
             "rate-limit", "rate_limit", False, _plus("slowness"), lambda n, t: t / n,
             "|dn/dt| <= rate_limit; the coordinate is its inverse, zero for none",
-            ("thrust-lag", "thrust-delay", "backlash"), _slowed,
+            ("thrust-lag", "thrust-delay", "backlash"), _slowed, finite=LATE,
         ),
         Stage(
             "deadband", "width", False, _plus("deadband"), lambda n, t: 0.05 * n,
@@ -211,14 +217,14 @@ STAGES = {
         Stage(
             "backlash", "width", False, _plus("backlash"), lambda n, t: 0.05 * n,
             "play operator: the actuator stays while the order is within `width` of it",
-            ("deadband", "thrust-lag", "rate-limit"), _added("backlash"),
+            ("deadband", "thrust-lag", "rate-limit"), _added("backlash"), finite=LATE,
         ),
         Stage(
             "thrust-saturation", "limit", False, _clipped, lambda n, t: 0.3,
             "realised values clip at +-limit below the stated one (first coordinate: stated limit "
             "over limit less one)",
             ("thrust-loss-with-speed", "drag-change", "thrust-change"), _limited,
-            finite=(0.3, 1.0, 3.0), limited=True,
+            finite=(0.3, 1.0, 3.0), flat=True, limited=True,
         ),
         Stage(
             "actuator-bias", "bias", False, _plus("bias"), lambda n, t: 0.03 * n,

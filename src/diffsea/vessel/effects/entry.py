@@ -37,8 +37,9 @@ class Effect:
     A `shape` is a coordinate that does nothing while the others are zero (the time of a
     change); `grid` gives its values to look at in recordings from one time to another. A
     `periodic` one is a frequency, looked at where a spectrum has peaks; its coordinate counts
-    from the one value of `grid`. An effect that has no derivative at zero names the `finite`
-    sizes of its first coordinate, in prior sizes, at which to look instead.
+    from the one value of `grid`. At the `finite` sizes of its first coordinate, in prior sizes,
+    an effect is looked at, too: one that far from zero looks like its derivative there no more,
+    and a `flat` one has none.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Effect:
     grid: Callable[[Vessel, float, float], tuple[float, ...]] | None = None
     periodic: bool = False
     finite: tuple[float, ...] = ()
+    flat: bool = False  # no derivative at zero
     valid: float = math.inf  # size of the first coordinate, in prior sizes, up to which it holds
     needs: str = ""  # extra channel that recordings must have
     coordinate_names: tuple[str, ...] = ()  # where they are not the parameters
