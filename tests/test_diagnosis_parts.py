@@ -176,7 +176,8 @@ def test_a_name_is_not_had_for_the_progress_of_a_fit(monkeypatch, promised, with
 def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
     sizes = {"wind": 2, "current": 2, "wide": 3, "lever-arm": 2}
     indices = lambda names: [k for name in names for k in range(sizes.get(name, 1))]
-    problem = SimpleNamespace(layout=SimpleNamespace(indices=indices), width=5)
+    layout = SimpleNamespace(indices=indices, kinds=lambda: (np.arange(9), None))
+    problem = SimpleNamespace(layout=layout, width=5, seeds=5)
     judged = {"gain": SimpleNamespace(), "possible": True}
     tried = [SimpleNamespace(effect=name, **judged) for name in ("wind", "wide", "lever-arm")]
     accepted = [Accepted("wind", tried[0], (), tuple(tried)), Accepted("current", None, ())]
@@ -312,3 +313,12 @@ def test_what_cannot_be_negative_may_be_absent_in_some_runs():
 
 def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
     assert refit._own_inflation(*_copied([1.0, 1.0], [0.1, 0.2], [0, 1])) == pytest.approx(4.0)
+
+
+def test_waves_beside_an_environment_for_each_run_have_no_room(boat):
+    effects = (EFFECTS["wave-force"], EFFECTS["current"])
+    layout = Layout((), effects, tuple(e.sizes(boat) for e in effects), 3, True)
+    room = SimpleNamespace(layout=layout, width=8 * 3, seeds=8)
+    current = SimpleNamespace(free=("wave-force",))
+    assert not refit.has_room(room, current, "current")  # 7 + 2 kinds for 8 seeds
+    assert refit.has_room(SimpleNamespace(layout=layout, width=9 * 3, seeds=9), current, "current")

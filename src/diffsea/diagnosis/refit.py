@@ -243,9 +243,13 @@ def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
 
 
 def has_room(problem: Problem, current: Estimate, name: str) -> bool:
-    """Whether the compiled program has room for one more effect beside those of an estimate."""
-    indices = problem.layout.indices
-    return len(indices((*current.free, name))) <= problem.width
+    """Whether the compiled program has room for one more effect beside those of an estimate.
+
+    For its coordinates, and for the directions to differentiate in, which copies share.
+    """
+    index = problem.layout.indices((*current.free, name))
+    kind, _ = problem.layout.kinds()
+    return len(index) <= problem.width and len(np.unique(kind[index])) <= problem.seeds
 
 
 def without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:

@@ -26,7 +26,7 @@ from diffsea.vessel.effects import catalogue_name
 
 ALPHA = 0.01  # family-wise
 MOST_EFFECTS = 3
-ROOM = 8  # coordinates that effects found together may have
+ROOM = 9  # coordinates that effects found together may have: waves and a wind, say
 BEYOND = 2.0  # times what its score promises: more than that an effect seldom gains
 RESUMED = 2  # times at most that a fit is found to have stopped early
 
