@@ -143,6 +143,19 @@ def test_unequal_cross_terms_of_added_mass():
     assert start == pytest.approx(np.linalg.solve(M, [30.0, 0.0]), rel=1e-3)
 
 
+def test_unequal_cross_terms_grow_in_shallow_water_as_all_added_masses():
+    model = build(USV.document)
+    model.hull.update(Y_rdot=-60.0, N_vdot=20.0, Y_v=0.0, N_r=0.0, N_rr=0.0)
+    model.ratio_of_depth = 0.7
+    push = Gusts(0.0, 0.2, np.array([[0.0, 30.0, 0.0]] * 5))
+    _, track = still(model, [0.0, 0.0], 0.4, gusts=push)
+    start = (track.states[1] - track.states[0])[4:6] / (track.t[1] - track.t[0])
+    h, grow = model.hull, 0.3**-0.5
+    M = np.array([[h["mass"] - grow * h["Y_vdot"], 60.0 * grow],
+                  [-20.0 * grow, h["I_z"] - grow * h["N_rdot"]]])  # fmt: skip
+    assert start == pytest.approx(np.linalg.solve(M, [30.0, 0.0]), rel=1e-3)
+
+
 def test_drift_in_a_current():
     model = build(USV.document)
     model.current = (0.3, -0.2)
@@ -230,6 +243,18 @@ def test_late_channel_shows_the_past_and_the_clock_runs_off():
     assert clock["x"][k] == pytest.approx(right["x"][k - 2], abs=1e-6)
 
 
+def test_a_clock_that_gains_reads_what_comes_after_the_last_row():
+    model = build(USV.document)
+    model.sensing.clock_rate = -0.03
+    _, track = still(model, [100.0, 60.0], 20.0, u=0.5)
+    _, longer = still(build(USV.document), [100.0, 60.0], 30.0, u=0.5)
+    t = np.arange(101) * USV.step
+    read = lambda of: sensors.true_readings(of, model.sensing, t)
+    for channel, value in read(longer).items():
+        assert read(track)[channel] == pytest.approx(value, abs=1e-6), channel
+    assert len(track.orders) == 101
+
+
 def test_instruments_have_their_rate_resolution_and_gaps():
     model = build(USV.document)
     _, track = still(model, [100.0, 60.0], 100.0)
@@ -265,6 +290,23 @@ def test_every_effect_changes_the_readings_and_none_does_at_zero(name):
         after = readings(changed)
         if key not in ("deadband", "backlash", "thrust-saturation"):  # not in every manoeuvre
             assert max(np.abs(after[c] - before[c]).max() for c in before) > 1e-6, key
+
+
+def test_no_hull_has_an_effect_that_the_tool_holds_impossible_for_it():
+    from diffsea.vessel import catalogue
+    from diffsea.vessel.effects import EFFECTS
+
+    for hull in HULLS.values():
+        vessel = catalogue.build(hull.document)
+        for key in effects.catalogue(hull):
+            variants = [e for n, e in EFFECTS.items() if n.split(":")[0] == key.split(":")[0]]
+            exact = [e for e in variants if e.name == key]
+            assert any(e.possible(vessel) for e in exact or variants), (hull.name, key)
+
+
+def test_an_effect_has_one_name_only():
+    """N_uv is the Munk moment: drawn as damping it would be called by either name."""
+    assert not any("N_uv" in key for hull in HULLS.values() for key in effects.catalogue(hull))
 
 
 # Cases
@@ -357,6 +399,28 @@ def test_sets_beside_the_scored_one():
     assert {c["hull"] for c in three} == {c["hull"] for c in standard} == hulls
 
 
+def test_several_effects_and_those_of_standard_trials_are_of_a_good_size():
+    for name, seed in (("develop", 5), ("scored", 6), ("triples", 7), ("standard", 8)):
+        cases = draw.plan(name, 400, seed)
+        for stratum, least in (("pair", 4.0), ("triple", 4.0), ("standard", 8.0)):
+            found = [e["limits"] for c in cases if c["stratum"] == stratum for e in c["effects"]]
+            assert all(least - 1e-3 <= x <= draw.MOST for x in found), (name, stratum)
+
+
+def test_a_benign_cubic_is_a_twentieth_at_twice_the_typical_yaw_rate():
+    seen = set()
+    for hull in (HULLS["catamaran"], HULLS["skiff"], HULLS["launch"]):
+        for seed in range(30):
+            model, top = build(hull.document), 2.0 * hull.yaw
+            done = outside.benign(model, hull, np.random.default_rng(seed))
+            seen |= set(done)
+            linear = model.hull["N_r"] + model.hull.get("N_rr", 0.0) * top
+            assert 0.0 <= done.get("cubic", 0.0) / linear * top**2 <= 0.05 + 1e-9
+            # There is no exponent to change where drag has no quadratic part.
+            assert "power" not in done or "X_uu" in model.hull
+    assert seen == {"cubic", "coupling", "bend", "power"}
+
+
 def test_standard_trials_are_zigzags_and_circles():
     model = outside.true_model(USV, np.random.default_rng(1))
     found = orders.RUN_SETS["standard"](np.random.default_rng(2), USV, model.sensing)
@@ -371,6 +435,33 @@ def test_detection_limit_of_a_gyro_bias_is_near_its_floor():
     floor = 3.0 * std / math.sqrt(4 * USV.rows)
     found = limits.detection_limits(USV, lambda m: None, ("gyro-bias",))["gyro-bias"]
     assert 0.93 * floor < found < 1.5 * floor
+
+
+def test_search_finds_the_aim_of_a_steep_response_and_returns_what_it_evaluated():
+    steep = lambda s: 1e3 * max(s - 0.05, 0.0) ** 1.5 + 1e6 * max(s - 0.06, 0.0) ** 4
+    for first in (1e-4, 0.02, 0.7):
+        size, found = limits.search(steep, first, 0.75, 3.0, 1.01)
+        assert found == steep(size) and found == pytest.approx(3.0, rel=0.01)
+    size, found = limits.search(lambda s: s, 1e-6, 50.0, 0.15, 1.5)
+    assert found == size and 0.1 <= found <= 0.225
+    assert limits.search(lambda s: 0.1 * s, 1e-3, 0.5, 3.0, 1.01) == (0.5, pytest.approx(0.05))
+
+
+def test_detection_limit_of_a_dead_band_is_its_slope_at_zero_wherever_the_search_starts():
+    known = draw.limits("skiff")["deadband"]
+    found = limits.detection_limits(
+        HULLS["skiff"], lambda m: None, ("deadband",), {"deadband": 30 * known}
+    )
+    assert found["deadband"] == pytest.approx(known, rel=0.03)
+
+
+def test_detection_limits_are_plausible_sizes():
+    for hull in HULLS.values():
+        entries, found = effects.catalogue(hull), draw.limits(hull.name)
+        assert set(found) <= set(entries) and "thrust-saturation" in draw.available(hull), hull.name
+        assert found["thrust-saturation"] < entries["thrust-saturation"].most
+    quiet = limits.detection_limits(USV, lambda m: None, ())
+    assert quiet == {}
 
 
 def test_schedule_is_sailed_as_written(tmp_path):
@@ -518,6 +609,61 @@ def test_parameters_are_judged():
         assert o.onset is hit
 
 
+def test_a_name_in_the_wrong_place_is_right_but_not_strictly():
+    def strict(hull, key, values, entry):
+        t = {**truth(key=key, **{key.split(":")[0]: values}), "hull": hull}
+        d = said("explained", key.split(":")[0])
+        d["effects"][0] |= entry
+        o = one(t, d)
+        assert o.right
+        return o.strict
+
+    p = {"value": 1.0, "std": 0.1}
+    late = {"delay": 1.0, "channels": ["x", "y"]}
+    for channels, hit in ((["y", "x"], True), (["psi"], False)):
+        entry = {"parameters": {"delay": p}, "channels": channels}
+        assert strict("usv", "sensor-latency:position", late, entry) is hit
+    for name, hit in (("Y_ur", True), ("N_ur", False)):
+        entry = {"parameters": {name: p}}
+        assert strict("usv", "speed-dependent-damping:Y_ur", {"Y_ur": 1.0}, entry) is hit
+    lag = {"time_constant": 1.0, "actuators": ["port", "starboard"]}
+    bias = {"bias": 1.0, "actuators": ["port"]}
+    slow = {"parameters": {"time_constant": p}}
+    forces = ["port.force", "starboard.force"]
+    assert strict("usv", "thrust-lag", lag, slow)  # all channels: not listed
+    assert strict("launch", "thrust-lag", lag, slow | {"actuators": forces})
+    assert not strict("launch", "thrust-lag", lag, slow | {"actuators": ["port.angle"]})
+    assert strict("launch", "actuator-bias", bias, {"parameters": {"bias": p}} | {
+        "actuators": ["port.force"]})  # fmt: skip
+    assert not strict("usv", "actuator-bias", bias, {"parameters": {"bias": p}})
+
+
+def test_odds_are_those_of_their_names():
+    d = said("explained", "wind", "wind", "current")
+    for entry, odds in zip(d["effects"], (9.0, 8.0, 0.5), strict=True):
+        entry["evidence"]["log10_odds"] = odds
+    o = one(truth(), d)
+    assert (o.named, o.log10_odds) == (["wind", "current"], [9.0, 0.5])
+    stated = {r["log10_odds_from"]: r["true"]["n"] for r in score.reliability([o])}
+    assert stated[None] == 1 and stated[5.0] == 1
+
+
+def test_confusion_and_errors_by_effect_are_of_single_effects():
+    from experiments.concealed import report
+
+    found = {"speed": {"value": 0.33, "std": 0.1}}
+    alone = one(truth(current={"speed": 0.3}), said("explained", "current", current=found))
+    straight = one(truth(), said("explained", "current"))
+    straight.stratum = "uninformative"
+    beside = one(truth(current={"speed": 0.3}), said("explained", "current", "wind",
+                 current={"speed": {"value": 0.9, "std": 0.1}}))  # fmt: skip
+    beside.stratum, beside.limits = "pair", [9.0, 9.0]
+    everything = [alone, straight, beside, one(truth("clean"), said("consistent"))]
+    assert report.confusion(everything)[2].sum() == 2
+    by_effect = score.score(everything, [], [])["by_effect"]
+    assert by_effect["current"]["parameter error, median"] == pytest.approx(0.1)
+
+
 def test_figures_and_files(tmp_path):
     from experiments.concealed import report
 
@@ -563,6 +709,35 @@ def test_baselines_find_a_gross_gyro_bias(tmp_path):
     problem = terms.regression(here, sorted((here / "train").glob("*.csv"))[:3])
     for name, method in baselines.METHODS.items():
         assert method(problem)[0] == "gyro-bias", name
+
+
+def test_screened_names_are_those_of_the_catalogue(tmp_path):
+    here = tmp_path / "results" / "c0001"
+    here.mkdir(parents=True)
+    seen = [{"name": "thrust-lag:propulsion", "p_value": 1e-9, "score": 50.0},
+            {"name": "current", "p_value": 0.2, "score": 4.0}]  # fmt: skip
+    (here / "diagnosis.json").write_text(json.dumps({"screening": seen}), encoding="utf-8")
+    assert baselines.screened(tmp_path, "c0001") == ["thrust-lag"]
+
+
+def test_hard_iron_column_is_what_hard_iron_does_to_the_residual():
+    hull, rng = HULLS["catamaran"], np.random.default_rng(3)
+    model = outside.true_model(hull, rng, 0.0)
+    policy = orders.full(rng, hull, model.sensing)[0]
+    track = simulate(model, policy, 251, hull.step, 75, (0.0, 0.0, 0.3, 0.8))
+    t = np.arange(251) * hull.step
+
+    def parts(amplitude):
+        sensing = Sensing(iron_amplitude=amplitude, iron_phase=0.7)
+        d = {"t": t, **sensors.true_readings(track, sensing, t)}
+        d |= {f"cmd_{n}": track.orders[:, i] for i, n in enumerate(track.labels)}
+        return terms._run(build(hull.document), d)
+
+    (before, _, found), (after, _, _) = parts(0.0), parts(1e-3)
+    change = (after - before)[:3].ravel()
+    column = found["hard-iron"][:3].reshape(-1, 2)
+    left = change - column @ np.linalg.lstsq(column, change, rcond=None)[0]
+    assert left @ left < 1e-3 * (change @ change)
 
 
 def test_what_a_nuisance_mimics_has_a_limit_of_three_prior_deviations_at_least():

@@ -166,7 +166,7 @@ def screened(folder: Path, case: str) -> list[str] | None:
     if not listed:
         return None
     best = min(listed, key=lambda s: (s["p_value"], -s["score"]))
-    return [best["name"]] if best["p_value"] < 0.01 else []
+    return [best["name"].split(":")[0]] if best["p_value"] < 0.01 else []
 
 
 def run(folder: Path) -> list[dict]:

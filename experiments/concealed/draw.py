@@ -23,6 +23,8 @@ SHARES = {
     "uninformative": 0.08,
 }  # fmt: skip
 LEAST, MOST = 1.0, 30.0  # detection limits
+BESIDE, STANDARD = 4.0, 8.0  # the least of each of several effects, and in standard trials
+ROOM = 1.2  # largest plausible size over the least one, for sizes to be drawn between
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,8 @@ def plan(set_name: str, count: int, seed: int) -> list[dict]:
             elif stratum in TOGETHER:
                 cases[-1]["effects"] = _together(rng, hull, deck, TOGETHER[stratum])
             elif stratum == "standard":
-                cases[-1]["effects"] = [_sized(rng, hull, next(deck), 8.0)]
+                key = next(k for k in deck if _reaches(hull, k, STANDARD))
+                cases[-1]["effects"] = [_sized(rng, hull, key, STANDARD)]
             elif stratum == "uninformative":
                 there = [k for k in NEEDS_TURNING if k in available(hull)]
                 cases[-1]["effects"] = [_sized(rng, hull, str(rng.choice(there)))]
@@ -130,7 +133,7 @@ def _sized(rng: np.random.Generator, hull: Hull, key: str, least: float = LEAST)
     """An effect with its size, log-uniform in detection limits as far as is plausible."""
     entry, limit = effects.catalogue(hull)[key], limits(hull.name)[key]
     most = min(MOST, entry.most / limit)
-    size = float(np.exp(rng.uniform(math.log(min(least, 0.5 * most)), math.log(most))))
+    size = float(np.exp(rng.uniform(math.log(least), math.log(most))))
     return {"key": key, "limits": round(size, 3), "size": float(f"{size * limit:.4g}"),
             "extra": entry.draw(rng, hull)}  # fmt: skip
 
@@ -140,9 +143,15 @@ def _together(rng: np.random.Generator, hull: Hull, deck, count: int) -> list[di
     chosen: list[dict] = []
     while len(chosen) < count:
         key = next(deck)
-        if key.split(":")[0] not in {e["key"].split(":")[0] for e in chosen}:
-            chosen.append(_sized(rng, hull, key, 4.0))
+        taken = key.split(":")[0] in {e["key"].split(":")[0] for e in chosen}
+        if not taken and _reaches(hull, key, BESIDE):
+            chosen.append(_sized(rng, hull, key, BESIDE))
     return chosen
+
+
+def _reaches(hull: Hull, key: str, least: float) -> bool:
+    """Whether plausible sizes go well beyond `least` detection limits."""
+    return effects.catalogue(hull)[key].most >= ROOM * least * limits(hull.name)[key]
 
 
 def make_case(case: dict) -> tuple[list[dict], dict]:
@@ -196,7 +205,9 @@ def run(model, hull: Hull, policy, rng: np.random.Generator) -> Track:
     lead = round(hull.lead / hull.step)
     x, y = rng.uniform(-3.0, 3.0, 2) * hull.document["hull"]["length"]
     start = (float(x), float(y), float(rng.uniform(-math.pi, math.pi)), 0.5 * hull.speed)
-    step, values = outside.gust_grid(hull, rng, -hull.lead, hull.rows * hull.step)
+    end = hull.rows * hull.step
+    end += model.sensing.ahead(end)
+    step, values = outside.gust_grid(hull, rng, -hull.lead, end)
     gusts = Gusts(-lead * hull.step, step, values)
     return simulate(model, policy, hull.rows, hull.step, lead, start, gusts)
 

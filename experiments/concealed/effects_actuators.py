@@ -24,14 +24,17 @@ def effects(hull: Hull) -> list[Effect]:
         Effect("deadband", "", ("width",), turning, 0.02, 0.4, deadband),
         Effect("thrust-saturation", "", ("limit",), turning, 0.1, 0.75, saturation),
         Effect("actuator-bias", "", ("bias",), turning, 0.01, 0.3, bias, _one),
-        Effect("thrust-loss-with-speed", "", ("slope",), ("surge", "yaw"), 0.05 / hull.speed,
-               0.4 / hull.speed, loss_speed),
         Effect("thrust-loss-in-turns", "", ("slope",), ("surge", "yaw"), 0.05 / hull.yaw,
                0.4 / hull.yaw, loss_turn),
         Effect("thrust-change", "", ("factor",), ("surge", "yaw"), 0.05, 0.7, change, _timed,
                onset=True),
     ]  # fmt: skip
     kinds = {a.kind for a in build(hull.document).actuators}
+    # The thrust of a propeller, or of a curve of rev/s and speed, falls with speed of itself.
+    if any("curve" not in d for p in ("thruster", "azimuth_thruster")
+           for d in hull.document.get(p, [])):  # fmt: skip
+        found.append(Effect("thrust-loss-with-speed", "", ("slope",), ("surge", "yaw"),
+                            0.05 / hull.speed, 0.4 / hull.speed, loss_speed))  # fmt: skip
     if any(d.get("y") for p in ("thruster", "azimuth_thruster") for d in hull.document.get(p, [])):
         found.append(
             Effect("thrust-asymmetry", "", ("ratio",), ("yaw",), 0.02, 0.5, asymmetry, _sided)
@@ -74,6 +77,12 @@ def _channels(model: Model, what: str) -> list[tuple[Channel, float]]:
 
 def _named(model: Model, what: str, values: dict) -> dict:
     return {**values, "actuators": [a.name for a in _affected(model, what)]}
+
+
+def working_labels(hull: Hull, actuators: list[str]) -> list[str]:
+    """Labels of the orders of some actuators that the effects above act on."""
+    mine = [a for a in build(hull.document).actuators if a.name in actuators]
+    return [f"{a.name}.{role}" if (role := _WORKING[a.kind]) else a.name for a in mine]
 
 
 def lag(model: Model, hull: Hull, size: float, extra: dict) -> dict:

@@ -13,7 +13,6 @@ def effects(hull: Hull) -> list[Effect]:
     F, yaw = weight(hull), hull.yaw
     ship = hull.kind == "ship"
     found = [
-        Effect("munk-moment", "", ("Y_vdot - X_udot",), ("yaw",), 0.1 * m, 3.0 * m, munk, _sided),
         Effect("mass-change", "", ("mass",), ("surge", "sway"), 0.1 * m, 1.5 * m, mass, _timed,
                onset=True),
         Effect("drag-change", "", ("factor",), ("surge", "sway", "yaw"), 0.1, 2.0, drag, _timed,
@@ -25,6 +24,10 @@ def effects(hull: Hull) -> list[Effect]:
         Effect("added-mass-coupling", "x_G", ("x_G",), ("sway", "yaw"), 0.02 * L, 0.25 * L,
                _added("x_G"), _sided),
     ]  # fmt: skip
+    # A file without the moment says that its N_v or N_uv holds all of it.
+    if h.get("added_mass_coriolis", "full") == "full":
+        found.append(Effect("munk-moment", "", ("Y_vdot - X_udot",), ("yaw",), 0.1 * m, 3.0 * m,
+                            munk, _sided))  # fmt: skip
     if not ship:
         found += _damping(h, F, L, U, yaw)
     if "Y_vv" not in h and "Y_vvv" not in h:
@@ -53,7 +56,7 @@ def _damping(h: dict, F: float, L: float, U: float, yaw: float) -> list[Effect]:
                                 2.0 * scale, _derivative(name), _sided))  # fmt: skip
     for name, dof, scale in (
         ("Y_ur", "sway", F / U / yaw), ("N_ur", "yaw", F * L / U / yaw),
-        ("Y_uv", "sway", F / U / v), ("N_uv", "yaw", F * L / U / v),
+        ("Y_uv", "sway", F / U / v),  # N_uv is the Munk moment by another name
     ):  # fmt: skip
         if name not in h:
             # Damping of one's own motion is a drag; the cross terms have either sign.

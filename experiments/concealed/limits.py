@@ -27,8 +27,8 @@ from .simulate import CHANNELS, Track, _motion, derivative, simulate
 
 SIGMA = 3.0  # standard deviations that count as seen
 STEP = 1e-3  # relative, to either side, for the nuisances' derivatives
-FAINT = 0.3  # standard deviations: a trace of which a derivative is taken
-ABRUPT = ("rate-limit", "thrust-saturation", "deadband", "backlash")
+FAINT = 0.15  # standard deviations: a trace of which a derivative is taken
+ABRUPT = ("thrust-saturation",)  # nothing happens up to some size: no derivative at zero
 SEED = 77  # of the manoeuvres
 MEASURED = CHANNELS[:6]
 
@@ -54,7 +54,7 @@ def detection_limits(
 ) -> dict[str, float]:
     """Limit of every effect (or those in `only`) of the hull, by key, in the unit of its size.
 
-    `start` has guesses by key.
+    Without those that not even their largest plausible size shows. `start` has guesses by key.
     """
     start = start or {}
     rng = np.random.default_rng(SEED)
@@ -98,35 +98,50 @@ def detection_limits(
         return math.sqrt(max(float(a @ a - b @ cho_solve(normal, b)), 0.0))
 
     def limit(effect: effects.Effect, first: float) -> float:
+        """Infinite where not even the largest plausible size is seen."""
         extra = effects.typical_extra(effect, hull)
         at = lambda size: trace(effect, extra, size)
         if effect.name in ABRUPT:
-            size, length = _search(lambda s: unlike(at(s)), first, effect.most, SIGMA, 1.1)
-        else:
-            # Far off, runs drift apart in ways that a filter would follow: a derivative counts.
-            small = lambda s: float(np.linalg.norm(at(s)))
-            size, _ = _search(small, FAINT * first, effect.most, FAINT, 3.0)
-            length = unlike(2 * at(size) - 0.5 * at(2 * size))
-        return float(f"{size * SIGMA / max(length, 1e-3):.4g}")
+            size, length = search(lambda s: unlike(at(s)), first, effect.most, SIGMA, 1.01)
+            return size if length > 0.99 * SIGMA else math.inf
+        # Far off, runs drift apart in ways that a filter would follow: a derivative counts.
+        small = lambda s: float(np.linalg.norm(at(s)))
+        size, length = search(small, FAINT * first, 0.5 * effect.most, FAINT, 1.5)
+        if length < FAINT / 1.5:
+            return math.inf
+        length = unlike(2 * at(size) - 0.5 * at(2 * size))
+        return size * SIGMA / length if length > 0.0 else math.inf
 
     found = {}
     for key, effect in effects.catalogue(hull).items():
         if only is not None and key not in only:
             continue
-        found[key] = limit(effect, min(start.get(key, effect.first), effect.most))
-        tell(f"{hull.name} {key}: {found[key]:.4g} (largest {effect.most:.4g})")
+        size = limit(effect, min(start.get(key, effect.first), effect.most))
+        if math.isfinite(size):
+            found[key] = float(f"{size:.4g}")
+        tell(f"{hull.name} {key}: {size:.4g} (largest {effect.most:.4g})")
     return found
 
 
-def _search(
+def search(
     length: Callable[[float], float], size: float, most: float, aim: float, near: float
 ) -> tuple[float, float]:
-    """A size whose `length` is `aim` or up to `near` times more or less, and that length."""
-    for _ in range(12):
+    """A size whose `length` is `aim` or up to `near` times more or less, and that length.
+
+    In proportion until the aim lies between two sizes, then by halves in the logarithm: a
+    response may be flat at first and steep later. (`most`, its length) where that is short of it.
+    """
+    low, high = 0.0, math.inf
+    size = min(size, most)
+    for _ in range(60):
         found = length(size)
-        if aim / near < found < aim * near or (size >= most and found < aim):
+        if aim / near <= found <= aim * near or (size >= most and found < aim):
             break
-        size = min(size * min(max(aim / max(found, 1e-9), 0.01), 10.0), most)
+        low, high = (size, high) if found < aim else (low, size)
+        if low > 0.0 and high < math.inf:
+            size = math.sqrt(low * high)
+        else:
+            size = min(size * min(max(aim / max(found, 1e-9), 0.01), 10.0), most)
     return size, found
 
 

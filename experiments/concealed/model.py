@@ -57,6 +57,10 @@ class Sensing:
     # Outside the catalogue: windows of t in which the position log is late by so much.
     late_windows: list[tuple[float, float, float]] = field(default_factory=list)
 
+    def ahead(self, end: float) -> float:
+        """How far past its end a clock that gains reads a run of `end` seconds, s."""
+        return max(-(self.clock_offset + self.clock_rate * end), 0.0)
+
 
 @dataclass
 class Model:

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from . import effects
-from .hulls import HULLS
+from .effects_actuators import working_labels
+from .hulls import HULLS, Hull
+from .model import build
 
 
 NO_NAME = ("unexplained", "none", "")
@@ -27,12 +29,13 @@ class Outcome:
     verdict: str
     named: list[str]
     rivals: list[str]
-    log10_odds: list[float | None]
+    log10_odds: list[float | None]  # of each of `named`
     errors: dict[str, float] = field(default_factory=dict)  # relative, by "name.parameter"
     angles: dict[str, float] = field(default_factory=dict)  # rad
     covered: dict[str, bool] = field(default_factory=dict)
     onset: bool | None = None
     where: bool | None = None
+    placed: dict[str, bool] = field(default_factory=dict)  # by true name, where it was named
     audited: list[str] = field(default_factory=list)
     gain: dict | None = None
     next_manoeuvre: str | None = None
@@ -54,6 +57,11 @@ class Outcome:
     def right(self) -> bool:
         """Exactly the true names are asserted."""
         return self.decided and set(self.named) == set(self.true)
+
+    @property
+    def strict(self) -> bool:
+        """Right, and each in its place: channels, actuators, coefficients."""
+        return self.right and all(self.placed.get(n, False) for n in self.true)
 
     @property
     def top(self) -> bool:
@@ -99,14 +107,20 @@ def judge(truth: dict, diagnosis: dict | None, run: dict) -> Outcome:
     out.verdict = diagnosis["verdict"]
     out.next_manoeuvre = (diagnosis.get("next_experiment") or {}).get("manoeuvre")
     entries = [e for e in diagnosis["effects"] if e["name"] not in NO_NAME]
+    strongest = {e["name"]: e for e in reversed(entries)}  # the first entry of each name
     out.named = list(dict.fromkeys(e["name"] for e in entries))
     out.rivals = list(dict.fromkeys(a for e in entries for a in e.get("alternatives", [])))
-    out.log10_odds = [e.get("evidence", {}).get("log10_odds") for e in entries]
+    out.log10_odds = [strongest[n].get("evidence", {}).get("log10_odds") for n in out.named]
     out.audited = sorted({f["kind"] for f in diagnosis.get("audit", [])})
-    catalogue = effects.catalogue(HULLS[truth["hull"]])
-    seconds = HULLS[truth["hull"]].rows * HULLS[truth["hull"]].step
+    hull = HULLS[truth["hull"]]
+    catalogue, seconds = effects.catalogue(hull), hull.rows * hull.step
     for key in keys:
-        _parameters(out, catalogue[key], truth["named"], entries, seconds)
+        effect = catalogue[key]
+        _parameters(out, effect, truth["named"], entries, seconds)
+        said = [e for e in entries if e["name"] == effect.name]
+        if said:
+            values = truth["named"][effect.name]
+            out.placed[effect.name] = any(_in_place(hull, effect, values, e) for e in said)
     _where(out, [catalogue[k] for k in keys], diagnosis.get("where", []))
     out.gain = _gain(diagnosis)
     return out
@@ -140,6 +154,19 @@ def _parameters(out: Outcome, effect, named: dict, entries: list[dict], seconds:
         time = value("time")
         near = time is not None and abs(time - true["time"]) <= ONSET_SHARE * seconds
         out.onset = near if out.onset is None else out.onset and near
+
+
+def _in_place(hull: Hull, effect, values: dict, entry: dict) -> bool:
+    """Whether an entry has every main parameter of the truth, on its channels or actuators."""
+    if not set(effect.main) <= set(entry["parameters"]):
+        return False
+    if "channels" in values and set(entry.get("channels", ())) != set(values["channels"]):
+        return False
+    if "actuators" in values:
+        # An entry that acts on all channels does not list them.
+        said = entry.get("actuators") or build(hull.document).labels()
+        return set(said) == set(working_labels(hull, values["actuators"]))
+    return True
 
 
 def _where(out: Outcome, true: list, where: list[dict]) -> None:

@@ -72,7 +72,9 @@ def benign(model: Model, hull: Hull, rng: np.random.Generator) -> dict:
     h, U, yaw = model.hull, hull.speed, hull.yaw
     L, F = h["length"], weight(hull)
     done: dict = {}
-    kinds = ["power", "cubic", "coupling", "bend"] if hull.kind != "ship" else ["power", "cubic"]
+    kinds = ["cubic"] if hull.kind == "ship" else ["cubic", "coupling", "bend"]
+    if "X_uu" in h or "X_0" in h:  # what the exponent is of
+        kinds = ["power", *kinds]
     for kind in rng.choice(kinds, int(rng.integers(1, 3)), replace=False):
         if kind == "power":
             done[kind] = h["power"] = 1.9
@@ -81,10 +83,10 @@ def benign(model: Model, hull: Hull, rng: np.random.Generator) -> dict:
             done[kind] = h["N_vvv"] = h.get("N_vvv", 0.0) - 0.02
         elif kind == "cubic":
             share = 0.05 * float(rng.uniform(0.5, 1.0))
-            # A twentieth of the yaw damping at the typical yaw rate, growing with its cube.
-            done[kind] = h["N_rrr"] = (
-                share * (h["N_r"] * yaw + h.get("N_rr", 0.0) * yaw**2) / yaw**3
-            )
+            # A twentieth of the yaw damping at twice the typical yaw rate, as fast as hulls turn:
+            # a twentieth at the typical rate would be a fifth there, and seen at once.
+            top = 2.0 * yaw
+            done[kind] = h["N_rrr"] = share * (h["N_r"] + h.get("N_rr", 0.0) * top) / top**2
         elif kind == "coupling":
             share = 0.02 * float(rng.uniform(-1.0, 1.0))
             h["Y_r"] = h.get("Y_r", 0.0) + share * F / yaw

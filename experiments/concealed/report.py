@@ -98,7 +98,7 @@ def confusion(outcomes: list[Outcome]) -> tuple[list[str], list[str], np.ndarray
     """True effect (single ones, and the strata without) against the first name or the verdict."""
     label = lambda o: o.true[0] if o.limits else f"({o.stratum})"
     said = lambda o: o.named[0] if o.decided else f"({o.verdict})"
-    used = [o for o in outcomes if len(o.limits) < 2]
+    used = [o for o in outcomes if o.stratum == "single" or not o.limits]
     rows = sorted({label(o) for o in used}, key=lambda n: (n.startswith("("), n))
     names = {said(o) for o in used} | {r for r in rows if not r.startswith("(")}
     columns = sorted(n for n in names if not n.startswith("("))
@@ -163,15 +163,15 @@ def _table(path: Path, outcomes: list[Outcome], failed_only: bool) -> None:
             if failed_only and not what:
                 continue
             message = (o.failure or "").strip().splitlines()[-1:] or [""]
-            odds = [x for x in o.log10_odds if x is not None]
             writer.writerow([o.case, o.hull, o.stratum, "+".join(o.keys), _joined(o.limits),
-                             o.verdict, "+".join(o.named), "+".join(o.rivals), _joined(odds),
+                             o.verdict, "+".join(o.named), "+".join(o.rivals),
+                             _joined(o.log10_odds),
                              _joined(o.errors.values()), "+".join(map(str, o.covered.values())),
                              o.seconds, what, message[0]])  # fmt: skip
 
 
 def _joined(numbers) -> str:
-    return "+".join(f"{x:.3g}" for x in numbers)
+    return "+".join("" if x is None else f"{x:.3g}" for x in numbers)
 
 
 def _failure(o: Outcome) -> str:

@@ -58,8 +58,7 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
     standard = of("standard")
     found = lambda o: len(set(o.named) & set(o.true))
     large = [o for o in single if o.limits[0] >= LARGE]
-    errors = [(k, e) for o in effects for k, e in o.errors.items()]
-    values = [e for _, e in errors]
+    values = [e for o in effects for e in o.errors.values()]
     rates = {
         "failed": share(o.verdict == "failed" for o in outcomes),
         "false alarms, clean": share(bool(o.named) for o in of("clean")),
@@ -69,6 +68,7 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "named rightly, of all, at least 8 limits": share(o.right for o in large),
         "named rightly, of decided": share(o.right for o in single if o.decided),
         "named rightly, of all": share(o.right for o in single),
+        "named rightly, with its place, of decided": share(o.strict for o in single if o.decided),
         "first name right, of decided": share(o.top for o in single if o.decided),
         "first name right, of all": share(o.top for o in single),
         "truth in the set offered, of all": share(set(o.true) <= o.offered for o in single),
@@ -119,7 +119,7 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "numbers": numbers,
         "by_hull": {h: _of_hull([o for o in outcomes if o.hull == h])
                     for h in sorted({o.hull for o in outcomes})},
-        "by_effect": _by_effect(single, errors),
+        "by_effect": _by_effect(single),
         "power": power(single),
         "reliability": reliability(outcomes),
         "targets": TARGETS,
@@ -151,15 +151,16 @@ def _of_hull(part: list[Outcome]) -> dict:
     }
 
 
-def _by_effect(single: list[Outcome], errors: list[tuple[str, float]]) -> dict:
+def _by_effect(single: list[Outcome]) -> dict:
     found = {}
     for name in sorted({o.true[0] for o in single}):
         part = [o for o in single if o.true[0] == name]
+        errors = [e for o in part for e in o.errors.values()]
         found[name] = {
             "named rightly": share(o.right for o in part),
             "decided": share(o.decided for o in part),
             "offered": share(name in o.offered for o in part),
-            "parameter error, median": _median([e for k, e in errors if k.startswith(f"{name}.")]),
+            "parameter error, median": _median(errors),
         }
     return found
 
@@ -184,7 +185,7 @@ def reliability(outcomes: list[Outcome]) -> list[dict]:
         (odds, name in o.true)
         for o in outcomes
         if o.verdict == "explained"
-        for name, odds in zip(o.named, o.log10_odds, strict=False)
+        for name, odds in zip(o.named, o.log10_odds, strict=True)
         if odds is not None
     ]
     edges = (-math.inf, 1.0, 2.0, 3.0, 5.0, 10.0, math.inf)

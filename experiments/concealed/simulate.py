@@ -31,7 +31,8 @@ CHANNELS = ("x", "y", "psi", "u", "v", "r", "phi")
 class Track:
     """A simulated run: `states` (n, 7) of CHANNELS at `t`, finer than the rows, from before 0.
 
-    u, v over ground; `orders` (rows, channels) as logged, held from their row on.
+    Past the last row where a clock gains. u, v over ground; `orders` (rows, channels) as logged,
+    held from their row on.
     """
 
     t: np.ndarray
@@ -46,7 +47,7 @@ class Inertia:
 
     def __init__(self, model: Model, extra_mass: float):
         h, q = model.hull, model.ratio_of_depth
-        grow = (1.0 - q) ** -0.5
+        self.grow = grow = (1.0 - q) ** -0.5  # of added masses, in shallow water
         mass = h["mass"] + extra_mass
         x_G = h.get("x_G", 0.0)
         cross = 0.5 * (h.get("Y_rdot", 0.0) + h.get("N_vdot", 0.0)) * grow
@@ -108,6 +109,7 @@ def derivative(model: Model, servos: dict[str, Servo], gusts: Gusts | None, midd
     roll, wave, munk = model.roll, model.wave, model.munk + inertia.no_munk
     extra, slosh = model.extra_forces, model.slosh
     unequal = 0.5 * (model.hull.get("N_vdot", 0.0) - model.hull.get("Y_rdot", 0.0))
+    unequal *= inertia.grow
 
     def f(z, t):
         N_, E_, psi, P_N, P_E, h, phi, phi_dot, s_y, s_v = z.tolist()
@@ -237,7 +239,8 @@ def simulate(
 
     `policy(k, look)` gives the orders from row k on (k < 0 in the lead) as a list in the order
     of `model.labels()`, and the row at which it wants to be asked again; `look()` is the state
-    (CHANNELS) now. `start` is (x, y, psi, u) when the lead begins. `fine` states per row.
+    (CHANNELS) now. `start` is (x, y, psi, u) when the lead begins. `fine` states per row. For a
+    clock that gains the last orders are held as long as its readings run ahead.
     """
     labels = model.labels()
     k, end = -lead, rows - 1
@@ -259,7 +262,10 @@ def simulate(
         for label, value in zip(labels, values, strict=True):
             servos[label].order(k * step, value)
         orders[max(k, 0) : max(again, 0) + (again == end)] = values
-        grid = np.arange(k * fine, again * fine + 1) * (step / fine)
+        # Two rows more than a clock reads, so that the spline is as good there as elsewhere.
+        ahead = model.sensing.ahead(end * step) if again == end else 0.0
+        last_row = again + (math.ceil(ahead / step) + 2 if ahead > 0.0 else 0)
+        grid = np.arange(k * fine, last_row * fine + 1) * (step / fine)
         for t, z, inertia in _stretch(model, servos, gusts, last, grid):
             times.append(t)
             states.append(_motion(model, inertia, z))

@@ -198,7 +198,7 @@ def _candidates(model, d, t, dt, psi, u, v, r, acc, push, hull, inertial) -> dic
     sway, drift = acc[1] + r * u, acc[0] - r * v  # accelerations in space
     found = {
         "heading-offset": stack(kin(*ground(-v, u), zero)),
-        "hard-iron": stack(kin(*ground(-v * s, u * s), c * r), kin(*ground(-v * c, u * c), -s * r)),
+        "hard-iron": stack(kin(*ground(-v * s, u * s), -c * r), kin(*ground(-v * c, u * c), s * r)),
         "gyro-bias": stack(kin(zero, zero, one)),
         "lever-arm": stack(kin(-s * r, c * r, zero), kin(-c * r, -s * r, zero)),
         "sensor-latency": stack(
@@ -226,8 +226,7 @@ def _candidates(model, d, t, dt, psi, u, v, r, acc, push, hull, inertial) -> dic
         "crossflow-drag": stack(frc(zero, *_strips(model, v, r))),
         "sway-yaw-coupling": stack(frc(zero, r, zero), frc(zero, zero, v)),
         "speed-dependent-damping": stack(
-            frc(zero, u * r, zero), frc(zero, zero, u * r),
-            frc(zero, u * v, zero), frc(zero, zero, u * v),
+            frc(zero, u * r, zero), frc(zero, zero, u * r), frc(zero, u * v, zero)
         ),
         "added-mass-coupling": stack(frc(zero, acc[2], acc[1] + u * r), frc(zero, -(r**2), zero)),
         "munk-moment": stack(frc(zero, zero, u * v)),
