@@ -122,7 +122,7 @@ def effects_of(found: Diagnosis) -> list[dict]:
         effect = next(e for e in problem.layout.effects if e.name == one.name)
         physical = problem.layout.physical(one.name, found.final.coordinates)[0]
         said = effect.parameters(problem.base, physical)
-        inflation = one.fitted.estimate.inflation
+        inflation = one.fitted.inflation
         rows.append(
             {
                 "name": one.name,
