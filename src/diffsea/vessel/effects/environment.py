@@ -142,8 +142,8 @@ ENVIRONMENT = (
             "frequency",
         ),
         law="bias + amplitude sin(2 pi frequency t + phase) towards `direction`, fixed in the "
-        "earth, at amidships: one regular wave train with its mean drift, or a tow, of one phase on "
-        "the clocks of all runs",
+        "earth, at amidships: one regular wave train with its mean drift, or a tow, of one phase "
+        "on the clocks of all runs",
         confusables=("wind", "current"),
     ),
     Effect(
