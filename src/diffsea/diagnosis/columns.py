@@ -6,7 +6,7 @@ from jaxtyping import Float
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.gusts import Noise
 from diffsea.identification.likelihood import Gains
-from diffsea.identification.problem import Problem, jacobian, traced
+from diffsea.identification.problem import Problem, innovations, jacobian, traced
 
 
 Columns = Float[np.ndarray, "value column"]
@@ -37,7 +37,8 @@ def columns_of(
 
 def residual_at(problem: Problem, gains: Gains, coordinates: np.ndarray) -> np.ndarray:
     """Whitened innovations at some coordinates with these gains."""
-    return columns_of(problem, gains, coordinates, [])[0][: problem.tape.measured.size]
+    nothing = np.zeros((problem.layout.size, problem.width))
+    return innovations(np.zeros(0), traced(problem, gains, coordinates, nothing))
 
 
 def gains_at(problem: Problem, fitted: Estimate, noise: Noise | None = None) -> Gains:

@@ -217,6 +217,14 @@ def jacobian(start: np.ndarray, args: tuple[Inputs, Static]) -> tuple[np.ndarray
     return np.asarray(residual), np.asarray(J)
 
 
+_innovations = eqx.filter_jit(_white)
+
+
+def innovations(start: np.ndarray, args: tuple[Inputs, Static]) -> np.ndarray:
+    """The residual at `start` but for the prior's rows, without any derivative."""
+    return np.asarray(_innovations(_padded(args[0], start), args))
+
+
 def _padded(inputs: Inputs, start: np.ndarray) -> Array:
     """The free coordinates, with pushes of nothing."""
     whole = np.zeros(inputs.owner.size)
