@@ -233,7 +233,7 @@ HULL = (
     ),
     Effect(
         "munk-moment", "hull", {"Y_vdot - X_udot": "kg"}, _munk,
-        # Of the order of the moment that the model has; N_uv, the same by another name, may be more.
+        # Of the order of the moment that the model has; N_uv is the same by another name.
         lambda v: (0.3 * float(v.rigid_body.mass),),
         lambda v: v.added_mass.coriolis_terms == "full",
         law="N = (Y_vdot - X_udot) u v beyond that of the model's added masses (Munk 1924)",
