@@ -11,6 +11,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from tests.oracle import sensors
+from tests.oracle.simulator import simulate
 
 from diffsea.simulation.control import Helm
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
@@ -21,6 +23,20 @@ from diffsea.types import MOTION_CHANNELS, Environment, State, Trajectory
 
 ORACLE = Path(__file__).parent / "oracle"
 CALM = Environment()
+
+
+def random_steps(document, seed: int, seconds: float, step: float) -> Trajectory:
+    """A run of the oracle with random thrusts to both sides, as its sensors show it."""
+    rng = np.random.default_rng(seed)
+    thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
+    sim = simulate(document, [(t, thrust()) for t in np.arange(0, seconds, 4.0)], seconds)
+    t = np.arange(0.0, seconds, step)
+    rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
+    motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
+    commanded = {c: np.asarray(rec[f"cmd_{c}"], float) for c in ("port", "starboard")}
+    return Trajectory(
+        t, **motion, commanded=commanded, executed={}, extra={}, valid=np.ones(len(t), bool)
+    )
 
 
 def varied(document, hull=None, servo=None, effects=()):

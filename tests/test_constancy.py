@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.oracle import sensors
-from tests.oracle.simulator import load, simulate
+from tests.oracle.simulator import load
+from tests.runs import random_steps
 
 from diffsea.diagnosis.constancy import SHARE, constancy
 from diffsea.identification.fit import estimate
@@ -27,16 +27,7 @@ def document(request) -> dict:
 @pytest.fixture(scope="module")
 def plain(document) -> Trajectory:
     """A run of the oracle without any bias."""
-    rng = np.random.default_rng(7)
-    thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
-    sim = simulate(document, [(t, thrust()) for t in np.arange(0, SECONDS, 4.0)], SECONDS)
-    t = np.arange(0.0, SECONDS, STEP)
-    rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
-    motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}
-    commanded = {c: np.asarray(rec[f"cmd_{c}"], float) for c in ("port", "starboard")}
-    return Trajectory(
-        t, **motion, commanded=commanded, executed={}, extra={}, valid=np.ones(len(t), bool)
-    )
+    return random_steps(document, 7, SECONDS, STEP)
 
 
 def judged(document, run: Trajectory, bias: np.ndarray):

@@ -14,7 +14,7 @@ from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, beside, first_guess, near_the_best
 from diffsea.diagnosis.score import Score
-from diffsea.diagnosis.screening import Screening, Seen, mimicry, short_list
+from diffsea.diagnosis.screening import Screening, Seen, _expected, mimicry, short_list
 from diffsea.diagnosis.select import stalled
 from diffsea.identification.estimates import made
 from diffsea.identification.layout import Layout
@@ -322,3 +322,12 @@ def test_waves_beside_an_environment_for_each_run_have_no_room(boat):
     current = SimpleNamespace(free=("wave-force",))
     assert not refit.has_room(room, current, "current")  # 7 + 2 kinds for 8 seeds
     assert refit.has_room(SimpleNamespace(layout=layout, width=9 * 3, seeds=9), current, "current")
+
+
+def test_a_look_at_what_data_do_not_know_promises_nothing():
+    prior = np.eye(2) / 3  # of a prior three sizes wide
+    score = Score(0.0, 1.0, np.zeros(2), 1.0)
+    assert _expected(score, np.concatenate([np.zeros((9, 2)), prior])) == pytest.approx(0.0)
+    known = np.concatenate([np.diag([4.0, 2.0]), prior])
+    room = np.log(1 + 9 * 16) + np.log(1 + 9 * 4)
+    assert _expected(score._replace(statistic=20.0), known) == pytest.approx(20 - room)
