@@ -14,7 +14,7 @@ from diffsea.simulation.replay import (
 )
 from diffsea.types import Outcome, Trajectory
 from diffsea.vessel.catalogue import build
-from diffsea.vessel.sensors import Sensors
+from diffsea.vessel.sensors import Clock, Sensors
 
 
 def boat(**thruster):
@@ -108,7 +108,7 @@ def test_late_samples_are_continued_back_to_the_start():
 
 
 def test_a_clock_that_runs_ahead_shows_the_run_before_its_recording_begins():
-    vessel = dataclasses.replace(boat(), sensors=Sensors(clock_offset=-0.5))
+    vessel = dataclasses.replace(boat(), sensors=Sensors(clock=Clock(offset=-0.5)))
     t = np.arange(0.0, 60.0, 0.1)
     seen = dataclasses.replace(straight(t + 0.5, u0=3.0), t=t)
     assert replay_errors(replay(vessel, seen), seen)["position"] < 0.01

@@ -12,6 +12,7 @@ from diffsea.identification.likelihood import deviance
 from diffsea.identification.problem import make_problem
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
+from diffsea.vessel.effects import EFFECTS
 
 
 SEEN = ("x", "y", "psi", "u", "v", "r")
@@ -74,3 +75,25 @@ def test_a_filter_that_diverges_has_no_likelihood(document, run):
     assert np.isfinite(float(deviance(problem.tuned(coordinates, noise))))
     away = coordinates + 12.0  # drag 10^5 times as large: no step of the integration is stable
     assert not np.isfinite(float(deviance(problem.tuned(away, noise))))
+
+
+@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("rate", [0.02, -0.02])
+def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, rate, measured):
+    """After two minutes the clocks are three times sqrt(L / g) apart."""
+    off = {"rate": rate, "offset": 0.3}
+    drift = EFFECTS["clock-drift"]
+
+    def white(seen: Trajectory, vessel) -> np.ndarray:
+        """Variance of the whitened innovations of each channel."""
+        seen = dataclasses.replace(seen, executed=seen.commanded if measured else {})
+        problem = make_problem(vessel, [seen], ("X_u",))
+        tuned = problem.tuned(*problem.start())
+        return (np.asarray(tuned.white) ** 2).sum(0) / np.asarray(tuned.gains.used).sum(0)
+
+    vessel = build(document)
+    late = random_steps(document, 4, 120.0, 0.5, {"clock-drift": off})
+    known = drift.apply(vessel, np.array(drift.coordinates(vessel, off)))
+    right = white(run, vessel)
+    assert white(late, known) == pytest.approx(right, rel=0.5)
+    assert white(late, vessel).max() > 3 * right.max()

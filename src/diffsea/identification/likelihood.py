@@ -11,6 +11,8 @@ gains' own derivative costs no asymptotic efficiency, because the innovations ar
 uncorrelated with it (Ljung 1999, section 9.4).
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,7 +28,8 @@ from diffsea.simulation.integrate import rk4_looped
 from diffsea.simulation.replay import heeled
 from diffsea.types import MOTION_CHANNELS, Environment, Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.servo import OrderHistory, Response
+from diffsea.vessel.effects.actuators import on_channels
+from diffsea.vessel.servo import OrderHistory, Response, Servo
 
 
 class Gains(eqx.Module):
@@ -49,6 +52,31 @@ class Tuned(eqx.Module):
     F: Float[Array, "row 6 6"]  # the vessel's state to its next state
     H: Float[Array, "row 6 6"]  # the vessel's state to measurement
     kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
+
+
+def on_order_clock(vessel: Vessel, tape: Tape) -> tuple[Vessel, Tape]:
+    """A vessel without an error of the clock, and the tape with its rows when they truly were.
+
+    A state stamped t is that of t - (offset + rate t) on the clock of the orders: moving the
+    rows there is exact, however far the two clocks have parted.
+    """
+    clock = vessel.sensors.clock
+    if clock is None:
+        return vessel, tape
+    late = clock.late(tape.run_time)
+    t = tape.t - late
+    executed = {c: jnp.interp(t, tape.t, held) for c, held in tape.executed.items()}
+    moved = dataclasses.replace(
+        tape, t=t, run_time=tape.run_time - late, dt=tape.dt * (1 - clock.rate), executed=executed
+    )
+    right = dataclasses.replace(vessel.sensors, clock=None)
+    vessel = on_channels(vessel, vessel.channels, _delayed)
+    return dataclasses.replace(vessel, sensors=right), moved
+
+
+def _delayed(servo: Servo, _: eqx.Module) -> Servo:
+    """The servo with a delay, of zero where it has none: orders change within rows."""
+    return servo if servo.delay is not None else dataclasses.replace(servo, delay=0.0)
 
 
 def responses(vessel: Vessel, tape: Tape) -> dict[str, Response]:
@@ -125,7 +153,7 @@ def expected(
 
     state = jax.tree.map(jnp.asarray, state)
     first, second = jax.jvp(rate, (state,), (rate(state),))
-    return vessel.sensors.measure(state, first, second, row["run_time"])
+    return vessel.sensors.measure(state, first, second)
 
 
 class Trail(eqx.Module):
@@ -162,9 +190,9 @@ class Trail(eqx.Module):
         return x + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
 
 
-def shown(vessel: Vessel, x: Float[Array, "6"], row: dict, trail: Trail) -> Float[Array, "6"]:
+def shown(vessel: Vessel, x: Float[Array, "6"], trail: Trail) -> Float[Array, "6"]:
     """What the sensors should show in a state that was reached along a trail."""
-    lags = vessel.sensors.lags(row["run_time"])
+    lags = vessel.sensors.lags()
     lag = jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
     past = trail.past(x, lag)
     return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
@@ -210,12 +238,13 @@ def innovations(
     `diagnosis.locate`.
     """
     vessel, flows = equipped(base, layout, coordinates)
+    vessel, tape = on_order_clock(vessel, tape)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
         z, trail = restarted(*carry, row, tape.memory)
-        nu = innovation(row, shown(vessel, z[:6], row, trail))
+        nu = innovation(row, shown(vessel, z[:6], trail))
         z = z + _applied(correction, nu)
         trail = trail.after(z[:6], row["dt"])
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
@@ -269,6 +298,7 @@ def tune(
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = equipped(base, layout, coordinates)
+    vessel, tape = on_order_clock(vessel, tape)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
 
@@ -278,7 +308,7 @@ def tune(
         flow = row["flow"]
         z, trail = restarted(*before, row, tape.memory)
         P = jnp.where(row["starts"], P0, P)
-        nu = innovation(row, shown(vessel, z[:6], row, trail))
+        nu = innovation(row, shown(vessel, z[:6], trail))
         H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
         spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
         # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.

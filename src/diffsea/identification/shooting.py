@@ -119,6 +119,7 @@ def _shoot(
     states: Float[Array, "window 6"],
 ) -> Shot:
     vessel, flows = equipped(base, layout, coordinates)
+    vessel, tape = likelihood.on_order_clock(vessel, tape)
     number, begins, joins = cut
 
     def body(x: Float[Array, "6"], inputs: tuple) -> tuple:

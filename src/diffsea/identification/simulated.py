@@ -11,7 +11,15 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.gusts import Noise, gust_model
 from diffsea.identification.lanes import scan
 from diffsea.identification.layout import Layout, equipped
-from diffsea.identification.likelihood import Trail, faster, propagate, restarted, rows, shown
+from diffsea.identification.likelihood import (
+    Trail,
+    faster,
+    on_order_clock,
+    propagate,
+    restarted,
+    rows,
+    shown,
+)  # fmt: skip
 from diffsea.identification.problem import Problem, Static
 from diffsea.identification.tape import Tape
 from diffsea.vessel.base import Vessel
@@ -63,13 +71,14 @@ def _measured(
     """What sensors without noise show along a tape that gusts have shaken."""
     shape: Layout = layout.value
     vessel, flows = equipped(base, shape, coordinates)
+    vessel, tape = on_order_clock(vessel, tape)
     gusts, _ = gust_model(noise, tape.dt)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, blown, shock = inputs
         z, trail = restarted(*carry, row, tape.memory)
         z = z + jnp.where(row["starts"], 1.0, 0.0) * jnp.concatenate([jnp.zeros(6), blown])
-        seen = shown(vessel, z[:6], row, trail)
+        seen = shown(vessel, z[:6], trail)
         trail = trail.after(z[:6], row["dt"])
         kick = gust.half * z[6:]
         x = propagate(vessel, faster(z[:6], kick), row, row["flow"], tape.substeps)

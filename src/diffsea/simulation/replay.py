@@ -19,7 +19,7 @@ from diffsea.metrics.preparation import prepared
 from diffsea.simulation.integrate import rk4
 from diffsea.types import MOTION_CHANNELS, Environment, Outcome, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.sensors import Sensors
+from diffsea.vessel.sensors import Clock, Sensors
 from diffsea.vessel.servo import OrderHistory, Response
 
 
@@ -432,8 +432,8 @@ def _shown(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, 
 
 def _shown_at(sensors: Sensors, t: Samples, channel: str) -> Samples:
     """When a channel shows what was true at the times: `shown - lag(shown) = t`."""
-    start = float(sensors.lags(0.0)[channel])
-    return (t + start) / (1 - float(sensors.clock_rate))
+    clock = sensors.clock or Clock()
+    return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
 
 
 def _rms(difference: dict[str, Samples]) -> dict[str, float]:

@@ -8,10 +8,21 @@ from diffsea.kinematics import to_earth
 from diffsea.types import MOTION_CHANNELS, Scalar, State
 
 
+class Clock(eqx.Module):
+    """How far the clock of all motion channels lags that of the orders: `offset + rate t`."""
+
+    offset: Scalar = 0.0  # s
+    rate: Scalar = 0.0  # s per second of the run
+
+    def late(self, t: Scalar) -> Scalar:
+        """The lag in s of what is stamped `t`."""
+        return self.offset + self.rate * t
+
+
 class Sensors(eqx.Module):
     """Errors of the sensors; all zero for perfect ones.
 
-    `latency` is how far (s) a channel lags the clock of the commands.
+    `latency` is how far (s) a channel lags the clock of the motion channels.
     """
 
     heading_offset: Scalar = 0.0  # rad, measured minus true
@@ -24,12 +35,14 @@ class Sensors(eqx.Module):
     latency_heading: Scalar = 0.0
     latency_velocity: Scalar = 0.0
     latency_yaw_rate: Scalar = 0.0
-    clock_offset: Scalar = 0.0  # s, all motion channels lag by this and ...
-    clock_rate: Scalar = 0.0  # ... by this much more for each second of the run
+    clock: Clock | None = None  # None: that of the orders
 
-    def lags(self, t: Scalar = 0.0) -> dict[str, Scalar]:
-        """How late (s) each motion channel is at time `t` of the run."""
-        clock = self.clock_offset + self.clock_rate * t
+    def lags(self, t: Scalar | None = None) -> dict[str, Scalar]:
+        """How late (s) each motion channel is against the orders at time `t` of the run.
+
+        Without a time, against the motion channels' own clock.
+        """
+        clock = 0.0 if t is None or self.clock is None else self.clock.late(t)
         return {
             "x": self.latency_position + clock,
             "y": self.latency_position + clock,
@@ -39,8 +52,10 @@ class Sensors(eqx.Module):
             "r": self.latency_yaw_rate + clock,
         }
 
-    def measure(self, state: State, rate: State, jerk: State, t: Scalar = 0.0) -> Float[Array, "6"]:
-        """Measured (x, y, psi, u, v, r) of a state at time `t` of the run.
+    def measure(
+        self, state: State, rate: State, jerk: State, t: Scalar | None = None
+    ) -> Float[Array, "6"]:
+        """Measured (x, y, psi, u, v, r) of a state, at time `t` of the run or as in `lags`.
 
         `rate` and `jerk` are the first and second time derivatives of the state: a lagging
         channel is the Taylor polynomial of second order at t - latency, so latencies must

@@ -37,6 +37,7 @@ from diffsea.priors import Parameter
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.types import MOTION_CHANNELS, Scalar, State
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.actuators import on_channels
 from diffsea.vessel.servo import OrderHistory, Servo
 
 
@@ -153,8 +154,14 @@ def init(
         interval: longest time between measurements, s; only the integration's step depends on it.
 
     Raises:
-        UserError: an unknown name, a parameter without a scale, or a drift below zero.
+        UserError: an unknown name, a parameter without a scale, a drift below zero, or a vessel
+            whose clock is off: measurements come with the orders of their moment here.
     """
+    if vessel.sensors.clock is not None:
+        raise UserError(
+            "the vessel has the effect clock-drift; online, stamp measurements with the clock of "
+            "the orders and take the effect out of the vessel file"
+        )
     parameters = chosen(vessel, free)
     held = with_direct(vessel, measured)
     held = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), held)
@@ -267,13 +274,7 @@ def with_direct(vessel: Vessel, measured: tuple[str, ...]) -> Vessel:
                 f"{channel!r} is said to be measured, but the vessel has no such actuator "
                 f"channel; it has: {', '.join(vessel.channels)}"
             )
-
-    def changed(actuator: eqx.Module) -> eqx.Module:
-        servos = {c: Servo() if c in measured else s for c, s in actuator.servos.items()}
-        return eqx.tree_at(lambda a: a.servos, actuator, servos)
-
-    parts = {name: changed(actuator) for name, actuator in vessel.actuators.items()}
-    return eqx.tree_at(lambda v: v.actuators, vessel, parts)
+    return on_channels(vessel, measured, lambda servo, actuator: Servo())
 
 
 def _drifts(

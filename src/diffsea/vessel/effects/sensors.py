@@ -1,5 +1,6 @@
 """Errors of sensors and clocks."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import Coordinates, Effect, Numbers, shifted, time_scale
+from diffsea.vessel.sensors import Clock
 
 
 LATENCY_CHANNELS = {
@@ -45,6 +47,12 @@ def _latency(variant: str, groups: tuple[str, ...]) -> Effect:
             "lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current",
         ),
     )  # fmt: skip
+
+
+def _clock(vessel: Vessel, by: Coordinates) -> Vessel:
+    clock = vessel.sensors.clock or Clock()
+    clock = Clock(clock.offset + by[1], clock.rate + by[0])
+    return dataclasses.replace(vessel, sensors=dataclasses.replace(vessel.sensors, clock=clock))
 
 
 def _iron_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
@@ -88,10 +96,10 @@ SENSORS = (
         confusables=("sensor-latency", "current", "clock-drift"),
     ),
     Effect(
-        "clock-drift", "sensor", {"rate": "1", "offset": "s"},
-        _terms("clock_rate", "clock_offset"), lambda v: (0.003, 0.5 * time_scale(v)),
-        law="motion stamped t is that of t - (offset + rate t) on the clock of the orders; as "
-        "sensor-latency",
+        "clock-drift", "sensor", {"rate": "1", "offset": "s"}, _clock,
+        lambda v: (0.003, 0.5 * time_scale(v)),
+        law="motion stamped t is that of t - (offset + rate t) on the clock of the orders, which "
+        "is that of measured actuators, too",
         confusables=("thrust-delay", "sensor-latency", "thrust-lag"),
     ),
 )  # fmt: skip
