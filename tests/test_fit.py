@@ -116,7 +116,8 @@ def test_sequential_update_equals_the_joint_kalman_update():
     root = rng.normal(size=(9, 9))
     P, H, R = root @ root.T, rng.normal(size=(6, 6)), rng.uniform(0.5, 2.0, 6)
     used = np.array([True, True, False, True, True, True])
-    C, W, after, variance = updated(jnp.asarray(P), jnp.asarray(H), jnp.asarray(R), used)
+    still, late = np.zeros((9, 9)), np.zeros(6)
+    C, W, after, variance = updated(*map(jnp.asarray, (P, H, R, used, still, late)))
     h = np.hstack([H[used], np.zeros((5, 3))])  # gusts are not measured
     S = h @ P @ h.T + np.diag(R[used])
     K = P @ h.T @ np.linalg.inv(S)
@@ -126,6 +127,20 @@ def test_sequential_update_equals_the_joint_kalman_update():
     white = np.asarray(W) @ nu
     assert white @ white == pytest.approx(nu[used] @ np.linalg.solve(S, nu[used]))
     assert np.log(np.asarray(variance)).sum() == pytest.approx(np.linalg.slogdet(S)[1])
+
+
+def test_a_late_channel_tells_of_the_state_before_the_gusts():
+    """x = x_old + w, y = h x_old + e: what y says of x, from their joint covariance."""
+    rng = np.random.default_rng(1)
+    old, new = (0.5 * root @ root.T for root in rng.normal(size=(2, 9, 9)))
+    H, R, used = rng.normal(size=(6, 6)), rng.uniform(0.5, 2.0, 6), np.arange(6) == 2
+    late, h = 0.6 * used, np.append(H[2], np.zeros(3))
+    P = old + 0.6 * new
+    C, W, after, variance = updated(*map(jnp.asarray, (P, H, R, used, new, late)))
+    s = h @ old @ h + R[2]
+    np.testing.assert_allclose(np.asarray(C)[:, 2], old @ h / s, atol=1e-9)
+    np.testing.assert_allclose(after, P - np.outer(old @ h, old @ h) / s, atol=1e-9)
+    assert float(variance[2]) == pytest.approx(s)
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.02, 0.5, 3.0])

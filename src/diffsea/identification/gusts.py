@@ -76,20 +76,35 @@ def product(a: Float[Array, "n n"], b: Float[Array, "n n"]) -> Float[Array, "n n
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 
+OLD = 0.1  # least share of a late channel's variance that is older than the row's gusts
+
+
 def updated(
-    P: Float[Array, "9 9"], H: Float[Array, "6 6"], R: Float[Array, "6"], used: Bool[Array, "6"]
+    P: Float[Array, "9 9"],
+    H: Float[Array, "6 6"],
+    R: Float[Array, "6"],
+    used: Bool[Array, "6"],
+    Q: Float[Array, "9 9"],
+    late: Float[Array, "6"],
 ) -> tuple:
     """One channel after the other: correction, whitening, covariance and innovation variances.
 
     Sensors are independent and do not see gusts, so six scalar updates equal the joint one
     (Bierman 1977), and their innovations are the whitened ones, without any factorisation.
     In terms of the joint innovation nu the state's correction is C nu, built up row by row.
+
+    A channel that is so many rows `late` knows nothing of what gusts have added since, `Q` in
+    each: its covariance with the state, and its own, are those of P - late Q.
     """
 
     def channel(carry: tuple, one: tuple) -> tuple[tuple, tuple]:
         C, P = carry
-        h, noise, known, unit = one
+        h, noise, known, unit, late = one
         h = jnp.where(known, h, 0.0)
+        whole, new = (jnp.sum(h * jnp.sum(M[:6, :6] * h, axis=1)) for M in (P, Q))
+        share = jnp.where(new > 0, (1 - OLD) * whole / jnp.where(new > 0, new, 1.0), 0.0)
+        since = jnp.clip(late, 0.0, share) * Q
+        P = P - since
         Ph = jnp.sum(P[:, :6] * h, axis=1)
         s = jnp.where(known, jnp.sum(h * Ph[:6]) + noise, 1.0)
         fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
@@ -98,8 +113,9 @@ def updated(
         # Joseph form: stays positive definite however small the sensor noise.
         left = P - gain[:, None] * Ph[None, :]
         spare = jnp.sum(left[:, :6] * h, axis=1) - noise * gain
-        return (C, left - spare[:, None] * gain[None, :]), (fresh / jnp.sqrt(s), s)
+        P = left - spare[:, None] * gain[None, :] + since
+        return (C, P), (fresh / jnp.sqrt(s), s)
 
-    channels = H, R, used, np.eye(6)
+    channels = H, R, used, np.eye(6), late
     (C, P), (rows, variances) = jax.lax.scan(channel, (jnp.zeros((9, 6)), P), channels)
     return C, rows, P, variances

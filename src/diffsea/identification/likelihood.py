@@ -52,6 +52,7 @@ class Tuned(eqx.Module):
     F: Float[Array, "row 6 6"]  # the vessel's state to its next state
     H: Float[Array, "row 6 6"]  # the vessel's state to measurement
     kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
+    late: Float[Array, "row 6"]  # rows that each channel lags
 
 
 def on_order_clock(vessel: Vessel, tape: Tape) -> tuple[Vessel, Tape]:
@@ -175,6 +176,13 @@ class Trail(eqx.Module):
         states = jnp.concatenate([x[None], self.states[:-1]])
         return Trail(states, jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt)
 
+    def corrected(
+        self, gain: Float[Array, "9 6"], nu: Float[Array, "6"], lag: Float[Array, "6"]
+    ) -> "Trail":
+        """With what late channels are still to show moved as their innovations move the state."""
+        told = jnp.where(self.ages[:, None] <= lag, nu, 0.0)
+        return Trail(self.states + jnp.sum(gain[:6] * told[:, None, :], axis=-1), self.ages)
+
     def past(self, x: Float[Array, "6"], lag: Float[Array, "6"]) -> Float[Array, "6"]:
         """Each number of the state as it was `lag` s ago: linear between rows.
 
@@ -190,11 +198,15 @@ class Trail(eqx.Module):
         return x + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
 
 
+def latencies(vessel: Vessel) -> Float[Array, "6"]:
+    """How late (s) each motion channel is."""
+    lags = vessel.sensors.lags()
+    return jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
+
+
 def shown(vessel: Vessel, x: Float[Array, "6"], trail: Trail) -> Float[Array, "6"]:
     """What the sensors should show in a state that was reached along a trail."""
-    lags = vessel.sensors.lags()
-    lag = jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
-    past = trail.past(x, lag)
+    past = trail.past(x, latencies(vessel))
     return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
 
 
@@ -239,13 +251,14 @@ def innovations(
     """
     vessel, flows = equipped(base, layout, coordinates)
     vessel, tape = on_order_clock(vessel, tape)
+    lag = latencies(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
         z, trail = restarted(*carry, row, tape.memory)
         nu = innovation(row, shown(vessel, z[:6], trail))
-        z = z + _applied(correction, nu)
+        z, trail = z + _applied(correction, nu), trail.corrected(correction, nu, lag)
         trail = trail.after(z[:6], row["dt"])
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
         x = propagate(vessel, faster(z[:6], kick), row, flow, tape.substeps)
@@ -301,6 +314,7 @@ def tune(
     vessel, tape = on_order_clock(vessel, tape)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
+    lag = latencies(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, Q = inputs
@@ -315,15 +329,16 @@ def tune(
         near = (jnp.abs(nu) < gate * spread) | ~jnp.isfinite(nu / spread)
         used = row["known"] & (near | row["starts"])
         nu = jnp.where(used, nu, 0.0)
-        K, W, P, variance = updated(P, H, R, used)
-        z = z + _applied(K, nu)
+        late = lag / jnp.where(row["dt"] > 0, row["dt"], 1.0)
+        K, W, P, variance = updated(P, H, R, used, Q, late)
+        z, trail = z + _applied(K, nu), trail.corrected(K, nu, lag)
         trail = trail.after(z[:6], row["dt"])
         kick = gust.half * z[6:]
         x = faster(z[:6], kick)
         F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
         x = faster(propagate(vessel, x, row, flow, tape.substeps), kick)
-        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick)
+        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick, late)
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
     gusts, Q = gust_model(noise, tape.dt)

@@ -29,6 +29,7 @@ class Path(eqx.Module):
     nu: Float[Array, "row 6"]
     used: Float[Array, "row 6"]
     kick: Float[Array, "row 3"]
+    late: Float[Array, "row 6"]
 
 
 class Clock(eqx.Module):
@@ -112,7 +113,7 @@ def _rerun(path: Path, clock: Clock, noise: Noise) -> tuple:
         at, gust, more, start = inputs
         d, a, P = jnp.where(start, 0.0, d), jnp.where(start, 0.0, a), jnp.where(start, P0, P)
         nu = jnp.where(at.used, at.nu - jnp.sum(at.H * d, axis=1), 0.0)
-        C, W, P, variance = updated(P, at.H, R, at.used)
+        C, W, P, variance = updated(P, at.H, R, at.used, more, at.late)
         white = jnp.sum(W * nu, axis=1)
         change = jnp.sum(C * nu, axis=1)
         d = d + change[:6] - jnp.sum(at.K * at.nu, axis=1)[:6]

@@ -129,7 +129,8 @@ def _no_coupling(vessel: Vessel) -> bool:
 
 def _inertia_sizes(*names: str) -> Callable[[Vessel], tuple[float, ...]]:
     def sizes(vessel: Vessel) -> tuple[float, ...]:
-        length = 0.02 * float(vessel.rigid_body.length)
+        # A load at one end, or another origin than amidships: the Otter's x_G is L / 10.
+        length = 0.05 * float(vessel.rigid_body.length)
         moment = length * float(vessel.rigid_body.mass)
         return tuple(length if name == "x_G" else moment for name in names)
 

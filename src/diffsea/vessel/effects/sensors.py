@@ -39,10 +39,9 @@ def _all_late(*groups: str) -> Callable[[Vessel, Coordinates], Vessel]:
 def _latency(variant: str, groups: tuple[str, ...]) -> Effect:
     return Effect(
         f"sensor-latency:{variant}", "sensor", {"delay": "s"}, _all_late(*groups),
-        lambda v: (time_scale(v),), positive=True, valid=0.35,
+        lambda v: (time_scale(v),), positive=True, valid=1.0,
         where={"channels": [name for group in groups for name in LATENCY_CHANNELS[group]]},
-        law="measured(t) = true(t - delay), as its Taylor polynomial of second order: for delays "
-        "short against the vessel's own response",
+        law="measured(t) = true(t - delay), for delays up to the vessel's own response",
         confusables=(
             "lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current",
         ),
