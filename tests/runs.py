@@ -25,12 +25,14 @@ ORACLE = Path(__file__).parent / "oracle"
 CALM = Environment()
 
 
-def random_steps(document, seed: int, seconds: float, step: float, effects=None) -> Trajectory:
+def random_steps(
+    document, seed: int, seconds: float, step: float, effects=None, gust=None
+) -> Trajectory:
     """A run of the oracle with random thrusts to both sides, as its sensors show it."""
     rng = np.random.default_rng(seed)
     thrust = lambda: dict(zip(("port", "starboard"), rng.uniform(30, 210, 2), strict=True))
     orders = [(t, thrust()) for t in np.arange(0, seconds, 4.0)]
-    sim = simulate(document, orders, seconds, effects)
+    sim = simulate(document, orders, seconds, effects, gust=gust)
     t = np.arange(0.0, seconds, step)
     rec = sensors.record(sim, t, sensors.suite(), rng, wrapped=False)
     motion = {c: np.asarray(rec[c], float) for c in ("x", "y", "psi", "u", "v", "r")}

@@ -130,17 +130,23 @@ def test_sequential_update_equals_the_joint_kalman_update():
 
 
 def test_a_late_channel_tells_of_the_state_before_the_gusts():
-    """x = x_old + w, y = h x_old + e: what y says of x, from their joint covariance."""
+    """y = h (x - w) + e with w the gusts since: the less, the later, and nothing in the end."""
     rng = np.random.default_rng(1)
-    old, new = (0.5 * root @ root.T for root in rng.normal(size=(2, 9, 9)))
+    P, Q = (root @ root.T for root in rng.normal(size=(2, 9, 9)))
     H, R, used = rng.normal(size=(6, 6)), rng.uniform(0.5, 2.0, 6), np.arange(6) == 2
-    late, h = 0.6 * used, np.append(H[2], np.zeros(3))
-    P = old + 0.6 * new
-    C, W, after, variance = updated(*map(jnp.asarray, (P, H, R, used, new, late)))
-    s = h @ old @ h + R[2]
-    np.testing.assert_allclose(np.asarray(C)[:, 2], old @ h / s, atol=1e-9)
-    np.testing.assert_allclose(after, P - np.outer(old @ h, old @ h) / s, atol=1e-9)
-    assert float(variance[2]) == pytest.approx(s)
+    h = np.append(H[2], np.zeros(3))
+
+    def told(rows: float) -> tuple:
+        late = rows * used
+        return updated(*map(jnp.asarray, (P, H, R, used, Q, late)))
+
+    C, _, after, variance = told(1e-4)
+    assert float(variance[2]) == pytest.approx(h @ (P - 1e-4 * Q) @ h + R[2], rel=1e-7)
+    for rows in (0.5, 5.0, 500.0):
+        C, _, after, variance = told(rows)
+        assert np.linalg.eigvalsh(after).min() > -1e-9
+        assert R[2] < float(variance[2]) < h @ P @ h + R[2]
+    assert np.abs(C).max() < 0.02 * np.abs(told(0.0)[0]).max()
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.02, 0.5, 3.0])

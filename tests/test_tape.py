@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tests.oracle.sensors import gust
 from tests.oracle.simulator import load
 from tests.runs import random_steps
 
-from diffsea.identification.fit import posterior
+from diffsea.identification.fit import estimate, posterior
 from diffsea.identification.likelihood import deviance
 from diffsea.identification.problem import make_problem
 from diffsea.types import Trajectory
@@ -97,3 +98,17 @@ def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, 
     right = white(run, vessel)
     assert white(late, known) == pytest.approx(right, rel=0.5)
     assert white(late, vessel).max() > 3 * right.max()
+
+
+def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
+    """Gusts move the vessel a great deal within the delay, two and a half rows."""
+    vessel, delay = build(document), 0.5
+    late = {"sensor-latency": {"delay": delay, "channels": ["u", "v"]}}
+    blow = gust(np.random.default_rng(9), 0.0, 160.0, std=(0.1, 0.1, 0.05), tau=(2.0, 2.0, 2.0))
+    seen = random_steps(document, 1, 160.0, 0.2, late, blow)
+    effect = EFFECTS["sensor-latency:velocity"]
+    free = ("X_u", "X_uu", "Y_v", "N_r")
+    problem = make_problem(vessel, [seen], free, (effect,), room=1)
+    fitted = estimate(problem, (*free, effect.name))
+    found = problem.layout.physical(effect.name, fitted.coordinates).item()
+    assert found == pytest.approx(delay, rel=0.1)

@@ -76,9 +76,6 @@ def product(a: Float[Array, "n n"], b: Float[Array, "n n"]) -> Float[Array, "n n
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 
-OLD = 0.1  # least share of a late channel's variance that is older than the row's gusts
-
-
 def updated(
     P: Float[Array, "9 9"],
     H: Float[Array, "6 6"],
@@ -94,27 +91,27 @@ def updated(
     In terms of the joint innovation nu the state's correction is C nu, built up row by row.
 
     A channel that is so many rows `late` knows nothing of what gusts have added since, `Q` in
-    each: its covariance with the state, and its own, are those of P - late Q.
+    each. Only a share P / (P + late Q) of what is uncertain now was so then, in its direction:
+    its innovation varies by as much less, and tells of the state as if noisier by as much.
     """
 
     def channel(carry: tuple, one: tuple) -> tuple[tuple, tuple]:
         C, P = carry
         h, noise, known, unit, late = one
         h = jnp.where(known, h, 0.0)
-        whole, new = (jnp.sum(h * jnp.sum(M[:6, :6] * h, axis=1)) for M in (P, Q))
-        share = jnp.where(new > 0, (1 - OLD) * whole / jnp.where(new > 0, new, 1.0), 0.0)
-        since = jnp.clip(late, 0.0, share) * Q
-        P = P - since
         Ph = jnp.sum(P[:, :6] * h, axis=1)
-        s = jnp.where(known, jnp.sum(h * Ph[:6]) + noise, 1.0)
+        now, since = jnp.sum(h * Ph[:6]), late * jnp.sum(h * jnp.sum(Q[:6, :6] * h, axis=1))
+        old = jnp.where(since > 0, now / (now + since), 1.0)
+        noise = noise / old
+        s = jnp.where(known, now + noise, 1.0)
         fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
         gain = Ph / s
         C = C + gain[:, None] * fresh[None, :]
         # Joseph form: stays positive definite however small the sensor noise.
         left = P - gain[:, None] * Ph[None, :]
         spare = jnp.sum(left[:, :6] * h, axis=1) - noise * gain
-        P = left - spare[:, None] * gain[None, :] + since
-        return (C, P), (fresh / jnp.sqrt(s), s)
+        variance = jnp.where(known, s * old, 1.0)
+        return (C, left - spare[:, None] * gain[None, :]), (fresh / jnp.sqrt(variance), variance)
 
     channels = H, R, used, np.eye(6), late
     (C, P), (rows, variances) = jax.lax.scan(channel, (jnp.zeros((9, 6)), P), channels)
