@@ -8,7 +8,9 @@ from tests.oracle.sensors import gust
 from tests.oracle.simulator import load
 from tests.runs import random_steps
 
+from diffsea.errors import UserError
 from diffsea.identification.fit import estimate, posterior
+from diffsea.identification.holdout import split
 from diffsea.identification.likelihood import deviance
 from diffsea.identification.problem import make_problem
 from diffsea.types import Trajectory
@@ -112,3 +114,10 @@ def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
     fitted = estimate(problem, (*free, effect.name))
     found = problem.layout.physical(effect.name, fitted.coordinates).item()
     assert found == pytest.approx(delay, rel=0.1)
+
+
+def test_too_little_held_out_is_told(document, run):
+    vessel = build(document)
+    problem_of = lambda runs, least: make_problem(vessel, runs, ("X_u",), least=least)
+    with pytest.raises(UserError, match="only 12 rows are held out"):
+        split(problem_of, [run], [rows(run, run.t < 6)], False)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import block_sums, estimate
 from diffsea.identification.likelihood import Tuned
@@ -17,6 +18,7 @@ from diffsea.types import Trajectory
 
 TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given
 HEAD_SHARE = 0.4  # of a held-out recording, from which its own environment is estimated
+BLOCK = 8  # rows at least whose gains count as one: two blocks tell how much they scatter
 
 
 class Gain(NamedTuple):
@@ -67,6 +69,9 @@ def split(
     `problem_of` makes a problem from recordings on a tape of at least some shape: all of
     one shape share their compiled programs. `per_run` says whether each recording has an
     environment of its own.
+
+    Raises:
+        UserError: too little is held out to judge anything on.
     """
     train, held_out, heads, by_time = recordings, test, None, not test
     if by_time:
@@ -79,8 +84,18 @@ def split(
         shapes = [problem_of(runs, least).tape.shape for runs in (train, held_out)]
         shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
+    _check_length(test_problem)
     head = None if heads is None else problem_of(heads, shape)
     return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), by_time)
+
+
+def _check_length(held_out: Problem) -> None:
+    rows = int(np.asarray(held_out.tape.known).any(1).sum())
+    if rows < 2 * BLOCK:
+        raise UserError(
+            f"only {rows} rows are held out to judge models on, at least {2 * BLOCK} are needed: "
+            "use longer recordings, or name whole ones with --test"
+        )
 
 
 def cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
@@ -137,7 +152,7 @@ def gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     new = row_deviance(split.test, transferred(split, fitted), fitted)
     known = np.asarray(split.test.tape.known).any(1)
     difference = (old - new)[known][:, None]
-    length = max(8, len(difference) // 30)
+    length = max(BLOCK, len(difference) // 30)
     sums = block_sums(difference, length)[:, 0]
     return Gain(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
 
