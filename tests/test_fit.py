@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
+from diffsea.diagnosis.columns import columns_of, gains_at, residual_at
 from diffsea.errors import UserError
 from diffsea.identification import problem
 from diffsea.identification.colour import autocorrelation, inflation
@@ -163,6 +164,16 @@ def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
         assert 2 * gusts.half[0, k] == pytest.approx(F[0, 1])
         both = np.ix_([3 + k, 6 + k], [3 + k, 6 + k])
         np.testing.assert_allclose(np.asarray(Q[0])[both], F @ block[:2, 2:], rtol=1e-6, atol=1e-15)
+
+
+def test_a_residual_without_derivatives_is_the_same_residual(fitted):
+    problem, result = fitted
+    gains = gains_at(problem, result)
+    away = result.coordinates + 0.2 * np.resize([1.0, -1.0], result.coordinates.size)
+    whole, _ = columns_of(problem, gains, away, [0])
+    alone = residual_at(problem, gains, away)
+    np.testing.assert_allclose(alone, whole[: alone.size], atol=1e-12)
+    assert alone.size == problem.tape.measured.size and np.abs(alone).max() > 1.0
 
 
 def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
