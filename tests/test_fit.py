@@ -150,6 +150,22 @@ def test_a_late_channel_tells_of_the_state_before_the_gusts():
     assert np.abs(C).max() < 0.02 * np.abs(told(0.0)[0]).max()
 
 
+@pytest.mark.parametrize("rows", [0.5, 2.0, 5.0])
+def test_a_random_walk_seen_late_is_followed_as_one_seen_at_once(rows):
+    """Gain and innovation variance in the steady state, from the scalar Riccati equation."""
+    q, noise, seen = 0.3, 1.0, np.arange(6) == 3
+    Q, P = np.diag(np.append(q * seen, np.zeros(3))), np.eye(9)
+    late = rows * seen
+    for _ in range(300):
+        C, _, after, variance = updated(
+            *map(jnp.asarray, (P, np.eye(6), np.full(6, noise), seen, Q, late))
+        )
+        P = np.asarray(after) + Q
+    before = 0.5 * (q + np.sqrt(q**2 + 4 * q * noise))
+    assert float(variance[3]) == pytest.approx(before + noise)
+    assert float(C[3, 3]) == pytest.approx(before / (before + noise))
+
+
 @pytest.mark.parametrize("dt", [0.0, 0.02, 0.5, 3.0])
 def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
     """Van Loan's matrix exponential of d(speed) = a dt + g dw, d a = -a dt / T + b dw'."""

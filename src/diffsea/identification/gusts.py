@@ -92,7 +92,9 @@ def updated(
 
     A channel that is so many rows `late` knows nothing of what gusts have added since, `Q` in
     each. Only a share P / (P + late Q) of what is uncertain now was so then, in its direction:
-    its innovation varies by as much less, and tells of the state as if noisier by as much.
+    its innovation varies by as much less, and tells of the state as if noisier by as much. Of what
+    the state's variance would lose by that, the share that is new stays: in the steady state of a
+    random walk seen late, gain and variance are exactly those of one seen at once.
     """
 
     def channel(carry: tuple, one: tuple) -> tuple[tuple, tuple]:
@@ -111,7 +113,8 @@ def updated(
         left = P - gain[:, None] * Ph[None, :]
         spare = jnp.sum(left[:, :6] * h, axis=1) - noise * gain
         variance = jnp.where(known, s * old, 1.0)
-        return (C, left - spare[:, None] * gain[None, :]), (fresh / jnp.sqrt(variance), variance)
+        P = left - spare[:, None] * gain[None, :] + (1 - old) * gain[:, None] * Ph[None, :]
+        return (C, P), (fresh / jnp.sqrt(variance), variance)
 
     channels = H, R, used, np.eye(6), late
     (C, P), (rows, variances) = jax.lax.scan(channel, (jnp.zeros((9, 6)), P), channels)
