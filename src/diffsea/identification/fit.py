@@ -94,7 +94,9 @@ def _walk(
 
 def _path(tuned: Tuned) -> Path:
     g = tuned.gains
-    return Path(tuned.F, tuned.H, g.correction, tuned.nu, g.used, tuned.kick, tuned.late)
+    return Path(
+        tuned.F, tuned.H, g.correction, tuned.nu, g.used, tuned.kick, tuned.lasting, tuned.late
+    )
 
 
 def _clock(problem: Problem) -> Clock:

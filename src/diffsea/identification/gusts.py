@@ -71,14 +71,14 @@ def predicted(
     return product(product(whole, P), whole.T) + Q
 
 
-def product(a: Float[Array, "n n"], b: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
     """Matrix product as fused multiplications, for the reason of `_applied`."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 
 def updated(
     P: Float[Array, "9 9"],
-    H: Float[Array, "6 6"],
+    H: Float[Array, "6 9"],
     R: Float[Array, "6"],
     used: Bool[Array, "6"],
     Q: Float[Array, "9 9"],
@@ -86,9 +86,9 @@ def updated(
 ) -> tuple:
     """One channel after the other: correction, whitening, covariance and innovation variances.
 
-    Sensors are independent and do not see gusts, so six scalar updates equal the joint one
-    (Bierman 1977), and their innovations are the whitened ones, without any factorisation.
-    In terms of the joint innovation nu the state's correction is C nu, built up row by row.
+    Sensors are independent, so six scalar updates equal the joint one (Bierman 1977), and their
+    innovations are the whitened ones, without any factorisation. In terms of the joint
+    innovation nu the state's correction is C nu, built up row by row.
 
     A channel that is so many rows `late` knows nothing of what gusts have added since, `Q` in
     each. Only a share P / (P + late Q) of what is uncertain now was so then, in its direction:
@@ -101,17 +101,17 @@ def updated(
         C, P = carry
         h, noise, known, unit, late = one
         h = jnp.where(known, h, 0.0)
-        Ph = jnp.sum(P[:, :6] * h, axis=1)
-        now, since = jnp.sum(h * Ph[:6]), late * jnp.sum(h * jnp.sum(Q[:6, :6] * h, axis=1))
+        Ph = jnp.sum(P * h, axis=1)
+        now, since = jnp.sum(h * Ph), late * jnp.sum(h * jnp.sum(Q * h, axis=1))
         old = jnp.where(since > 0, now / (now + since), 1.0)
         noise = noise / old
         s = jnp.where(known, now + noise, 1.0)
-        fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C[:6], axis=0), 0.0)
+        fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C, axis=0), 0.0)
         gain = Ph / s
         C = C + gain[:, None] * fresh[None, :]
         # Joseph form: stays positive definite however small the sensor noise.
         left = P - gain[:, None] * Ph[None, :]
-        spare = jnp.sum(left[:, :6] * h, axis=1) - noise * gain
+        spare = jnp.sum(left * h, axis=1) - noise * gain
         variance = jnp.where(known, s * old, 1.0)
         P = left - spare[:, None] * gain[None, :] + (1 - old) * gain[:, None] * Ph[None, :]
         return (C, P), (fresh / jnp.sqrt(variance), variance)

@@ -50,8 +50,9 @@ class Tuned(eqx.Module):
     white: Float[Array, "row 6"]  # the same, whitened
     variance: Float[Array, "row 6"]  # of the sequential innovations; one where missing
     F: Float[Array, "row 6 6"]  # the vessel's state to its next state
-    H: Float[Array, "row 6 6"]  # the vessel's state to measurement
+    H: Float[Array, "row 6 9"]  # the filter's state to measurement
     kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
+    lasting: Float[Array, "row 3"]  # accelerations by lasting gusts, before the row's measurements
     late: Float[Array, "row 6"]  # rows that each channel lags
 
 
@@ -140,17 +141,20 @@ def _part(response: Response, start: float, share: float) -> Response:
 
 
 def expected(
-    vessel: Vessel, x: Float[Array, "6"], row: dict, flow: Environment
+    vessel: Vessel, z: Float[Array, "9"], row: dict, flow: Environment
 ) -> Float[Array, "6"]:
     """What the sensors should show in a state, late channels by a Taylor polynomial.
 
-    It says how what is shown depends on the present state, which a trail does not.
+    It says how what is shown depends on the present state, which a trail does not. Lasting gusts
+    are part of the rate at which the present was reached.
     """
-    state = State(*x)
+    state = State(*z[:6])
+    lasting = State(0.0, 0.0, 0.0, *z[6:])
     executed = {c: r.start for c, r in row["response"].items()}
 
     def rate(at: State) -> State:
-        return vessel.rate(at, executed, flow, row["run_time"])
+        own = vessel.rate(at, executed, flow, row["run_time"])
+        return jax.tree.map(jnp.add, own, lasting)
 
     state = jax.tree.map(jnp.asarray, state)
     first, second = jax.jvp(rate, (state,), (rate(state),))
@@ -158,10 +162,17 @@ def expected(
 
 
 class Trail(eqx.Module):
-    """The states of the rows before, from which late channels are read."""
+    """The states of the rows before, from which late channels are read.
+
+    An innovation of a late channel tells of that past: a state so long ago was wrong by what the
+    present is found to be wrong by, less what its rate was wrong by for so long. All that has
+    been found since is a line in time, and states are kept less that line.
+    """
 
     states: Float[Array, "memory 6"]  # the latest first
     ages: Float[Array, "memory"]  # s
+    level: Float[Array, "6"]  # of the line at time zero
+    slope: Float[Array, "6"]  # per s
 
     @staticmethod
     def begun(x: Float[Array, "6"], memory: int) -> "Trail":
@@ -169,33 +180,35 @@ class Trail(eqx.Module):
         ages = 0.1 * jnp.arange(1.0, memory + 1)
         north, east = to_earth(x[3], x[4], x[2])
         rate = jnp.stack([north, east, x[5], *(jnp.zeros(3))])
-        return Trail(x - ages[:, None] * rate, ages)
+        return Trail(x - ages[:, None] * rate, ages, jnp.zeros(6), jnp.zeros(6))
 
-    def after(self, x: Float[Array, "6"], dt: Scalar) -> "Trail":
-        """With the state of this row, `dt` s later."""
-        states = jnp.concatenate([x[None], self.states[:-1]])
-        return Trail(states, jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt)
+    def corrected(self, step: Float[Array, "9"], psi: Scalar, t: Scalar) -> "Trail":
+        """With what late channels have found at time `t`, as a step of the filter's state."""
+        north, east = to_earth(step[3], step[4], psi)
+        rate = jnp.stack([north, east, step[5], *step[6:]])
+        level = self.level + step[:6] - t * rate
+        return Trail(self.states, self.ages, level, self.slope + rate)
 
-    def corrected(
-        self, gain: Float[Array, "9 6"], nu: Float[Array, "6"], lag: Float[Array, "6"]
-    ) -> "Trail":
-        """With what late channels are still to show moved as their innovations move the state."""
-        told = jnp.where(self.ages[:, None] <= lag, nu, 0.0)
-        return Trail(self.states + jnp.sum(gain[:6] * told[:, None, :], axis=-1), self.ages)
+    def after(self, x: Float[Array, "6"], t: Scalar, dt: Scalar) -> "Trail":
+        """With the state at time `t`, `dt` s later."""
+        kept = x - self.level - t * self.slope
+        states = jnp.concatenate([kept[None], self.states[:-1]])
+        ages = jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt
+        return Trail(states, ages, self.level, self.slope)
 
-    def past(self, x: Float[Array, "6"], lag: Float[Array, "6"]) -> Float[Array, "6"]:
-        """Each number of the state as it was `lag` s ago: linear between rows.
+    def past(self, x: Float[Array, "6"], lag: Float[Array, "6"], t: Scalar) -> Float[Array, "6"]:
+        """Each number of the state as it was `lag` s before `t`: linear between rows.
 
         Beyond the last row, and for negative lags, on with the slope there.
         """
         ages = jnp.concatenate([jnp.zeros(1), self.ages])[:, None]
-        states = jnp.concatenate([x[None], self.states])
+        states = jnp.concatenate([(x - self.level - t * self.slope)[None], self.states])
         gap = jnp.where(ages[1:] - ages[:-1] > 1e-6, ages[1:] - ages[:-1], 1.0)
         share = (lag - ages[:-1]) / gap
         ends = np.arange(len(gap))[:, None]
         share = jnp.where((share < 0) & (ends > 0), 0.0, share)
-        share = jnp.where((share > 1) & (ends < len(gap) - 1), 1.0, share)
-        return x + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
+        share = jnp.where((share >= 1) & (ends < len(gap) - 1), 1.0, share)
+        return x - lag * self.slope + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
 
 
 def latencies(vessel: Vessel) -> Float[Array, "6"]:
@@ -204,10 +217,31 @@ def latencies(vessel: Vessel) -> Float[Array, "6"]:
     return jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
 
 
-def shown(vessel: Vessel, x: Float[Array, "6"], trail: Trail) -> Float[Array, "6"]:
+def shown(vessel: Vessel, x: Float[Array, "6"], row: dict, trail: Trail) -> Float[Array, "6"]:
     """What the sensors should show in a state that was reached along a trail."""
-    past = trail.past(x, latencies(vessel))
+    past = trail.past(x, latencies(vessel), row["run_time"])
     return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
+
+
+def lateness(vessel: Vessel) -> Float[Array, "6"]:
+    """How much each channel tells of the past and not of the present: one for the latest."""
+    lag = jax.lax.stop_gradient(latencies(vessel))
+    latest = jnp.max(lag)
+    return jnp.where(latest > 0, jnp.maximum(lag, 0.0) / jnp.where(latest > 0, latest, 1.0), 0.0)
+
+
+def followed(
+    z: Float[Array, "9"],
+    trail: Trail,
+    gain: Float[Array, "9 6"],
+    nu: Float[Array, "6"],
+    late: Float[Array, "6"],
+    row: dict,
+) -> tuple[Float[Array, "9"], Trail]:
+    """State and trail after an innovation."""
+    now = z + _applied(gain, nu)
+    trail = trail.corrected(_applied(gain, late * nu), z[2], row["run_time"])
+    return now, trail.after(now[:6], row["run_time"], row["dt"])
 
 
 def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
@@ -251,15 +285,14 @@ def innovations(
     """
     vessel, flows = equipped(base, layout, coordinates)
     vessel, tape = on_order_clock(vessel, tape)
-    lag = latencies(vessel)
+    late = lateness(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
         z, trail = restarted(*carry, row, tape.memory)
-        nu = innovation(row, shown(vessel, z[:6], trail))
-        z, trail = z + _applied(correction, nu), trail.corrected(correction, nu, lag)
-        trail = trail.after(z[:6], row["dt"])
+        nu = innovation(row, shown(vessel, z[:6], row, trail))
+        z, trail = followed(z, trail, correction, nu, late, row)
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
         x = propagate(vessel, faster(z[:6], kick), row, flow, tape.substeps)
         z = jnp.concatenate([faster(x, kick), gusts.decay * z[6:]])
@@ -314,7 +347,7 @@ def tune(
     vessel, tape = on_order_clock(vessel, tape)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
-    lag = latencies(vessel)
+    lag, late = latencies(vessel), lateness(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, Q = inputs
@@ -322,23 +355,23 @@ def tune(
         flow = row["flow"]
         z, trail = restarted(*before, row, tape.memory)
         P = jnp.where(row["starts"], P0, P)
-        nu = innovation(row, shown(vessel, z[:6], trail))
-        H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z[:6])
-        spread = jnp.sqrt(jnp.sum(H * product(P[:6, :6], H.T).T, axis=1) + R)
+        nu = innovation(row, shown(vessel, z[:6], row, trail))
+        lasting = z[6:]
+        H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z)
+        spread = jnp.sqrt(jnp.sum(H * product(H, P), axis=1) + R)
         # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.
         near = (jnp.abs(nu) < gate * spread) | ~jnp.isfinite(nu / spread)
         used = row["known"] & (near | row["starts"])
         nu = jnp.where(used, nu, 0.0)
-        late = lag / jnp.where(row["dt"] > 0, row["dt"], 1.0)
-        K, W, P, variance = updated(P, H, R, used, Q, late)
-        z, trail = z + _applied(K, nu), trail.corrected(K, nu, lag)
-        trail = trail.after(z[:6], row["dt"])
+        rows_late = lag / jnp.where(row["dt"] > 0, row["dt"], 1.0)
+        K, W, P, variance = updated(P, H, R, used, Q, rows_late)
+        z, trail = followed(z, trail, K, nu, late, row)
         kick = gust.half * z[6:]
         x = faster(z[:6], kick)
         F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
         x = faster(propagate(vessel, x, row, flow, tape.substeps), kick)
-        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick, late)
+        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick, lasting, rows_late)
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
     gusts, Q = gust_model(noise, tape.dt)

@@ -24,11 +24,12 @@ class Path(eqx.Module):
     """A filter's path linearised: enough to run it again with other gains."""
 
     F: Float[Array, "row 6 6"]
-    H: Float[Array, "row 6 6"]  # zero rows where nothing was measured
+    H: Float[Array, "row 6 9"]  # zero rows where nothing was measured
     K: Float[Array, "row 9 6"]
     nu: Float[Array, "row 6"]
     used: Float[Array, "row 6"]
     kick: Float[Array, "row 3"]
+    lasting: Float[Array, "row 3"]
     late: Float[Array, "row 6"]
 
 
@@ -112,7 +113,8 @@ def _rerun(path: Path, clock: Clock, noise: Noise) -> tuple:
         d, a, P = carry
         at, gust, more, start = inputs
         d, a, P = jnp.where(start, 0.0, d), jnp.where(start, 0.0, a), jnp.where(start, P0, P)
-        nu = jnp.where(at.used, at.nu - jnp.sum(at.H * d, axis=1), 0.0)
+        off = jnp.concatenate([d, a - at.lasting])
+        nu = jnp.where(at.used, at.nu - jnp.sum(at.H * off, axis=1), 0.0)
         C, W, P, variance = updated(P, at.H, R, at.used, more, at.late)
         white = jnp.sum(W * nu, axis=1)
         change = jnp.sum(C * nu, axis=1)

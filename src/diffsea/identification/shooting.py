@@ -126,7 +126,8 @@ def _shoot(
         row, begin, first = inputs
         end = x
         x = jnp.where(begin, first, x)
-        nu = likelihood.innovation(row, likelihood.expected(vessel, x, row, row["flow"]))
+        z = jnp.concatenate([x, jnp.zeros(3)])
+        nu = likelihood.innovation(row, likelihood.expected(vessel, z, row, row["flow"]))
         return likelihood.propagate(vessel, x, row, row["flow"], tape.substeps), (nu, end)
 
     inputs = likelihood.rows(vessel, flows, tape), begins, states[number]

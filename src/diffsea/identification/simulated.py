@@ -78,8 +78,8 @@ def _measured(
         row, gust, blown, shock = inputs
         z, trail = restarted(*carry, row, tape.memory)
         z = z + jnp.where(row["starts"], 1.0, 0.0) * jnp.concatenate([jnp.zeros(6), blown])
-        seen = shown(vessel, z[:6], trail)
-        trail = trail.after(z[:6], row["dt"])
+        seen = shown(vessel, z[:6], row, trail)
+        trail = trail.after(z[:6], row["run_time"], row["dt"])
         kick = gust.half * z[6:]
         x = propagate(vessel, faster(z[:6], kick), row, row["flow"], tape.substeps)
         z = jnp.concatenate([faster(x, kick), gust.decay * z[6:]]) + shock
