@@ -8,6 +8,7 @@ from tests.oracle.sensors import gust
 from tests.oracle.simulator import load
 from tests.runs import random_steps
 
+from diffsea.diagnosis.columns import columns_of, residual_at
 from diffsea.errors import UserError
 from diffsea.identification.fit import estimate, posterior
 from diffsea.identification.holdout import split
@@ -121,3 +122,27 @@ def test_too_little_held_out_is_told(document, run):
     problem_of = lambda runs, least: make_problem(vessel, runs, ("X_u",), least=least)
     with pytest.raises(UserError, match="only 12 rows are held out"):
         split(problem_of, [run], [rows(run, run.t < 6)], False)
+
+
+@pytest.mark.parametrize("offset", [0.3, -0.3])
+def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
+    """Where actuators are measured: what a first look promises is a good part of the gain."""
+    off = {"clock-drift": {"offset": offset, "rate": 0.0}}
+    late = random_steps(document, 4, 120.0, 0.5, off)
+    late = dataclasses.replace(late, executed=late.commanded)
+    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), room=2)
+    start, noise = problem.start()
+    gains = problem.tuned(start, noise).gains
+    place = problem.layout.indices(("clock-drift",))
+    residual, J = columns_of(problem, gains, start, place)
+    fitted = J @ np.linalg.lstsq(J, residual, rcond=None)[0]
+    away = start.copy()
+    away[place[1]] = offset / EFFECTS["clock-drift"].sizes(problem.base)[1]
+    gain = (residual**2).sum() - (residual_at(problem, gains, away) ** 2).sum()
+    assert (fitted**2).sum() > 0.2 * gain > 20.0
+
+
+def test_runs_longer_than_their_distance_keep_their_order(document, run):
+    slow = dataclasses.replace(run, t=120.0 * run.t)
+    tape = make_problem(build(document), [slow, slow], ("X_u",)).tape
+    assert (np.diff(np.asarray(tape.t)[: 2 * run.t.size]) > 0).all()

@@ -32,6 +32,9 @@ from diffsea.vessel.effects.actuators import on_channels
 from diffsea.vessel.servo import OrderHistory, Response, Servo
 
 
+SIDE = 1e-7  # s
+
+
 class Gains(eqx.Module):
     """What the filter found: how to correct and how to weigh each innovation."""
 
@@ -67,13 +70,21 @@ def on_order_clock(vessel: Vessel, tape: Tape) -> tuple[Vessel, Tape]:
         return vessel, tape
     late = clock.late(tape.run_time)
     t = tape.t - late
-    executed = {c: jnp.interp(t, tape.t, held) for c, held in tape.executed.items()}
+    executed = {c: _between(t, tape.t, held) for c, held in tape.executed.items()}
     moved = dataclasses.replace(
         tape, t=t, run_time=tape.run_time - late, dt=tape.dt * (1 - clock.rate), executed=executed
     )
     right = dataclasses.replace(vessel.sensors, clock=None)
     vessel = on_channels(vessel, vessel.channels, _delayed)
     return dataclasses.replace(vessel, sensors=right), moved
+
+
+def _between(
+    wanted: Float[Array, "row"], t: Float[Array, "row"], values: Float[Array, "row"]
+) -> Float[Array, "row"]:
+    """Values between rows; on a row, with the mean of both slopes."""
+    either = (jnp.interp(wanted + side * SIDE, t, values) for side in (-1, 1))
+    return 0.5 * sum(either)
 
 
 def _delayed(servo: Servo, _: eqx.Module) -> Servo:

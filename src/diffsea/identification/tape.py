@@ -15,7 +15,7 @@ from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
 
-SEPARATION = 1e4  # s between runs on the tape's clock, beyond any delay
+SEPARATION = 1e4  # s from run to run on the tape's clock, at least: beyond any delay
 LONGEST_STEP = 0.3  # of sqrt(L / g)
 GAP = 3.0  # usual rows, or sqrt(L / g) where that is longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
@@ -90,6 +90,9 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory], least: Shape = ANY) 
         UserError: a recording lacks a channel's orders, or has fewer than ten rows.
     """
     pieces = [_piece(vessel, recording, k) for k, recording in enumerate(recordings)]
+    apart = max(SEPARATION, *(2 * float(np.ptp(piece["t"])) for piece in pieces))
+    for number, piece in enumerate(pieces, start=1):
+        piece["t"] = piece["t"] + apart * number
     longest = max(float(np.median(piece["dt"][:-1])) for piece in pieces)
     substeps = max(1, math.ceil(longest / (LONGEST_STEP * natural_time(vessel)) - 1e-9))
     columns = {key: np.concatenate([piece[key] for piece in pieces]) for key in _ROWS}
@@ -155,7 +158,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     dt = np.where(np.append(starts[1:], True), 0.0, np.append(np.diff(t), 0.0))
     orders, executed = recorded_actuation(vessel, recording)
     return {
-        "t": t - t[0] + SEPARATION * (number + 1),
+        "t": t - t[0],
         "run_time": t,
         "dt": dt,
         "measured": np.where(known, motion, 0.0),
