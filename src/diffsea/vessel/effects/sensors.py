@@ -41,7 +41,8 @@ def _latency(variant: str, groups: tuple[str, ...]) -> Effect:
         f"sensor-latency:{variant}", "sensor", {"delay": "s"}, _all_late(*groups),
         lambda v: (time_scale(v),), positive=True, valid=1.0,
         where={"channels": [name for group in groups for name in LATENCY_CHANNELS[group]]},
-        law="measured(t) = true(t - delay), for delays up to the vessel's own response",
+        law="measured(t) = true(t - delay), for delays up to the vessel's own response; in fits of "
+        "free runs as its Taylor polynomial of second order",
         confusables=(
             "lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current",
         ),
