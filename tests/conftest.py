@@ -9,6 +9,13 @@ from diffsea.cli import prepare_jax
 prepare_jax()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forget_compiled():
+    """Compiled programs are dropped with their module: LLVM crashes when a process maps too many."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture(scope="module")
 def own_cache(tmp_path_factory):
     """A cache of compiled programs that ends with the module."""

@@ -71,8 +71,13 @@ def predicted(
     return product(product(whole, P), whole.T) + Q
 
 
+def applied(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
+    """Matrix times vector as fused multiplications: a library call per row costs far more."""
+    return jnp.sum(matrix * vector, axis=-1)
+
+
 def product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
-    """Matrix product as fused multiplications, for the reason of `_applied`."""
+    """Matrix product as fused multiplications, for the reason of `applied`."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 

@@ -11,28 +11,32 @@ gains' own derivative costs no asymptotic efficiency, because the innovations ar
 uncorrelated with it (Ljung 1999, section 9.4).
 """
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.gusts import Gusts, Noise, gust_model, predicted, product, updated
+from diffsea.identification.gusts import (
+    Gusts,
+    Noise,
+    applied,
+    gust_model,
+    predicted,
+    product,
+    updated,
+)  # fmt: skip
 from diffsea.identification.lanes import scan
 from diffsea.identification.layout import Layout, equipped
+from diffsea.identification.order_clock import on_order_clock
 from diffsea.identification.tape import Tape
-from diffsea.kinematics import to_earth, wrap
+from diffsea.identification.trail import Trail, followed, latencies, lateness, shown
+from diffsea.kinematics import wrap
 from diffsea.simulation.integrate import rk4_looped
 from diffsea.simulation.replay import heeled
 from diffsea.types import MOTION_CHANNELS, Environment, Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.actuators import on_channels
-from diffsea.vessel.servo import OrderHistory, Response, Servo
-
-
-SIDE = 1e-7  # s
+from diffsea.vessel.servo import OrderHistory, Response
 
 
 class Gains(eqx.Module):
@@ -57,39 +61,6 @@ class Tuned(eqx.Module):
     kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
     lasting: Float[Array, "row 3"]  # accelerations by lasting gusts, before the row's measurements
     late: Float[Array, "row 6"]  # rows that each channel lags
-
-
-def on_order_clock(vessel: Vessel, tape: Tape) -> tuple[Vessel, Tape]:
-    """A vessel without an error of the clock, and the tape with its rows when they truly were.
-
-    A state stamped t is that of t - (offset + rate t) on the clock of the orders: moving the
-    rows there is exact, however far the two clocks have parted.
-    """
-    clock = vessel.sensors.clock
-    if clock is None:
-        return vessel, tape
-    late = clock.late(tape.run_time)
-    t = tape.t - late
-    executed = {c: _between(t, tape.t, held) for c, held in tape.executed.items()}
-    moved = dataclasses.replace(
-        tape, t=t, run_time=tape.run_time - late, dt=tape.dt * (1 - clock.rate), executed=executed
-    )
-    right = dataclasses.replace(vessel.sensors, clock=None)
-    vessel = on_channels(vessel, vessel.channels, _delayed)
-    return dataclasses.replace(vessel, sensors=right), moved
-
-
-def _between(
-    wanted: Float[Array, "row"], t: Float[Array, "row"], values: Float[Array, "row"]
-) -> Float[Array, "row"]:
-    """Values between rows; on a row, with the mean of both slopes."""
-    either = (jnp.interp(wanted + side * SIDE, t, values) for side in (-1, 1))
-    return 0.5 * sum(either)
-
-
-def _delayed(servo: Servo, _: eqx.Module) -> Servo:
-    """The servo with a delay, of zero where it has none: orders change within rows."""
-    return servo if servo.delay is not None else dataclasses.replace(servo, delay=0.0)
 
 
 def responses(vessel: Vessel, tape: Tape) -> dict[str, Response]:
@@ -172,89 +143,6 @@ def expected(
     return vessel.sensors.measure(state, first, second)
 
 
-class Trail(eqx.Module):
-    """The states of the rows before, from which late channels are read.
-
-    An innovation of a late channel tells of that past: a state so long ago was wrong by what the
-    present is found to be wrong by, less what its rate was wrong by for so long. All that has
-    been found since is a line in time, and states are kept less that line.
-    """
-
-    states: Float[Array, "memory 6"]  # the latest first
-    ages: Float[Array, "memory"]  # s
-    level: Float[Array, "6"]  # of the line at time zero
-    slope: Float[Array, "6"]  # per s
-
-    @staticmethod
-    def begun(x: Float[Array, "6"], memory: int) -> "Trail":
-        """Before a run: on with its first velocities, a tenth of a second for each row."""
-        ages = 0.1 * jnp.arange(1.0, memory + 1)
-        north, east = to_earth(x[3], x[4], x[2])
-        rate = jnp.stack([north, east, x[5], *(jnp.zeros(3))])
-        return Trail(x - ages[:, None] * rate, ages, jnp.zeros(6), jnp.zeros(6))
-
-    def corrected(self, step: Float[Array, "9"], psi: Scalar, t: Scalar) -> "Trail":
-        """With what late channels have found at time `t`, as a step of the filter's state."""
-        north, east = to_earth(step[3], step[4], psi)
-        rate = jnp.stack([north, east, step[5], *step[6:]])
-        level = self.level + step[:6] - t * rate
-        return Trail(self.states, self.ages, level, self.slope + rate)
-
-    def after(self, x: Float[Array, "6"], t: Scalar, dt: Scalar) -> "Trail":
-        """With the state at time `t`, `dt` s later."""
-        kept = x - self.level - t * self.slope
-        states = jnp.concatenate([kept[None], self.states[:-1]])
-        ages = jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt
-        return Trail(states, ages, self.level, self.slope)
-
-    def past(self, x: Float[Array, "6"], lag: Float[Array, "6"], t: Scalar) -> Float[Array, "6"]:
-        """Each number of the state as it was `lag` s before `t`: linear between rows.
-
-        Beyond the last row, and for negative lags, on with the slope there.
-        """
-        ages = jnp.concatenate([jnp.zeros(1), self.ages])[:, None]
-        states = jnp.concatenate([(x - self.level - t * self.slope)[None], self.states])
-        gap = jnp.where(ages[1:] - ages[:-1] > 1e-6, ages[1:] - ages[:-1], 1.0)
-        share = (lag - ages[:-1]) / gap
-        ends = np.arange(len(gap))[:, None]
-        share = jnp.where((share < 0) & (ends > 0), 0.0, share)
-        share = jnp.where((share >= 1) & (ends < len(gap) - 1), 1.0, share)
-        return x - lag * self.slope + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
-
-
-def latencies(vessel: Vessel) -> Float[Array, "6"]:
-    """How late (s) each motion channel is."""
-    lags = vessel.sensors.lags()
-    return jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
-
-
-def shown(vessel: Vessel, x: Float[Array, "6"], row: dict, trail: Trail) -> Float[Array, "6"]:
-    """What the sensors should show in a state that was reached along a trail."""
-    past = trail.past(x, latencies(vessel), row["run_time"])
-    return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
-
-
-def lateness(vessel: Vessel) -> Float[Array, "6"]:
-    """How much each channel tells of the past and not of the present: one for the latest."""
-    lag = jax.lax.stop_gradient(latencies(vessel))
-    latest = jnp.max(lag)
-    return jnp.where(latest > 0, jnp.maximum(lag, 0.0) / jnp.where(latest > 0, latest, 1.0), 0.0)
-
-
-def followed(
-    z: Float[Array, "9"],
-    trail: Trail,
-    gain: Float[Array, "9 6"],
-    nu: Float[Array, "6"],
-    late: Float[Array, "6"],
-    row: dict,
-) -> tuple[Float[Array, "9"], Trail]:
-    """State and trail after an innovation."""
-    now = z + _applied(gain, nu)
-    trail = trail.corrected(_applied(gain, late * nu), z[2], row["run_time"])
-    return now, trail.after(now[:6], row["run_time"], row["dt"])
-
-
 def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
     """Measured less expected; zero where nothing was measured."""
     nu = row["measured"] - expected
@@ -307,7 +195,7 @@ def innovations(
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
         x = propagate(vessel, faster(z[:6], kick), row, flow, tape.substeps)
         z = jnp.concatenate([faster(x, kick), gusts.decay * z[6:]])
-        return (z, trail), _applied(whitening, nu)
+        return (z, trail), applied(whitening, nu)
 
     push = jnp.zeros((tape.t.size, 3)) if push is None else push
     inputs = (
@@ -334,11 +222,6 @@ def _first(row: dict) -> Float[Array, "9"]:
 def faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
     """The vessel's state with its speeds raised."""
     return jnp.concatenate([x[:3], x[3:] + kick])
-
-
-def _applied(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
-    """Matrix times vector as fused multiplications: a library call per row costs far more."""
-    return jnp.sum(matrix * vector, axis=-1)
 
 
 def tune(
@@ -382,7 +265,7 @@ def tune(
         F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
         P = predicted(P, F, gust, Q)
         x = faster(propagate(vessel, x, row, flow, tape.substeps), kick)
-        out = (K, W, used, z[:6], nu, _applied(W, nu), variance, F, H, kick, lasting, rows_late)
+        out = (K, W, used, z[:6], nu, applied(W, nu), variance, F, H, kick, lasting, rows_late)
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
     gusts, Q = gust_model(noise, tape.dt)

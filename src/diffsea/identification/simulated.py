@@ -11,17 +11,11 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.gusts import Noise, gust_model
 from diffsea.identification.lanes import scan
 from diffsea.identification.layout import Layout, equipped
-from diffsea.identification.likelihood import (
-    Trail,
-    faster,
-    on_order_clock,
-    propagate,
-    restarted,
-    rows,
-    shown,
-)  # fmt: skip
+from diffsea.identification.likelihood import faster, propagate, restarted, rows
+from diffsea.identification.order_clock import on_order_clock
 from diffsea.identification.problem import Problem, Static
 from diffsea.identification.tape import Tape
+from diffsea.identification.trail import Trail, shown
 from diffsea.vessel.base import Vessel
 
 
