@@ -134,19 +134,20 @@ def _confusion_files(folder: Path, rows: list[str], columns: list[str], counts: 
 
 def _power_figure(path: Path, power: list[dict]) -> None:
     figure, axes = plt.subplots(figsize=(6, 4))
-    middle = [math.sqrt(row["from"] * row["to"]) for row in power]
-    for kind, label in (("noticed", "anything noticed"), ("offered", "in the set offered"),
-                        ("right", "named rightly")):  # fmt: skip
+    middle = np.array([math.sqrt(row["from"] * row["to"]) for row in power])
+    kinds = (("noticed", "anything noticed", 0.96), ("offered", "in the set offered", 1.0),
+             ("right", "named rightly", 1.04))  # fmt: skip
+    for kind, label, aside in kinds:
         s = [row[kind] for row in power]
         y = np.array([x["share"] for x in s])
         spread = np.abs(np.array([[x["low"] for x in s], [x["high"] for x in s]]) - y)
-        axes.errorbar(middle, y, spread, marker="o", capsize=3, label=label)
+        axes.errorbar(aside * middle, y, spread, marker="o", capsize=3, label=label)
     axes.set_xscale("log")
     axes.set_xticks([1, 2, 4, 8, 16, 30], ["1", "2", "4", "8", "16", "30"])
     axes.set_xlabel("size of the effect, detection limits")
     axes.set_ylabel("share of cases")
     axes.set_ylim(-0.02, 1.02)
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower right")
     figure.savefig(path, dpi=120, bbox_inches="tight")
     plt.close(figure)
 
