@@ -11,7 +11,7 @@ prepare_jax()
 
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled():
-    """Compiled programs are dropped with their module: LLVM crashes when a process maps too many."""
+    """Compiled programs end with their module: LLVM crashes where a process maps too many."""
     yield
     jax.clear_caches()
 
