@@ -51,6 +51,13 @@ def test_a_concealed_current_is_named_and_sized(current):
     assert parameters["direction"]["value"] == pytest.approx(2.0, abs=0.15)
 
 
+def test_candidates_of_one_name_are_told_apart(current):
+    rows = summary(current, [])["candidates"]
+    keys = ("name", "variant", "channels", "actuators")
+    kinds = [str([row.get(key) for key in keys]) for row in rows]
+    assert len(kinds) == len(set(kinds)) > len({row["name"] for row in rows})
+
+
 def test_the_named_effect_improves_held_out_runs(current):
     fit = summary(current, [])["fit"]
     assert fit["diagnosed"]["test"] < 0.8 * fit["nominal"]["test"]

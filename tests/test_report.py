@@ -143,6 +143,8 @@ def summary_of(verdict: str) -> dict:
         {"name": "current", "log10_odds": 142.3, "p_value": 1.3e-9, "held_out_gain": 1540.0,
          "held_out_gain_std": 130.0, "parameters": CURRENT["parameters"], "status": "accepted",
          "reason": "confirmed on held-out runs"},
+        {"name": "added-mass-coupling", "variant": "Y_rdot", "log10_odds": -0.7, "p_value": 0.4,
+         "status": "screened out", "reason": "its score is within chance"},
         {"name": "wind", "log10_odds": 139.1, "p_value": 2e-6, "held_out_gain": 1520.0,
          "held_out_gain_std": 130.0, "parameters": wind,
          "status": "rival" if verdict == "ambiguous" else "rejected", "reason": "weaker"},
@@ -343,7 +345,7 @@ def test_page_shows_the_numbers_of_the_summary():
     assert "0.295 to 0.307 m/s" in what and "67.7 to 70.3°" in what
     assert "62 %" in what and "1540 ± 130" in what and "wind" in what
     assert "no effect: 1×10¹⁴² : 1" in what and "next best name: 1800 : 1" in what
-    assert "1 : 16" in what
+    assert "1 : 16" in what and "(Y rdot)" in what
     reasons = ("confirmed on held-out runs", "weaker", "its score is <within> chance")
     assert sorted(reasons, key=what.index) == list(reasons)
     where = reader.text("where")

@@ -210,7 +210,7 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
     tried = {one.effect: one for one in diagnosis.refitted}
     inflation = diagnosis.refitted[0].inflation if tried else 1.0
     for name, seen in sorted(diagnosis.before.seen.items(), key=lambda i: -i[1].expected):
-        row: dict = {"name": catalogue_name(name), **place_of(problem.base, name)}
+        row: dict = {"name": catalogue_name(name), **_which(problem, name)}
         row["p_value"] = diagnosis.before.null.family_wise(seen.score.p_value)
         one = tried.get(name)
         if one is None:
@@ -227,6 +227,12 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
         rows.append(row)
     order = {"accepted": 0, "rival": 1, "rejected": 2, "screened out": 3}
     return sorted(rows, key=lambda row: (order[row["status"]], -row["log10_odds"]))
+
+
+def _which(problem: Problem, name: str) -> dict:
+    """What tells a candidate from others of its name: where it acts, or which terms it has."""
+    variant = name.partition(":")[2]
+    return place_of(problem.base, name) or ({"variant": variant} if variant else {})
 
 
 def _reason(problem: Problem, one: Fitted, inflation: float) -> str:

@@ -138,9 +138,8 @@ def _rank(candidate: dict) -> tuple[int, float]:
 
 
 def _label(candidate: dict) -> str:
-    name, _, variant = candidate["name"].partition(":")
-    choice = f" ({variant.replace('_', ' ')})" if variant and not _of(candidate) else ""
-    return words.title(name) + choice + _of(candidate)
+    variant = candidate.get("variant", "").replace("_", " ")
+    return words.title(candidate["name"]) + (f" ({variant})" if variant else "") + _of(candidate)
 
 
 def _odds(weighed: Sequence[tuple[str, str, float]]) -> Html:
