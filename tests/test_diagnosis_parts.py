@@ -9,7 +9,8 @@ from scipy import stats
 
 from diffsea.diagnosis import refit, revision, select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
-from diffsea.diagnosis.decision import Accepted, nameless, outdone
+from diffsea.diagnosis.constancy import Constancy
+from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, beside, first_guess, near_the_best
@@ -17,6 +18,7 @@ from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, _expected, mimicry, short_list
 from diffsea.diagnosis.select import stalled
 from diffsea.identification.estimates import made
+from diffsea.identification.holdout import Gain
 from diffsea.identification.layout import Layout
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
@@ -156,6 +158,53 @@ def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
     assert outdone(named, left(5.1))
     assert not outdone(named, left(4.9))
     assert not outdone(named, SimpleNamespace(cells=[]))
+
+
+_CLEAR = Gain(40.0, 9.0)
+_STEADY, _UNSTEADY = Constancy(9.0, 0.5, 0.1), Constancy(90.0, 1e-9, 0.8)
+
+
+def _judged(name, evidence, constancy, gain=_CLEAR):
+    fitted = dataclasses.replace(_refitted(name, evidence), gain=gain, constancy=constancy)
+    return dataclasses.replace(fitted, estimate=SimpleNamespace(deviance=1000.0 - evidence))
+
+
+def _data():
+    layout = SimpleNamespace(effects=[EFFECTS["wind"], EFFECTS["current"]])
+    return SimpleNamespace(train=SimpleNamespace(layout=layout), recordings=[])
+
+
+def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not_steady():
+    best, second = _judged("wind", 160.0, _UNSTEADY), _judged("current", 130.0, _STEADY)
+    weak = _judged("lever-arm", 3.0, _STEADY)
+    doubtful = _judged("gyro-bias", 120.0, _STEADY, Gain(8.0, 9.0))
+    assert footholds(_data(), [best, second, weak, doubtful]) == [second, best]
+    assert footholds(_data(), [doubtful, best, second]) == []
+    assert footholds(_data(), []) == []
+
+
+@pytest.mark.parametrize(
+    ("left", "again", "gained", "found"),
+    [
+        (0.5, _STEADY, 100.0, ["current", "lever-arm"]),
+        (1e-4, _STEADY, 100.0, []),  # something is left
+        (0.5, _UNSTEADY, 100.0, []),  # the first has not one size beside the second either
+        (0.5, _STEADY, 5.0, []),  # the best alone explains more
+    ],
+)
+def test_two_effects_at_once_must_leave_nothing(monkeypatch, left, again, gained, found):
+    best, one = _judged("wind", 160.0, _UNSTEADY), _judged("current", 130.0, _STEADY)
+    other = _judged("lever-arm", 130.0 + gained, _STEADY)
+    monkeypatch.setattr(select, "footholds", lambda data, tried: [one])
+    monkeypatch.setattr(select, "screen", lambda *_: SimpleNamespace(remainder=None))
+    monkeypatch.setattr(select, "_tried", lambda *_: [other])
+    monkeypatch.setattr(select, "decide", lambda *_: other)
+    monkeypatch.setattr(select, "without", lambda *_: None)
+    monkeypatch.setattr(select, "completed", lambda *_: dataclasses.replace(one, constancy=again))
+    other.estimate.coordinates = None
+    drawn = SimpleNamespace(of_located=lambda remainder: left)
+    both = select.together(_data(), SimpleNamespace(), [best, one], drawn, lambda text: None)
+    assert [accepted.name for accepted in both] == found
 
 
 @pytest.mark.parametrize(

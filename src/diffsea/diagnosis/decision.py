@@ -65,6 +65,23 @@ def decide(
     return None
 
 
+def footholds(data: Split, tried: list[Fitted]) -> list[Fitted]:
+    """What may be there beside another effect, where the best lacks only one size in all the data.
+
+    What else is missing may come and go beside the best; or the best stands for two at once.
+    """
+    judged = [one for one in tried if one.possible and one.gain is not None]
+    inflation = judged[0].inflation if judged else 1.0
+    sound = [
+        one
+        for one in judged
+        if one.evidence(inflation) > needed(data.train) and one.gain is not None and one.gain.clear
+    ]
+    if not sound or sound[0] is not judged[0]:
+        return []
+    return sorted(sound, key=lambda one: one.constancy is None or not one.constancy.holds)
+
+
 def stands(problem: Problem, accepted: Fitted) -> bool:
     """Whether an effect that held-out data have spoken for once is still needed.
 

@@ -9,8 +9,17 @@ import dataclasses
 
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap, check
 from diffsea.diagnosis.candidates import candidates
-from diffsea.diagnosis.decision import Accepted, decide, nameless, outdone, rivals
-from diffsea.diagnosis.refit import Fitted, Progress, has_room, refitted, without
+from diffsea.diagnosis.decision import (
+    EVIDENCE,
+    Accepted,
+    decide,
+    footholds,
+    nameless,
+    outdone,
+    rivals,
+    stands,
+)  # fmt: skip
+from diffsea.diagnosis.refit import Fitted, Progress, completed, has_room, refitted, without
 from diffsea.diagnosis.remainder import Remainder, remainder
 from diffsea.diagnosis.revision import revised
 from diffsea.diagnosis.screening import Screening, locate, screen, short_list
@@ -28,6 +37,7 @@ ALPHA = 0.01  # family-wise
 MOST_EFFECTS = 3
 ROOM = 9  # coordinates that effects found together may have: waves and a wind, say
 BEYOND = 2.0  # times what its score promises: more than that an effect seldom gains
+FOOTHOLDS = 3  # effects beside which another is sought at most
 RESUMED = 2  # times at most that a fit is found to have stopped early
 
 
@@ -123,7 +133,14 @@ def forward(
         shown = tuple(tried) if not accepted else shown
         best = decide(data, current, tried, progress)
         if best is None:
-            break
+            room = len(accepted) < MOST_EFFECTS - 1
+            both = together(data, current, tried, drawn, progress) if room else ()
+            if not both:
+                break
+            accepted += both
+            current = both[-1].fitted.estimate
+            screening = screen(data.train, current, data.recordings)
+            continue
         better = stalled(data.train, current, best) if resumed < RESUMED else None
         if better is not None:
             progress(f"{best.effect}: its fit went on where the one without it had stopped")
@@ -136,6 +153,32 @@ def forward(
         current = best.estimate
         screening = screen(data.train, current, data.recordings)
     return Forward(nominal, first, current, screening, tuple(accepted), shown)
+
+
+def together(
+    data: Split, current: Estimate, tried: list[Fitted], drawn: Bootstrap, progress: Progress
+) -> tuple[Accepted, ...]:
+    """Two effects that leave nothing, where one alone has not one size in all the data.
+
+    Each must stand beside the other, and both together explain what the best alone does.
+    """
+    for one in footholds(data, tried)[:FOOTHOLDS]:
+        progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
+        screening = screen(data.train, one.estimate, data.recordings)
+        more = _tried(data, one.estimate, screening, progress)
+        other = decide(data, one.estimate, more, progress)
+        if other is None:
+            continue
+        bare = without(data.train, other.estimate, [one.effect])
+        again = completed(data, bare, one, other.estimate.coordinates)
+        left = screen(data.train, other.estimate, data.recordings)
+        enough = tried[0].estimate.deviance - other.estimate.deviance > -EVIDENCE
+        if enough and stands(data.train, again) and drawn.of_located(left.remainder) > ALPHA:
+            return (
+                Accepted(one.effect, one, rivals(one, tried), tuple(tried)),
+                Accepted(other.effect, other, rivals(other, more), tuple(more)),
+            )
+    return ()
 
 
 def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress) -> Diagnosis:
