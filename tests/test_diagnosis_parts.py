@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import refit, revision, select
+from diffsea.diagnosis import decision, refit, revision, select
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
-from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone
+from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import Fitted, beside, first_guess, near_the_best
@@ -171,7 +171,7 @@ def _judged(name, evidence, constancy, gain=_CLEAR):
 
 def _data():
     layout = SimpleNamespace(effects=[EFFECTS["wind"], EFFECTS["current"]])
-    return SimpleNamespace(train=SimpleNamespace(layout=layout), recordings=[])
+    return SimpleNamespace(train=SimpleNamespace(layout=layout), recordings=[], head=None)
 
 
 def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not_steady():
@@ -181,6 +181,16 @@ def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not
     assert footholds(_data(), [best, second, weak, doubtful]) == [second, best]
     assert footholds(_data(), [doubtful, best, second]) == []
     assert footholds(_data(), []) == []
+
+
+def test_what_is_asked_of_the_best_alone_does_not_distance_its_rivals(monkeypatch):
+    best = _judged("wind", 60.0, _STEADY, Gain(12.0, 7.0))
+    near = _judged("current", 57.0, _STEADY, Gain(12.0, 7.0))
+    monkeypatch.setattr(decision, "exchanged_gain", lambda *_: Gain(30.0, 7.0))
+    found = decision.decide(_data(), SimpleNamespace(), [best, near], lambda text: None)
+    assert found.effect == "wind" and found.borne_out.total == 42.0
+    assert rivals(found, [best, near]) == ("current",)
+    assert Accepted("wind", found, (), (best, near)).ahead == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(

@@ -59,9 +59,13 @@ def decide(
             continue
         if gain.open and data.head is None:
             progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
-            gain = gain.pooled(exchanged_gain(data, current, one.estimate))
+            # Not part of its support: the training data speak in the evidence already, and the
+            # others are not asked.
+            exchanged = exchanged_gain(data, current, one.estimate)
+            one = dataclasses.replace(one, exchanged=exchanged)
+            gain = gain.pooled(exchanged)
         if gain.clear:
-            return dataclasses.replace(one, gain=gain)
+            return one
     return None
 
 

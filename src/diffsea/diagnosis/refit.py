@@ -39,6 +39,7 @@ class Fitted:
     constancy: Constancy | None = None  # of its size; None where it was not fitted to its end
     copies: int = 1  # sets of coordinates: one for each run, for an environment of its own
     inflation: float = 1.0  # variance of its own scores over the information, at least one
+    exchanged: Gain | None = None  # on the training data, with the held-out ones to train on
 
     def evidence(self, inflation: float) -> float:
         """Twice the log of the Bayes factor against the hypothesis without it (Laplace).
@@ -52,6 +53,13 @@ class Fitted:
     def size(self) -> int:
         """Coordinates that it adds."""
         return len(self.seen.look.at) * self.copies
+
+    @property
+    def borne_out(self) -> Gain | None:
+        """What all data say that were held out once."""
+        if self.gain is None or self.exchanged is None:
+            return self.gain
+        return self.gain.pooled(self.exchanged)
 
     def support(self, inflation: float) -> float:
         """Evidence and held-out gain together: what all data say."""

@@ -194,9 +194,10 @@ def _with_intervals(parameters: dict[str, dict]) -> dict[str, dict]:
 
 
 def _gain(fitted: Fitted) -> dict:
-    if fitted.gain is None:
+    gain = fitted.borne_out
+    if gain is None:
         return {}
-    out: dict = {"held_out_gain": fitted.gain.total, "held_out_gain_std": fitted.gain.std}
+    out: dict = {"held_out_gain": gain.total, "held_out_gain_std": gain.std}
     if fitted.constancy is not None:
         out["constancy"] = fitted.constancy._asdict()
     return out
