@@ -72,7 +72,9 @@ def decide(
 def footholds(data: Split, tried: list[Fitted]) -> list[Fitted]:
     """What may be there beside another effect, where the best lacks only one size in all the data.
 
-    What else is missing may come and go beside the best; or the best stands for two at once.
+    What else is missing may come and go beside the best; or the best stands for two at once. Asked
+    where `decide` found nothing: a best that is sound but for that can only lack one size. Effects
+    that have one come first.
     """
     judged = [one for one in tried if one.possible and one.gain is not None]
     inflation = judged[0].inflation if judged else 1.0
