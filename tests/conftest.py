@@ -1,12 +1,13 @@
 """Settings of the test run: those of the command line, so that compiled programs are shared."""
 
-import jax
 import pytest
 
 from diffsea.cli import prepare_jax
 
 
-prepare_jax()
+prepare_jax()  # before jax is imported, or its XLA flags would come too late
+
+import jax  # isort: skip
 
 
 @pytest.fixture(scope="module", autouse=True)
