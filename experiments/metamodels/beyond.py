@@ -4,7 +4,7 @@ Developed on other seeds than those scored here.
 """
 
 import numpy as np
-from ferry import CHOSEN, set_of
+from ferry import CHOSEN, recordings_of, set_of
 from known import TRUE, sail
 from known import set_of as known_set_of
 from metamodel import cross_validated, ideal_overshoots, identified
@@ -15,10 +15,12 @@ from zigzags import ideal
 
 from diffsea.identification.norrbin import COMMON, OWN
 from diffsea.identification.norrbin_likelihood import identify_by_likelihood
+from diffsea.identification.tape import Shape
 
 
 LENGTH = 160.93  # m
 TRIALS = 6  # of each set
+LEAST = Shape(runs=CHOSEN, rows=1024)  # of a tape of service: all sets share compiled programs
 NAMES = ("a0", "a1", "a2", "a3", "b")
 PUBLISHED, TRIALWISE, NUISANCE, LIKELY = (
     "least squares, white errors", "least squares, errors by trial",
@@ -31,7 +33,7 @@ def study(seed: int, quick: bool, service: dict, say) -> dict:
     sets, likely = (12, 0) if quick else (48, 8)
     known = _known(seed, sets, likely, say)
     say("beyond: trials of service in any wind")
-    served = _service(seed, service, 6 if quick else 24)
+    served = _service(seed, service, 6 if quick else 24, likely // 2)
     return {
         "known": known,
         "service": served,
@@ -89,20 +91,30 @@ def _known_table(known: dict) -> list[dict]:
     ]  # fmt: skip
 
 
-def _service(seed: int, service: dict, sets: int) -> dict:
-    """Sets of 12 trials of group 1 in whatever wind, the calmest put aside to score on."""
+def _service(seed: int, service: dict, sets: int, likely: int) -> dict:
+    """Sets of 12 trials of group 1 in whatever wind, the calmest put aside to score on.
+
+    The likelihood, which takes long, on the first `likely` sets.
+    """
     draw = np.random.default_rng(seed + 60)
     calm = sorted(service["series"]["members"], key=lambda p: p.side_wind)
     aside, others = set_of(calm[:CHOSEN]), calm[CHOSEN:]
     truth = np.degrees(np.asarray(ideal().overshoots))
-    out: dict = {"least squares": [], "own moments": []}
-    for _ in range(sets):
-        chosen = [others[k] for k in draw.choice(len(others), CHOSEN, replace=False)]
+    out: dict = {}
+
+    def add(method: str, model) -> None:
+        fit = float(np.median(cross_validated(model, aside)[0]))
+        row = fit, np.degrees(ideal_overshoots(model)) - truth, model.a1 > 0
+        out.setdefault(method, []).append(row)
+
+    for k in range(sets):
+        chosen = [others[i] for i in draw.choice(len(others), CHOSEN, replace=False)]
         table = set_of(chosen)
-        for method, tie in (("least squares", COMMON), ("own moments", OWN)):
-            model = identified(table, tie).model
-            fit = float(np.median(cross_validated(model, aside)[0]))
-            out[method].append((fit, np.degrees(ideal_overshoots(model)) - truth, model.a1 > 0))
+        common = identified(table, COMMON).model
+        add("least squares", common)
+        add("own moments", identified(table, OWN).model)
+        if k < likely:
+            add("likelihood", _by_likelihood(chosen, common))
     return {
         method: {
             "aside": np.array([f for f, _, _ in rows]),
@@ -111,6 +123,11 @@ def _service(seed: int, service: dict, sets: int) -> dict:
         }
         for method, rows in out.items()
     }
+
+
+def _by_likelihood(pieces, start):
+    speed = float(np.mean([p.channels["u"].mean() for p in pieces]))
+    return identify_by_likelihood(recordings_of(pieces), start, LENGTH, speed, least=LEAST).model
 
 
 def _service_table(served: dict) -> list[dict]:

@@ -2,14 +2,14 @@
 
 import jax.numpy as jnp
 import numpy as np
-from inservice import INTERVAL, Found, Piece, search
+from inservice import CUT_OFF, INTERVAL, Found, Piece, search
 from metamodel import cross_validated, ideal_overshoots, identified, simulated, told, trials
 from models import from_dimensions, from_tests
 from ship import answers, ship
 from voyages import year
 
 from diffsea.metrics.repeats import fit_percent
-from diffsea.types import Environment
+from diffsea.types import Environment, Trajectory
 
 
 CHOSEN = 12  # trials with the least side wind, as published
@@ -39,6 +39,24 @@ def set_of(pieces: list[Piece]):
     """Pieces as trials for the identification."""
     series = [(p.channels["rudder"], p.channels["r"]) for p in pieces]
     return trials([d for d, _ in series], [r for _, r in series], INTERVAL, LONGEST)
+
+
+def recordings_of(pieces: list[Piece]) -> list[Trajectory]:
+    """Pieces as recordings as sparse as their filter allows, rudders as means between rows."""
+    every = round(0.5 / CUT_OFF / INTERVAL)
+    return [_recording(piece, every) for piece in pieces]
+
+
+def _recording(piece: Piece, every: int) -> Trajectory:
+    rows = len(piece.t) // every
+    t, *series = piece.t, *(piece.channels[name] for name in ("psi", "u", "r", "rudder"))
+    held = series[-1][: rows * every].reshape(rows, every).mean(1)
+    t, psi, u, r = (a[: rows * every : every] for a in (t, *series[:-1]))
+    nothing = np.full(t.shape, np.nan)
+    return Trajectory(
+        t, nothing, nothing, psi, u, nothing, r, {}, {"rudder": held}, {},
+        np.ones(t.shape, bool), name=f"{piece.log} at {piece.t[0]:.0f} s",
+    )  # fmt: skip
 
 
 def study(seed: int, days: int) -> dict:
