@@ -97,15 +97,24 @@ def commands(diagnosis: Diagnosis, experiment: Experiment) -> dict[str, np.ndarr
 
 def _evidence(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted, schedule: Schedule) -> float:
     """Expected evidence of one run, in the direction in which it is smaller."""
-    a = _one_way(diagnosis, accepted.fitted.estimate, accepted.name, rival.effect, schedule)
-    b = _one_way(diagnosis, rival.estimate, rival.effect, accepted.name, schedule)
+    one, two = accepted.fitted.estimate, rival.estimate
+    a = _one_way(diagnosis, one, accepted.name, two, rival.effect, schedule)
+    b = _one_way(diagnosis, two, rival.effect, one, accepted.name, schedule)
     return min(a, b)
 
 
 def _one_way(
-    diagnosis: Diagnosis, true: Estimate, name: str, other: str, schedule: Schedule
+    diagnosis: Diagnosis,
+    true: Estimate,
+    name: str,
+    otherwise: Estimate,
+    other: str,
+    schedule: Schedule,
 ) -> float:
-    """Evidence against `other` if the vessel is as estimated with `name`."""
+    """Evidence against `other` if the vessel is as estimated with `name`.
+
+    The other has the shape with which it was fitted: a change happens when it was found to.
+    """
     train = diagnosis.split.train
     coordinates = first_copies(train, true.coordinates)
     base = train.base
@@ -117,6 +126,10 @@ def _one_way(
         train.seeds - len(train.layout.parameters),
         least=train.tape.shape,
     )  # fmt: skip
+    effects = {effect.name: effect for effect in problem.layout.effects}
+    if effects[other].shape is not None:
+        shape = problem.layout.indices((other,))[effects[other].shape]
+        coordinates[shape] = first_copies(train, otherwise.coordinates)[shape]
     at = dataclasses.replace(true, coordinates=coordinates)
     gains = problem.tuned(coordinates, true.noise).gains
     nuisance = tuple(n for n in true.free if n not in (name, other))
@@ -128,9 +141,8 @@ def _one_way(
     A = projection.efficient(columns)
     B = projection.efficient(columns_at(problem, gains, at, (other,))[1])
     eta = coordinates[place].copy()
-    effect = next(one for one in problem.layout.effects if one.name == name)
-    if effect.shape is not None:
-        eta[effect.shape] = 0.0  # it is gone without its size, whatever its time
+    if effects[name].shape is not None:
+        eta[effects[name].shape] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())
