@@ -13,6 +13,7 @@ from diffsea.errors import UserError
 from diffsea.identification.fit import estimate, posterior
 from diffsea.identification.holdout import split
 from diffsea.identification.likelihood import deviance
+from diffsea.identification.noise import Clock, Path, excerpt
 from diffsea.identification.problem import make_problem
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
@@ -146,3 +147,21 @@ def test_runs_longer_than_their_distance_keep_their_order(document, run):
     slow = dataclasses.replace(run, t=120.0 * run.t)
     tape = make_problem(build(document), [slow, slow], ("X_u",)).tape
     assert (np.diff(np.asarray(tape.t)[: 2 * run.t.size]) > 0).all()
+
+
+def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, run):
+    short = rows(run, run.t < 6.0)
+    thin = dataclasses.replace(short, t=short.t / 50)
+    with pytest.raises(UserError, match="too short to estimate anything"):
+        make_problem(build(document), [thin], ("X_u",))
+
+
+@pytest.mark.parametrize("long", [600, 1030, 2000])
+def test_noise_is_estimated_from_recorded_rows_alone(long):
+    empty = np.zeros((2048, 6))
+    used = np.where(np.arange(2048)[:, None] < long, 1.0, empty)
+    path = Path(empty, empty, empty, empty, used, empty, empty, empty)
+    clock = Clock(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
+    chosen = np.asarray(excerpt(path, clock)[1].dt)
+    assert chosen.max() < long
+    assert len(np.unique(chosen)) == chosen.size == 128 * min(8, long // 128)

@@ -90,10 +90,12 @@ def excerpt(path: Path, clock: Clock) -> tuple[Path, Clock]:
 
     A path that is no longer than the blocks together is one block.
     """
-    rows = len(clock.dt)
-    begin, length = np.zeros(1, int), rows
-    if rows > EXCERPT:
-        begin, length = np.linspace(0, rows - BLOCK, EXCERPT // BLOCK).astype(int), BLOCK
+    begin, length = np.zeros(1, int), len(clock.dt)
+    if length > EXCERPT:
+        # Spare rows at the end of a tape say nothing.
+        rows = 1 + int(np.flatnonzero(np.asarray(path.used).any(1))[-1])
+        blocks = int(np.clip(rows // BLOCK, 1, EXCERPT // BLOCK))
+        begin, length = np.linspace(0, max(0, rows - BLOCK), blocks).astype(int), BLOCK
     chosen = begin[:, None] + np.arange(length)
     starts = np.asarray(clock.starts)[chosen]
     starts[:, 0] = True

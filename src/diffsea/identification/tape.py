@@ -150,6 +150,11 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
     motion = motion[valid]
     keep = _kept(np.isfinite(motion), thinning(vessel, float(np.median(np.diff(t)))))
+    if len(keep) < 10:
+        raise UserError(
+            f"{recording.name}: {t[-1] - t[0]:.3g} s are too short to estimate anything, "
+            f"{len(keep)} steps of the vessel's own time; record a whole manoeuvre"
+        )
     every, t, motion = t, t[keep], motion[keep]
     known = np.isfinite(motion)
     if not known.any():
