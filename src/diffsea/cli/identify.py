@@ -1,6 +1,7 @@
 """`diagnose`: from recordings to what a vessel's model lacks; and what `fit` shares with it."""
 
 import argparse
+import os
 import pathlib
 import sys
 import time
@@ -59,9 +60,17 @@ def _write_manoeuvre(path: pathlib.Path, diagnosis: Any, experiment: Any, tell: 
     if experiment is None:
         tell(f"no two explanations are left to separate, so {path} is not written")
         return
+    pd.DataFrame(commands(diagnosis, experiment)).to_csv(path, index=False, float_format="%.6g")
+
+
+def _check_writable(path: pathlib.Path) -> None:
+    """Raise UserError, before any work is done, where no file of this name can be written."""
     if not path.parent.is_dir():
         raise UserError(f"{path.parent} is no folder; --next-manoeuvre writes one CSV file")
-    pd.DataFrame(commands(diagnosis, experiment)).to_csv(path, index=False, float_format="%.6g")
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; --next-manoeuvre writes one CSV file")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise UserError(f"cannot write {path}; choose another file with --next-manoeuvre")
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -118,6 +127,8 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.report.text import verdict_text
         from diffsea.vessel.catalogue import build, dump
 
+        if args.next_manoeuvre is not None:
+            _check_writable(args.next_manoeuvre)
         tell = Messages(STAGES)
         file = read_vessel(args)
         runs, test = read_all(args)
