@@ -7,13 +7,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import decision, refit, revision, select
+from diffsea.diagnosis import decision, refit, revision, select, spectrum
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.null import joint_null
-from diffsea.diagnosis.refit import Fitted, beside, first_guess, near_the_best
+from diffsea.diagnosis.refit import (
+    Fitted,
+    beside,
+    first_guess,
+    near_the_best,
+    ranked,
+    refitted,
+)
 from diffsea.diagnosis.score import Score
 from diffsea.diagnosis.screening import Screening, Seen, _expected, mimicry, short_list
 from diffsea.diagnosis.select import stalled
@@ -390,3 +397,43 @@ def test_a_look_at_what_data_do_not_know_promises_nothing():
     known = np.concatenate([np.diag([4.0, 2.0]), prior])
     room = np.log(1 + 9 * 16) + np.log(1 + 9 * 4)
     assert _expected(score._replace(statistic=20.0), known) == pytest.approx(20 - room)
+
+
+def test_a_held_out_run_that_diverges_disturbs_the_order_of_nobody_else():
+    weak, strong = _judged("wind", 100.0, _STEADY), _judged("current", 300.0, _STEADY)
+    lost = _judged("gyro-bias", 200.0, _STEADY, Gain(float("nan"), float("nan")))
+    inflation = SimpleNamespace(deviance=0.0, inflation=1.0)
+    tried = [dataclasses.replace(one, estimate=inflation) for one in (weak, lost, strong)]
+    assert [one.effect for one in ranked(tried)] == ["current", "wind", "gyro-bias"]
+
+
+def test_every_hypothesis_as_good_as_the_best_is_judged_on_held_out_data(monkeypatch):
+    level = [f"quadratic-damping:{name}" for name in ("X_uu", "Y_vv", "N_rr")]
+    strong = {name: 300.0 - k for k, name in enumerate([*level, "wind", "current"])}
+    tried = strong | {"gyro-bias": 250.0}
+    monkeypatch.setattr(refit, "_first", lambda p, c, seen: _refitted(seen, tried[seen]))
+    monkeypatch.setattr(
+        refit, "completed",
+        lambda data, current, one: dataclasses.replace(
+            one, gain=_CLEAR, estimate=SimpleNamespace(inflation=1.0)
+        ),
+    )  # fmt: skip
+    found = refitted(_data(), None, {name: name for name in tried}, list(tried), lambda text: None)
+    assert {one.effect for one in found if one.gain is not None} == set(strong)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e5])
+def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(monkeypatch, apart):
+    rng, dt, rows = np.random.default_rng(5), 0.5, 600
+    t = np.concatenate([dt * np.arange(rows), apart + dt * np.arange(rows)])
+    push = rng.normal(size=(2 * rows, 3)) + 0.8 * np.cos(2 * np.pi * 0.11 * t)[:, None]
+    tape = SimpleNamespace(
+        run_time=t, dt=np.full(2 * rows, dt), known=np.ones((2 * rows, 6), bool),
+        run=np.repeat([0, 1], rows),
+    )  # fmt: skip
+    still = SimpleNamespace(state=np.zeros((2 * rows, 6)))
+    problem = SimpleNamespace(tape=tape, tuned=lambda *_: still)
+    monkeypatch.setattr(spectrum, "latent_acceleration", lambda *_: push)
+    found, resolution = spectrum.peaks(problem, SimpleNamespace(coordinates=None, noise=None))
+    assert resolution == pytest.approx(0.5 / (dt * rows), rel=0.01)
+    assert found[0] == pytest.approx(0.11, abs=2 * resolution)

@@ -21,7 +21,7 @@ from diffsea.types import Trajectory
 
 
 FEWEST = 100  # draws: fewer cannot show less than one per cent
-FAILED = 0.1  # share of draws that may fail
+FAILED = 0.1  # share of draws that may fail; others are drawn for them
 SEED = 11
 
 
@@ -72,22 +72,25 @@ def bootstrap(
     """Draw data sets from the nominal estimate, fit it to each anew, and screen.
 
     Raises:
-        UserError: fewer than 100 draws; more than a tenth of the simulated runs diverge.
+        UserError: fewer than 100 draws; more simulated runs diverge than a tenth of `draws`.
     """
     check(draws)
     rng = np.random.default_rng(SEED)
     found: list[tuple[float, float]] = []
-    for number in range(draws):
-        progress(f"simulating {number + 1} of {draws} data sets")
+    failed = 0
+    while len(found) < draws:
+        progress(f"simulating {len(found) + 1} of {draws} data sets")
         made = simulated(problem, nominal, rng)
         if not np.isfinite(np.asarray(made.tape.measured)).all():
+            failed += 1
+            if failed > FAILED * draws:
+                raise UserError(
+                    f"{failed} of {failed + len(found)} runs simulated with the fitted model "
+                    "diverge, so it cannot say what chance does: leave --bootstrap out, or check "
+                    "the vessel file"
+                )
             continue
         fitted = estimate(made, nominal.free, nominal.coordinates, nominal.noise)
         screening = screen(made, fitted, recordings)
         found.append((screening.p_value, screening.remainder))
-    if len(found) < (1 - FAILED) * draws:
-        raise UserError(
-            f"{draws - len(found)} of {draws} runs simulated with the fitted model diverge, so it "
-            "cannot say what chance does: leave --bootstrap out, or check the vessel file"
-        )
     return Bootstrap(*(np.sort(column) for column in np.array(found).T))

@@ -4,15 +4,12 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.refit import Fitted, Progress
+from diffsea.diagnosis.refit import EVIDENCE, Fitted, Progress
 from diffsea.diagnosis.screening import Screening
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split, exchanged_gain
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import catalogue_name
-
-
-EVIDENCE = 10.0  # twice the log of odds of 150 to 1
 
 
 @dataclasses.dataclass(frozen=True)

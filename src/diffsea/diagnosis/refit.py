@@ -20,7 +20,8 @@ from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 Progress = Callable[[str], None]
 
 NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
-FULL = 4  # at most so many
+FULL = 4  # at most so many, and what the evidence does not tell from the best
+EVIDENCE = 10.0  # twice the log of odds of 150 to 1
 ABSENT = 2.0  # standard errors below zero that an effect which is absent in a run may come out
 ENOUGH = 0.8  # of the gain that the linear model promises: less is a stalled refit
 
@@ -62,9 +63,10 @@ class Fitted:
         return self.gain.pooled(self.exchanged)
 
     def support(self, inflation: float) -> float:
-        """Evidence and held-out gain together: what all data say."""
-        out = self.evidence(inflation)
-        return out if self.gain is None else out + self.gain.total / inflation
+        """Evidence and held-out gain together: what all data say; -inf where a run diverges."""
+        held_out = 0.0 if self.gain is None else self.gain.total / inflation
+        out = self.evidence(inflation) + held_out
+        return out if np.isfinite(out) else -np.inf
 
 
 def refitted(
@@ -85,7 +87,8 @@ def refitted(
         tried = list(pool.map(first, names))
     tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
     tried.sort(key=lambda fitted: -fitted.evidence(1.0))
-    near = [one for one in tried if near_the_best(one, tried)][:FULL]
+    near = [one for one in tried if near_the_best(one, tried)]
+    near = [one for k, one in enumerate(near) if k < FULL or _level(one, tried[0])]
     rest = [one for one in tried if one not in near]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         full = list(pool.map(lambda one: completed(data, current, one), near))
@@ -103,6 +106,11 @@ def near_the_best(one: Fitted, tried: list[Fitted]) -> bool:
     return one.evidence(1.0) > min(best - NEAR, 0.6 * best)
 
 
+def _level(one: Fitted, best: Fitted) -> bool:
+    """Whether the evidence for both is so alike that one may be the other's rival."""
+    return best.evidence(1.0) - one.evidence(1.0) < EVIDENCE
+
+
 def _confusable(one: Fitted, other: Fitted) -> bool:
     names = (catalogue_name(one.effect), catalogue_name(other.effect))
     declared = [set(EFFECTS[fitted.effect].confusables) for fitted in (one, other)]
@@ -112,7 +120,7 @@ def _confusable(one: Fitted, other: Fitted) -> bool:
 def ranked(tried: list[Fitted]) -> list[Fitted]:
     """Hypotheses by what all data say, those not judged on held-out data last."""
     judged = [one for one in tried if one.gain is not None and one.possible]
-    best = max(judged, key=lambda one: one.drop, default=None)
+    best = max(judged, key=lambda one: np.nan_to_num(one.drop, nan=-np.inf), default=None)
     inflation = 1.0 if best is None else best.inflation
     return sorted(tried, key=lambda one: (one.gain is None, -one.support(inflation)))
 

@@ -79,7 +79,7 @@ def remainder(data: Split, final: Estimate) -> Remainder | None:
     mass = float(np.asarray(problem.base.mass_matrix())[degree, degree])
     return Remainder(
         degree, classes, size * mass, np.sqrt(np.diag(inverse)) * mass,
-        _inclusion(projection.residual, columns, best),
+        _inclusion(projection, columns, best),
         _gain(data, final, classes, degree, size),
     )  # fmt: skip
 
@@ -110,9 +110,11 @@ def _push(problem: Problem, classes: Classes, degree: int) -> np.ndarray:
     return push
 
 
-def _inclusion(residual: np.ndarray, columns: list[np.ndarray], best: int) -> float:
-    """Share of random halves on which the same option explains most."""
-    block = np.arange(len(residual)) * BLOCKS // len(residual)
+def _inclusion(projection: Projection, columns: list[np.ndarray], best: int) -> float:
+    """Share of random halves of the data on which the same option explains most."""
+    residual = projection.residual
+    data = (residual != 0) & (np.arange(len(residual)) < projection.rows)
+    block = np.where(data, (np.cumsum(data) - 1) * BLOCKS // max(1, data.sum()), BLOCKS)
     rng = np.random.default_rng(11)
     same = 0
     for _ in range(HALVES):

@@ -54,6 +54,7 @@ class Diagnosis:
     before: Screening  # against the nominal model
     after: Screening  # against the final one
     where: Screening  # unnamed forces in the nominal model, measured by the final noise
+    left: float  # family-wise p-value of what no accepted effect explains
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
     unnamed: Remainder | None = None  # a model of what is left, where that is significant
     bootstrap: Bootstrap = NONE
@@ -62,11 +63,6 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """Names of the accepted effects."""
         return tuple(accepted.name for accepted in self.effects)
-
-    @property
-    def left(self) -> float:
-        """Family-wise p-value of what the final model leaves."""
-        return self.bootstrap.of_located(self.after.remainder)
 
 
 def diagnose(
@@ -209,7 +205,7 @@ def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress)
         where = locate(data.train, found.nominal, current)
     return Diagnosis(
         verdict, data, found.nominal, current, named, found.shown, found.first, screening, where,
-        (*kept.dropped, *doubtful), unnamed, drawn,
+        left, (*kept.dropped, *doubtful), unnamed, drawn,
     )  # fmt: skip
 
 
