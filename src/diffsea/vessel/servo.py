@@ -139,7 +139,7 @@ class Servo(eqx.Module):
         last = history.times.size - 1
         index = [jnp.clip(first + k, 0, last) for k in range(SEGMENTS)]
         inner = [
-            jnp.where(first + k <= last, _fraction((history.times[i] + self.delay - t) / dt), 1.0)
+            jnp.where(first + k <= last, _break(history.times[i], self.delay, t, dt), 1.0)
             for k, i in enumerate(index)
         ]
         none = jnp.zeros_like(inner[0])
@@ -223,6 +223,22 @@ def _play(value: Scalar, target: Scalar, width: Scalar) -> Scalar:
     """Where a part with play of half width `width` is driven to: no further than it must."""
     high, low = target + width, target - width
     return jnp.where(value > high, high, jnp.where(value < low, low, value))
+
+
+def _break(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scalar:
+    """Fraction of the step at which an order takes effect.
+
+    Delays only grow from zero, and the derivative by them is that of growth. A step may move
+    either way against the orders: its derivative by `t` is the mean of both sides, where an order
+    takes effect just at the beginning or the end.
+    """
+    hold = jax.lax.stop_gradient
+    grown = _fraction((order + delay - hold(t)) / hold(dt))
+    moved = (order + hold(delay) - t) / dt
+    place = hold(moved)
+    inside = (place > -ROUNDING) & (place < 1 + ROUNDING)
+    sides = jnp.where((place < ROUNDING) | (place > 1 - ROUNDING), 0.5, 1.0)
+    return grown + jnp.where(inside, sides, 0.0) * (moved - place)
 
 
 def _fraction(value: Scalar) -> Scalar:
