@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import decision, refit, revision, select, spectrum
+from diffsea.diagnosis import decision, refit, remainder, revision, select, spectrum
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
@@ -437,3 +437,33 @@ def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(monkeypatch
     found, resolution = spectrum.peaks(problem, SimpleNamespace(coordinates=None, noise=None))
     assert resolution == pytest.approx(0.5 / (dt * rows), rel=0.01)
     assert found[0] == pytest.approx(0.11, abs=2 * resolution)
+
+
+def test_the_chance_that_is_stated_is_the_one_that_decided(monkeypatch):
+    screening = SimpleNamespace(remainder=0.4, p_value=1e-5)
+    kept = SimpleNamespace(effects=(), changed=False, dropped=())
+    data = SimpleNamespace(train=None, recordings=())
+    found = select.Forward(None, None, None, screening, (), ())
+    monkeypatch.setattr(select, "revised", lambda *_: kept)
+    monkeypatch.setattr(select, "remainder", lambda *_: None)
+    for something, left, verdict in ((True, 1e-5, "unexplained"), (False, 0.4, "consistent")):
+        monkeypatch.setattr(select, "nameless", lambda *_, said=something: said)
+        diagnosis = select.concluded(data, found, select.NONE, lambda text: None)
+        assert (diagnosis.left, diagnosis.verdict) == (left, verdict)
+
+
+def test_an_unnamed_force_is_asked_for_on_halves_of_the_data_alone(monkeypatch):
+    rng, rows, spare = np.random.default_rng(3), 400, 3600
+    better, worse = rng.normal(size=(rows, 1)), rng.normal(size=(rows, 1))
+    residual = better[:, 0] + 0.3 * rng.normal(size=rows)
+    padded = lambda a: np.concatenate([a, np.zeros((spare, *a.shape[1:]))])
+    told, solve = [], np.linalg.lstsq
+
+    def counted(A, b, rcond):
+        told.append(len(A))
+        return solve(A, b, rcond)
+
+    monkeypatch.setattr(np.linalg, "lstsq", counted)
+    projection = SimpleNamespace(residual=padded(residual), rows=rows + spare - 10)
+    assert remainder._inclusion(projection, [padded(worse), padded(better)], 1) == 1.0
+    assert set(told) == {rows // 2}

@@ -5,6 +5,7 @@ Developed on other seeds than those scored here.
 
 import numpy as np
 from ferry import CHOSEN, recordings_of, set_of
+from inservice import Piece
 from known import TRUE, sail
 from known import set_of as known_set_of
 from metamodel import cross_validated, ideal_overshoots, identified
@@ -16,6 +17,7 @@ from zigzags import ideal
 from diffsea.identification.norrbin import COMMON, OWN
 from diffsea.identification.norrbin_likelihood import identify_by_likelihood
 from diffsea.identification.tape import Shape
+from diffsea.vessel.metamodels import Norrbin
 
 
 LENGTH = 160.93  # m
@@ -125,7 +127,8 @@ def _service(seed: int, service: dict, sets: int, likely: int) -> dict:
     }
 
 
-def _by_likelihood(pieces, start):
+def _by_likelihood(pieces: list[Piece], start: Norrbin) -> Norrbin:
+    """The metamodel by the innovation likelihood at the trials' mean speed, from a first guess."""
     speed = float(np.mean([p.channels["u"].mean() for p in pieces]))
     return identify_by_likelihood(recordings_of(pieces), start, LENGTH, speed, least=LEAST).model
 

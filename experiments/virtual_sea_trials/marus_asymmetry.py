@@ -12,7 +12,7 @@ import marus_fit
 import marus_vessel
 import numpy as np
 
-from diffsea.diagnosis.decision import EVIDENCE
+from diffsea.diagnosis.refit import EVIDENCE
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.trial_numbers import TrialNumbers
 from diffsea.vessel.effects import Effect

@@ -10,7 +10,6 @@ import dataclasses
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap, check
 from diffsea.diagnosis.candidates import candidates
 from diffsea.diagnosis.decision import (
-    EVIDENCE,
     Accepted,
     decide,
     footholds,
@@ -19,7 +18,15 @@ from diffsea.diagnosis.decision import (
     rivals,
     stands,
 )  # fmt: skip
-from diffsea.diagnosis.refit import Fitted, Progress, completed, has_room, refitted, without
+from diffsea.diagnosis.refit import (
+    EVIDENCE,
+    Fitted,
+    Progress,
+    completed,
+    has_room,
+    refitted,
+    without,
+)
 from diffsea.diagnosis.remainder import Remainder, remainder
 from diffsea.diagnosis.revision import revised
 from diffsea.diagnosis.screening import Screening, locate, screen, short_list

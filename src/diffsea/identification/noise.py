@@ -93,7 +93,7 @@ def excerpt(path: Path, clock: Clock) -> tuple[Path, Clock]:
     begin, length = np.zeros(1, int), len(clock.dt)
     if length > EXCERPT:
         # Spare rows at the end of a tape say nothing.
-        rows = 1 + int(np.flatnonzero(np.asarray(path.used).any(1))[-1])
+        rows = 1 + int(np.flatnonzero(np.asarray(path.used).any(1)).max(initial=0))
         blocks = int(np.clip(rows // BLOCK, 1, EXCERPT // BLOCK))
         begin, length = np.linspace(0, max(0, rows - BLOCK), blocks).astype(int), BLOCK
     chosen = begin[:, None] + np.arange(length)
