@@ -58,9 +58,9 @@ def save_series(trial: Trial, path: Path, title: str = "") -> None:
     axes[2].set_ylabel("deg/s")
     _actuation(axes[3], t, run)
     axes[3].set_xlabel("time since the execute, s")
-    axes[0].set_title(title)
-    for ax in axes:
-        ax.legend(frameon=False, loc="upper right", fontsize=8)
+    axes[0].set_title(title, loc="left")
+    for ax in axes:  # above the axes, where no curve runs
+        ax.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 0.97), ncols=4, fontsize=8)
     _save(figure, path)
 
 
