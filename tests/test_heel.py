@@ -11,9 +11,9 @@ from diffsea.types import Trajectory
 STEP, ROWS, NOISE = 0.2, 900, 0.003
 
 
-def rolling(rng, exogenous=0.0):
-    """(true heel in the middle of rows, recorded heel, u, v, r) of a vessel that rolls in turns."""
-    t = STEP * np.arange(ROWS)
+def rolling(rng, exogenous=0.0, step=STEP):
+    """(true mean heel of rows, recorded heel, u, v, r) of a vessel that rolls in turns."""
+    t = step * np.arange(ROWS)
     u = 2.0 + 0.5 * np.sin(0.05 * t)
     r = 0.2 * np.sign(np.sin(0.21 * t) + 0.3 * np.sin(0.77 * t))
     v = -0.5 * r
@@ -24,12 +24,13 @@ def rolling(rng, exogenous=0.0):
         push = -0.35 * at(u, now) * at(r, now) + at(waves, now)
         return [x[1], -0.4 * x[1] - 2.2**2 * x[0] + push]
 
-    found = solve_ivp(slope, (0, t[-1] + STEP), [0, 0], max_step=0.05, dense_output=True).sol
-    return found(t + 0.5 * STEP)[0], found(t)[0] + rng.normal(0, NOISE, ROWS), u, v, r
+    found = solve_ivp(slope, (0, t[-1] + step), [0, 0], max_step=0.05, dense_output=True).sol
+    mean = np.mean([found(t + share * step)[0] for share in np.linspace(0, 1, 21)], axis=0)
+    return mean, found(t)[0] + rng.normal(0, NOISE, ROWS), u, v, r
 
 
-def run(phi, u, v, r, valid=None):
-    t = STEP * np.arange(len(phi))
+def run(phi, u, v, r, valid=None, step=STEP):
+    t = step * np.arange(len(phi))
     nothing = np.full(len(phi), np.nan)
     return Trajectory(
         t=t, x=nothing, y=nothing, psi=nothing, u=u, v=v, r=r, commanded={}, executed={},
@@ -51,6 +52,13 @@ def test_what_a_row_records_is_not_in_its_own_prediction():
     moved = np.abs(predicted_heel(run(phi + kick, u, v, r)) - predicted_heel(run(phi, u, v, r)))
     assert moved[501:].max() > 0.3 * NOISE
     assert moved[:501].max() < 0.03 * NOISE
+
+
+def test_a_swing_between_rows_that_are_far_apart_is_followed():
+    step = 0.8  # between values, of a period of 2.86
+    true, *recorded = rolling(np.random.default_rng(6), step=step)
+    # A straight line from one value to the next would be off by 1.1 times the noise.
+    assert (predicted_heel(run(*recorded, step=step)) - true)[50:].std() < 0.8 * NOISE
 
 
 def test_heel_from_waves_is_followed_from_its_past():

@@ -39,7 +39,7 @@ class Set:
 
 SETS = {
     "develop": Set("develop", 20_001, SHARES, 400),
-    "scored": Set("scored", 90_017, SHARES, 400),
+    "scored": Set("scored", 90_018, SHARES, 400),
     # Beside the 400: what they hold none of, and what makes rivals.
     "triples": Set("scored", 31_013, {"triple": 1.0}, 24),
     "standard": Set("scored", 52_021, {"standard": 1.0}, 40),

@@ -3,7 +3,7 @@
 from .effects import Effect, _sided, _timed
 from .effects_sensors import weight
 from .hulls import Hull
-from .model import Model
+from .model import HEEL, Model
 
 
 def effects(hull: Hull) -> list[Effect]:
@@ -33,7 +33,7 @@ def effects(hull: Hull) -> list[Effect]:
     if "Y_vv" not in h and "Y_vvv" not in h:
         found.append(Effect("crossflow-drag", "", ("cd",), ("sway", "yaw"), 0.3, 12.0, strips))
     if "roll" in hull.instruments:
-        heel = 1.2 * U * yaw / 9.81
+        heel = HEEL * U * yaw / 9.81
         for name, scale in (("Y_phi", F / heel), ("N_phi", F * L / heel)):
             found.append(Effect("roll-coupling", name, (name,), ("sway", "yaw"), 0.03 * scale,
                                 5.0 * scale, _roll(name), _sided))  # fmt: skip

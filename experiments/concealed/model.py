@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 
 WATER, AIR = 1025.0, 1.225  # kg/m^3
+HEEL = 5.0  # rad for a sideways acceleration of g, in a steady turn
 
 
 @dataclass

@@ -20,7 +20,7 @@ from scipy.integrate import odeint
 
 from . import forces as F
 from .actuation import Servo
-from .model import Model
+from .model import HEEL, Model
 
 
 TOLERANCE = 1e-8
@@ -163,7 +163,7 @@ def derivative(model: Model, servos: dict[str, Servo], gusts: Gusts | None, midd
 # Roll is there to be recorded and, where the effect is on, to push: outward heel in a turn.
 ROLL = {
     "omega": lambda model: 2.0 * math.pi / (2.2 * math.sqrt(model.hull["beam"] / 2.0)),
-    "heel": 1.2,
+    "heel": HEEL,
     "damping": 0.12,
 }
 

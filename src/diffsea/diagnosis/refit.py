@@ -195,10 +195,12 @@ def _made(
         within = within and abs(shape - seen.look.at[effect.shape]) < seen.reach
     spreads = problem.layout.spreads()[places]
     volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
+    copies = len(_recorded_copies(problem, effect))
+    room = 2 * np.log(spreads).sum() + problem.layout.tail_cost(effect, copies)
     return Fitted(
         effect.name, fitted, current.deviance - fitted.deviance,
-        float(volume + 2 * np.log(spreads).sum()), judged, seen,
-        within, copies=len(_recorded_copies(problem, effect)),
+        float(volume + room), judged, seen,
+        within, copies=copies,
         inflation=_own_inflation(problem, effect, fitted),
     )  # fmt: skip
 

@@ -110,7 +110,8 @@ def posterior(
     """-2 log posterior without its constant; `tuned` is the filter's run there, if known."""
     tuned = problem.tuned(coordinates, noise) if tuned is None else tuned
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
-    away = coordinates / problem.layout.spreads()
+    layout = problem.layout
+    away = np.asarray(layout.strains(coordinates, layout.spreads()))
     return float(deviance(tuned)) + float(off @ off) + float(away @ away)
 
 
@@ -135,7 +136,7 @@ def _judged(
     J = J[:rows, : len(index)]
     correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.tape.run))
     return made(
-        free, coordinates, deviance, index, problem.layout.spreads(), J.T @ J,
+        free, coordinates, deviance, index, problem.layout.local_spreads(coordinates), J.T @ J,
         long_run(J, correlation), noise,
     )  # fmt: skip
 

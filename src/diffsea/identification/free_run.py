@@ -127,7 +127,8 @@ class FreeRun:
         white = np.asarray(shot.misfit) / point.sigma
         gap = (np.asarray(shot.end) - point.states[self._later]) / point.joint
         away = (point.states - self._guess)[self._firsts] / self._broad
-        prior = point.coordinates / self.problem.layout.spreads()
+        layout = self.problem.layout
+        prior = np.asarray(layout.strains(point.coordinates, layout.spreads()))
         soft = 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
         total = soft.sum() + (gap**2).sum() + (away**2).sum() + (prior**2).sum()
         known = np.asarray(self.problem.tape.known).sum(0)
@@ -211,7 +212,7 @@ class FreeRun:
 
     def _regularise(self, A: np.ndarray, g: np.ndarray, point: Point, index: np.ndarray) -> None:
         """Add the priors of parameters and of each run's first state."""
-        n, spreads = len(index), self.problem.layout.spreads()[index]
+        n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)[index]
         A[np.arange(n), np.arange(n)] += 1 / spreads**2
         g[:n] += point.coordinates[index] / spreads**2
         for w in self._firsts:
@@ -223,7 +224,7 @@ class FreeRun:
     def _judged(self, free: tuple[str, ...], point: Point, index: np.ndarray) -> Estimate:
         """The estimate, its states eliminated, its misfits taken for as coloured as they are."""
         A, _, (P, S, r) = self._normal(point, index)
-        n, spreads = len(index), self.problem.layout.spreads()
+        n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)
         shares = np.linalg.solve(A[n:, n:], A[n:, :n]).reshape(-1, 6, n)
         E = P - np.einsum("rck,rki->rci", S, shares[self.windows.number])
         prior = np.diag(1 / spreads[index] ** 2)

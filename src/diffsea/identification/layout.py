@@ -1,6 +1,7 @@
 """The coordinates of a fit: which numbers may move, and the vessel that they describe."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,8 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
-SPREAD = 3.0  # prior standard deviation of an effect's coordinates, in prior sizes
+SPREAD = 3.0  # prior scale of an effect's coordinates, in prior sizes
+TAIL = 3.0  # degrees of freedom of that prior, a Student t: an effect may be far larger
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Layout:
         return np.array(kind), np.array(run)
 
     def spreads(self) -> np.ndarray:
-        """Prior standard deviation of every coordinate."""
+        """Prior standard deviation of every coordinate, of an effect's the one at its centre."""
         out = [p.spread for p in self.parameters]
         for effect, sizes in zip(self.effects, self.sizes, strict=True):
             own = [SPREAD] * len(sizes)
@@ -70,6 +72,46 @@ class Layout:
                 own[effect.shape] = max(SPREAD, self.latest / sizes[effect.shape])
             out += own * self.copies(effect)
         return np.array(out)
+
+    def _tails(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which coordinates lie in one tail, and how heavy it is (infinite: a normal prior)."""
+        together = np.zeros((self.size, self.size))
+        heavy = np.full(self.size, np.inf)
+        for effect in self.effects:
+            places = np.arange(self.size)[self.slices()[effect.name]]
+            for copy in places.reshape(self.copies(effect), -1):
+                amounts = copy[_amounts(effect, len(copy))]
+                together[np.ix_(amounts, amounts)] = 1.0
+                heavy[amounts] = TAIL + len(amounts)
+        return together, heavy
+
+    def strains(
+        self, coordinates: Float[Array, "coordinate"], spreads: Float[Array, "coordinate"]
+    ) -> Float[Array, "coordinate"]:
+        """Deviations from the prior: the sum of their squares is -2 log of its density.
+
+        Parameters of the vessel are normal. The sizes of an effect are a multivariate Student t
+        (Kotz and Nadarajah 2004), because what would be noticeable is a guess: k log(1 + s / k),
+        with s the sum of squares of their normal deviations and k = `TAIL` + their number.
+        """
+        together, heavy = self._tails()
+        scaled = coordinates / spreads
+        off = (together @ scaled**2) / heavy
+        some = off > 1e-8
+        safe = jnp.where(some, off, 1.0)
+        return scaled * jnp.where(some, jnp.sqrt(jnp.log1p(safe) / safe), 1.0 - off / 4)
+
+    def local_spreads(self, coordinates: np.ndarray) -> np.ndarray:
+        """Standard deviations of the normal prior of the same slope at an estimate."""
+        together, heavy = self._tails()
+        spreads = self.spreads()
+        return spreads * np.sqrt(1.0 + together @ (coordinates / spreads) ** 2 / heavy)
+
+    def tail_cost(self, effect: Effect, copies: int) -> float:
+        """-2 log of the prior's density at its centre over that of a normal one."""
+        d = int(_amounts(effect, len(self.sizes[self.effects.index(effect)])).sum())
+        peak = math.lgamma((TAIL + d) / 2) - math.lgamma(TAIL / 2)
+        return -2.0 * copies * (peak + d / 2 * math.log(2 / (TAIL + d)))
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
         """Positions of the coordinates of parameters and effects by name."""
@@ -86,6 +128,11 @@ class Layout:
         index = [effect.name for effect in self.effects].index(name)
         scaled = np.asarray(coordinates)[self.slices()[name]]
         return scaled.reshape(-1, len(self.sizes[index])) * np.array(self.sizes[index])
+
+
+def _amounts(effect: Effect, count: int) -> np.ndarray:
+    """Which of an effect's coordinates say how much of it there is, not when or where."""
+    return np.arange(count) != (-1 if effect.shape is None else effect.shape)
 
 
 def equipped(

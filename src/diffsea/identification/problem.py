@@ -153,16 +153,18 @@ def _white(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     return jnp.where(jnp.isfinite(white), white, 1e4).ravel()
 
 
-def _prior(free: Float[Array, "free"], problem: Inputs) -> Array:
+def _prior(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     """Deviations from the prior; unused columns of the selection have one of their own."""
+    problem, layout = args
     width = problem.selection.shape[1]
     coordinates = problem.fixed + problem.selection @ free[:width]
     unused = jnp.concatenate([1 - jnp.abs(problem.selection).sum(0), jnp.ones(free.size - width)])
-    return jnp.concatenate([coordinates / problem.spreads, unused * free])
+    strains = layout.value.strains(coordinates, problem.spreads)
+    return jnp.concatenate([strains, unused * free])
 
 
 def _residual(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
-    return jnp.concatenate([_white(free, args), _prior(free, args[0])])
+    return jnp.concatenate([_white(free, args), _prior(free, args)])
 
 
 def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
@@ -176,7 +178,7 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
     run = jnp.repeat(problem.tape.run, 6)[:, None]
     own = (problem.owner < 0) | (problem.owner == run)
     J = jnp.where(own, push(problem.seeds).T @ problem.seeds, 0.0)
-    prior = jax.jacfwd(lambda at: _prior(at, problem))(free)
+    prior = jax.jacfwd(lambda at: _prior(at, args))(free)
     return _residual(free, args), jnp.concatenate([J, prior])
 
 

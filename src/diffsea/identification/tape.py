@@ -126,9 +126,8 @@ _ROWS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first", "
 
 
 def _memory(vessel: Vessel, longest: float) -> int:
-    """Rows within sqrt(L / g): a power of two up to eight, so that programs are shared."""
-    rows = natural_time(vessel) / longest
-    return 2 ** int(np.clip(np.ceil(np.log2(max(rows, 1.0))), 0, 3))
+    """Rows within 1.5 sqrt(L / g): eight or sixteen, so that programs are shared."""
+    return 8 if 1.5 * natural_time(vessel) <= 8 * longest else 16
 
 
 def _padded(column: np.ndarray, spare: int) -> np.ndarray:
