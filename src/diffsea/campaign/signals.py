@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from diffsea.errors import UserError
 from diffsea.metrics.executes import propulsion, steering
 from diffsea.recordings.motion import integral, motion_of
-from diffsea.simulation.replay import recorded_actuation
+from diffsea.simulation.recorded import recorded_actuation
 from diffsea.types import Trajectory
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster
 from diffsea.vessel.base import Vessel

@@ -95,7 +95,7 @@ def _fit(args: argparse.Namespace) -> None:
         document = updated_document(file.document, study.values, study.effect_tables)
         vessel = build(document)
         quality = study.quality(test)
-        told = source(args, [*runs, *test])
+        told = source(args, file.vessel, runs, test)
         tell("predicting and writing the report")
         predicted = compared(study, file.vessel, vessel, (runs, test))
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")

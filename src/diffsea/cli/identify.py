@@ -23,6 +23,7 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.types import Trajectory
+    from diffsea.vessel.base import Vessel
 
 STAGES = 8  # of a diagnosis, as most are
 
@@ -103,14 +104,23 @@ def clock() -> Any:
     return tell
 
 
-def source(args: argparse.Namespace, runs: "list[Trajectory]") -> dict:
+def source(
+    args: argparse.Namespace, vessel: "Vessel", runs: "list[Trajectory]", test: "list[Trajectory]"
+) -> dict:
     """What was run on what, for provenance."""
     import importlib.metadata
+
+    from diffsea.simulation.recorded import how_actuated
 
     versions = {n: importlib.metadata.version(n) for n in ("diffsea", "jax", "optimistix")}
     return {
         "vessel": str(args.vessel),
-        "recordings": {run.name: list(run.provenance) for run in runs},
+        "recordings": {run.name: list(run.provenance) for run in [*runs, *test]},
+        "actuation": {
+            use: how_actuated(vessel, some)
+            for use, some in (("fitted", runs), ("held out", test))
+            if some
+        },
         "versions": versions,
         "python": sys.version.split()[0],
     }
@@ -142,7 +152,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         result["next_experiment"] = None if experiment is None else experiment.as_dict()
         if args.next_manoeuvre is not None:
             _write_manoeuvre(args.next_manoeuvre, diagnosis, experiment, tell)
-        result["source"] = source(args, [*runs, *test])
+        result["source"] = source(args, file.vessel, runs, test)
         tell("writing the report")
         document = vessel_document(file.document, diagnosis)
         nominal = build(nominal_document(file.document, diagnosis))

@@ -224,7 +224,8 @@ def _size(finding: "Finding") -> str:
 def _predict(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report import trial_plots
-    from diffsea.simulation.replay import horizon_errors, recorded_actuation, replay, replay_errors
+    from diffsea.simulation.recorded import how_actuated
+    from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.types import Outcome
 
     vessel = options.read_vessel(args).vessel
@@ -236,7 +237,6 @@ def _predict(args: argparse.Namespace) -> None:
         options.progress(f"estimating the environment of the first {args.environment_from:g} s")
         vessel, recording, environment = environment_from(vessel, recording, args.environment_from)
     with options.Outputs(args.output) as out:
-        measured = {} if args.orders else recorded_actuation(vessel, recording)[1]
         predicted = replay(vessel, recording, not args.orders)
         if predicted.outcome == Outcome.DIVERGED:
             raise UserError(
@@ -248,9 +248,9 @@ def _predict(args: argparse.Namespace) -> None:
         result = {
             "vessel": vessel.name,
             "recording": recording.name,
-            "actuation": {
-                c: "measured" if c in measured else "reconstructed" for c in vessel.channels
-            },
+            "actuation": dict.fromkeys(vessel.channels, "reconstructed")
+            if args.orders
+            else how_actuated(vessel, [recording]),
             "overall": replay_errors(predicted, recording),
             "horizons": {f"{seconds:g}": errors for seconds, errors in ahead.items()},
             "units": _UNITS | {"horizons": "s"},

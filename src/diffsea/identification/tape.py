@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.heel import predicted_heel
 from diffsea.identification.lanes import Lanes, in_lanes
-from diffsea.simulation.replay import recorded_actuation
+from diffsea.simulation.recorded import recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 

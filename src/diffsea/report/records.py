@@ -97,6 +97,8 @@ def _shown(value: object) -> Html:
 def _plain(value: object) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(str(one) for one in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {one}" for key, one in value.items())
     return str(value)
 
 

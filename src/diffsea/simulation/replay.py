@@ -17,6 +17,7 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
 from diffsea.simulation.integrate import rk4
+from diffsea.simulation.recorded import Samples, recorded_actuation, recorded_heel
 from diffsea.types import MOTION_CHANNELS, Environment, Outcome, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.sensors import Clock, Sensors
@@ -27,9 +28,6 @@ HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g)
 _MOST_STEPS = 10_000_000
 _PADDING = 256  # steps are padded to a multiple, so that recordings share a program
-
-Samples = Float[np.ndarray, "time"]
-
 
 class _Steps(eqx.Module):
     """The integration steps through a recording. Spare ones at the end take no time."""
@@ -136,60 +134,9 @@ def horizon_errors(
     return errors
 
 
-def recorded_actuation(
-    vessel: Vessel, recording: Trajectory
-) -> tuple[dict[str, Samples], dict[str, Samples]]:
-    """Orders of every channel, and executed values of those that were measured throughout.
-
-    A channel without orders takes its executed values for them; missing orders hold the one
-    before, leading ones the first.
-
-    Raises:
-        UserError: a channel of the vessel has neither.
-    """
-    valid = np.asarray(recording.valid, bool)
-    orders, executed = {}, {}
-    for channel in vessel.channels:
-        done = recording.executed.get(channel)
-        order = recording.commanded.get(channel, done)
-        if order is None:
-            have = ", ".join([*recording.commanded, *recording.executed]) or "none"
-            raise UserError(
-                f"{recording.name}: the vessel's actuator channel {channel!r} has neither a "
-                f"cmd_{channel} nor an exec_{channel} column (it has: {have}); add it, or map "
-                "the file's own column to it with --mapping"
-            )
-        values = np.asarray(order, float)[valid]
-        if not np.isfinite(values).any():
-            raise UserError(f"{recording.name}: cmd_{channel} has no value at all")
-        orders[channel] = _held(values)
-        if done is not None and np.isfinite(np.asarray(done, float)[valid]).all():
-            executed[channel] = np.asarray(done, float)[valid]
-    return orders, executed
-
-
-def recorded_heel(recording: Trajectory) -> Samples:
-    """Recorded heel (rad) of the rows that count, missing samples interpolated; zero without."""
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
-    if "phi" not in recording.extra:
-        return np.zeros(len(t))
-    phi = np.asarray(recording.extra["phi"], float)[valid]
-    known = np.isfinite(phi)
-    if not known.any():
-        return np.zeros(len(t))
-    phi = np.interp(t, t[known], phi[known])
-    return 0.5 * (phi + np.append(phi[1:], phi[-1]))  # it is held over a row: the mean there
-
-
 def heeled(environment: Environment, heel: Scalar) -> Environment:
     """The environment with the recorded heel of a moment in it."""
     return eqx.tree_at(lambda e: e.heel, environment, heel)
-
-
-def _held(values: Samples) -> Samples:
-    index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
 
 
 def _inputs(

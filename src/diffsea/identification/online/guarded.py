@@ -24,7 +24,7 @@ from diffsea.identification.online.gate import Gate, Passage, passed, shut
 from diffsea.identification.online.trust import Evidence, Limits, Memory, Trust
 from diffsea.identification.tape import make_tape
 from diffsea.priors import Parameter
-from diffsea.simulation.replay import recorded_actuation
+from diffsea.simulation.recorded import recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
 
