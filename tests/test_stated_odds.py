@@ -1,5 +1,5 @@
 """Whether stated odds are those of being right: linear models with Gaussian noise, drawn from
-their own priors. What is missing is nothing or one of three effects, each as often.
+their own priors, effects from Student's t. What is missing is nothing or one of three effects, each as often.
 """
 
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from diffsea.diagnosis.candidates import Look
 from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import made
-from diffsea.identification.layout import Layout
+from diffsea.identification.layout import TAIL, Layout
 from diffsea.priors import Parameter
 from diffsea.vessel.effects import EFFECTS
 
@@ -31,15 +31,17 @@ def problem():
 
 
 def fitted(problem, X: np.ndarray, y: np.ndarray, free: tuple[str, ...]):
-    """The exact posterior of some coordinates, the noise of the data being one."""
-    spreads, index = problem.layout.spreads(), np.array(problem.layout.indices(free))
-    some = X[:, index]
-    precision = some.T @ some + np.diag(1 / spreads[index] ** 2)
-    at = np.linalg.solve(precision, some.T @ y)
-    deviance = ((y - some @ at) ** 2).sum() + ((at / spreads[index]) ** 2).sum()
-    coordinates = np.zeros(problem.layout.size)
-    coordinates[index] = at
-    return made(free, coordinates, deviance, index, spreads, some.T @ some)
+    """The peak of the posterior of some coordinates, the noise of the data being one."""
+    layout, index = problem.layout, np.array(problem.layout.indices(free))
+    some, coordinates = X[:, index], np.zeros(problem.layout.size)
+    for _ in range(30):  # a normal prior of the same slope, again and again
+        precision = some.T @ some + np.diag(1 / layout.local_spreads(coordinates)[index] ** 2)
+        coordinates[index] = np.linalg.solve(precision, some.T @ y)
+    strains = np.asarray(layout.strains(coordinates, layout.spreads()))
+    deviance = ((y - X @ coordinates) ** 2).sum() + (strains**2).sum()
+    return made(
+        free, coordinates, deviance, index, layout.local_spreads(coordinates), some.T @ some
+    )
 
 
 def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, str]:
@@ -53,6 +55,9 @@ def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, s
     index = problem.layout.indices((*own, truth))
     at = np.zeros(len(spreads))
     at[index] = rng.normal(size=len(index)) * spreads[index]
+    effect = problem.layout.indices((truth,))
+    heavy = (TAIL + len(effect)) / rng.chisquare(TAIL)
+    at[effect] *= np.sqrt(heavy)
     y = X @ at + rng.normal(size=VALUES)
     current = fitted(problem, X, y, own)
     tried = []
