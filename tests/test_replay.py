@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from diffsea.errors import UserError
+from diffsea.simulation.recorded import how_actuated, recorded_actuation
 from diffsea.simulation.replay import (
     horizon_errors,
-    recorded_actuation,
     replay,
     replay_errors,
 )
@@ -82,8 +82,31 @@ def test_measured_actuation_is_taken_as_measured_unless_told_otherwise():
     assert replay(boat(), run, measured_actuation=False).u[-1] == pytest.approx(
         straight(t).u[-1], abs=1e-6
     )
-    patchy = dataclasses.replace(run, executed={"screw": np.where(t > 5, 30.0, np.nan)})
-    assert recorded_actuation(boat(), patchy)[1] == {}
+
+
+def test_executed_values_hold_until_the_next_but_not_where_they_were_lost():
+    t = np.arange(0.0, 20.0, 0.25)
+    done = 30.0 + t
+    executed = lambda there: recorded_actuation(
+        boat(),
+        dataclasses.replace(straight(t), executed={"screw": np.where(there, done, np.nan)}),
+    )[1]
+    every_second = np.round(t / 0.25) % 4 == 0
+    np.testing.assert_allclose(executed(every_second)["screw"], 30.0 + np.floor(t))
+    gap = every_second & ~((t > 8) & (t < 11))
+    np.testing.assert_allclose(executed(gap)["screw"][t < 8], 30.0 + np.floor(t[t < 8]))
+    for lost in (t > 5, t < 12, (t < 8) | (t > 12), t > 30):
+        assert executed(lost) == {}
+
+
+def test_a_channel_is_measured_only_where_all_recordings_have_it():
+    t = np.arange(0.0, 20.0, 0.25)
+    whole = dataclasses.replace(straight(t), executed={"screw": np.full(t.shape, 30.0)})
+    bare = dataclasses.replace(straight(t), name="bare.csv")
+    assert how_actuated(boat(), [whole, whole]) == {"screw": "measured"}
+    assert how_actuated(boat(), [bare, bare]) == {"screw": "reconstructed"}
+    said = how_actuated(boat(), [whole, bare])["screw"]
+    assert said.startswith("reconstructed") and "bare.csv" in said
 
 
 def test_a_start_that_was_not_measured_is_derived():

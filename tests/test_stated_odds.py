@@ -1,5 +1,6 @@
 """Whether stated odds are those of being right: linear models with Gaussian noise, drawn from
-their own priors, effects from Student's t. What is missing is nothing or one of three effects, each as often.
+their own priors, effects from Student's t. What is missing is nothing or one of three effects,
+each as often.
 """
 
 from types import SimpleNamespace
