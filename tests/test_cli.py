@@ -290,6 +290,20 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
     assert (tmp_path / "x.json").read_text() == "old"
 
 
+def test_a_file_of_another_folder_appears_at_the_end_with_the_others_or_not_at_all(tmp_path):
+    asked = tmp_path / "next.csv"
+    asked.write_text("old")
+    with pytest.raises(UserError, match="stop"), options.Outputs(tmp_path / "out") as out:
+        out.elsewhere(asked).write_text("new")
+        raise UserError("stop")
+    assert asked.read_text() == "old" and list(tmp_path.iterdir()) == [asked]
+    with options.Outputs(tmp_path / "out") as out:
+        out.elsewhere(asked).write_text("new")
+        out.elsewhere(tmp_path / "not-needed.csv")
+        assert asked.read_text() == "old"
+    assert asked.read_text() == "new" and out.files == [asked]
+
+
 def test_commands_that_start_together_may_share_a_new_folder(tmp_path, monkeypatch):
     shared, mkdir = tmp_path / "runs", pathlib.Path.mkdir
 

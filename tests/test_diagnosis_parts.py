@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import decision, refit, remainder, revision, select, spectrum
+from diffsea.diagnosis import decision, locate, refit, remainder, revision, select, spectrum
 from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
 from diffsea.diagnosis.limits import detection_limits
+from diffsea.diagnosis.locate import Bin
 from diffsea.diagnosis.null import joint_null
 from diffsea.diagnosis.refit import (
     Fitted,
@@ -467,3 +468,26 @@ def test_an_unnamed_force_is_asked_for_on_halves_of_the_data_alone(monkeypatch):
     projection = SimpleNamespace(residual=padded(residual), rows=rows + spare - 10)
     assert remainder._inclusion(projection, [padded(worse), padded(better)], 1) == 1.0
     assert set(told) == {rows // 2}
+
+
+def test_a_window_is_in_the_regime_that_half_of_it_lies_in():
+    """Two runs of 100 rows at 1 Hz: slow and straight, then fast and turning."""
+    run = np.repeat([0, 1], 100)
+    t = np.tile(np.arange(100.0), 2)
+    u = np.where(run == 0, 1.0, 3.0) + 1e-3 * t
+    r = np.where((run == 1) & (t >= 60), 0.3, 0.0) + 1e-4 * t
+    measured = np.stack([t, t, 0 * t, u, 0.1 * u, r], axis=1)
+    tape = SimpleNamespace(
+        measured=measured, known=np.ones((200, 6), bool), orders={"screw": u}, run=run,
+        run_time=t, runs=2,
+    )  # fmt: skip
+    problem = SimpleNamespace(tape=tape)
+    texts = [labels[0][3] for binning in locate.regimes(problem) for labels in binning.labels]
+    speeds = [text for text in texts if text.startswith("speed")]
+    turning = [text for text in texts if text.startswith("yaw rate")][-1]
+    within = lambda number, start, end, among: locate.regime_within(
+        problem, Bin(0, number, start, end, ""), among
+    )
+    assert within(0, 0.0, 49.0, [turning, speeds[-1], speeds[0]]) == speeds[0]
+    assert within(1, 60.0, 99.0, [speeds[0], turning]) == turning
+    assert within(0, 0.0, 49.0, [speeds[-1], turning]) is None

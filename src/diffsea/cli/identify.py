@@ -1,7 +1,6 @@
 """`diagnose`: from recordings to what a vessel's model lacks; and what `fit` shares with it."""
 
 import argparse
-import os
 import pathlib
 import sys
 import time
@@ -18,7 +17,6 @@ from diffsea.cli.options import (
     read_vessel,
 )
 from diffsea.cli.progress import Messages
-from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
@@ -59,19 +57,9 @@ def _write_manoeuvre(path: pathlib.Path, diagnosis: Any, experiment: Any, tell: 
     from diffsea.diagnosis.experiment import commands
 
     if experiment is None:
-        tell(f"no two explanations are left to separate, so {path} is not written")
+        tell("no two explanations are left to separate, so no manoeuvre is written")
         return
     pd.DataFrame(commands(diagnosis, experiment)).to_csv(path, index=False, float_format="%.6g")
-
-
-def _check_writable(path: pathlib.Path) -> None:
-    """Raise UserError, before any work is done, where no file of this name can be written."""
-    if not path.parent.is_dir():
-        raise UserError(f"{path.parent} is no folder; --next-manoeuvre writes one CSV file")
-    if path.is_dir():
-        raise UserError(f"{path} is a folder; --next-manoeuvre writes one CSV file")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise UserError(f"cannot write {path}; choose another file with --next-manoeuvre")
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -137,8 +125,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.report.text import verdict_text
         from diffsea.vessel.catalogue import build, dump
 
-        if args.next_manoeuvre is not None:
-            _check_writable(args.next_manoeuvre)
+        next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre)
         tell = Messages(STAGES)
         file = read_vessel(args)
         runs, test = read_all(args)
@@ -150,8 +137,8 @@ def _diagnose(args: argparse.Namespace) -> None:
         tell("looking for the manoeuvre that would tell more")
         experiment = next_experiment(diagnosis)
         result["next_experiment"] = None if experiment is None else experiment.as_dict()
-        if args.next_manoeuvre is not None:
-            _write_manoeuvre(args.next_manoeuvre, diagnosis, experiment, tell)
+        if next_csv is not None:
+            _write_manoeuvre(next_csv, diagnosis, experiment, tell)
         result["source"] = source(args, file.vessel, runs, test)
         tell("writing the report")
         document = vessel_document(file.document, diagnosis)

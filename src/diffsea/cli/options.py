@@ -180,6 +180,7 @@ class Outputs:
     def __init__(self, folder: pathlib.Path):
         self.folder = pathlib.Path(folder)
         self.files: list[pathlib.Path] = []
+        self._elsewhere: dict[pathlib.Path, pathlib.Path] = {}
         self._result = "null"
 
     def __enter__(self) -> "Outputs":
@@ -218,6 +219,21 @@ class Outputs:
         self.files.append(self.folder / name)
         return self._temporary / name
 
+    def elsewhere(self, file: pathlib.Path) -> pathlib.Path:
+        """Where to write a file of another folder for now.
+
+        Raises:
+            UserError: no file of this name can be written there.
+        """
+        if not file.parent.is_dir():
+            raise UserError(f"{file.parent} is no folder; give the name of one CSV file")
+        if file.is_dir():
+            raise UserError(f"{file} is a folder; give the name of one CSV file")
+        if not os.access(file if file.exists() else file.parent, os.W_OK):
+            raise UserError(f"cannot write {file}; choose another file")
+        self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
+        return self._elsewhere[file]
+
     def json(self, name: str, data: Any) -> None:
         """Write the command's JSON file; `--json` will print it."""
         self._result = json_text(data)
@@ -228,6 +244,10 @@ class Outputs:
             if kind is None:
                 for file in self.files:
                     os.replace(self._temporary / file.name, file)
+                for file, temporary in self._elsewhere.items():
+                    if temporary.exists():
+                        shutil.move(temporary, file)
+                        self.files.append(file)
         except OSError as failed:
             raise UserError(f"cannot write into {self.folder}: {failed.strerror}") from None
         finally:

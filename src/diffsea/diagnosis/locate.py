@@ -123,6 +123,19 @@ def regimes(problem: Problem) -> list[Binning]:
     ]
 
 
+def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None:
+    """The first of some regimes in which at least half of a time window's rows lie."""
+    tape = problem.tape
+    t, real = np.asarray(tape.run_time), np.asarray(tape.known).any(1)
+    rows = real & (np.asarray(tape.run) == window.run) & (window.start <= t) & (t <= window.end)
+    share = {
+        labels[0][3]: binning.members[rows, k].mean()
+        for binning in regimes(problem)
+        for k, labels in enumerate(binning.labels)
+    }
+    return next((regime for regime in among if share[regime] >= 0.5), None)
+
+
 def quantities(problem: Problem) -> list[Quantity]:
     """Drift angle, yaw rate, speed, heading and the sum of all orders."""
     tape = problem.tape

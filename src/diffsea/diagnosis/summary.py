@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from diffsea.diagnosis.decision import Accepted, needed
 from diffsea.diagnosis.limits import detection_limits
-from diffsea.diagnosis.locate import DEGREES, Cell
+from diffsea.diagnosis.locate import DEGREES, Cell, regime_within
 from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.remainder import latent_force
 from diffsea.diagnosis.screening import Screening
@@ -77,7 +77,7 @@ def _held_out(diagnosis: Diagnosis) -> dict:
 
 
 def _where(diagnosis: Diagnosis) -> list[dict]:
-    """Significant cells of the nominal model, strongest first, with the regime they share."""
+    """Significant cells of the nominal model, strongest first, with the regime they lie in."""
     level = diagnosis.where.null.level
     found = sorted(
         (cell for cell in diagnosis.where.cells if cell.p_value < level),
@@ -87,8 +87,8 @@ def _where(diagnosis: Diagnosis) -> list[dict]:
     out = []
     for cell in found[:40]:
         same = [other.bin.regime for other in shared if other.bin.degree == cell.bin.degree]
-        regime = cell.bin.regime or (same[0] if same else "no regime stands out")
-        out.append(_cell_record(diagnosis, cell, regime))
+        regime = cell.bin.regime or regime_within(diagnosis.split.train, cell.bin, same)
+        out.append(_cell_record(diagnosis, cell, regime or "no regime stands out"))
     return out
 
 
