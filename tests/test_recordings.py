@@ -182,6 +182,14 @@ def test_commands_hold_through_empty_cells_and_are_unknown_before_the_first(plac
     assert "cmd_b has no value and is left out" in run.provenance
 
 
+def test_a_clock_with_an_epoch_counts_from_the_start_of_the_run(place):
+    run = read_recording(place("t,x\n1700000000.25,1\n1700000000.5,2\n1700000001.25,3\n"))
+    np.testing.assert_allclose(run.t, [0.25, 0.5, 1.25], atol=1e-6)
+    assert any("1700000000 s" in note for note in run.provenance)
+    long = read_recording(place("t,x\n86400.25,1\n86400.5,2\n86401.25,3\n"))
+    assert long.t[0] == 86400.25
+
+
 def test_rows_of_one_time_stamp_become_one(place):
     """Sensors that write rows of their own, and an order that changes at an instant."""
     run = read_recording(

@@ -6,6 +6,7 @@ file's labels are right; whether they are is for the audit to find out.
 
 import dataclasses
 import hashlib
+import math
 import os
 import tempfile
 from pathlib import Path
@@ -29,6 +30,8 @@ from diffsea.recordings.vocabulary import REPEATED_TIMES as REPEATED_TIMES
 from diffsea.types import MOTION_CHANNELS, Series, Trajectory
 
 
+_EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch
+
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")
 
 
@@ -40,8 +43,9 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     of their several clocks.
 
     Without a mapping a table must have the native columns (`t`, `x`, `psi`, `cmd_...`).
-    Time keeps its zero, heading is unwrapped, empty cells of motion channels become NaN,
-    and a command holds through empty cells. Rows without any value are dropped, and rows of
+    Time keeps its zero, unless that is the epoch of a calendar: such clocks count from the first
+    row's second, which the provenance names. Heading is unwrapped, empty cells of motion channels
+    become NaN, and a command holds through empty cells. Rows without any value are dropped, and rows of
     one time stamp become one, of the last value of each channel: an order that changes at an
     instant counts from that instant on. The provenance says how many.
 
@@ -187,6 +191,10 @@ def _assemble(
             f"{REPEATED_TIMES}: {repeated.size} of {time.size}, first at "
             f"t = {time[repeated[0]]:g} s in line {lines[repeated[0]]}"
         )
+    if time.size and time[0] > _EPOCH:
+        zero = math.floor(time[0])
+        notes.append(f"times count from {zero} s on the file's clock, the first row's second")
+        time = time - zero
     table = pd.DataFrame({name: series[~dropped] for name, series in values.items()})
     table = table.groupby(time).last()
     if len(table) < 2:
