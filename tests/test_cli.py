@@ -73,6 +73,8 @@ def test_every_command_helps_with_examples(command, capsys):
 
 def test_version(capsys):
     assert run("--version") == 0
+    as_module = [sys.executable, "-m", "diffsea", "--version"]
+    assert subprocess.run(as_module, capture_output=True, text=True).stdout.startswith("diffsea ")
     assert capsys.readouterr().out.startswith("diffsea ")
 
 
