@@ -179,6 +179,25 @@ def test_score_has_its_size_under_white_noise_and_sees_a_shift():
     assert score.step[0] == pytest.approx(0.3, abs=0.1)
 
 
+def test_copies_for_runs_that_a_tape_has_to_spare_are_no_degrees_of_freedom():
+    rng = np.random.default_rng(5)
+    rows, copies = 100, 4  # of which one belongs to a recording
+    columns = np.zeros((6 * rows + copies + 2, copies))
+    columns[: 6 * rows, 0] = rng.normal(size=6 * rows)
+    columns[6 * rows + 2 :] = np.eye(copies) / 3
+    nuisance = np.zeros((len(columns), 2))
+    nuisance[: 6 * rows] = rng.normal(size=(6 * rows, 2))
+    nuisance[6 * rows : 6 * rows + 2] = np.eye(2)
+    residual = np.zeros(len(columns))
+    residual[: 6 * rows] = rng.normal(size=6 * rows) - 0.2 * columns[: 6 * rows, 0]
+    projection = Projection(residual, nuisance, np.zeros(rows, int))
+    E = projection.efficient(columns)
+    alone, all_of_them = projection.score(E[:, :1]), projection.score(E)
+    assert all_of_them.p_value == pytest.approx(alone.p_value, rel=1e-9)
+    assert all_of_them.step == pytest.approx([alone.step[0], 0, 0, 0])
+    assert projection.score(E[:, 1:]).p_value == 1.0
+
+
 def test_what_a_nuisance_can_do_is_not_counted():
     rng = np.random.default_rng(4)
     nuisance = rng.normal(size=(600, 2))

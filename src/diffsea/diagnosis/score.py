@@ -48,16 +48,24 @@ class Projection:
         """Columns with the nuisances projected out."""
         return columns - self.basis @ (self.basis.T @ columns)
 
+    def told(self, E: np.ndarray) -> np.ndarray:
+        """Which columns move any innovation: those of runs that a tape has to spare do not."""
+        return (E[: self.rows] ** 2).sum(0) > 1e-12 * (E**2).sum(0)
+
     def score(self, E: np.ndarray) -> Score:
         """Test one candidate by its efficient columns."""
-        V = E.T @ E
+        step, told = np.zeros(E.shape[1]), self.told(E)
+        k = int(told.sum())
+        if k == 0:
+            return Score(0.0, 1.0, step, 1.0)
+        E = E[:, told]
         s = E.T @ self.residual
-        inverse = np.linalg.pinv(V, rcond=1e-10, hermitian=True)
-        k = E.shape[1]
+        inverse = np.linalg.pinv(E.T @ E, rcond=1e-10, hermitian=True)
         coloured = long_run(E[: self.rows], self.correlation)
         ratio = max(1.0, float(np.trace(coloured @ inverse)) / k)
         statistic = float(s @ inverse @ s) / ratio
-        return Score(statistic, float(stats.chi2.sf(statistic, k)), -(inverse @ s), ratio)
+        step[told] = -(inverse @ s)
+        return Score(statistic, float(stats.chi2.sf(statistic, k)), step, ratio)
 
     def singles(self, E: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Test many one-coordinate candidates at once: steps, standard errors, p-values.

@@ -97,9 +97,10 @@ def screen(problem: Problem, fitted: Estimate, recordings: tuple[Trajectory, ...
     bins, J = bin_columns(problem, gains, fitted)
     where = projection.efficient(J)
     located = cells(problem, bins, *projection.singles(where))
-    everything = np.concatenate([*parts, where], axis=1)
-    ends = np.cumsum([E.shape[1] for E in parts] + [1] * where.shape[1])
-    tests = [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    told = [E[:, projection.told(E)] for E in parts]
+    everything = np.concatenate([*told, where], axis=1)
+    ends = np.cumsum([E.shape[1] for E in told] + [1] * where.shape[1])
+    tests = [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True) if b > a]
     null = joint_null(everything.T @ everything, tests)
     best = _best(tried, parts, projection, {}, spacing)
     for finer in (4.0, 16.0):
