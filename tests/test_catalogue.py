@@ -8,9 +8,11 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 from diffsea.errors import UserError
+from diffsea.identification import found_effects
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
 from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_document
+from diffsea.vessel.effects import EFFECTS
 
 
 NAMES = (
@@ -674,3 +676,20 @@ def test_what_a_fit_changes_is_written_and_the_rest_stays(tmp_path):
 def test_a_number_of_an_actuator_that_is_not_there_cannot_be_written():
     with pytest.raises(UserError, match="'third.max_force' cannot be written"):
         updated_document(read_vessel("wamv").document, {"third.max_force": 1.0}, [])
+
+
+def test_channels_say_in_what_they_are_commanded():
+    units = {name: read_vessel(name).vessel.units for name in NAMES}
+    assert units["shioji_maru"] == {"propeller": "rev/s", "rudder": "rad", "bow": "N", "stern": "N"}
+    assert units["pytheas"] == {"thruster.force": "N", "thruster.angle": "rad"}
+    assert units["mariner"] == {"rudder": "rad"}
+    assert set(units["otter"].values()) <= {"N", "rev/s"}
+
+
+@pytest.mark.parametrize(("vessel", "unit"), [("kvlcc2", "rev/s"), ("pytheas", "N")])
+def test_a_number_of_the_propulsion_is_reported_in_the_vessels_own_unit(vessel, unit):
+    boat = read_vessel(vessel).vessel
+    found = found_effects._with_errors(boat, EFFECTS["deadband:propulsion"], np.ones(1), np.eye(1))
+    assert found["width"]["unit"] == unit
+    rate = found_effects._with_errors(boat, EFFECTS["rate-limit:propulsion"], np.ones(1), np.eye(1))
+    assert rate["rate_limit"]["unit"] == f"{unit} per s"

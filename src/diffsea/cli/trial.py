@@ -153,7 +153,7 @@ def _run(args: argparse.Namespace) -> None:
         out.json("metrics.json", metrics)
         title = f"{vessel.name}: {plan.manoeuvre}"
         trial_plots.save_track(trial, out.path("track.png"), title)
-        trial_plots.save_series(trial, out.path("series.png"), title)
+        trial_plots.save_series(trial, out.path("series.png"), title, vessel.units)
     out.present(args, metrics_text(metrics))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name, channels_of
+from diffsea.vessel.effects import COMMANDED, EFFECTS, Effect, catalogue_name, channels_of
 
 
 def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, dict]]:
@@ -40,10 +40,17 @@ def _with_errors(
     std = np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0))
     numbers = zip(effect.units.items(), np.asarray(listed(at)), std, strict=True)
     parameters: dict[str, dict] = {
-        name: {"value": float(value), "std": float(error), "unit": unit}
+        name: {"value": float(value), "std": float(error), "unit": _unit(vessel, effect, unit)}
         for (name, unit), value, error in numbers
     }
     return parameters
+
+
+def _unit(vessel: Vessel, effect: Effect, unit: str) -> str:
+    """The unit on this vessel, of a number in what its channels are commanded in."""
+    channels = channels_of(vessel, effect.where["kind"]) if "kind" in effect.where else ()
+    own = {vessel.units[channel] for channel in channels}
+    return unit.replace(COMMANDED, own.pop()) if len(own) == 1 else unit
 
 
 def effect_table(vessel: Vessel, name: str, parameters: dict[str, dict]) -> dict:

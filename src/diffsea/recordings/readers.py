@@ -45,9 +45,9 @@ def read_recording(path: str | Path, mapping: Mapping | str | Path | None = None
     Without a mapping a table must have the native columns (`t`, `x`, `psi`, `cmd_...`).
     Time keeps its zero, unless that is the epoch of a calendar: such clocks count from the first
     row's second, which the provenance names. Heading is unwrapped, empty cells of motion channels
-    become NaN, and a command holds through empty cells. Rows without any value are dropped, and rows of
-    one time stamp become one, of the last value of each channel: an order that changes at an
-    instant counts from that instant on. The provenance says how many.
+    become NaN, and a command holds through empty cells. Rows without any value are dropped, and
+    rows of one time stamp become one, of the last value of each channel: an order that changes at
+    an instant counts from that instant on. The provenance says how many.
 
     Raises `UserError` naming file, line and column for anything that cannot be read as a
     recording: no time, no motion, cells that are no numbers, time that runs backwards.

@@ -1,6 +1,7 @@
 """Figures of runs: the track, the motion over time, and a prediction beside its recording."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.axes
@@ -40,8 +41,13 @@ def save_track(trial: Trial, path: Path, title: str = "") -> None:
     _save(figure, path)
 
 
-def save_series(trial: Trial, path: Path, title: str = "") -> None:
-    """Heading and steering, speeds, yaw rate and actuation over time since the execute."""
+def save_series(
+    trial: Trial, path: Path, title: str = "", units: Mapping[str, str] | None = None
+) -> None:
+    """Heading and steering, speeds, yaw rate and actuation over time since the execute.
+
+    `units` are those of the channels, as the vessel has them.
+    """
     run = _rows(trial.trajectory)
     t = run.t - float(trial.execute_time)
     figure, axes = _figure(4, (8.0, 9.0))
@@ -56,7 +62,7 @@ def save_series(trial: Trial, path: Path, title: str = "") -> None:
     axes[1].set_ylabel("m/s")
     axes[2].plot(t, np.degrees(run.r), color=BLUE, label="yaw rate")
     axes[2].set_ylabel("deg/s")
-    _actuation(axes[3], t, run)
+    _actuation(axes[3], t, run, units or {})
     axes[3].set_xlabel("time since the execute, s")
     axes[0].set_title(title, loc="left")
     for ax in axes:  # above the axes, where no curve runs
@@ -132,12 +138,15 @@ def _silhouettes(
     )  # fmt: skip
 
 
-def _actuation(ax: matplotlib.axes.Axes, t: np.ndarray, run: Trajectory) -> None:
+def _actuation(
+    ax: matplotlib.axes.Axes, t: np.ndarray, run: Trajectory, units: Mapping[str, str]
+) -> None:
     """Executed actuation, and its orders dashed; angles in degrees."""
     for colour, channel in zip(_COLOURS, run.executed, strict=False):
-        angle = "rudder" in channel or channel.endswith("angle")
-        factor = 180 / math.pi if angle else 1.0
-        name = f"{channel}, deg" if angle else channel
+        unit = units.get(channel, "")
+        factor = 180 / math.pi if unit == "rad" else 1.0
+        unit = "deg" if unit == "rad" else unit
+        name = f"{channel}, {unit}" if unit else channel
         ax.plot(t, factor * run.executed[channel], color=colour, lw=1.3, label=name)
         ordered = run.commanded.get(channel)
         if ordered is not None:

@@ -29,6 +29,7 @@ _LONGEST_STEP = 0.3  # of sqrt(L / g)
 _MOST_STEPS = 10_000_000
 _PADDING = 256  # steps are padded to a multiple, so that recordings share a program
 
+
 class _Steps(eqx.Module):
     """The integration steps through a recording. Spare ones at the end take no time."""
 

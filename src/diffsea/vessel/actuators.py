@@ -67,6 +67,9 @@ class FixedThruster(AbstractActuator):
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
 
+    def unit(self, channel: str) -> str:
+        return "N" if self.curve is None else "rev/s"
+
 
 class AzimuthThruster(AbstractActuator):
     """A thruster that turns: channels force (N) and angle (rad clockwise from ahead)."""
@@ -97,6 +100,9 @@ class AzimuthThruster(AbstractActuator):
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
 
+    def unit(self, channel: str) -> str:
+        return "rad" if channel == self.angle_channel else "N"
+
 
 class TunnelThruster(AbstractActuator):
     """A transverse thruster commanded in N to starboard; it fades with forward speed.
@@ -117,6 +123,9 @@ class TunnelThruster(AbstractActuator):
 
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
+
+    def unit(self, channel: str) -> str:
+        return "N"
 
 
 class Propeller(AbstractActuator):
@@ -171,6 +180,9 @@ class Propeller(AbstractActuator):
         square = jnp.where(n > 0, self._coefficient_times_square(n, advance), 0.0)
         loading = 8 * jnp.maximum(square, 0.0) * self.diameter**2 / jnp.pi
         return Jet(advance, loading, self.diameter)
+
+    def unit(self, channel: str) -> str:
+        return "rev/s"
 
 
 class Rudder(AbstractActuator):
@@ -233,6 +245,9 @@ class Rudder(AbstractActuator):
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
 
+    def unit(self, channel: str) -> str:
+        return "rad"
+
 
 class DerivativeRudder(AbstractActuator):
     """A rudder given by derivatives with the letter d, as in Abkowitz sets.
@@ -251,3 +266,6 @@ class DerivativeRudder(AbstractActuator):
 
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         return None
+
+    def unit(self, channel: str) -> str:
+        return "rad"

@@ -97,6 +97,10 @@ class AbstractActuator(eqx.Module):
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         """The slipstream it makes for a rudder behind it, or None."""
 
+    @abc.abstractmethod
+    def unit(self, channel: str) -> str:
+        """In what a channel is commanded: N, rev/s or rad."""
+
 
 class RigidBody(eqx.Module):
     """Mass properties and main dimensions."""
@@ -197,6 +201,11 @@ class Vessel(eqx.Module):
     def channels(self) -> tuple[str, ...]:
         """Names of the command channels, in the order of the actuators."""
         return tuple(channel for part in self.actuators.values() for channel in part.servos)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """In what every channel is commanded: N, rev/s or rad."""
+        return {c: part.unit(c) for part in self.actuators.values() for c in part.servos}
 
     @property
     def servos(self) -> dict[str, eqx.Module]:

@@ -1,7 +1,7 @@
 """The catalogue of effects: physics that can be added to a vessel by name."""
 
 from diffsea.errors import UserError, nearest
-from diffsea.vessel.effects.actuators import ACTUATORS, STAGES, channels_of
+from diffsea.vessel.effects.actuators import ACTUATORS, COMMANDED, STAGES, channels_of
 from diffsea.vessel.effects.entry import Coordinates, Effect, catalogue_name
 from diffsea.vessel.effects.environment import ENVIRONMENT, default_wind
 from diffsea.vessel.effects.hull import HULL
@@ -10,8 +10,8 @@ from diffsea.vessel.effects.thrust import THRUST
 
 
 __all__ = [
-    "EFFECTS", "LATENCY_CHANNELS", "STAGES", "Coordinates", "Effect", "catalogue_name",
-    "channels_of", "default_wind", "find_effects",
+    "COMMANDED", "EFFECTS", "LATENCY_CHANNELS", "STAGES", "Coordinates", "Effect",
+    "catalogue_name", "channels_of", "default_wind", "find_effects",
 ]  # fmt: skip
 
 EFFECTS: dict[str, Effect] = {

@@ -9,13 +9,14 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffsea.types import Scalar
-from diffsea.vessel.actuators import AzimuthThruster, DerivativeRudder, Propeller, Rudder
+from diffsea.vessel.actuators import Propeller
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import Coordinates, Effect, time_scale
 from diffsea.vessel.servo import Servo
 
 
 KINDS = ("propulsion", "steering")
+COMMANDED = "N or rev/s"  # the unit of a number on any vessel's propulsion
 SIDES = {"port": -1, "starboard": 1}  # sign of y
 
 
@@ -25,13 +26,7 @@ def channels_of(vessel: Vessel, kind: str) -> tuple[str, ...]:
         pushing, parts = channels_of(vessel, "propulsion"), vessel.actuators.values()
         beside = [p for p in parts if SIDES[kind] * float(getattr(p, "y", 0.0)) > 0]
         return tuple(c for part in beside for c in part.servos if c in pushing)
-    steering: list[str] = []
-    for part in vessel.actuators.values():
-        if isinstance(part, Rudder | DerivativeRudder):
-            steering += part.servos
-        elif isinstance(part, AzimuthThruster):
-            steering.append(part.angle_channel)
-    return tuple(c for c in vessel.channels if (c in steering) == (kind == "steering"))
+    return tuple(c for c, unit in vessel.units.items() if (unit == "rad") == (kind == "steering"))
 
 
 def full(vessel: Vessel, channels: Iterable[str]) -> Scalar:
@@ -147,7 +142,7 @@ class Stage:
     def _unit(self, kind: str) -> str:
         if self.timed:
             return "s"
-        unit = "rad" if kind == "steering" else "N or rev/s"
+        unit = "rad" if kind == "steering" else COMMANDED
         return f"{unit} per s" if self.name == "rate-limit" else unit
 
 
