@@ -29,6 +29,7 @@ from diffsea.metrics import (
     value_at,
     zigzag_metrics,
 )
+from diffsea.metrics.executes import as_thrust, steering
 from diffsea.types import Trajectory
 
 
@@ -787,3 +788,14 @@ def test_the_original_heading_is_the_mean_of_the_approach():
     got, steady = recording_metrics(swinging), recording_metrics(run)
     for name in ("advance", "transfer", "tactical_diameter"):
         assert got[name] == pytest.approx(steady[name], abs=0.1), name
+
+
+def test_shaft_speeds_steer_by_what_they_push():
+    t = np.arange(5.0)
+    still = {name: np.zeros(5) for name in ("x", "y", "psi", "u", "v", "r")}
+    fast, slow = np.full(5, 3.0), np.full(5, 1.0)
+    run = Trajectory(t=t, **still, commanded={"port": fast, "starboard": slow}, executed={})
+    in_rev = steering(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))[0]
+    assert np.degrees(in_rev) == pytest.approx(35 * (9 - 1) / (9 + 1))
+    in_newton = steering(as_thrust(run, {"port": "N", "starboard": "N"}))[0]
+    assert np.degrees(in_newton) == pytest.approx(35 * (3 - 1) / (3 + 1))

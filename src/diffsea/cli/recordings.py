@@ -1,7 +1,6 @@
 """Commands that judge recordings: `metrics`, `audit` and `predict`."""
 
 import argparse
-import dataclasses
 import math
 from typing import TYPE_CHECKING
 
@@ -13,8 +12,6 @@ from diffsea.errors import UserError
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
     from diffsea.recordings.repair import Repair
-    from diffsea.types import Trajectory
-    from diffsea.vessel.base import Vessel
 
 
 # Written out because asking the library would import JAX; a test compares the two.
@@ -103,6 +100,7 @@ def register(commands) -> None:
 
 def _metrics(args: argparse.Namespace) -> None:
     from diffsea.metrics import recording_metrics
+    from diffsea.metrics.executes import as_thrust
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
@@ -110,7 +108,7 @@ def _metrics(args: argparse.Namespace) -> None:
     with options.Outputs(args.output) as out:
         found = {
             run.name: recording_metrics(
-                run if vessel is None else _as_thrust(vessel, run), length, args.manoeuvre,
+                run if vessel is None else as_thrust(run, vessel.units), length, args.manoeuvre,
                 args.scale,
             )
             for run in runs
@@ -118,23 +116,6 @@ def _metrics(args: argparse.Namespace) -> None:
         (first, *others) = found.values()
         out.json("metrics.json", {"runs": found} if others else first)
     out.present(args, "\n\n".join(f"{n}: {metrics_text(item)}" for n, item in found.items()))
-
-
-def _as_thrust(vessel: "Vessel", run: "Trajectory") -> "Trajectory":
-    """The run with speeds of thrusters as thrusts, whose ratio gives the equivalent angle."""
-    import numpy as np
-
-    curved = {
-        channel
-        for part in vessel.actuators.values()
-        if getattr(part, "curve", None) is not None
-        for channel in part.servos
-    }
-
-    def pushed(group: dict) -> dict:
-        return {c: s * np.abs(s) if c in curved else s for c, s in group.items()}
-
-    return dataclasses.replace(run, commanded=pushed(run.commanded), executed=pushed(run.executed))
 
 
 def _audit(args: argparse.Namespace) -> None:

@@ -11,6 +11,7 @@ realised rudder moves slowly: it was ordered away when it left its plateau.
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -65,6 +66,20 @@ def steering(trajectory: Trajectory) -> tuple[Samples, str] | None:
         if angle is not None:
             return angle[0], f"{kind} {angle[1]}"
     return None
+
+
+def as_thrust(trajectory: Trajectory, units: Mapping[str, str]) -> Trajectory:
+    """The run with shaft speeds as what they push at rest, whose ratio gives the equivalent angle.
+
+    `units` are those of the channels, as a vessel has them.
+    """
+
+    def pushed(group: Mapping[str, Samples]) -> dict[str, Samples]:
+        return {c: s * np.abs(s) if units.get(c) == "rev/s" else s for c, s in group.items()}
+
+    return dataclasses.replace(
+        trajectory, commanded=pushed(trajectory.commanded), executed=pushed(trajectory.executed)
+    )
 
 
 def propulsion(trajectory: Trajectory) -> Samples | None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diffsea.metrics.executes import steering
+from diffsea.metrics.executes import as_thrust, steering
 from diffsea.simulation.trials import Trial
 from diffsea.types import Trajectory
 
@@ -52,7 +52,7 @@ def save_series(
     t = run.t - float(trial.execute_time)
     figure, axes = _figure(4, (8.0, 9.0))
     axes[0].plot(t, np.degrees(run.psi), color=BLUE, label="heading")
-    steered = steering(run)
+    steered = steering(as_thrust(run, units or {}))
     if steered is not None:
         label = "rudder" if "rudder" in steered[1] else "rudder-equivalent order"
         axes[0].step(t, np.degrees(steered[0]), where="post", color=ORANGE, label=label)
