@@ -792,9 +792,8 @@ def test_the_original_heading_is_the_mean_of_the_approach():
 
 def test_shaft_speeds_steer_by_what_they_push():
     t = np.arange(5.0)
-    still = {name: np.zeros(5) for name in ("x", "y", "psi", "u", "v", "r")}
-    fast, slow = np.full(5, 3.0), np.full(5, 1.0)
-    run = Trajectory(t=t, **still, commanded={"port": fast, "starboard": slow}, executed={})
+    still, ordered = np.zeros((6, 5)), {"port": np.full(5, 3.0), "starboard": np.ones(5)}
+    run = trajectory(t, *still, commanded=ordered)
     in_rev = steering(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))[0]
     assert np.degrees(in_rev) == pytest.approx(35 * (9 - 1) / (9 + 1))
     in_newton = steering(as_thrust(run, {"port": "N", "starboard": "N"}))[0]
