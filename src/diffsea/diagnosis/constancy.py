@@ -30,11 +30,21 @@ class Constancy(NamedTuple):
     p_value: float
     share: float  # of the statistic of the effect itself
     tolerated: float = SHARE
+    degrees: int = 0  # of freedom
 
     @property
     def holds(self) -> bool:
         """Whether the size is constant, or differs by little against the effect itself."""
         return self.p_value > LEVEL / len(PARTS) or self.share < self.tolerated
+
+    @property
+    def scatter(self) -> float:
+        """How far sizes in parts of the data are apart over what their errors say; at least one.
+
+        The ratio of Birge (1932), by which errors are to be widened: a law that holds nearly
+        gives each part of the data another size.
+        """
+        return max(1.0, self.statistic / self.degrees) ** 0.5 if self.degrees else 1.0
 
 
 def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
@@ -81,7 +91,8 @@ def _differing(
     degrees = parts.shape[1] - J.shape[1]
     p_value = float(stats.chi2.sf(score.statistic, degrees))
     excess = max(score.statistic - degrees, 0.0)
-    return Constancy(score.statistic, p_value, excess * score.inflation / max(explained, 1e-9))
+    share = excess * score.inflation / max(explained, 1e-9)
+    return Constancy(score.statistic, p_value, share, degrees=degrees)
 
 
 def _parts(problem: Problem, length: int, count: int) -> list[np.ndarray]:

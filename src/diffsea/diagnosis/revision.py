@@ -3,7 +3,7 @@
 import dataclasses
 
 from diffsea.diagnosis.decision import Accepted, decide, rivals, stands
-from diffsea.diagnosis.refit import Progress, completed, has_room, ranked, without
+from diffsea.diagnosis.refit import Fitted, Progress, completed, has_room, ranked, without
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split
 
@@ -43,6 +43,7 @@ def revised(
         best = decide(data, bare, again, progress)
         mine = next((t for t in again if t.effect == one.name), None)
         if best is None and mine is not None and stands(data.train, mine):
+            effects[effects.index(one)] = _beside_the_others(one, mine)
             continue
         if best is None:
             effects.remove(one)
@@ -53,4 +54,13 @@ def revised(
             effects[effects.index(one)] = new
             changed = changed or best.effect != one.name
             current = best.estimate
+        else:
+            effects[effects.index(one)] = _beside_the_others(one, best)
     return Revision(tuple(effects), current, tuple(dropped), changed)
+
+
+def _beside_the_others(one: Accepted, again: Fitted) -> Accepted:
+    """What was accepted, with the constancy that its size has now."""
+    return dataclasses.replace(
+        one, fitted=dataclasses.replace(one.fitted, constancy=again.constancy)
+    )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, needed
 from diffsea.diagnosis.limits import detection_limits
 from diffsea.diagnosis.locate import DEGREES, Cell, regime_within
@@ -170,7 +171,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
     for number, parameters in enumerate(copies):
         record = {
             "name": catalogue_name(accepted.name),
-            "parameters": _with_intervals(parameters),
+            "parameters": _with_intervals(parameters, fitted.constancy),
             "evidence": evidence,
             "alternatives": list(accepted.rivals),
         }
@@ -183,14 +184,14 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
     return records
 
 
-def _with_intervals(parameters: dict[str, dict]) -> dict[str, dict]:
-    """Each number with its central 90 % interval."""
-    off = float(norm.ppf(0.95))
-    return {
-        name: entry
-        | {"interval": [entry["value"] - off * entry["std"], entry["value"] + off * entry["std"]]}
-        for name, entry in parameters.items()
-    }
+def _with_intervals(parameters: dict[str, dict], constancy: Constancy | None) -> dict[str, dict]:
+    """Each number with its central 90 % interval, errors as wide as parts of the data scatter."""
+    widen, out = 1.0 if constancy is None else constancy.scatter, {}
+    for name, entry in parameters.items():
+        std = widen * entry["std"]
+        off = float(norm.ppf(0.95)) * std
+        out[name] = entry | {"std": std, "interval": [entry["value"] - off, entry["value"] + off]}
+    return out
 
 
 def _gain(fitted: Fitted) -> dict:
@@ -199,7 +200,7 @@ def _gain(fitted: Fitted) -> dict:
         return {}
     out: dict = {"held_out_gain": gain.total, "held_out_gain_std": gain.std}
     if fitted.constancy is not None:
-        out["constancy"] = fitted.constancy._asdict()
+        out["constancy"] = fitted.constancy._asdict() | {"scatter": fitted.constancy.scatter}
     return out
 
 
