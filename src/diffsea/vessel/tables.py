@@ -1,0 +1,51 @@
+"""Numbers of TOML tables, checked: every message names the table and the key."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from diffsea.errors import UserError, nearest
+
+
+Table = dict[str, Any]
+
+
+def check_keys(table: Mapping, keys: tuple[str, ...], where: str) -> None:
+    """Raise `UserError` for a key that is not known, with the nearest one."""
+    for key in table:
+        if key not in keys:
+            raise UserError(f"unknown key {key!r} in {where}{nearest(key, keys)}")
+
+
+def tables_of(document: Table, kind: str) -> list[Table]:
+    """The tables of an array `[[kind]]`; none where there is no such array."""
+    tables = document.get(kind, [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise UserError(f"write [[{kind}]] with double brackets: there can be several")
+    return tables
+
+
+def number(table: Table, key: str, where: str, default: float | None = None) -> float | None:
+    """A finite number, or the default where the key is missing."""
+    value = table.get(key, default)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UserError(f"{where}: {key} = {value!r} is not a finite number")
+    return float(value)
+
+
+def needed(table: Table, key: str, where: str) -> float:
+    """A finite number that must be there."""
+    value = number(table, key, where)
+    if value is None:
+        raise UserError(f"{where}: {key} is missing")
+    return value
+
+
+def positive(table: Table, key: str, where: str) -> float:
+    """A number above zero that must be there."""
+    value = needed(table, key, where)
+    if not value > 0:
+        raise UserError(f"{where}: {key} = {value:g} must be positive")
+    return value
