@@ -123,3 +123,13 @@ def _fresh(series: np.ndarray) -> np.ndarray:
         return everything
     usual = np.median(lengths)
     return everything if usual < 2 or np.percentile(lengths, 90) > 2 * usual else new
+
+
+def windows(motion: Motion, channels: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Start and end indices of windows long enough for noise not to matter."""
+    index, linked = knots(motion, channels, 0.0)
+    stride = max(1, index.size // 60)
+    kept = index[::stride]
+    whole = np.array([np.all(linked[i : i + stride]) for i in range(0, linked.size, stride)])
+    whole = whole[: kept.size - 1]
+    return kept[:-1][whole], kept[1:][whole]

@@ -12,22 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
-from diffsea.metrics import (
-    Curve,
-    curve,
-    first_crossing,
-    imo_verdicts,
-    slopes,
-    stopping_metrics,
-    turning_metrics,
-    value_at,
-    zigzag_metrics,
-)
-from diffsea.metrics.crossings import known
+from diffsea.metrics import imo_verdicts
 from diffsea.simulation import manoeuvres
+from diffsea.simulation import standard_numbers as kinds
 from diffsea.simulation.control import (
     Helm,
     full_throttle,
@@ -37,12 +26,11 @@ from diffsea.simulation.control import (
     throttle_for_thrust,
 )
 from diffsea.simulation.manoeuvres import FULL_CIRCLES, Stages
+from diffsea.simulation.standard_numbers import Numbers as Numbers
 from diffsea.simulation.trials import Settings, Trial, approach_limit, run_trial
-from diffsea.types import Outcome, Scalar, Trajectory
+from diffsea.types import Outcome, Scalar
 from diffsea.vessel.base import Vessel
 
-
-Numbers = dict[str, Float[Array, ""]]
 
 _MOST_STEPS = 2e6  # a run keeps every step in memory
 _MOST_EXECUTES = 100
@@ -337,86 +325,6 @@ def _notes(plan: Plan, outcome: Outcome, values: Numbers) -> list[str]:
     return notes + ([f"the run does not contain {', '.join(missing)}"] if missing else [])
 
 
-# The numbers of each kind
-
-
-def _turning(side: float, trial: Trial) -> Numbers:
-    return turning_metrics(trial.trajectory, trial.execute_time, side)
-
-
-def _zigzag(side: float, trial: Trial) -> Numbers:
-    times = jnp.concatenate([jnp.asarray(trial.execute_time)[None], trial.switch_times[:-1]])
-    return zigzag_metrics(trial.trajectory, times, side=side)
-
-
-def _stopping(side: float, trial: Trial) -> Numbers:
-    return stopping_metrics(trial.trajectory, trial.execute_time)
-
-
-def _surge(run: Trajectory) -> Curve:
-    return curve(run.t, run.u, slopes(run.t, run.u), run.valid)
-
-
-def _distance(run: Trajectory, start: Scalar) -> Float[Array, ""]:
-    """Distance made good (m) from `start` to the end."""
-    at = [value_at(curve(run.t, p, slopes(run.t, p), run.valid), start) for p in (run.x, run.y)]
-    last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
-    end = [value_at(curve(run.t, p, slopes(run.t, p), run.valid), last) for p in (run.x, run.y)]
-    square = (end[0] - at[0]) ** 2 + (end[1] - at[1]) ** 2
-    return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
-
-
-def _speed_change(trial: Trial, share: float, upwards: bool) -> Numbers:
-    """Speed at the end, distance made good, and when a share of the change was over."""
-    run = trial.trajectory
-    surge = _surge(run)
-    last = surge.value[-1]
-    start = value_at(surge, trial.execute_time)
-    level = start + share * ((last if upwards else 0.0) - start)
-    reached = first_crossing(surge, level, +1 if upwards else -1, after=trial.execute_time)
-    time = known(reached.time - trial.execute_time, reached.found)
-    name = "time_to_90_percent" if upwards else "time_to_half_speed"
-    distance = _distance(run, trial.execute_time)
-    ends = {"final_speed": last, "distance": distance, name: time}
-    return ends if upwards else {**ends, "approach_speed": start}
-
-
-def _acceleration(side: float, trial: Trial) -> Numbers:
-    return _speed_change(trial, 0.9, True)
-
-
-def _coasting(side: float, trial: Trial) -> Numbers:
-    return _speed_change(trial, 0.5, False)
-
-
-def _yaw(trial: Trial) -> Curve:
-    run = trial.trajectory
-    return curve(run.t, run.r, slopes(run.t, run.r), run.valid)
-
-
-def _pull_out(side: float, trial: Trial) -> Numbers:
-    """The turn until the release, and yaw rates (rad/s, towards the side) then and at the end."""
-    yaw, ends = _yaw(trial), trial.switch_times
-    released = jnp.isfinite(ends[0])
-    until = jnp.where(released, ends[0], jnp.inf)
-    run = trial.trajectory
-    turn = dataclasses.replace(run, valid=run.valid & (run.t <= until))
-    rate = side * value_at(yaw, jnp.where(released, ends[0], 0.0))
-    return {
-        **turning_metrics(turn, trial.execute_time, side),
-        "yaw_rate_at_release": known(rate, released),
-        "residual_yaw_rate": known(side * yaw.value[-1], jnp.isfinite(ends[1])),
-    }
-
-
-def _spiral(side: float, trial: Trial) -> Numbers:
-    """Yaw rate (rad/s) at the end of every stage, in the order in which they were held."""
-    yaw, ends = _yaw(trial), trial.switch_times
-    there = jnp.isfinite(ends)
-    rates = jax.vmap(lambda t: value_at(yaw, t))(jnp.where(there, ends, 0.0))
-    return {f"yaw_rate_{k + 1}": known(rates[k], there[k]) for k in range(ends.size)}
-
-
 def _small_angles(plan: Plan) -> float:
     """Factor on the duration of a turn by its angle: small ones turn slowly."""
     return max(1.0, math.radians(20) / max(plan.angle, math.radians(1)))
@@ -433,27 +341,29 @@ def _zigzag_stages(plan: Plan) -> Stages:
 STANDARDS: dict[str, Standard] = {
     "turning-circle": Standard(
         lambda p: manoeuvres.turning_circle(p.side * p.angle, FULL_CIRCLES),
-        _turning, lambda p: 120.0 * _small_angles(p), angle=35.0,
+        kinds.turning, lambda p: 120.0 * _small_angles(p), angle=35.0,
     ),
-    "zigzag": Standard(_zigzag_stages, _zigzag, _zigzag_limit, angle=20.0, heading=20.0),
-    "modified-zigzag": Standard(_zigzag_stages, _zigzag, _zigzag_limit, angle=10.0, heading=1.0),
+    "zigzag": Standard(_zigzag_stages, kinds.zigzag, _zigzag_limit, angle=20.0, heading=20.0),
+    "modified-zigzag": Standard(
+        _zigzag_stages, kinds.zigzag, _zigzag_limit, angle=10.0, heading=1.0
+    ),
     "acceleration": Standard(
-        lambda p: manoeuvres.acceleration(p.seconds), _acceleration, lambda p: 1.0, timed=40.0,
+        lambda p: manoeuvres.acceleration(p.seconds), kinds.acceleration, lambda p: 1.0, timed=40.0,
         from_rest=True, propelled=True,
     ),
     "stopping": Standard(
-        lambda p: manoeuvres.stopping(), _stopping, lambda p: 200.0, propelled=True
+        lambda p: manoeuvres.stopping(), kinds.stopping, lambda p: 200.0, propelled=True
     ),
     "coasting": Standard(
-        lambda p: manoeuvres.coasting(p.seconds), _coasting, lambda p: 1.0, timed=60.0,
+        lambda p: manoeuvres.coasting(p.seconds), kinds.coasting, lambda p: 1.0, timed=60.0,
         propelled=True,
     ),
     "pull-out": Standard(
         lambda p: manoeuvres.pull_out(p.side * p.angle, PULL_OUT_TURN, p.seconds),
-        _pull_out, lambda p: 100.0 * _small_angles(p), angle=20.0, timed=30.0,
+        kinds.pull_out, lambda p: 100.0 * _small_angles(p), angle=20.0, timed=30.0,
     ),
     "spiral": Standard(
-        lambda p: manoeuvres.spiral(p.side * p.angle, p.seconds), _spiral, lambda p: 1.0,
+        lambda p: manoeuvres.spiral(p.side * p.angle, p.seconds), kinds.spiral, lambda p: 1.0,
         angle=20.0, timed=25.0,
     ),
 }  # fmt: skip
