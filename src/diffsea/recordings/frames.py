@@ -18,7 +18,7 @@ import numpy as np
 from diffsea.recordings.edits import Affine, BodyAxes, Edit, Swap
 from diffsea.recordings.finding import Finding
 from diffsea.recordings.motion import Motion, integral, windows
-from diffsea.recordings.scales import clock_unit, speed_unit, yaw_rate
+from diffsea.recordings.scales import clock_unit, rate_fit, speed_unit, yaw_rate
 
 
 _CLEARLY_WRONG = 0.03  # share of squared displacement that the labels leave unexplained
@@ -200,7 +200,7 @@ def read_frames(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _choose(motion: Motion) -> _Choice:
     start, end = windows(motion, ("x", "y", "psi", "u", "v"))
-    turning, ratio, _ = _rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0, 0.0)
+    turning, ratio, _ = rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0, 0.0)
     values = motion.values
     choices = []
     for position, heading in itertools.product(_POSITIONS, _HEADINGS):

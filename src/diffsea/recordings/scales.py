@@ -68,7 +68,7 @@ def speed_unit(motion: Motion, scale: float, error: float) -> tuple[Motion, list
     return motion, [_relabelled(gain, channels, text, unit, scale, error)]
 
 
-def _rate_fit(motion: Motion) -> tuple[float, float, float]:
+def rate_fit(motion: Motion) -> tuple[float, float, float]:
     """Correlation of heading increments with integrated yaw rate, their ratio and its error."""
     start, end = windows(motion, ("psi", "r"))
     psi, turned = motion.values["psi"], integral(motion.t, motion.values["r"])
@@ -83,7 +83,7 @@ def _rate_fit(motion: Motion) -> tuple[float, float, float]:
 
 def yaw_rate(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Sign and unit of yaw rate against heading."""
-    correlation, ratio, error = _rate_fit(motion)
+    correlation, ratio, error = rate_fit(motion)
     if abs(correlation) < 0.8:
         return motion, []
     faults = []
