@@ -491,3 +491,16 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in():
     assert within(0, 0.0, 49.0, [turning, speeds[-1], speeds[0]]) == speeds[0]
     assert within(1, 60.0, 99.0, [speeds[0], turning]) == turning
     assert within(0, 0.0, 49.0, [speeds[-1], turning]) is None
+
+
+@pytest.mark.parametrize(
+    ("time", "possible"), [(-2.0, False), (0.0, False), (30.0, True), (99.5, False), (100.0, False)]
+)
+def test_a_change_happens_while_something_is_recorded(time, possible):
+    effect, size = EFFECTS["drag-change"], 7.0
+    layout = Layout((), (effect,), ((0.2, size),), 1, False, 100.0)
+    known = np.zeros((101, 6), bool)
+    known[:100] = True  # the last row has no value
+    tape = SimpleNamespace(run_time=np.arange(101.0), known=known)
+    problem = SimpleNamespace(layout=layout, tape=tape)
+    assert refit._while_recorded(problem, effect, time / size) == possible

@@ -14,7 +14,8 @@ from scipy.special import expit
 from tests.oracle.simulator import load
 from tests.runs import varied
 
-from diffsea.diagnosis.experiment import Experiment, _one_way, commands
+from diffsea.diagnosis import experiment
+from diffsea.diagnosis.experiment import DECISIVE, LONGEST, Experiment, _one_way, commands
 from diffsea.identification.design import LIBRARY, SECONDS, imagined
 from diffsea.identification.estimates import made
 from diffsea.identification.gusts import Noise
@@ -59,15 +60,32 @@ def diagnosed(vessel, effects: tuple[str, ...] = ()):
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_no_order_is_beyond_what_the_actuators_can_do(slow, name):
-    for seconds in (30.0, np.inf):
+    for seconds in (30.0, 90.0):
         sequence = commands(diagnosed(slow), Experiment(name, "", seconds, {}))
         t = sequence["t"]
-        wanted = seconds if np.isfinite(seconds) else SECONDS * natural_time(slow)
-        assert (t[0], t[-1]) == pytest.approx((0.0, wanted)) and (np.diff(t) > 0).all()
+        assert (t[0], t[-1]) == pytest.approx((0.0, seconds)) and (np.diff(t) > 0).all()
         for channel in slow.channels:
             series = sequence[f"cmd_{channel}"]
             assert np.isfinite(series).all()
             assert series.min() >= LOWER and series.max() <= UPPER
+
+
+def test_rivals_that_act_alike_get_no_manoeuvre(slow, monkeypatch):
+    time = natural_time(slow)
+    enough = DECISIVE * SECONDS / LONGEST  # of a run of SECONDS sqrt(L / g)
+    for level, exists in ((2 * enough, True), (0.5 * enough, False), (0.0, False)):
+        monkeypatch.setattr(experiment, "_evidence", lambda *_, level=level: level)
+        tried = SimpleNamespace(effect="clock-drift")
+        accepted = SimpleNamespace(name="thrust-delay:propulsion")
+        found = experiment._separating(diagnosed(slow), accepted, tried)
+        assert found.exists == exists
+        record = found.as_dict()
+        if exists:
+            assert record["seconds"] == pytest.approx(LONGEST * time / 2)
+            assert record["why"] == "separates thrust-delay from clock-drift"
+        else:
+            assert (record["manoeuvre"], record["seconds"]) == ("none", None)
+            assert "thrust-delay and clock-drift act alike" in record["why"]
 
 
 @pytest.mark.parametrize("name", LIBRARY)

@@ -82,7 +82,8 @@ def prepare(folder: Path, most: int | None) -> list[str]:
         if not known or (most is not None and len(ids) >= most):
             continue
         schedule = folder / "results" / outcome.case / "next.csv"
-        if not schedule.exists() and not outcome.next_manoeuvre:
+        if not schedule.exists() and outcome.next_manoeuvre in (None, "none"):
+            print(f"{outcome.case}: the tool says that no manoeuvre would tell")
             continue
         sealed = folder / "sealed" / f"{outcome.case}.json"
         case = json.loads(sealed.read_text(encoding="utf-8"))

@@ -59,6 +59,9 @@ def _write_manoeuvre(path: pathlib.Path, diagnosis: Any, experiment: Any, tell: 
     if experiment is None:
         tell("no two explanations are left to separate, so no manoeuvre is written")
         return
+    if not experiment.exists:
+        tell(f"no manoeuvre is written: {experiment.why}")
+        return
     pd.DataFrame(commands(diagnosis, experiment)).to_csv(path, index=False, float_format="%.6g")
 
 

@@ -37,20 +37,27 @@ DECISIVE = 13.8  # twice the log of odds of 1000 to 1
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """A manoeuvre to record, and how long for odds of 1000 to 1."""
+    """A manoeuvre to record, and how long for odds of 1000 to 1.
+
+    Where none would do, because the rivals act alike, its name is "none".
+    """
 
     manoeuvre: str
     why: str
     seconds: float  # s; infinite where nothing in the library would do
     evidence: dict[str, float]  # of each manoeuvre, for SECONDS sqrt(L / g)
 
+    @property
+    def exists(self) -> bool:
+        """Whether there is a manoeuvre that would do."""
+        return bool(np.isfinite(self.seconds))
+
     def as_dict(self) -> dict:
         """The record of diagnosis.json."""
-        seconds = self.seconds if np.isfinite(self.seconds) else None
         return {
             "manoeuvre": self.manoeuvre,
             "why": self.why,
-            "seconds": seconds,
+            "seconds": self.seconds if self.exists else None,
             "evidence": self.evidence,
         }
 
@@ -69,29 +76,29 @@ def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
 
 
 def _separating(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted) -> Experiment:
-    names = (accepted.name, rival.effect)
+    one, other = catalogue_name(accepted.name), catalogue_name(rival.effect)
     evidence = {name: _evidence(diagnosis, accepted, rival, LIBRARY[name]) for name in LIBRARY}
     best = max(evidence, key=lambda name: evidence[name])
     base = diagnosis.split.train.base
     time = natural_time(base)
-    enough = evidence[best] > DECISIVE * SECONDS / LONGEST
-    seconds = SECONDS * time * DECISIVE / evidence[best] if enough else np.inf
-    why = f"separates {catalogue_name(names[0])} from {catalogue_name(names[1])}"
-    return Experiment(best, why, float(max(seconds, SHORTEST * time)), evidence)
+    if evidence[best] <= DECISIVE * SECONDS / LONGEST:
+        why = (
+            f"{one} and {other} act alike in every manoeuvre that was weighed, for up to "
+            f"{LONGEST * time / 60:.0f} min; what is known of the vessel and its clocks may tell"
+        )
+        return Experiment("none", why, float("inf"), evidence)
+    seconds = max(SECONDS * DECISIVE / evidence[best], SHORTEST) * time
+    return Experiment(best, f"separates {one} from {other}", float(seconds), evidence)
 
 
 def commands(diagnosis: Diagnosis, experiment: Experiment) -> dict[str, np.ndarray]:
     """The manoeuvre as a command sequence within the vessel's limits.
 
-    `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run; for one
-    run of the usual length where no length would do.
+    `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run.
     """
     train = diagnosis.split.train
     vessel = equipped_vessel(train, first_copies(train, diagnosis.final.coordinates))
-    seconds = experiment.seconds
-    if not np.isfinite(seconds):
-        seconds = SECONDS * natural_time(train.base)
-    t, orders = ordered(vessel, LIBRARY[experiment.manoeuvre], seconds)
+    t, orders = ordered(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
     return {"t": t} | {f"cmd_{channel}": series for channel, series in orders.items()}
 
 

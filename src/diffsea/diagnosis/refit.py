@@ -193,6 +193,7 @@ def _made(
     if effect.shape is not None:
         shape = fitted.coordinates[places[effect.shape]]
         within = within and abs(shape - seen.look.at[effect.shape]) < seen.reach
+        within = within and (effect.periodic or _while_recorded(problem, effect, float(shape)))
     spreads = problem.layout.spreads()[places]
     volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
     copies = len(_recorded_copies(problem, effect))
@@ -203,6 +204,13 @@ def _made(
         within, copies=copies,
         inflation=_own_inflation(problem, effect, fitted),
     )  # fmt: skip
+
+
+def _while_recorded(problem: Problem, effect: Effect, shape: float) -> bool:
+    """Whether a change happens between the first and the last row: else nothing changes."""
+    size = problem.layout.sizes[problem.layout.effects.index(effect)][effect.shape]
+    times = np.asarray(problem.tape.run_time)[np.asarray(problem.tape.known).any(1)]
+    return bool(times.min() < shape * size < times.max())
 
 
 def _own_inflation(problem: Problem, effect: Effect, fitted: Estimate) -> float:

@@ -255,5 +255,6 @@ def next_line(summary: Record) -> str:
     if not proposal:
         return ""
     seconds = proposal.get("seconds")
-    length = f" for {duration(seconds)}" if known(seconds) else ""
-    return f"{title(proposal['manoeuvre'])}{length}: {proposal['why']}"
+    if not known(seconds):
+        return f"no manoeuvre: {proposal['why']}"
+    return f"{title(proposal['manoeuvre'])} for {duration(seconds)}: {proposal['why']}"

@@ -214,11 +214,11 @@ def _rivals(effect: dict) -> str:
 
 
 def _proposal(proposal: dict) -> str:
-    what = f"Record next: {words.title(proposal['manoeuvre'])}. It {proposal['why']}"
     seconds = proposal.get("seconds")
-    if known(seconds):
-        return f"{what}; for odds of 1000 : 1 it must run for {duration(seconds)}."
-    return f"{what}, but no length of it was found that gives odds of 1000 : 1."
+    if not known(seconds):
+        return f"There is no manoeuvre to record next: {proposal['why']}."
+    what = f"Record next: {words.title(proposal['manoeuvre'])}. It {proposal['why']}"
+    return f"{what}; for odds of 1000 : 1 it must run for {duration(seconds)}."
 
 
 def unseen_section(result: dict) -> Html:
