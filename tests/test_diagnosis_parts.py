@@ -245,21 +245,29 @@ def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
     indices = lambda names: [k for name in names for k in range(sizes.get(name, 1))]
     layout = SimpleNamespace(indices=indices, kinds=lambda: (np.arange(9), None))
     problem = SimpleNamespace(layout=layout, width=5, seeds=5)
-    judged = {"gain": SimpleNamespace(), "possible": True}
-    tried = [SimpleNamespace(effect=name, **judged) for name in ("wind", "wide", "lever-arm")]
+    gain = Gain(30.0, 3.0)
+    tried = [
+        dataclasses.replace(_refitted(name, 100.0), gain=gain)
+        for name in ("wind", "wide", "lever-arm")
+    ]
     accepted = [Accepted("wind", tried[0], (), tuple(tried)), Accepted("current", None, ())]
-    asked = []
+    asked, now_constant = [], Constancy(9.0, 0.3, 0.1, degrees=7)
     bare = SimpleNamespace(free=("X_u", "current"))
+
+    def completed(data, bare, one, start):
+        asked.append(one.effect)
+        return dataclasses.replace(one, constancy=now_constant)
+
     monkeypatch.setattr(revision, "without", lambda *_: bare)
-    monkeypatch.setattr(
-        revision, "completed", lambda data, bare, t, start: asked.append(t.effect) or t
-    )
+    monkeypatch.setattr(revision, "completed", completed)
     monkeypatch.setattr(revision, "ranked", lambda found: found)
     monkeypatch.setattr(revision, "decide", lambda data, bare, again, progress: again[0])
     monkeypatch.setattr(revision, "rivals", lambda best, again: ())
     now = SimpleNamespace(coordinates=None)
-    revision.revised(SimpleNamespace(train=problem), accepted, now, lambda text: None)
+    kept = revision.revised(SimpleNamespace(train=problem), accepted, now, lambda text: None)
     assert asked == ["wind", "lever-arm"]
+    # Its size is as constant as it is beside the others, not as it was alone.
+    assert not kept.changed and kept.effects[0].fitted.constancy is now_constant
 
 
 def test_doubles_of_the_strongest_are_refitted_too():
