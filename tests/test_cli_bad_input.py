@@ -299,4 +299,5 @@ def test_mistakes_in_the_options_of_a_fit_are_told(ends, options, told):
 @pytest.mark.parametrize(("place", "told"), [("", "is a folder"), ("none/a.csv", "is no folder")])
 def test_a_manoeuvre_that_cannot_be_written_is_told_before_any_work(ends, tmp_path, place, told):
     status, message = ends("diagnose", None, None, "--next-manoeuvre", str(tmp_path / place))
-    assert status == 1 and told in message and "auditing" not in message
+    assert status == 1 and f"--next-manoeuvre: {tmp_path}" in message
+    assert told in message and "auditing" not in message

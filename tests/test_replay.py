@@ -107,6 +107,8 @@ def test_a_channel_is_measured_only_where_all_recordings_have_it():
     assert how_actuated(boat(), [bare, bare]) == {"screw": "reconstructed"}
     said = how_actuated(boat(), [whole, bare])["screw"]
     assert said.startswith("reconstructed") and "bare.csv" in said
+    namesakes = [bare, dataclasses.replace(whole, name="bare.csv")]
+    assert how_actuated(boat(), namesakes)["screw"].startswith("reconstructed")
 
 
 def test_a_start_that_was_not_measured_is_derived():

@@ -128,7 +128,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.report.text import verdict_text
         from diffsea.vessel.catalogue import build, dump
 
-        next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre)
+        next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
         tell = Messages(STAGES)
         file = read_vessel(args)
         runs, test = read_all(args)

@@ -219,18 +219,18 @@ class Outputs:
         self.files.append(self.folder / name)
         return self._temporary / name
 
-    def elsewhere(self, file: pathlib.Path) -> pathlib.Path:
-        """Where to write a file of another folder for now.
+    def elsewhere(self, file: pathlib.Path, option: str) -> pathlib.Path:
+        """Where to write the file that an option names, in any folder, for now.
 
         Raises:
             UserError: no file of this name can be written there.
         """
         if not file.parent.is_dir():
-            raise UserError(f"{file.parent} is no folder; give the name of one CSV file")
+            raise UserError(f"{option}: {file.parent} is no folder; give the name of a file")
         if file.is_dir():
-            raise UserError(f"{file} is a folder; give the name of one CSV file")
+            raise UserError(f"{option}: {file} is a folder; give the name of a file")
         if not os.access(file if file.exists() else file.parent, os.W_OK):
-            raise UserError(f"cannot write {file}; choose another file")
+            raise UserError(f"{option}: cannot write {file}; choose another file")
         self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
         return self._elsewhere[file]
 

@@ -217,6 +217,9 @@ def _predict(args: argparse.Namespace) -> None:
 
         options.progress(f"estimating the environment of the first {args.environment_from:g} s")
         vessel, recording, environment = environment_from(vessel, recording, args.environment_from)
+    actuation = how_actuated(vessel, [recording])
+    if args.orders:
+        actuation = dict.fromkeys(actuation, "reconstructed")
     with options.Outputs(args.output) as out:
         predicted = replay(vessel, recording, not args.orders)
         if predicted.outcome == Outcome.DIVERGED:
@@ -229,9 +232,7 @@ def _predict(args: argparse.Namespace) -> None:
         result = {
             "vessel": vessel.name,
             "recording": recording.name,
-            "actuation": dict.fromkeys(vessel.channels, "reconstructed")
-            if args.orders
-            else how_actuated(vessel, [recording]),
+            "actuation": actuation,
             "overall": replay_errors(predicted, recording),
             "horizons": {f"{seconds:g}": errors for seconds, errors in ahead.items()},
             "units": _UNITS | {"horizons": "s"},

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from diffsea.simulation.recorded import held
 from diffsea.types import Trajectory
 
 
@@ -40,8 +41,9 @@ def predicted_heel(recording: Trajectory) -> _Row:
         return np.zeros(len(t))
     heel, scale = phi[rows], float(phi[rows].std())
     if len(rows) < FEWEST or scale == 0.0:
-        return _held(phi)
-    u, v, r = (_held(np.asarray(getattr(recording, c), float)[valid]) for c in ("u", "v", "r"))
+        return held(phi)
+    motion = (np.asarray(getattr(recording, c), float)[valid] for c in ("u", "v", "r"))
+    u, v, r = (np.nan_to_num(held(one)) for one in motion)  # zero where none is measured
     inputs = [_unit(one[rows]) for one in (u * r, v) if one.any()]
     swing = _swing(heel / scale, inputs)
     step = np.append(np.diff(t[rows]), 1.0)
@@ -69,15 +71,6 @@ class _Swing:
         before, after = (np.sin(angle * one) / np.sin(angle) for one in (1 - share, share))
         held = self.held[value]
         return held + before * (self.now[value] - held) + after * (self.next[value] - held)
-
-
-def _held(values: _Row) -> _Row:
-    """Missing values as the last one before, at the start the first; zero where none is known."""
-    known = np.isfinite(values)
-    if not known.any():
-        return np.zeros(len(values))
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    return values[np.where(last < 0, np.flatnonzero(known)[0], last)]
 
 
 def _unit(values: _Row) -> _Row:

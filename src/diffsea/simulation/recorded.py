@@ -42,7 +42,7 @@ def recorded_actuation(
         values = np.asarray(order, float)[valid]
         if not np.isfinite(values).any():
             raise UserError(f"{recording.name}: cmd_{channel} has no value at all")
-        orders[channel] = _held(values)
+        orders[channel] = held(values)
         found = None if done is None else _measured(t, np.asarray(done, float)[valid])
         if found is not None:
             executed[channel] = found
@@ -69,10 +69,10 @@ def how_actuated(vessel: Vessel, recordings: Sequence[Trajectory]) -> dict[str, 
     Recordings that are fitted together take a channel as measured only where all have measured
     it; where some have, they are told.
     """
-    done = {run.name: recorded_actuation(vessel, run)[1] for run in recordings}
+    done = [(run.name, recorded_actuation(vessel, run)[1]) for run in recordings]
     out = {}
     for channel in vessel.channels:
-        lacking = [name for name, executed in done.items() if channel not in executed]
+        lacking = [name for name, executed in done if channel not in executed]
         out[channel] = "reconstructed" if lacking else "measured"
         if 0 < len(lacking) < len(done):
             out[channel] += f" (not measured throughout in {', '.join(lacking)})"
@@ -86,9 +86,10 @@ def _measured(t: Samples, values: Samples) -> Samples | None:
         return None
     usual = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     longest = np.diff([t[0], *known, t[-1]]).max()
-    return _held(values) if longest <= _LOST * usual * (1 + 1e-9) else None
+    return held(values) if longest <= _LOST * usual * (1 + 1e-9) else None
 
 
-def _held(values: Samples) -> Samples:
+def held(values: Samples) -> Samples:
+    """Missing values as the one before, leading ones as the first; all missing where none is."""
     index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
     return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
