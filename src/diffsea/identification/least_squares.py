@@ -101,19 +101,23 @@ def least_squares_steps(
     nothing else need contain it, and progress can be told. Ends with a small accepted step, or
     where even steps of a thousandth of the tolerance are rejected, as at a kink.
     """
-    fn = lambda at, args: _both(at, given=(function, args))
+    # The solver evaluates only where `y_eval` lies. What is found there beforehand is handed to
+    # it: a compiled function that it linearised itself would be split, and compiled once more.
+    fn = lambda at, found: _both(at, given=(lambda at, found: found, found))
     options, tags = {"jac": "fwd"}, frozenset()
     solver, at = _solver(tolerance), start
-    structure = jax.eval_shape(lambda: fn(start, args))
-    state = solver.init(fn, at, args, options, *structure, tags)
-    for _ in range(steps):
+    found = function(start, args)
+    structure = jax.eval_shape(lambda: fn(start, found))
+    state = solver.init(fn, at, found, options, *structure, tags)
+    for number in range(steps):
         tried, counted = state.y_eval, int(state.num_accepted_steps)
         length = float(jnp.linalg.norm(tried - at))
-        at, state, _ = solver.step(fn, at, args, options, state, tags)
+        found = function(tried, args) if number else found
+        at, state, _ = solver.step(fn, at, found, options, state, tags)
         accepted = int(state.num_accepted_steps) > counted
         residual = state.f_info.residual
         yield Step(at, float(residual @ residual), accepted, length)
-        ended = bool(solver.terminate(fn, at, args, options, state, tags)[0])
+        ended = bool(solver.terminate(fn, at, found, options, state, tags)[0])
         if ended or (not accepted and 0 < length < 1e-3 * tolerance):
             return
 
