@@ -4,9 +4,11 @@ The vessel runs straight ahead with linear drag: u' = -c u + F / m + a + white g
 gusts a of a first-order Gauss-Markov process. Only u is seen, some rows late.
 """
 
+import dataclasses
 import math
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -15,11 +17,12 @@ from tests.oracle.simulator import load
 from tests.runs import varied
 
 from diffsea.identification.gusts import Noise
-from diffsea.identification.likelihood import deviance
+from diffsea.identification.likelihood import _shown_by, deviance, expected
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.types import Trajectory
+from diffsea.types import Environment, Trajectory
 from diffsea.vessel.catalogue import build
 from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.servo import Response
 
 
 MASS, DRAG, LENGTH = 180.0 + 12.0, 52.0, 4.9  # kg with added mass, N s/m, m
@@ -199,3 +202,18 @@ def test_innovations_of_a_late_channel_are_white_at_the_truth_alone(vessel, seed
     for wrong in (1, 3):
         first, chance = portmanteau(white[wrong])
         assert first > 6 and chance < 1e-20
+
+
+@pytest.mark.parametrize(("lag", "off"), [(0.0, 1e-12), (0.2, 0.02)])
+def test_what_is_shown_depends_on_the_present_as_its_derivative_says(request, lag, off):
+    boat = build(load(str(request.path.parent / "oracle" / "usv.toml")))
+    late = {"latency_yaw_rate": lag, "latency_heading": lag, "latency_velocity": lag / 2}
+    boat = dataclasses.replace(boat, sensors=dataclasses.replace(boat.sensors, **late))
+    z = jnp.array([3.0, 1.0, 0.7, 1.1, -0.2, 0.15, 0.01, -0.02, 0.005])
+    response = {c: Response(40.0 * k, *[40.0 * k] * 3) for k, c in enumerate(boat.channels)}
+    given = {"response": response, "run_time": 0.0}, Environment()
+    found = _shown_by(boat, z, *given)
+    nudge = lambda k, by: np.asarray(expected(boat, z.at[k].add(by), *given))
+    step = 1e-5
+    slopes = np.stack([(nudge(k, step) - nudge(k, -step)) / (2 * step) for k in range(9)], 1)
+    np.testing.assert_allclose(found, slopes, atol=max(off, 1e-9) * np.abs(slopes).max())

@@ -11,6 +11,8 @@ gains' own derivative costs no asymptotic efficiency, because the innovations ar
 uncorrelated with it (Ljung 1999, section 9.4).
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -251,7 +253,7 @@ def tune(
         P = jnp.where(row["starts"], P0, P)
         nu = innovation(row, shown(vessel, z[:6], row, trail))
         lasting = z[6:]
-        H = jax.jacfwd(lambda s: expected(vessel, s, row, flow))(z)
+        H = _shown_by(vessel, z, row, flow)
         spread = jnp.sqrt(jnp.sum(H * product(H, P), axis=1) + R)
         # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.
         near = (jnp.abs(nu) < gate * spread) | ~jnp.isfinite(nu / spread)
@@ -262,9 +264,9 @@ def tune(
         z, trail = followed(z, trail, K, nu, late, row)
         kick = gust.half * z[6:]
         x = faster(z[:6], kick)
-        F = jax.jacfwd(lambda s: propagate(vessel, s, row, flow, tape.substeps))(x)
+        x, F = _sloped(lambda at: propagate(vessel, at, row, flow, tape.substeps), x)
         P = predicted(P, F, gust, Q)
-        x = faster(propagate(vessel, x, row, flow, tape.substeps), kick)
+        x = faster(x, kick)
         out = (K, W, used, z[:6], nu, applied(W, nu), variance, F, H, kick, lasting, rows_late)
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
@@ -272,6 +274,34 @@ def tune(
     start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory), P0
     _, found = jax.lax.scan(body, start, (rows(vessel, flows, tape), gusts, Q))
     return Tuned(Gains(*found[:3], gusts), *found[3:])
+
+
+def _shown_by(
+    vessel: Vessel, z: Float[Array, "9"], row: dict, flow: Environment
+) -> Float[Array, "6 9"]:
+    """How what is shown (`expected`) depends on the state, its rate taken as linear there."""
+    executed = {c: r.start for c, r in row["response"].items()}
+
+    def rate(at: Float[Array, "6"]) -> Float[Array, "6"]:
+        found = vessel.rate(State(*at), executed, flow, row["run_time"])
+        return jnp.stack(jax.tree.leaves(found))
+
+    own, A = _sloped(rate, z[:6])
+    gusts = jnp.eye(6)[:, 3:]
+    first = jnp.concatenate([A, gusts], axis=1)
+    moved = jnp.concatenate([jnp.eye(6), jnp.zeros((6, 3))], axis=1), first, product(A, first)
+    motion = z[:6], own + gusts @ z[6:], A @ (own + gusts @ z[6:])
+    measure = lambda *given: vessel.sensors.measure(*(State(*one) for one in given))
+    along = lambda *change: jax.jvp(measure, motion, change)[1]
+    return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
+
+
+def _sloped(
+    function: Callable[[Float[Array, "n"]], Float[Array, "m"]], at: Float[Array, "n"]
+) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
+    """A function's value and Jacobian, the value calculated once."""
+    along = lambda direction: jax.jvp(function, (at,), (direction,))
+    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(at.size))
 
 
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:
