@@ -98,6 +98,9 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "ambiguous: truth in the set offered": share(
             set(o.true) <= o.offered for o in effects if o.verdict == "ambiguous"
         ),
+        "ambiguous: a manoeuvre is recommended": share(
+            o.next_manoeuvre not in (None, "none") for o in effects if o.verdict == "ambiguous"
+        ),
         "ambiguous, resolved by the recommended manoeuvre": share(r["resolved"] for r in resolved),
     }
     numbers = {

@@ -35,6 +35,12 @@ def least_squares(
     ).value  # fmt: skip
 
 
+def value_and_jacobian(function: Callable[[Array], Any], at: Float[Array, "n"]) -> tuple[Any, Any]:
+    """A function's value, calculated once, and its derivatives along each coordinate, last axis."""
+    along = lambda direction: jax.jvp(function, (at,), (direction,))
+    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(at.size))
+
+
 class _TrustRegion(optx.AbstractSearch):
     """Optimistix's trust region with another first radius, which it has fixed at one."""
 

@@ -11,8 +11,6 @@ gains' own derivative costs no asymptotic efficiency, because the innovations ar
 uncorrelated with it (Ljung 1999, section 9.4).
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,6 +28,7 @@ from diffsea.identification.gusts import (
 )  # fmt: skip
 from diffsea.identification.lanes import scan
 from diffsea.identification.layout import Layout, equipped
+from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.identification.order_clock import on_order_clock
 from diffsea.identification.tape import Tape
 from diffsea.identification.trail import Trail, followed, latencies, lateness, shown
@@ -264,7 +263,7 @@ def tune(
         z, trail = followed(z, trail, K, nu, late, row)
         kick = gust.half * z[6:]
         x = faster(z[:6], kick)
-        x, F = _sloped(lambda at: propagate(vessel, at, row, flow, tape.substeps), x)
+        x, F = value_and_jacobian(lambda at: propagate(vessel, at, row, flow, tape.substeps), x)
         P = predicted(P, F, gust, Q)
         x = faster(x, kick)
         out = (K, W, used, z[:6], nu, applied(W, nu), variance, F, H, kick, lasting, rows_late)
@@ -286,22 +285,14 @@ def _shown_by(
         found = vessel.rate(State(*at), executed, flow, row["run_time"])
         return jnp.stack(jax.tree.leaves(found))
 
-    own, A = _sloped(rate, z[:6])
+    own, A = value_and_jacobian(rate, z[:6])
     gusts = jnp.eye(6)[:, 3:]
     first = jnp.concatenate([A, gusts], axis=1)
-    moved = jnp.concatenate([jnp.eye(6), jnp.zeros((6, 3))], axis=1), first, product(A, first)
+    moved = jnp.eye(6, 9), first, product(A, first)
     motion = z[:6], own + gusts @ z[6:], A @ (own + gusts @ z[6:])
     measure = lambda *given: vessel.sensors.measure(*(State(*one) for one in given))
     along = lambda *change: jax.jvp(measure, motion, change)[1]
     return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
-
-
-def _sloped(
-    function: Callable[[Float[Array, "n"]], Float[Array, "m"]], at: Float[Array, "n"]
-) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
-    """A function's value and Jacobian, the value calculated once."""
-    along = lambda direction: jax.jvp(function, (at,), (direction,))
-    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(at.size))
 
 
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:

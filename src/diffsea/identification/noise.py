@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.identification.gusts import Noise, gust_model, predicted, updated
+from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.identification.tape import Tape, natural_time
 from diffsea.vessel.base import Vessel
 
@@ -142,15 +143,14 @@ def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
         white, variance = jax.vmap(block)(path, clock.dt, clock.starts)
         return white.ravel(), jnp.log(variance).ravel()
 
-    white, _ = value = both(log)
-    d_white, d_log = jax.jacfwd(both)(log)
+    (white, log_variance), (d_white, d_log) = value_and_jacobian(both, log)
     # white = nu / sqrt(s): the innovation's own derivative over sqrt(s) is this.
     d_nu = d_white + 0.5 * white[:, None] * d_log
     gradient = 2 * white @ d_white + d_log.sum(0)
     curvature = 2 * d_nu.T @ d_nu + d_log.T @ d_log
     off = (log - prior.mean) / prior.spread
     return (
-        jnp.sum(white**2) + jnp.sum(value[1]) + jnp.sum(off**2),
+        jnp.sum(white**2) + jnp.sum(log_variance) + jnp.sum(off**2),
         gradient + 2 * off / prior.spread,
         curvature + 2 * jnp.diag(1 / prior.spread**2),
     )

@@ -18,6 +18,7 @@ from diffsea.identification.estimates import Estimate, Progress, made, silent
 from diffsea.identification.least_squares import (
     least_squares,
     least_squares_steps,
+    value_and_jacobian,
     with_known_jacobian,
 )
 from diffsea.identification.trial_sheet import Sheet
@@ -205,11 +206,7 @@ def _misfits(coordinates: Array, given: tuple) -> Array:
 
 def _with_slopes(coordinates: Array, given: tuple) -> tuple[Array, Array]:
     """Misfits and their exact Jacobian."""
-
-    def along(direction: Array) -> tuple:
-        return jax.jvp(lambda at: _misfits(at, given), (coordinates,), (direction,))
-
-    white, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(coordinates.size))
+    white, slopes = value_and_jacobian(lambda at: _misfits(at, given), coordinates)
     return white, jnp.where(jnp.isfinite(slopes), slopes, 0.0)
 
 
