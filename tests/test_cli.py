@@ -296,12 +296,12 @@ def test_a_file_of_another_folder_appears_at_the_end_with_the_others_or_not_at_a
     asked = tmp_path / "next.csv"
     asked.write_text("old")
     with pytest.raises(UserError, match="stop"), options.Outputs(tmp_path / "out") as out:
-        out.elsewhere(asked).write_text("new")
+        out.elsewhere(asked, "--next-manoeuvre").write_text("new")
         raise UserError("stop")
     assert asked.read_text() == "old" and list(tmp_path.iterdir()) == [asked]
     with options.Outputs(tmp_path / "out") as out:
-        out.elsewhere(asked).write_text("new")
-        out.elsewhere(tmp_path / "not-needed.csv")
+        out.elsewhere(asked, "--next-manoeuvre").write_text("new")
+        out.elsewhere(tmp_path / "not-needed.csv", "--next-manoeuvre")
         assert asked.read_text() == "old"
     assert asked.read_text() == "new" and out.files == [asked]
 

@@ -464,11 +464,13 @@ def test_detection_limits_are_plausible_sizes():
     assert quiet == {}
 
 
-def test_schedule_is_sailed_as_written(tmp_path):
+def test_schedule_is_sailed_as_written_and_to_its_end(tmp_path):
     path = tmp_path / "next.csv"
-    path.write_text("t,cmd_port,cmd_starboard\n0,100,100\n10.1,50,-20\n", encoding="utf-8")
+    end = 1.5 * USV.rows * USV.step
+    text = f"t,cmd_port,cmd_starboard\n0,100,100\n10.1,50,-20\n{end},50,-20\n"
+    path.write_text(text, encoding="utf-8")
     found = resolve.record(CASE, path, None)
-    assert len(found["t"]) == USV.rows
+    assert found["t"][-1] == pytest.approx(end, abs=USV.step) and end > USV.rows * USV.step
     assert found["cmd_starboard"][50] == 100.0 and found["cmd_starboard"][51] == -20.0
     by_name = resolve.record(CASE, None, "turning-circle")
     assert np.unique(by_name["cmd_port"]).size >= 3

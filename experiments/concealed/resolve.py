@@ -10,6 +10,7 @@ diagnoses as blindly as before. Resolved: the true names, and only they. Writes 
 
 import argparse
 import csv
+import dataclasses
 import json
 import math
 import shutil
@@ -27,20 +28,21 @@ SEED = 4_000_037  # added to the case's own, for gusts and noise of the extra ru
 
 
 def record(case: dict, schedule: Path | None, manoeuvre: str | None) -> dict[str, np.ndarray]:
-    """One more recording of the case's true vessel under a schedule of commands."""
+    """One more recording of the case's true vessel under a schedule of commands, to its end."""
     hull = HULLS[case["hull"]]
     model, _ = draw.true_vessel(case, np.random.default_rng(case["seed"]))
     rng = np.random.default_rng(case["seed"] + SEED)
     if schedule is not None:
-        policy = orders.Replay(read_schedule(schedule, model.labels(), hull))
+        given = read_schedule(schedule, model.labels(), hull.step)
+        hull, policy = dataclasses.replace(hull, rows=len(given)), orders.Replay(given)
     else:
         policy = by_name(manoeuvre or "", hull, model.sensing, rng)
     track = draw.run(model, hull, policy, rng)
     return draw.columns(track, model, hull, rng)
 
 
-def read_schedule(path: Path, labels: list[str], hull: Hull) -> np.ndarray:
-    """Orders (rows, channels) on the hull's rows: held from each stamp; the last to the end."""
+def read_schedule(path: Path, labels: list[str], step: float) -> np.ndarray:
+    """Orders (rows, channels) every `step` seconds up to the last stamp, held from each."""
     with path.open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     t = np.array([float(row["t"]) for row in table])
@@ -48,8 +50,8 @@ def read_schedule(path: Path, labels: list[str], hull: Hull) -> np.ndarray:
     if missing:
         raise ValueError(f"{path} has no column for {', '.join(missing)}")
     values = np.array([[float(row[f"cmd_{n}"]) for n in labels] for row in table])
-    rows = np.searchsorted(t, np.arange(hull.rows) * hull.step + 1e-9, side="right") - 1
-    return values[np.clip(rows, 0, len(t) - 1)]
+    every = np.arange(round(t[-1] / step) + 1) * step
+    return values[np.clip(np.searchsorted(t, every + 1e-9, side="right") - 1, 0, len(t) - 1)]
 
 
 def by_name(name: str, hull: Hull, sensing, rng: np.random.Generator):
