@@ -286,10 +286,10 @@ def _shown_by(
         return jnp.stack(jax.tree.leaves(found))
 
     own, A = value_and_jacobian(rate, z[:6])
-    gusts = jnp.eye(6)[:, 3:]
-    first = jnp.concatenate([A, gusts], axis=1)
+    now = own + jnp.concatenate([jnp.zeros(3), z[6:]])
+    first = jnp.concatenate([A, jnp.eye(6)[:, 3:]], axis=1)
+    motion = z[:6], now, applied(A, now)
     moved = jnp.eye(6, 9), first, product(A, first)
-    motion = z[:6], own + gusts @ z[6:], A @ (own + gusts @ z[6:])
     measure = lambda *given: vessel.sensors.measure(*(State(*one) for one in given))
     along = lambda *change: jax.jvp(measure, motion, change)[1]
     return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
