@@ -97,6 +97,16 @@ def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
     assert done.stdout.startswith("--xla_cpu_prefer_vector_width=256 ")
 
 
+def test_a_jaxlib_whose_options_are_not_known_keeps_its_own():
+    code = (
+        "import os, diffsea.cli as cli; cli.MEASURED_WITH = '0.1.'; cli.prepare_jax()\n"
+        "print(os.environ.get('XLA_FLAGS'))"
+    )
+    env = {"PATH": "", "XDG_CACHE_HOME": "/proc/none"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert done.stdout == "None\n", done.stderr
+
+
 # trial
 
 

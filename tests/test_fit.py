@@ -21,7 +21,7 @@ from diffsea.identification.fit import _clock, _path, estimate, normalised_rms
 from diffsea.identification.gusts import Noise, gust_model, updated
 from diffsea.identification.least_squares import least_squares_from
 from diffsea.identification.noise import _rerun
-from diffsea.identification.problem import _residual, jacobian, make_problem, selection, traced
+from diffsea.identification.problem import _prior, _white, jacobian, make_problem, selection, traced
 from diffsea.priors import hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
@@ -219,10 +219,11 @@ def test_copies_for_each_run_share_directions_without_changing_the_jacobian(docu
     at = np.random.default_rng(0).normal(0.0, 0.1, problem.width)
     residual, found = jacobian(at, inputs)
     at = jnp.append(jnp.asarray(at), jnp.zeros(problem.seeds))
-    plain = jax.jacfwd(lambda free: _residual(free, inputs))(at)
+    whole = jax.jit(lambda free: jnp.concatenate([_white(free, inputs), _prior(free, inputs)]))
+    plain = jax.jacfwd(whole)(at)
     assert len(index) == 15 and problem.seeds == 11
     np.testing.assert_allclose(found, plain, atol=1e-12)
-    np.testing.assert_allclose(residual, _residual(at, inputs), atol=1e-12)
+    np.testing.assert_allclose(residual, whole(at), atol=1e-12)
 
 
 def test_a_lag_is_told_from_gusts_that_last(document):

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffsea.identification import likelihood
 from diffsea.identification.gusts import Noise
 from diffsea.identification.layout import Layout
-from diffsea.identification.least_squares import ONCE, least_squares_from
+from diffsea.identification.least_squares import ONCE, least_squares_from, value_and_jacobian
 from diffsea.identification.likelihood import Gains, Tuned
 from diffsea.identification.noise import Prior, noise_prior
 from diffsea.identification.tape import ANY, Shape, Tape, make_tape
@@ -163,10 +163,6 @@ def _prior(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     return jnp.concatenate([strains, unused * free])
 
 
-def _residual(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
-    return jnp.concatenate([_white(free, args), _prior(free, args)])
-
-
 def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Array]:
     """Residual and its exact Jacobian.
 
@@ -174,12 +170,13 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
     the copies of all runs (Curtis, Powell and Reid 1974).
     """
     problem, _ = args
-    push = jax.vmap(lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))[1])
+    along = lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))
+    white, slopes = jax.vmap(along, out_axes=(None, -1))(problem.seeds)
     run = jnp.repeat(problem.tape.run, 6)[:, None]
     own = (problem.owner < 0) | (problem.owner == run)
-    J = jnp.where(own, push(problem.seeds).T @ problem.seeds, 0.0)
-    prior = jax.jacfwd(lambda at: _prior(at, args))(free)
-    return _residual(free, args), jnp.concatenate([J, prior])
+    J = jnp.where(own, slopes @ problem.seeds, 0.0)
+    strains, pulls = value_and_jacobian(lambda at: _prior(at, args), free)
+    return jnp.concatenate([white, strains]), jnp.concatenate([J, pulls])
 
 
 STEPS = 3  # of Gauss-Newton with the gains held fixed
@@ -190,7 +187,9 @@ def minimised(
     inputs: Inputs, layout: Static, start: Array, tolerance: Scalar = 1e-4, radius: Scalar = 1.0
 ) -> tuple[Array, Array, Array]:
     """Free numbers after Gauss-Newton steps, and residual and Jacobian on the way."""
-    return least_squares_from(with_jacobian, start, (inputs, layout), STEPS, tolerance, radius)
+    # Compiled within the compiled: the solver traces it several times, and finds it traced.
+    function = eqx.filter_jit(with_jacobian)
+    return least_squares_from(function, start, (inputs, layout), STEPS, tolerance, radius)
 
 
 _minimise = eqx.filter_jit(minimised)
