@@ -699,6 +699,11 @@ def test_figures_and_files(tmp_path):
     assert failures.count("wrong name") == 2 and failures.count(",ambiguous,") == 2
     lines = (tmp_path / "cases.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + len(everything) > len(failures.splitlines())
+    (tmp_path / "confusion.png").unlink()
+    matrix = (tmp_path / "confusion.csv").read_text()
+    (tmp_path / "confusion.csv").unlink()
+    score.main(["--pictures", str(tmp_path / "cases.csv")])
+    assert (tmp_path / "confusion.csv").read_text() == matrix
     assert (tmp_path / "confusion.png").stat().st_size > 2000
 
 

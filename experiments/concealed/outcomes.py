@@ -1,5 +1,6 @@
 """Each case judged: what the tool said beside what was true."""
 
+import csv
 import json
 import math
 from dataclasses import dataclass, field
@@ -92,6 +93,21 @@ def read_all(folder: Path) -> list[Outcome]:
             diagnosis = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
             found.append(judge(truth, diagnosis, run))
     return found
+
+
+def read_table(path: Path) -> list[Outcome]:
+    """Cases of a `cases.csv`: what was true and what was said, but neither places nor onsets."""
+    parts = lambda cell: cell.split("+") if cell else []
+    with path.open(encoding="utf-8", newline="") as file:
+        return [
+            Outcome(
+                row["case"], row["hull"], row["stratum"],
+                [key.partition(":")[0] for key in parts(row["true"])], parts(row["true"]),
+                [float(size) for size in parts(row["limits"])], row["verdict"],
+                parts(row["named"]), parts(row["rivals"]), [],
+            )
+            for row in csv.DictReader(file)
+        ]  # fmt: skip
 
 
 def judge(truth: dict, diagnosis: dict | None, run: dict) -> Outcome:

@@ -24,12 +24,16 @@ def write(folder: Path, scores: dict, outcomes: list[Outcome]) -> None:
     text = json.dumps(_clean(scores), indent=1) + "\n"
     (folder / "scores.json").write_text(text, encoding="utf-8")
     (folder / "scores.md").write_text(markdown(scores), encoding="utf-8")
-    rows, columns, counts = confusion(outcomes)
-    _confusion_files(folder, rows, columns, counts)
-    if any(row["right"]["n"] for row in scores["power"]):
-        _power_figure(folder / "power.png", scores["power"])
+    pictures(folder, scores["power"], outcomes)
     _table(folder / "failures.csv", outcomes, failed_only=True)
     _table(folder / "cases.csv", outcomes, failed_only=False)
+
+
+def pictures(folder: Path, power: list[dict], outcomes: list[Outcome]) -> None:
+    """Confusion matrix, as a table too, and power curve."""
+    _confusion_files(folder, *confusion(outcomes))
+    if any(row["right"]["n"] for row in power):
+        _power_figure(folder / "power.png", power)
 
 
 def _clean(value):

@@ -4,7 +4,7 @@
 
 Reads DIR/results and DIR/sealed (after checking the sealed files against DIR/manifest.json),
 writes DIR/scores/: scores.json, scores.md, confusion.csv, confusion.png, power.png, cases.csv
-and failures.csv.
+and failures.csv. `--pictures CASES.CSV` draws the pictures of a table of cases, as of several sets.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from . import report, sealing
-from .outcomes import Outcome, read_all
+from .outcomes import Outcome, read_all, read_table
 
 
 BINS = (1.0, 2.0, 4.0, 8.0, 16.0, 31.0)
@@ -213,12 +213,19 @@ def check_seal(folder: Path) -> None:
             raise SystemExit(f"{folder / part} is not what {folder / 'manifest.json'} says")
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--set", default="develop")
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
-    args = parser.parse_args()
+    parser.add_argument("--pictures", type=Path, metavar="CASES.CSV",
+                        help="only the pictures of these cases, beside the table")  # fmt: skip
+    args = parser.parse_args(argv)
+    if args.pictures:
+        outcomes = read_table(args.pictures)
+        single = [o for o in outcomes if o.stratum == "single"]
+        report.pictures(args.pictures.parent, power(single), outcomes)
+        return
     folder = args.out or Path("out/concealed") / args.set
     check_seal(folder)
     outcomes = read_all(folder)
