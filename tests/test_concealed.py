@@ -17,6 +17,7 @@ from experiments.concealed import (
     orders,
     outcomes,
     outside,
+    report,
     resolve,
     score,
     sealing,
@@ -568,6 +569,18 @@ def one(t, d, seconds=10.0):
     return outcomes.judge(t, d, {"seconds": seconds, "warm": True, "error": None})
 
 
+def test_a_table_of_cases_is_read_as_it_was_written(tmp_path):
+    case = outcomes.Outcome(
+        "c0001", "usv", "pair", ["sensor-latency", "mass-change"],
+        ["sensor-latency:position", "mass-change"], [11.4, 22.5], "explained",
+        ["mass-change", "sensor-latency"], [], [2451.0, None],
+    )  # fmt: skip
+    report.write(tmp_path, score.score([case], [], []) | {"baselines": None}, [case])
+    (read,) = outcomes.read_table(tmp_path / "cases.csv")
+    assert read.true == ["sensor-latency", "mass-change"] and read.limits == [11.4, 22.5]
+    assert read.named == ["mass-change", "sensor-latency"] and read.log10_odds == [2450.0, None]
+
+
 def test_wilson_intervals():
     assert score.wilson(0, 10) == pytest.approx((0.0, 0.27753), abs=2e-5)
     assert score.wilson(5, 10) == pytest.approx((0.23659, 0.76341), abs=2e-5)
@@ -651,8 +664,6 @@ def test_odds_are_those_of_their_names():
 
 
 def test_confusion_and_errors_by_effect_are_of_single_effects():
-    from experiments.concealed import report
-
     found = {"speed": {"value": 0.33, "std": 0.1}}
     alone = one(truth(current={"speed": 0.3}), said("explained", "current", current=found))
     straight = one(truth(), said("explained", "current"))
@@ -667,8 +678,6 @@ def test_confusion_and_errors_by_effect_are_of_single_effects():
 
 
 def test_figures_and_files(tmp_path):
-    from experiments.concealed import report
-
     clean = [one(truth("clean"), said("consistent")) for _ in range(9)]
     clean.append(one(truth("clean"), said("explained", "wind", odds=1.5)))
     sizes = (1.5, 3.0, 10.0, 20.0)
@@ -702,7 +711,9 @@ def test_figures_and_files(tmp_path):
     (tmp_path / "confusion.png").unlink()
     matrix = (tmp_path / "confusion.csv").read_text()
     (tmp_path / "confusion.csv").unlink()
-    score.main(["--pictures", str(tmp_path / "cases.csv")])
+    score.main(["--table", str(tmp_path / "cases.csv")])
+    parts = (tmp_path / "scores.md").read_text().partition("\n\n| size")[2]
+    assert (tmp_path / "parts.md").read_text().endswith(parts)
     assert (tmp_path / "confusion.csv").read_text() == matrix
     assert (tmp_path / "confusion.png").stat().st_size > 2000
 

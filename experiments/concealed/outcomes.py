@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -97,17 +98,26 @@ def read_all(folder: Path) -> list[Outcome]:
 
 def read_table(path: Path) -> list[Outcome]:
     """Cases of a `cases.csv`: what was true and what was said, but neither places nor onsets."""
-    parts = lambda cell: cell.split("+") if cell else []
     with path.open(encoding="utf-8", newline="") as file:
-        return [
-            Outcome(
-                row["case"], row["hull"], row["stratum"],
-                [key.partition(":")[0] for key in parts(row["true"])], parts(row["true"]),
-                [float(size) for size in parts(row["limits"])], row["verdict"],
-                parts(row["named"]), parts(row["rivals"]), [],
-            )
-            for row in csv.DictReader(file)
-        ]  # fmt: skip
+        return [_of_row(row) for row in csv.DictReader(file)]
+
+
+def _of_row(row: dict[str, str]) -> Outcome:
+    keys, named = _parts(row["true"]), _parts(row["named"])
+    odds = re.split(_JOINED, row["log10 odds"])[: len(named)]
+    return Outcome(
+        row["case"], row["hull"], row["stratum"], [key.partition(":")[0] for key in keys], keys,
+        [float(size) for size in _parts(row["limits"])], row["verdict"], named,
+        _parts(row["rivals"]), [float(x) if x else None for x in odds],
+        errors={str(k): float(x) for k, x in enumerate(_parts(row["errors"]))},
+    )  # fmt: skip
+
+
+_JOINED = r"(?<!\de)[+]"  # not within 1e+03
+
+
+def _parts(cell: str) -> list[str]:
+    return re.split(_JOINED, cell) if cell else []
 
 
 def judge(truth: dict, diagnosis: dict | None, run: dict) -> Outcome:

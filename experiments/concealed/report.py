@@ -24,12 +24,19 @@ def write(folder: Path, scores: dict, outcomes: list[Outcome]) -> None:
     text = json.dumps(_clean(scores), indent=1) + "\n"
     (folder / "scores.json").write_text(text, encoding="utf-8")
     (folder / "scores.md").write_text(markdown(scores), encoding="utf-8")
-    pictures(folder, scores["power"], outcomes)
+    _pictures(folder, scores["power"], outcomes)
     _table(folder / "failures.csv", outcomes, failed_only=True)
     _table(folder / "cases.csv", outcomes, failed_only=False)
 
 
-def pictures(folder: Path, power: list[dict], outcomes: list[Outcome]) -> None:
+def write_parts(folder: Path, parts: dict, outcomes: list[Outcome]) -> None:
+    """The pictures, and in parts.md the tables by size, effect, hull and odds."""
+    _pictures(folder, parts["power"], outcomes)
+    text = "\n".join([f"{len(outcomes)} cases.", *_by_parts(parts)]) + "\n"
+    (folder / "parts.md").write_text(text, encoding="utf-8")
+
+
+def _pictures(folder: Path, power: list[dict], outcomes: list[Outcome]) -> None:
     """Confusion matrix, as a table too, and power curve."""
     _confusion_files(folder, *confusion(outcomes))
     if any(row["right"]["n"] for row in power):
@@ -67,8 +74,19 @@ def markdown(scores: dict) -> str:
         lines.append(
             f"| {name} | {'none' if math.isnan(x) else f'{x:.3g}'} | {targets.get(name, '')} |"
         )
-    lines += ["", "| size in detection limits | named rightly | offered | noticed |",
-              "| --- | --- | --- | --- |"]  # fmt: skip
+    lines += _by_parts(scores)
+    if scores.get("baselines"):
+        lines += ["", "| method | first name right | truth in its set | names on clean |",
+                  "| --- | --- | --- | --- |"]  # fmt: skip
+        for row in scores["baselines"]:
+            cells = [percent(row[k]) for k in ("top", "set", "alarm")]
+            lines.append(f"| {row['method']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _by_parts(scores: dict) -> list[str]:
+    lines = ["", "| size in detection limits | named rightly | offered | noticed |",
+             "| --- | --- | --- | --- |"]  # fmt: skip
     for row in scores["power"]:
         lines.append(f"| {row['from']:g} to {row['to']:g} | {percent(row['right'])} | "
                      f"{percent(row['offered'])} | {percent(row['noticed'])} |")  # fmt: skip
@@ -89,13 +107,7 @@ def markdown(scores: dict) -> str:
             low, high = row["log10_odds_from"], row["log10_odds_to"]
             edges = f"{'' if low is None else f'{low:g}'} to {'' if high is None else f'{high:g}'}"
             lines.append(f"| {edges} | {row['stated']:.4f} | {percent(row['true'])} |")
-    if scores.get("baselines"):
-        lines += ["", "| method | first name right | truth in its set | names on clean |",
-                  "| --- | --- | --- | --- |"]  # fmt: skip
-        for row in scores["baselines"]:
-            cells = [percent(row[k]) for k in ("top", "set", "alarm")]
-            lines.append(f"| {row['method']} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def confusion(outcomes: list[Outcome]) -> tuple[list[str], list[str], np.ndarray]:

@@ -4,7 +4,8 @@
 
 Reads DIR/results and DIR/sealed (after checking the sealed files against DIR/manifest.json),
 writes DIR/scores/: scores.json, scores.md, confusion.csv, confusion.png, power.png, cases.csv
-and failures.csv. `--pictures CASES.CSV` draws the pictures of a table of cases, as of several sets.
+and failures.csv. `--table CASES.CSV` gives parts.md and the pictures of a table of cases, which may
+be those of several runs of this.
 """
 
 import argparse
@@ -120,13 +121,21 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "strata": {s: len(of(s)) for s in sorted({o.stratum for o in outcomes})},
         "rates": rates,
         "numbers": numbers,
-        "by_hull": {h: _of_hull([o for o in outcomes if o.hull == h])
-                    for h in sorted({o.hull for o in outcomes})},
+        "targets": TARGETS,
+        **by_parts(outcomes),
+    }
+
+
+def by_parts(outcomes: list[Outcome]) -> dict:
+    """By hull, effect, size and stated odds."""
+    single = [o for o in outcomes if o.stratum == "single"]
+    hulls = sorted({o.hull for o in outcomes})
+    return {
+        "by_hull": {h: _of_hull([o for o in outcomes if o.hull == h]) for h in hulls},
         "by_effect": _by_effect(single),
         "power": power(single),
         "reliability": reliability(outcomes),
-        "targets": TARGETS,
-    }  # fmt: skip
+    }
 
 
 def _median(values: list) -> float:
@@ -218,13 +227,12 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--set", default="develop")
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
-    parser.add_argument("--pictures", type=Path, metavar="CASES.CSV",
-                        help="only the pictures of these cases, beside the table")  # fmt: skip
+    parser.add_argument("--table", type=Path, metavar="CASES.CSV",
+                        help="these cases by their parts, beside the table")  # fmt: skip
     args = parser.parse_args(argv)
-    if args.pictures:
-        outcomes = read_table(args.pictures)
-        single = [o for o in outcomes if o.stratum == "single"]
-        report.pictures(args.pictures.parent, power(single), outcomes)
+    if args.table:
+        outcomes = read_table(args.table)
+        report.write_parts(args.table.parent, by_parts(outcomes), outcomes)
         return
     folder = args.out or Path("out/concealed") / args.set
     check_seal(folder)
