@@ -14,14 +14,17 @@ from tests.oracle.simulator import load, simulate
 
 from diffsea.diagnosis.columns import columns_of, gains_at, residual_at
 from diffsea.errors import UserError
-from diffsea.identification import problem
+from diffsea.identification import problem, study
 from diffsea.identification.colour import autocorrelation, inflation
 from diffsea.identification.estimates import physical_table
 from diffsea.identification.fit import _clock, _path, estimate, normalised_rms
 from diffsea.identification.gusts import Noise, gust_model, updated
+from diffsea.identification.layout import negative
 from diffsea.identification.least_squares import least_squares_from
 from diffsea.identification.noise import _rerun
 from diffsea.identification.problem import _prior, _white, jacobian, make_problem, selection, traced
+from diffsea.identification.starts import effect_starts
+from diffsea.identification.study import Settings
 from diffsea.priors import hull_prior
 from diffsea.types import Trajectory
 from diffsea.vessel.catalogue import build
@@ -237,6 +240,41 @@ def test_a_lag_is_told_from_gusts_that_last(document):
     std = math.sqrt(result.covariance[-1, -1]) * problem.layout.sizes[0][0]
     assert abs(found - 0.8) < 3 * std < 0.3
     assert result.inflation < 1.3
+
+
+def test_an_effect_is_sought_where_it_shows_itself(document):
+    """Orders followed slowly have hardly a derivative where they are followed at once."""
+    slow = document | {"thruster": [t | {"rate_limit": 30.0} for t in document["thruster"]]}
+    runs = [_run(slow, seed) for seed in (3, 4)]
+    settings = Settings(free=HULL, effects=("rate-limit",), starts=2, profiles=())
+    result = study.identify(build(_away(document, 1.2)), runs, settings)
+    found = result.effects["rate-limit:propulsion"][0]["rate_limit"]
+    assert abs(found["value"] - 30.0) < 3 * found["std"] < 6.0
+    assert result.agreement is not None and result.agreement.starts == 5
+
+
+def test_an_effect_that_comes_out_impossible_is_told(document, recordings, monkeypatch):
+    settings = Settings(free=HULL, effects=("thrust-lag",))
+    found = SimpleNamespace(deviance=0.0, coordinates=np.append(np.zeros(len(HULL)), -0.5))
+    monkeypatch.setattr(study, "multistart", lambda *given: (found, None))
+    with pytest.raises(UserError, match="do not show thrust-lag:propulsion.*--effects"):
+        study.identify(build(document), recordings, settings)
+
+
+def test_starts_of_effects_are_their_sizes_and_times(document, recordings):
+    effects = tuple(EFFECTS[name] for name in ("rate-limit:propulsion", "thrust-change", "current"))
+    problem = make_problem(build(document), recordings, HULL, effects, room=5)
+    starts = effect_starts(problem)
+    layout = problem.layout
+    assert not starts[:, : len(HULL)].any() and not starts[0].any()
+    late = [layout.physical("rate-limit:propulsion", row)[0, 0] for row in starts]
+    assert sum(size > 0 for size in late) == len(effects[0].finite) > 1
+    times = [layout.physical("thrust-change", row)[0, effects[1].shape] for row in starts]
+    assert len(set(times)) > 4 and 0 <= min(times) and max(times) <= 80.0
+    assert not any(layout.physical("current", row).any() for row in starts)
+    row = starts[-1].copy()
+    row[layout.indices(("rate-limit:propulsion",))] = -1.0
+    assert negative(layout, row) == ["rate-limit:propulsion"] and not negative(layout, starts[-1])
 
 
 def test_colour_inflates_the_variance_of_a_mean_as_theory_says():

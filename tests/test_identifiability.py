@@ -52,7 +52,7 @@ class Cost:
                 step *= 0.5
         return estimate(at, np.diag([100.0, 100.0]), float(self.function(*at)))
 
-    def explore(self, starts):
+    def explore(self, starts, free):
         ends = np.array([self.fit((), start).coordinates for start in starts])
         return ends, np.array([self.function(*end) for end in ends])
 

@@ -104,9 +104,9 @@ class FreeRun:
         """The vessel's parameters."""
         return self.problem.layout.parameters
 
-    def explore(self, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def explore(self, starts: np.ndarray, free: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """As the innovation likelihood does, whose basin is wider."""
-        return Innovations(self.problem).explore(starts)
+        return Innovations(self.problem).explore(starts, free)
 
     def _shot(self, point: Point) -> Shot:
         return shooting.shoot(

@@ -130,6 +130,15 @@ class Layout:
         return scaled.reshape(-1, len(self.sizes[index])) * np.array(self.sizes[index])
 
 
+def negative(layout: Layout, coordinates: np.ndarray) -> list[str]:
+    """Effects that cannot be negative, and are, in every copy."""
+    return [
+        effect.name
+        for effect in layout.effects
+        if effect.positive and np.all(layout.physical(effect.name, coordinates)[:, 0] < 0)
+    ]
+
+
 def _amounts(effect: Effect, count: int) -> np.ndarray:
     """Which of an effect's coordinates say how much of it there is, not when or where."""
     return np.arange(count) != (-1 if effect.shape is None else effect.shape)

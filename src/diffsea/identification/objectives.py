@@ -18,6 +18,7 @@ from diffsea.identification import likelihood
 from diffsea.identification.estimates import Estimate, Progress, silent
 from diffsea.identification.fit import estimate, posterior
 from diffsea.identification.gusts import Noise
+from diffsea.identification.layout import negative
 from diffsea.identification.problem import Inputs, Problem, Static, minimised, selection, traced
 from diffsea.priors import Parameter
 from diffsea.types import MOTION_CHANNELS
@@ -45,9 +46,12 @@ class Objective(Protocol):
         ...
 
     def explore(
-        self, starts: Float[np.ndarray, "start coordinate"]
+        self, starts: Float[np.ndarray, "start coordinate"], free: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where a few steps lead from several starts at once, and the costs there."""
+        """Where a few steps lead from several starts at once, and the costs there.
+
+        Infinite where the steps lead to what cannot be.
+        """
         ...
 
 
@@ -94,19 +98,22 @@ class Innovations:
         return posterior(self.problem, coordinates, fitted.noise)
 
     def explore(
-        self, starts: Float[np.ndarray, "start coordinate"]
+        self, starts: Float[np.ndarray, "start coordinate"], free: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton from all starts together, the noise as expected beforehand."""
-        names = tuple(p.name for p in self.parameters)
-        index, matrix = selection(self.problem.layout, names, self.problem.width)
+        _, matrix = selection(self.problem.layout, free, self.problem.width)
         _, noise = self.problem.start()
         gains = self.problem.tuned(starts[0], noise).gains
         inputs, layout = traced(self.problem, gains, starts[0], matrix)
         ends = jnp.asarray(starts)
         for _ in range(PASSES):
             ends = _explored(inputs, layout, noise, ends)
-        costs = [posterior(self.problem, end, noise) for end in np.asarray(ends)]
-        return np.asarray(ends), np.array(costs)
+        ends = np.asarray(ends)
+        costs = [
+            np.inf if negative(self.problem.layout, end) else posterior(self.problem, end, noise)
+            for end in ends
+        ]
+        return ends, np.array(costs)
 
     def _lone(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
         """Samples that a gated filter rejects, unless they are many, in a row or in all."""

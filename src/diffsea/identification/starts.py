@@ -7,7 +7,9 @@ from scipy.stats import chi2
 
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate, Progress, silent
-from diffsea.identification.objectives import Objective
+from diffsea.identification.objectives import Objective, Starts
+from diffsea.identification.problem import Problem
+from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,14 +33,47 @@ class Agreement:
         return told
 
 
+def effect_starts(problem: Problem) -> Starts:
+    """Coordinates without any effect, then those with each at places where it may show itself.
+
+    Where they are absent some effects have no derivative, and others one that leads away from what
+    can be. What changes at some time begins at several.
+    """
+    layout, times = problem.layout, np.asarray(problem.tape.run_time)
+    rows = [np.zeros(layout.size)]
+    for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
+        shapes = () if effect.grid is None or effect.periodic else effect.grid(
+            problem.base, float(times.min()), float(times.max())
+        )  # fmt: skip
+        for place in _places(effect, sizes, shapes):
+            row = np.zeros(layout.size)
+            row[layout.indices((effect.name,))] = np.tile(place, layout.copies(effect))
+            rows.append(row)
+    return np.array(rows)
+
+
+def _places(effect: Effect, sizes: tuple[float, ...], shapes: tuple[float, ...]) -> list:
+    """Coordinates of an effect, in prior sizes, from which it is sought besides zero."""
+    some = effect.finite or ((1.0,) if effect.positive else ())
+    places = [np.eye(len(sizes))[0] * size for size in some]
+    if effect.shape is not None:
+        at = np.eye(len(sizes))[effect.shape]
+        places += [at * value / sizes[effect.shape] for value in shapes]
+    return places
+
+
 def multistart(
     objective: Objective,
     free: tuple[str, ...],
     count: int,
     seed: int = 0,
     progress: Progress = silent,
-) -> tuple[Estimate, Agreement]:
-    """The best fit of all parameters from the prior mean and `count` - 1 draws of the prior.
+    besides: Starts | None = None,
+) -> tuple[Estimate, Agreement | None]:
+    """The best fit of all that is free from the prior mean and `count` - 1 draws of the prior.
+
+    With `besides`, starts that hold more than parameters, draws hold nothing of that. Where only
+    those and the prior mean are asked for, nothing is said of agreement.
 
     All starts are explored together (`jax.vmap`) for a few steps; the best of them and the best
     one elsewhere are fitted to their ends. Starts agree where the exploration led them to one
@@ -49,9 +84,12 @@ def multistart(
     """
     parameters = objective.parameters
     spreads = np.array([p.spread for p in parameters])
-    draws = np.random.default_rng(seed).normal(size=(count, len(parameters))) * spreads
-    draws[0] = 0.0
-    ends, costs = objective.explore(draws)
+    besides = np.zeros((1, len(parameters))) if besides is None else besides
+    draws = np.zeros((count - 1, besides.shape[1]))
+    drawn = np.random.default_rng(seed).normal(size=(count, len(parameters))) * spreads
+    draws[:, : len(parameters)] = drawn[1:]
+    starts = np.concatenate([besides, draws])
+    ends, costs = objective.explore(starts, free)
     finite = np.isfinite(costs)
     if not finite.any():
         raise UserError(
@@ -59,9 +97,11 @@ def multistart(
             "are negative) and at the recordings' units"
         )
     order = [k for k in np.argsort(costs) if finite[k]]
-    progress(f"{len(order)} of {count} starts explored; fitting from the best")
+    progress(f"{len(order)} of {len(starts)} starts explored; fitting from the best")
     lead = ends[order[0]]
     best = objective.fit(free, lead, progress)
+    if count == 1:
+        return best, None
     near = [k for k in order if _inside(best, ends[k] - lead)]
     apart = [k for k in order if k not in near]
     rival = None
@@ -75,7 +115,7 @@ def multistart(
             if other.deviance < best.deviance:
                 best, other, near = other, best, beside
             rival = other.deviance - best.deviance
-    return best, Agreement(count, len(near), rival)
+    return best, Agreement(len(starts), len(near), rival)
 
 
 def _inside(fitted: Estimate, difference: np.ndarray) -> bool:

@@ -16,7 +16,7 @@ from diffsea.identification.free_run import FreeRun
 from diffsea.identification.gusts import Noise
 from diffsea.identification.holdout import HEAD_SHARE, Split, cut_all, transferred
 from diffsea.identification.identifiability import Identifiability, identifiability
-from diffsea.identification.layout import equipped
+from diffsea.identification.layout import equipped, negative
 from diffsea.identification.objectives import Innovations, Objective
 from diffsea.identification.problem import (
     Problem,
@@ -25,7 +25,7 @@ from diffsea.identification.problem import (
     make_problem,
 )
 from diffsea.identification.profile import Profile, asymmetric, profile
-from diffsea.identification.starts import Agreement, multistart
+from diffsea.identification.starts import Agreement, effect_starts, multistart
 from diffsea.identification.trial_numbers import TrialNumbers
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import check_names
@@ -189,14 +189,23 @@ def identify(
     objective = _objective(vessel, parameters, data, settings)
     agreement = None
     names += tuple(effect.name for effect in chosen_effects(vessel, settings.effects))
-    if settings.starts > 1:
-        fitted, agreement = multistart(objective, names, settings.starts, settings.seed, progress)
+    problem = getattr(objective, "problem", None)
+    besides = None if problem is None else effect_starts(problem)
+    if settings.starts > 1 or (besides is not None and len(besides) > 1):
+        fitted, agreement = multistart(
+            objective, names, settings.starts, settings.seed, progress, besides
+        )
     else:
         fitted = objective.fit(names, progress=progress)
     if not np.isfinite(fitted.deviance):
         raise UserError(
             "the model diverges on these data and no step of the fit mends it; check units and "
             "signs with `diffsea audit`, or start nearer (vessel file, --priors)"
+        )
+    if problem is not None and (absent := negative(problem.layout, fitted.coordinates)):
+        raise UserError(
+            f"the data do not show {' or '.join(absent)}: the best fit makes it negative, which it "
+            "cannot be; leave it out of --effects"
         )
     wanted = settings.profiles
     if wanted is None:

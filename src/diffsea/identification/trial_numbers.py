@@ -126,9 +126,9 @@ class TrialNumbers:
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
     def explore(
-        self, starts: Float[np.ndarray, "start coordinate"]
+        self, starts: Float[np.ndarray, "start coordinate"], free: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where a few steps lead from several starts at once, and the cost there."""
+        """Where a few steps of all parameters lead from several starts at once, and the cost."""
         ends = np.asarray(_improve_all(jnp.asarray(starts), self._given))
         return ends, np.array([self.cost(end) for end in ends])
 
