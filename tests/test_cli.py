@@ -86,7 +86,7 @@ def test_names_written_out_for_the_help_are_the_librarys():
 
 def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
     code = (
-        "import os, sys; from diffsea.cli import prepare_jax; prepare_jax(); import jax\n"
+        "import os, diffsea.cli as cli; cli.MEASURED_WITH = ''; cli.prepare_jax(); import jax\n"
         "print(os.environ['XLA_FLAGS'], jax.config.jax_enable_x64)"
     )
     env = {"PATH": "", "XDG_CACHE_HOME": "/proc/none"}  # a cache that cannot be written

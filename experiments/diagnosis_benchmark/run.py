@@ -73,9 +73,9 @@ def main() -> None:
     """Pin the process to one core, diagnose twice, print and write the times."""
     os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[-1]})
     sys.path.insert(0, str(ROOT))
-    from diffsea.cli import XLA_FLAGS
+    from diffsea.cli import set_xla_flags
 
-    os.environ["XLA_FLAGS"] = XLA_FLAGS
+    set_xla_flags()
     import jax
 
     jax.config.update("jax_enable_x64", True)

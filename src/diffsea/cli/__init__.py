@@ -104,16 +104,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def set_xla_flags() -> None:
+    """The XLA flags above, before JAX starts; not over the user's own, nor for another jaxlib."""
+    if importlib.metadata.version("jaxlib").startswith(MEASURED_WITH):
+        os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
+
+
 def prepare_jax() -> None:
-    """XLA flags, 64-bit numbers, rarer garbage collection, and a cache of compiled programs.
-
-    The cache outlives the command.
-
-    Flags that the user has set stay as they are, and so do those of a jaxlib other than measured.
-    """
+    """XLA flags, 64-bit numbers, rarer garbage collection, a cache that outlives the command."""
     if "jax" not in sys.modules:
-        if importlib.metadata.version("jaxlib").startswith(MEASURED_WITH):
-            os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
+        set_xla_flags()
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on slow compiling
     import jax
 
