@@ -52,11 +52,12 @@ def joint_null(
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     z = np.random.default_rng(SEED).standard_normal((draws, len(gram))) @ root.T
-    smallest = np.ones(draws)
     unit = gram / np.outer(scale, scale)
+    strongest: dict[int, np.ndarray] = {}  # statistic among the tests of as many columns
     for part in tests:
-        size = part.stop - part.start
+        size, seen = part.stop - part.start, z[:, part]
         inverse = np.linalg.pinv(unit[part, part], rcond=1e-10, hermitian=True)
-        statistic = np.einsum("di,ij,dj->d", z[:, part], inverse, z[:, part])
-        smallest = np.minimum(smallest, stats.chi2.sf(statistic, size))
-    return Null(np.sort(smallest))
+        statistic = ((seen @ inverse) * seen).sum(1)
+        strongest[size] = np.maximum(strongest.get(size, 0.0), statistic)
+    smallest = [np.ones(draws), *(stats.chi2.sf(most, k) for k, most in strongest.items())]
+    return Null(np.sort(np.min(smallest, axis=0)))

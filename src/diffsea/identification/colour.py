@@ -8,6 +8,7 @@ time, so that an effect seen in a few bursts does not pass for noise).
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import fft
 
 
 LAGS = 40  # rows
@@ -31,21 +32,29 @@ def long_run(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> Float[np.ndarray, "coordinate coordinate"]:
     """`E' C E` for columns with six values to a row."""
-    E = columns.reshape(-1, 6, columns.shape[1])
-    total = np.einsum("kci,kcj->ij", E, E)
-    for lag, weights in enumerate(correlation, start=1):
-        product = np.einsum("kci,kcj,c->ij", E[lag:], E[:-lag], weights, optimize=True)
-        total += product + product.T
-    return total
+    E, CE = _coloured(columns, correlation)
+    return sum(own @ other.T for own, other in zip(E, CE, strict=True))
 
 
 def inflation(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> Float[np.ndarray, "coordinate"]:
     """Factor on the variance of each column's score, at least one."""
-    E = columns.reshape(-1, 6, columns.shape[1])
+    E, CE = _coloured(columns, correlation)
     plain = (columns**2).sum(0)
-    coloured = plain.copy()
-    for lag, weights in enumerate(correlation, start=1):
-        coloured += 2 * np.einsum("kci,kci,c->i", E[lag:], E[:-lag], weights)
-    return np.maximum(coloured / np.maximum(plain, 1e-300), 1.0)
+    return np.maximum((E * CE).sum((0, 2)) / np.maximum(plain, 1e-300), 1.0)
+
+
+def _coloured(
+    columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
+) -> tuple[Float[np.ndarray, "6 coordinate row"], Float[np.ndarray, "6 coordinate row"]]:
+    """Columns `E` by channels, and `C E`: products with symmetric Toeplitz matrices by FFT."""
+    E = np.ascontiguousarray(columns.reshape(-1, 6, columns.shape[1]).transpose(1, 2, 0))
+    rows, lags = E.shape[-1], len(correlation)
+    length = fft.next_fast_len(rows + lags, real=True)
+    kernel = np.zeros((6, 1, length))
+    kernel[:, 0, 0] = 1.0
+    kernel[:, 0, 1 : lags + 1] = correlation.T
+    kernel[:, 0, length - lags :] = correlation.T[:, ::-1]
+    CE = fft.irfft(fft.rfft(E, length) * fft.rfft(kernel), length)
+    return E, CE[..., :rows]

@@ -65,10 +65,16 @@ def predicted(
     P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: Gusts, Q: Float[Array, "9 9"]
 ) -> Float[Array, "9 9"]:
     """Covariance at the end of a row: gusts act half before and half after the vessel moves."""
-    act = F[:, 3:] * gust.half + jnp.eye(6)[:, 3:] * gust.half
-    keep = jnp.concatenate([jnp.zeros((3, 6)), jnp.eye(3) * gust.decay], axis=1)
-    whole = jnp.concatenate([jnp.concatenate([F, act], axis=1), keep])
-    return product(product(whole, P), whole.T) + Q
+
+    def kicked(M: Array) -> Array:
+        return jnp.concatenate([M[:3], M[3:6] + gust.half[:, None] * M[6:], M[6:]])
+
+    def moved(M: Array) -> Array:
+        M = kicked(M)
+        M = kicked(jnp.concatenate([product(F, M[:6]), M[6:]]))
+        return jnp.concatenate([M[:6], gust.decay[:, None] * M[6:]])
+
+    return moved(moved(P).T) + Q
 
 
 def applied(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
@@ -118,7 +124,7 @@ def updated(
         left = P - gain[:, None] * Ph[None, :]
         spare = jnp.sum(left * h, axis=1) - noise * gain
         variance = jnp.where(known, s * old, 1.0)
-        P = left - spare[:, None] * gain[None, :] + (1 - old) * gain[:, None] * Ph[None, :]
+        P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
         return (C, P), (fresh / jnp.sqrt(variance), variance)
 
     channels = H, R, used, np.eye(6), late

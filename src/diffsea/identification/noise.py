@@ -84,6 +84,7 @@ def _sensor_scales(tape: Tape, length: float) -> np.ndarray:
 
 EXCERPT = 1024  # rows from which noise is estimated: a fiftieth of each scale is its error
 BLOCK = 128  # rows that follow one another
+LEVEL = 1.0  # a gain of -2 log posterior after which nothing more is sought before a fit goes on
 
 
 def excerpt(path: Path, clock: Clock) -> tuple[Path, Clock]:
@@ -131,26 +132,39 @@ def _rerun(path: Path, clock: Clock, noise: Noise) -> tuple:
     return jax.lax.scan(body, start, (path, gusts, Q, clock.starts))[1]
 
 
+def _terms(path: Path, clock: Clock, log: Array) -> tuple[Array, Array]:
+    """Whitened innovations of all blocks, and the logarithms of their variances."""
+
+    def block(part: Path, dt: Array, starts: Array) -> tuple:
+        return _rerun(part, Clock(dt, starts, clock.first_variance), Noise.of(log))
+
+    # One step of a compiled loop costs nearly as much for one block as for all.
+    white, variance = jax.vmap(block)(path, clock.dt, clock.starts)
+    return white.ravel(), jnp.log(variance).ravel()
+
+
+def _sum(white: Array, log_variance: Array, off: Array) -> Array:
+    return jnp.sum(white**2) + jnp.sum(log_variance) + jnp.sum(off**2)
+
+
+@jax.jit
+def _value(path: Path, clock: Clock, log: Array, prior: Prior) -> Array:
+    """Deviance of all blocks with prior."""
+    return _sum(*_terms(path, clock, log), (log - prior.mean) / prior.spread)
+
+
 @jax.jit
 def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
-    """Deviance of all blocks with prior, its gradient and its expected curvature."""
-
-    def both(at: Array) -> tuple:
-        def block(part: Path, dt: Array, starts: Array) -> tuple:
-            return _rerun(part, Clock(dt, starts, clock.first_variance), Noise.of(at))
-
-        # One step of a compiled loop costs nearly as much for one block as for all.
-        white, variance = jax.vmap(block)(path, clock.dt, clock.starts)
-        return white.ravel(), jnp.log(variance).ravel()
-
-    (white, log_variance), (d_white, d_log) = value_and_jacobian(both, log)
+    """The same, its gradient and its expected curvature."""
+    along = lambda at: _terms(path, clock, at)
+    (white, log_variance), (d_white, d_log) = value_and_jacobian(along, log)
     # white = nu / sqrt(s): the innovation's own derivative over sqrt(s) is this.
     d_nu = d_white + 0.5 * white[:, None] * d_log
     gradient = 2 * white @ d_white + d_log.sum(0)
     curvature = 2 * d_nu.T @ d_nu + d_log.T @ d_log
     off = (log - prior.mean) / prior.spread
     return (
-        jnp.sum(white**2) + jnp.sum(log_variance) + jnp.sum(off**2),
+        _sum(white, log_variance, off),
         gradient + 2 * off / prior.spread,
         curvature + 2 * jnp.diag(1 / prior.spread**2),
     )
@@ -159,19 +173,18 @@ def _score(path: Path, clock: Clock, log: Array, prior: Prior) -> tuple:
 def refine(path: Path, clock: Clock, noise: Noise, prior: Prior, steps: int) -> Noise:
     """Fisher scoring on the scales from `noise`, halving a step that makes it worse."""
     log, lowest = np.asarray(noise.scales), prior.mean - LEAST
-    value, gradient, curvature = _score(path, clock, jnp.asarray(log), prior)
     for _ in range(steps):
-        step = -np.linalg.solve(np.asarray(curvature), np.asarray(gradient))
+        value, gradient, curvature = map(np.asarray, _score(path, clock, jnp.asarray(log), prior))
+        step = -np.linalg.solve(curvature, gradient)
         step = np.maximum(np.clip(step, -1.0, 1.0), lowest - log)
         for _ in range(4):
-            trial = _score(path, clock, jnp.asarray(log + step), prior)
-            if float(trial[0]) <= float(value):
+            there = float(_value(path, clock, jnp.asarray(log + step), prior))
+            if there <= value:
                 break
             step = 0.5 * step
         else:
             break
-        gain = float(value) - float(trial[0])
-        log, (value, gradient, curvature) = log + step, trial
-        if gain < 0.1:
+        log = log + step
+        if value - there < LEVEL:
             break
     return Noise.of(log)

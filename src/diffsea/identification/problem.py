@@ -137,7 +137,8 @@ class Inputs(eqx.Module):
     selection: Float[Array, "coordinate width"]
     spreads: Float[Array, "coordinate"]
     pushes: Float[Array, "push row 3"]  # histories of unnamed accelerations, to be added
-    seeds: Float[Array, "seed free"]  # what is differentiated together
+    seeds: Float[Array, "group seed free"]  # what is differentiated together
+    groups: Int[Array, ""]  # the first of them that are used, at least one
     owner: Int[Array, "free"]  # the run a free coordinate belongs to; -1: all of them
 
 
@@ -171,10 +172,17 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
     """
     problem, _ = args
     along = lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))
-    white, slopes = jax.vmap(along, out_axes=(None, -1))(problem.seeds)
-    run = jnp.repeat(problem.tape.run, 6)[:, None]
-    own = (problem.owner < 0) | (problem.owner == run)
-    J = jnp.where(own, slopes @ problem.seeds, 0.0)
+    together = jax.vmap(along, out_axes=(None, 0))
+
+    def group(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+        white, slopes = together(problem.seeds[number])
+        return white, found[1].at[number].set(slopes)
+
+    run = jnp.repeat(problem.tape.run, 6)
+    nothing = jnp.zeros(run.size), jnp.zeros((*problem.seeds.shape[:2], run.size))
+    white, slopes = jax.lax.fori_loop(0, problem.groups, group, nothing)
+    own = (problem.owner < 0) | (problem.owner == run[:, None])
+    J = jnp.where(own, jnp.tensordot(slopes, problem.seeds, axes=((0, 1), (0, 1))), 0.0)
     strains, pulls = value_and_jacobian(lambda at: _prior(at, args), free)
     return jnp.concatenate([white, strains]), jnp.concatenate([J, pulls])
 
@@ -259,11 +267,13 @@ def traced(
     by_push = np.zeros((room, room))
     if pushes is not None:
         histories[: len(pushes)] = pushes
-        seeds, by_push = np.zeros_like(seeds), np.eye(room)
+        seeds = np.zeros_like(seeds)
+        by_push[: len(pushes), : len(pushes)] = np.eye(len(pushes))
+    grouped, used = _grouped(problem, np.concatenate([seeds, by_push], axis=1))
     inputs = Inputs(
         problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
         jnp.asarray(problem.layout.spreads()), jnp.asarray(histories),
-        jnp.asarray(np.concatenate([seeds, by_push], axis=1)),
+        jnp.asarray(grouped), jnp.asarray(used),
         jnp.asarray(np.append(owner, np.full(room, -1))),
     )  # fmt: skip
     return inputs, Static(problem.layout)
@@ -278,3 +288,16 @@ def _seeds(problem: Problem, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray
     seeds = np.zeros((problem.seeds, problem.width))
     seeds[: len(groups)] = used & (kind[chosen] == groups[:, None])
     return seeds, np.where(used, run[chosen], -1)
+
+
+WIDEST = 12  # directions taken together: with more, each costs more than alone
+BESIDE = 2  # coordinates of an effect that is tried: one group holds it beside the parameters
+
+
+def _grouped(problem: Problem, seeds: np.ndarray) -> tuple[np.ndarray, int]:
+    """Directions in groups of one size, and how many groups are used."""
+    few = len(problem.layout.parameters) + BESIDE
+    size = -(-few // -(-few // WIDEST))
+    padded = np.concatenate([seeds, np.zeros((-len(seeds) % size, seeds.shape[1]))])
+    used = 1 + int(np.flatnonzero(padded.any(1)).max(initial=0)) // size
+    return padded.reshape(-1, size, seeds.shape[1]), used
