@@ -8,6 +8,7 @@ prior (Laplace), both by the misfits that the best of them leaves.
 import dataclasses
 from collections.abc import Callable
 
+import jax
 import marus_fit
 import marus_vessel
 import numpy as np
@@ -48,6 +49,8 @@ def tried(objective: TrialNumbers, even: Estimate, say: Callable[[str], None]) -
     for effect in objective.effects:
         found.append(_refitted(objective, even, effect))
         say(f"{effect.name}: the deviance falls by {found[-1].drop:.1f}")
+        # Programs of one candidate serve no other, and a process can map only so many.
+        jax.clear_caches()
     best = max(found, key=lambda one: one.drop)
     ratio = marus_fit.inflation(objective, best.estimate)
     found = [dataclasses.replace(one, inflation=ratio) for one in found]

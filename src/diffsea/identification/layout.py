@@ -147,7 +147,10 @@ def _amounts(effect: Effect, count: int) -> np.ndarray:
 def equipped(
     base: Vessel, layout: Layout, coordinates: Float[Array, "coordinate"]
 ) -> tuple[Vessel, Environment]:
-    """The vessel at these coordinates, and the environment of each run (leaves of shape run)."""
+    """The vessel at these coordinates, and the environment of each run (leaves of shape run).
+
+    An impossible vessel predicts nothing (`Vessel.if_possible`).
+    """
     values = {p.name: p.decode(coordinates[k]) for k, p in enumerate(layout.parameters)}
     vessel = replace(base, values)
     zero = jnp.zeros(layout.runs)
@@ -164,4 +167,4 @@ def equipped(
         added = jax.tree.map(lambda new, old: new - old, changed, vessel.environment)
         flow = jax.tree.map(lambda now, more: now + more + zero, flow, added)
         vessel = still
-    return vessel, flow
+    return vessel.if_possible(), flow

@@ -174,6 +174,7 @@ def _numbers(coordinates: Array, given: tuple) -> Array:
     for effect, sizes in effects:
         at = coordinates[first : first + len(sizes)] * jnp.asarray(sizes)
         changed, first = effect.apply(changed, at), first + len(sizes)
+    changed = changed.if_possible()
     found: dict[int, Array] = {}
     for (kind, rows), ordered in zip(kinds, orders, strict=True):
 

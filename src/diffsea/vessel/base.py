@@ -11,7 +11,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from diffsea.kinematics import through_water, to_body, to_earth
 from diffsea.types import Environment, Scalar, State
@@ -216,6 +216,20 @@ class Vessel(eqx.Module):
         """Rigid-body plus added mass about the midship origin (kg, kg m, kg m^2)."""
         m11, m22, m23, m32, m33 = self._inertia(self.environment, 0.0)
         return jnp.array([[m11, 0.0, 0.0], [0.0, m22, m23], [0.0, m32, m33]])
+
+    def has_inertia(self) -> Bool[Array, ""]:
+        """Whether the mass matrix is positive definite: else a vessel speeds up against a force."""
+        m11, m22, m23, m32, m33 = self._inertia(self.environment, 0.0)
+        beside = 0.5 * (m23 + m32)
+        return (m11 > 0) & (m22 > 0) & (m22 * m33 > beside**2)
+
+    def if_possible(self) -> "Vessel":
+        """This vessel; where its inertia is impossible, one that predicts nothing but NaN.
+
+        A fit cannot end there.
+        """
+        mass = jnp.where(self.has_inertia(), self.rigid_body.mass, jnp.nan)
+        return eqx.tree_at(lambda v: v.rigid_body.mass, self, mass)
 
     def _inertia(self, environment: Environment, t: Scalar) -> tuple[Scalar, ...]:
         body, added = (
