@@ -24,7 +24,7 @@ from diffsea.identification.problem import (
 )
 
 
-ROUNDS = 12
+ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
 NOISE_STEPS = 1  # of Fisher scoring in one round
 FIRST_STEPS = 15  # and in the first one
 
@@ -65,6 +65,9 @@ def estimate(
         progress(f"round {number + 1}: -2 log posterior {now:.1f}")
         if abs(last - now) < 0.05 + 1e-6 * abs(now):
             break
+    else:
+        if rounds == ROUNDS:
+            progress(f"not at its end after {rounds} rounds: the last one gained {last - now:.1f}")
     fitted = _judged(problem, free, coordinates, noise, tuned, now, index, matrix)
     return dataclasses.replace(fitted, path=tuple(path))
 
