@@ -8,18 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, toeplitz
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
 from diffsea.diagnosis.columns import columns_of, gains_at, residual_at
 from diffsea.errors import UserError
-from diffsea.identification import problem, study
-from diffsea.identification.colour import autocorrelation, inflation
+from diffsea.identification import fit, problem, study
+from diffsea.identification.colour import autocorrelation, inflation, long_run
 from diffsea.identification.estimates import physical_table
-from diffsea.identification.fit import _clock, _path, estimate, normalised_rms
+from diffsea.identification.fit import _clock, _path, estimate, normalised_rms, posterior
 from diffsea.identification.gusts import Noise, gust_model, updated
-from diffsea.identification.layout import negative
+from diffsea.identification.layout import equipped, negative
 from diffsea.identification.least_squares import least_squares_from
 from diffsea.identification.noise import _rerun
 from diffsea.identification.problem import _prior, _white, jacobian, make_problem, selection, traced
@@ -288,6 +288,51 @@ def test_colour_inflates_the_variance_of_a_mean_as_theory_says():
     white = rng.normal(size=(20000, 6))
     plain = inflation(np.ones((white.size, 1)), autocorrelation(white, np.zeros(20000, int)))
     assert plain[0] == pytest.approx(1.0, abs=0.15)
+
+
+def test_products_with_correlations_are_those_of_their_matrix():
+    """Written out as the banded symmetric Toeplitz matrix of each channel."""
+    rng = np.random.default_rng(4)
+    columns, correlation = rng.normal(size=(50 * 6, 3)), 0.2 * rng.normal(size=(7, 6))
+    C = np.zeros((300, 300))
+    for channel in range(6):
+        band = toeplitz(np.concatenate([[1.0], correlation[:, channel], np.zeros(42)]))
+        C[channel::6, channel::6] = band
+    expected = columns.T @ C @ columns
+    np.testing.assert_allclose(long_run(columns, correlation), expected, atol=1e-10)
+    ratio = np.diag(expected) / (columns**2).sum(0)
+    np.testing.assert_allclose(inflation(columns, correlation), np.maximum(ratio, 1.0))
+
+
+def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
+    """Y_rdot + N_vdot so large that a vessel would speed up against a force predicts nothing."""
+    effect = EFFECTS["added-mass-coupling:Y_rdot"]
+    problem = make_problem(build(document), recordings, HULL, (effect,), room=1)
+    start, noise = problem.start()
+    place = problem.layout.indices((effect.name,))
+    for size, possible in ((1.0, True), (60.0, False)):
+        start[place] = size
+        vessel, _ = equipped(problem.base, problem.layout, start)
+        changed = effect.apply(problem.base, np.array([size * problem.layout.sizes[0][0]]))
+        mass = np.asarray(changed.mass_matrix())
+        assert (np.linalg.eigvalsh(0.5 * (mass + mass.T)).min() > 0) == possible
+        assert bool(changed.has_inertia()) == possible
+        assert np.isfinite(float(vessel.rigid_body.mass)) == possible
+        assert np.isfinite(posterior(problem, start, noise)) == possible
+    start[place] = 3.0
+    fitted = estimate(problem, (*HULL, effect.name), start)
+    vessel, _ = equipped(problem.base, problem.layout, fitted.coordinates)
+    assert bool(vessel.has_inertia())
+
+
+def test_a_fit_that_was_cut_short_says_so(document, recordings, monkeypatch):
+    monkeypatch.setattr(fit, "ROUNDS", 1)
+    problem = make_problem(build(document), recordings, HULL)
+    said: list[str] = []
+    estimate(problem, HULL, rounds=1, progress=said.append)
+    assert "not at its end after 1 rounds" in said[-1]
+    estimate(problem, HULL, rounds=40, progress=said.append)
+    assert "round" in said[-1] and "not at its end" not in said[-1]
 
 
 def test_signs_survive_the_log_coordinate():
