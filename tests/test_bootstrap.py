@@ -26,9 +26,9 @@ def screened(monkeypatch):
     monkeypatch.setattr(module, "estimate", lambda made, *_: made.tape.measured[0, 0])
     monkeypatch.setattr(
         module, "screen",
-        lambda made, n, runs: SimpleNamespace(p_value=1 / n, remainder=1 / np.sqrt(n)),
+        lambda made, n: SimpleNamespace(p_value=1 / n, remainder=1 / np.sqrt(n)),
     )  # fmt: skip
-    return lambda draws, told=lambda text: None: bootstrap(None, nominal, (), draws, told)
+    return lambda draws, told=lambda text: None: bootstrap(None, nominal, draws, told)
 
 
 def test_a_p_value_is_its_rank_among_the_draws():

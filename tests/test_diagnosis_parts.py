@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from diffsea.diagnosis import decision, locate, refit, remainder, revision, select, spectrum
-from diffsea.diagnosis.candidates import Look, candidates, looks, nearby, shape_spacings
+from diffsea.diagnosis.candidates import candidates, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
 from diffsea.diagnosis.limits import detection_limits
@@ -28,6 +28,7 @@ from diffsea.diagnosis.select import stalled
 from diffsea.identification.estimates import made
 from diffsea.identification.holdout import Gain
 from diffsea.identification.layout import Layout
+from diffsea.identification.looks import Look, looks, merged
 from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.effects import EFFECTS
 
@@ -99,7 +100,7 @@ class _Run:
 
 def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat):
     effect = EFFECTS["drag-change"]
-    tried = looks(effect, boat, (_Run(100.0, 160.0), _Run(120.0, 220.0)))
+    tried = looks(effect, boat, merged([(120.0, 220.0), (100.0, 160.0)]))
     size = effect.sizes(boat)[1]
     times = np.array([look.at[1] for look in tried]) * size
     assert np.all((times > 100.0) & (times < 220.0)) and np.ptp(times) == pytest.approx(100.0)
@@ -332,9 +333,10 @@ def test_a_change_late_in_a_long_record_has_room_in_its_prior(boat):
 
 
 def test_onsets_are_looked_at_where_something_was_recorded(boat):
-    runs = tuple(SimpleNamespace(t=np.linspace(a, a + 50.0, 101)) for a in (0.0, 3000.0, 3040.0))
+    spans = merged((start, start + 50.0) for start in (0.0, 3000.0, 3040.0))
+    assert spans == [(0.0, 50.0), (3000.0, 3090.0)]
     effect = EFFECTS["thrust-change"]
-    tried = looks(effect, boat, runs)
+    tried = looks(effect, boat, spans)
     at = np.array([look.at[1] for look in tried]) * effect.sizes(boat)[1]
     assert len(at) == 11
     assert (((at > 0) & (at < 50)) | ((at > 3000) & (at < 3090))).all()
@@ -344,11 +346,13 @@ def test_onsets_are_looked_at_where_something_was_recorded(boat):
 
 
 def test_what_answers_late_is_looked_at_from_afar_too(boat):
-    run = (SimpleNamespace(t=np.arange(10.0)),)
+    seen = lambda name: looks(EFFECTS[f"{name}:propulsion"], boat, [(0.0, 9.0)])
     for name in ("thrust-lag", "thrust-delay", "rate-limit", "backlash"):
-        tried = looks(EFFECTS[f"{name}:propulsion"], boat, run)
+        tried = seen(name)
         assert [look.finite for look in tried] == [False, True, True, True], name
-    assert all(look.finite for look in looks(EFFECTS["thrust-saturation:propulsion"], boat, run))
+    assert all(
+        look.finite for look in looks(EFFECTS["thrust-saturation:propulsion"], boat, [(0.0, 9.0)])
+    )
 
 
 def test_a_refit_starts_without_what_is_not_in_the_model_any_more():

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from diffsea.diagnosis import refit
-from diffsea.diagnosis.candidates import Look
 from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import made
 from diffsea.identification.layout import TAIL, Layout
+from diffsea.identification.looks import Look
 from diffsea.priors import Parameter
 from diffsea.vessel.effects import EFFECTS
 

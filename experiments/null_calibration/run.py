@@ -54,7 +54,7 @@ def nothing_missing(run: Experiment, case: dict, draws: int) -> Bootstrap:
     problem = make_problem(vessel, list(recordings), free, effects, room=ROOM)
     nominal = estimate(problem, free)
     tell = lambda message: run.say(f"{case['hull']}: {message}")
-    return bootstrap(problem, nominal, recordings, draws, tell)
+    return bootstrap(problem, nominal, draws, tell)
 
 
 def rates(results: dict) -> list[dict]:

@@ -17,7 +17,6 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.simulated import simulated
-from diffsea.types import Trajectory
 
 
 FEWEST = 100  # draws: fewer cannot show less than one per cent
@@ -65,7 +64,6 @@ def check(draws: int) -> None:
 def bootstrap(
     problem: Problem,
     nominal: Estimate,
-    recordings: tuple[Trajectory, ...],
     draws: int,
     progress: Callable[[str], None] = lambda message: None,
 ) -> Bootstrap:
@@ -91,6 +89,6 @@ def bootstrap(
                 )
             continue
         fitted = estimate(made, nominal.free, nominal.coordinates, nominal.noise)
-        screening = screen(made, fitted, recordings)
+        screening = screen(made, fitted)
         found.append((screening.p_value, screening.remainder))
     return Bootstrap(*(np.sort(column) for column in np.array(found).T))

@@ -1,26 +1,13 @@
-"""Which effects a diagnosis considers, and at which sizes and shapes it looks at each."""
+"""Which effects a diagnosis considers, and how closely it looks at their shapes."""
 
 import dataclasses
 
 import numpy as np
 
+from diffsea.identification.looks import Look
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect
-
-
-@dataclasses.dataclass(frozen=True)
-class Look:
-    """One way in which an effect may first be seen.
-
-    `at` are its coordinates in prior sizes: zero but for a shape, which does nothing while the
-    effect is absent, or for a finite size.
-    """
-
-    effect: str
-    at: tuple[float, ...]
-    moved: tuple[int, ...]  # coordinates to differentiate by; the first one where it is finite
-    finite: bool = False
 
 
 def candidates(vessel: Vessel, recordings: list[Trajectory]) -> tuple[Effect, ...]:
@@ -40,58 +27,6 @@ def candidates(vessel: Vessel, recordings: list[Trajectory]) -> tuple[Effect, ..
         for effect in EFFECTS.values()
         if effect.possible(vessel) and (not effect.needs or recorded(effect.needs))
     )
-
-
-def looks(
-    effect: Effect,
-    vessel: Vessel,
-    recordings: tuple[Trajectory, ...],
-    frequencies: np.ndarray | None = None,
-) -> list[Look]:
-    """All ways to look at one effect in these recordings.
-
-    `frequencies` (Hz) are those at which a periodic effect is looked at.
-    """
-    sizes = effect.sizes(vessel)
-    zero = [0.0] * len(sizes)
-    moved = tuple(k for k in range(len(sizes)) if k != effect.shape)
-    secants = [Look(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
-    if effect.flat:
-        return secants
-    if effect.shape is None or effect.grid is None:
-        return [Look(effect.name, tuple(zero), moved), *secants]
-    spans = _spans(recordings)
-    values = effect.grid(vessel, 0.0, sum(end - start for start, end in spans))
-    if effect.periodic:
-        values = tuple(() if frequencies is None else np.asarray(frequencies) - values[0])
-    else:
-        values = tuple(_recorded(spans, value) for value in values)
-    out = []
-    for value in values:
-        at = list(zero)
-        at[effect.shape] = value / sizes[effect.shape]
-        out.append(Look(effect.name, tuple(at), moved))
-    return out
-
-
-def _spans(recordings: tuple[Trajectory, ...]) -> list[tuple[float, float]]:
-    """Times (s, on the runs' clocks) at which anything was recorded: start and end of each span."""
-    spans: list[tuple[float, float]] = []
-    for start, end in sorted((float(run.t[0]), float(run.t[-1])) for run in recordings):
-        if spans and start <= spans[-1][1]:
-            spans[-1] = spans[-1][0], max(spans[-1][1], end)
-        else:
-            spans.append((start, end))
-    return spans
-
-
-def _recorded(spans: list[tuple[float, float]], after: float) -> float:
-    """The time at which so many seconds have been recorded."""
-    for start, end in spans:
-        if after <= end - start:
-            return start + after
-        after -= end - start
-    return spans[-1][1]
 
 
 def shape_spacings(

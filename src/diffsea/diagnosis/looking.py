@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import Look
 from diffsea.diagnosis.columns import Columns, columns_of, residual_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.likelihood import Gains
+from diffsea.identification.looks import Look
 from diffsea.identification.problem import Problem
 
 

@@ -7,12 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import Look
 from diffsea.diagnosis.constancy import Constancy, constancy
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Gain, Split, gain
+from diffsea.identification.looks import Look
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 

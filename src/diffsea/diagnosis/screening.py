@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import Look, looks, nearby, shape_spacings
+from diffsea.diagnosis.candidates import nearby, shape_spacings
 from diffsea.diagnosis.columns import columns_at, gains_at
 from diffsea.diagnosis.locate import Cell, bin_columns, cells
 from diffsea.diagnosis.looking import look_columns
@@ -14,8 +14,8 @@ from diffsea.diagnosis.spectrum import peaks
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.layout import SPREAD
+from diffsea.identification.looks import Look, looks
 from diffsea.identification.problem import Problem
-from diffsea.types import Trajectory
 from diffsea.vessel.effects import catalogue_name
 
 
@@ -80,7 +80,7 @@ def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
     return Screening({}, located, joint_null(where.T @ where, tests))
 
 
-def screen(problem: Problem, fitted: Estimate, recordings: tuple[Trajectory, ...]) -> Screening:
+def screen(problem: Problem, fitted: Estimate) -> Screening:
     """Score every candidate that is not in the model, and locate the mismatch."""
     gains = gains_at(problem, fitted)
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
@@ -90,7 +90,7 @@ def screen(problem: Problem, fitted: Estimate, recordings: tuple[Trajectory, ...
         look
         for effect in problem.layout.effects
         if effect.name not in fitted.free
-        for look in looks(effect, problem.base, recordings, frequencies)
+        for look in looks(effect, problem.base, problem.tape.spans, frequencies)
     ]
     spacing = shape_spacings(problem.layout.effects, problem.base, tried, resolution)
     parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, tried)]

@@ -106,8 +106,8 @@ def diagnose(
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")
-    first = screen(data.train, nominal, data.recordings)
-    drawn = bootstrap(data.train, nominal, data.recordings, draws, progress) if draws else NONE
+    first = screen(data.train, nominal)
+    drawn = bootstrap(data.train, nominal, draws, progress) if draws else NONE
     found = forward(data, nominal, first, drawn, progress)
     return concluded(data, found, drawn, progress)
 
@@ -142,19 +142,19 @@ def forward(
                 break
             accepted += both
             current = both[-1].fitted.estimate
-            screening = screen(data.train, current, data.recordings)
+            screening = screen(data.train, current)
             continue
         better = stalled(data.train, current, best) if resumed < RESUMED else None
         if better is not None:
             progress(f"{best.effect}: its fit went on where the one without it had stopped")
             current, resumed = better, resumed + 1
-            screening = screen(data.train, current, data.recordings)
+            screening = screen(data.train, current)
             nominal, first = (nominal, first) if accepted else (current, screening)
             continue
         accepted.append(Accepted(best.effect, best, rivals(best, tried), tuple(tried)))
         progress(f"accepted: {catalogue_name(best.effect)}")
         current = best.estimate
-        screening = screen(data.train, current, data.recordings)
+        screening = screen(data.train, current)
     return Forward(nominal, first, current, screening, tuple(accepted), shown)
 
 
@@ -167,14 +167,14 @@ def together(
     """
     for one in footholds(data, tried)[:FOOTHOLDS]:
         progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
-        screening = screen(data.train, one.estimate, data.recordings)
+        screening = screen(data.train, one.estimate)
         more = _tried(data, one.estimate, screening, progress)
         other = decide(data, one.estimate, more, progress)
         if other is None:
             continue
         bare = without(data.train, other.estimate, [one.effect])
         again = completed(data, bare, one, other.estimate.coordinates)
-        left = screen(data.train, other.estimate, data.recordings)
+        left = screen(data.train, other.estimate)
         enough = tried[0].estimate.deviance - other.estimate.deviance > -EVIDENCE
         if enough and stands(data.train, again) and drawn.of_located(left.remainder) > ALPHA:
             return (
@@ -191,12 +191,12 @@ def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress)
     named = kept.effects
     if kept.changed:
         current = kept.estimate
-        screening = screen(data.train, current, data.recordings)
+        screening = screen(data.train, current)
     left = drawn.of_located(screening.remainder)
     doubtful = [one.name for one in named if left < ALPHA and outdone(one, screening)]
     if doubtful:
         current = without(data.train, current, doubtful)
-        screening = screen(data.train, current, data.recordings)
+        screening = screen(data.train, current)
         named = tuple(one for one in named if one.name not in doubtful)
         left = min(left, drawn.of_located(screening.remainder))
     if not named and nameless(data.train, found.shown):

@@ -7,9 +7,9 @@ from scipy.stats import chi2
 
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate, Progress, silent
+from diffsea.identification.looks import looks
 from diffsea.identification.objectives import Objective, Starts
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,27 +39,17 @@ def effect_starts(problem: Problem) -> Starts:
     Where they are absent some effects have no derivative, and others one that leads away from what
     can be. What changes at some time begins at several.
     """
-    layout, times = problem.layout, np.asarray(problem.tape.run_time)
+    layout, spans = problem.layout, problem.tape.spans
     rows = [np.zeros(layout.size)]
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        shapes = () if effect.grid is None or effect.periodic else effect.grid(
-            problem.base, float(times.min()), float(times.max())
-        )  # fmt: skip
-        for place in _places(effect, sizes, shapes):
+        places = [look.at for look in looks(effect, problem.base, spans)]
+        if effect.positive and not effect.finite:
+            places.append((1.0, *(0.0 for _ in sizes[1:])))
+        for place in filter(any, places):
             row = np.zeros(layout.size)
             row[layout.indices((effect.name,))] = np.tile(place, layout.copies(effect))
             rows.append(row)
     return np.array(rows)
-
-
-def _places(effect: Effect, sizes: tuple[float, ...], shapes: tuple[float, ...]) -> list:
-    """Coordinates of an effect, in prior sizes, from which it is sought besides zero."""
-    some = effect.finite or ((1.0,) if effect.positive else ())
-    places = [np.eye(len(sizes))[0] * size for size in some]
-    if effect.shape is not None:
-        at = np.eye(len(sizes))[effect.shape]
-        places += [at * value / sizes[effect.shape] for value in shapes]
-    return places
 
 
 def multistart(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.heel import predicted_heel
 from diffsea.identification.lanes import Lanes, in_lanes
+from diffsea.identification.looks import Span, merged
 from diffsea.simulation.recorded import recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -46,6 +47,13 @@ class Tape(eqx.Module):
     def count(self) -> Float[Array, ""]:
         """Number of measured values."""
         return self.known.sum()
+
+    @property
+    def spans(self) -> list[Span]:
+        """When anything was recorded, on the runs' clocks."""
+        known = np.asarray(self.known).any(1)
+        run, time = np.asarray(self.run)[known], np.asarray(self.run_time)[known]
+        return merged((float(time[run == k].min()), float(time[run == k].max())) for k in set(run))
 
     @property
     def shape(self) -> "Shape":
