@@ -8,7 +8,6 @@ time, so that an effect seen in a few bursts does not pass for noise).
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import fft
 
 
 LAGS = 40  # rows
@@ -51,10 +50,10 @@ def _coloured(
     """Columns `E` by channels, and `C E`: products with symmetric Toeplitz matrices by FFT."""
     E = np.ascontiguousarray(columns.reshape(-1, 6, columns.shape[1]).transpose(1, 2, 0))
     rows, lags = E.shape[-1], len(correlation)
-    length = fft.next_fast_len(rows + lags, real=True)
+    length = 1 << (rows + lags - 1).bit_length()
     kernel = np.zeros((6, 1, length))
     kernel[:, 0, 0] = 1.0
     kernel[:, 0, 1 : lags + 1] = correlation.T
     kernel[:, 0, length - lags :] = correlation.T[:, ::-1]
-    CE = fft.irfft(fft.rfft(E, length) * fft.rfft(kernel), length)
+    CE = np.fft.irfft(np.fft.rfft(E, length) * np.fft.rfft(kernel), length)
     return E, CE[..., :rows]
