@@ -168,7 +168,8 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
     """Residual and its exact Jacobian.
 
     What belongs to one run moves the innovations of no other, so that one direction serves
-    the copies of all runs (Curtis, Powell and Reid 1974).
+    the copies of all runs (Curtis, Powell and Reid 1974). Directions are taken a group at a time,
+    those that no coordinate uses not at all.
     """
     problem, _ = args
     along = lambda seed: jax.jvp(lambda at: _white(at, args), (free,), (seed,))
