@@ -14,7 +14,7 @@ import numpy as np
 
 from . import effects, orders, outside, sensors
 from .hulls import HULLS, Hull
-from .simulate import Gusts, Track, simulate
+from .simulate import CHANNELS, Gusts, Track, simulate
 
 
 LIMITS = Path(__file__).with_name("limits.json")
@@ -157,7 +157,7 @@ def _reaches(hull: Hull, key: str, least: float) -> bool:
 def make_case(case: dict) -> tuple[list[dict], dict]:
     """Recordings (columns by name) in the order of RUNS, and the truth.
 
-    Effects so large that a run diverges are halved until none does.
+    Effects so large that a run diverges, or is none of a vessel, are halved until none is.
     """
     while (made := _made(case)) is None:
         smaller = [e | {k: 0.5 * e[k] for k in ("limits", "size")} for e in case["effects"]]
@@ -179,10 +179,17 @@ def _made(case: dict) -> tuple[list[dict], dict] | None:
             track = run(model, hull, policy, rng)
         except ArithmeticError:
             return None
-        if not np.isfinite(track.states).all():
+        if not _sails(track, hull):
             return None
         recordings.append(columns(track, model, hull, rng))
     return recordings, {**case, **done, "hull_values": _numbers(model.hull)}
+
+
+def _sails(track: Track, hull: Hull) -> bool:
+    """Whether a run is one of a vessel: at no more than five times its speed, upright to 60 deg."""
+    u, v, phi = track.states[:, [CHANNELS.index(c) for c in ("u", "v", "phi")]].T
+    known = bool(np.isfinite(track.states).all())
+    return known and bool((np.hypot(u, v) < 5 * hull.speed).all() and (np.abs(phi) < 1.05).all())
 
 
 def true_vessel(case: dict, rng: np.random.Generator):

@@ -72,6 +72,8 @@ class Inertia:
     def impulse(self, psi: float, u: float, v: float, r: float) -> list[float]:
         """[P_N, P_E, h]."""
         px, py = self.m11 * u, self.m22 * v + self.m23 * r
+        if not math.isfinite(psi):
+            raise ArithmeticError("the run diverges")
         c, s = math.cos(psi), math.sin(psi)
         return [c * px - s * py, s * px + c * py, self.m23 * v + self.m33 * r]
 
