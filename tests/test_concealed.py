@@ -28,7 +28,14 @@ from experiments.concealed.actuation import Servo
 from experiments.concealed.generate import csv_text, write_case
 from experiments.concealed.hulls import HULLS
 from experiments.concealed.model import Channel, Sensing, build
-from experiments.concealed.simulate import Gusts, Inertia, simulate
+from experiments.concealed.simulate import (
+    CHANNELS,
+    Gusts,
+    Inertia,
+    Track,
+    derivative,
+    simulate,
+)
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -342,6 +349,27 @@ def test_an_effect_that_makes_a_run_diverge_is_halved(monkeypatch):
         assert after["limits"] == 0.5 * before["limits"] and after["size"] == 0.5 * before["size"]
     with pytest.raises(ValueError, match="c0001"):
         draw.make_case(CASE | {"effects": []})
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "sails"),
+    [("u", 2.5, True), ("u", 3.0, False), ("v", -3.0, False), ("phi", 0.9, True),
+     ("phi", -1.2, False), ("r", math.nan, False)],
+)  # fmt: skip
+def test_a_run_that_is_none_of_a_vessel_is_told(channel, value, sails):
+    """The tanker's typical speed is 0.55 m/s."""
+    states = np.zeros((5, 7))
+    states[2, CHANNELS.index(channel)] = value
+    track = Track(np.arange(5.0), states, np.zeros((5, 2)), [], np.zeros((5, 3)))
+    assert draw._sails(track, HULLS["tanker"]) == sails
+
+
+def test_a_run_that_turns_for_ever_faster_diverges():
+    z = np.array([0.0, 0.0, math.inf, *np.zeros(7)])
+    model = build(USV.document)
+    servos = {name: Servo(model.channel(name), 0.0) for name in ("port", "starboard")}
+    with pytest.raises(ArithmeticError, match="diverges"):
+        derivative(model, servos, None, 0.0)[1](z, 0.0)
 
 
 def test_a_case_follows_from_its_seed(written):

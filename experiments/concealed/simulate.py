@@ -72,8 +72,6 @@ class Inertia:
     def impulse(self, psi: float, u: float, v: float, r: float) -> list[float]:
         """[P_N, P_E, h]."""
         px, py = self.m11 * u, self.m22 * v + self.m23 * r
-        if not math.isfinite(psi):
-            raise ArithmeticError("the run diverges")
         c, s = math.cos(psi), math.sin(psi)
         return [c * px - s * py, s * px + c * py, self.m23 * v + self.m33 * r]
 
@@ -115,6 +113,8 @@ def derivative(model: Model, servos: dict[str, Servo], gusts: Gusts | None, midd
 
     def f(z, t):
         N_, E_, psi, P_N, P_E, h, phi, phi_dot, s_y, s_v = z.tolist()
+        if not math.isfinite(psi):
+            raise ArithmeticError("the run diverges")
         c, s = math.cos(psi), math.sin(psi)
         u, v, r, px, py = inertia.velocities(c, s, P_N, P_E, h)
         X, Y, N = hull(u, v, r)
