@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diffsea.diagnosis import decision, locate, refit, remainder, revision, select, spectrum
+from diffsea.diagnosis import (
+    decision,
+    locate,
+    physical,
+    refit,
+    remainder,
+    revision,
+    select,
+    spectrum,
+)
 from diffsea.diagnosis.candidates import candidates, nearby, shape_spacings
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import Accepted, footholds, nameless, outdone, rivals
@@ -382,12 +391,31 @@ def _copied(amounts, stds, recorded):
     return problem, EFFECTS["shallow-water"], fitted
 
 
+def _possible(amounts, stds, recorded):
+    return physical.possible(*_copied(amounts, stds, recorded), None)
+
+
 def test_what_cannot_be_negative_may_be_absent_in_some_runs():
-    assert refit._positive(*_copied([2.3, -0.03, 0.0], [0.1, 0.1, 3.0], [0, 1]))
-    assert not refit._positive(*_copied([2.3, -0.5, 0.0], [0.1, 0.1, 3.0], [0, 1]))
-    assert not refit._positive(*_copied([-0.03, -0.1], [0.1, 0.1], [0, 1]))
-    assert not refit._positive(*_copied([-0.03], [0.1], [0]))
-    assert refit._positive(*_copied([0.03], [0.1], [0]))
+    assert _possible([2.3, -0.03, 0.0], [0.1, 0.1, 3.0], [0, 1])
+    assert not _possible([2.3, -0.5, 0.0], [0.1, 0.1, 3.0], [0, 1])
+    assert not _possible([-0.03, -0.1], [0.1, 0.1], [0, 1])
+    assert not _possible([-0.03], [0.1], [0])
+    assert _possible([0.03], [0.1], [0])
+
+
+def test_sizes_that_no_vessel_has_are_impossible_as_far_as_errors_tell(boat):
+    effect, std = EFFECTS["thrust-asymmetry"], 0.2
+    ratio = effect.sizes(boat)[0]
+
+    def with_ratio(value):
+        problem, _, fitted = _copied([value / ratio], [std], [0])
+        problem.base = boat
+        return physical.possible(problem, effect, fitted, None)
+
+    assert with_ratio(0.9) and with_ratio(-0.9)
+    assert with_ratio(1.0 + 1.9 * std * ratio)
+    assert not with_ratio(1.0 + 2.1 * std * ratio)
+    assert not with_ratio(-1.5)
 
 
 def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
@@ -515,4 +543,4 @@ def test_a_change_happens_while_something_is_recorded(time, possible):
     known[:100] = True  # the last row has no value
     tape = SimpleNamespace(run_time=np.arange(101.0), known=known)
     problem = SimpleNamespace(layout=layout, tape=tape)
-    assert refit._while_recorded(problem, effect, time / size) == possible
+    assert physical._while_recorded(problem, effect, time / size) == possible

@@ -58,6 +58,17 @@ def at_zero(name):
     return jnp.zeros(len(EFFECTS[name].sizes(VESSEL)))
 
 
+@pytest.mark.parametrize("name", [name for name in POSSIBLE if EFFECTS[name].bounds])
+def test_a_vessel_without_an_effect_and_with_a_noticeable_one_is_within_its_bounds(name):
+    effect = EFFECTS[name]
+    least, most = np.array(effect.bounds(VESSEL)).T
+    sizes = np.array(effect.sizes(VESSEL))
+    assert len(least) == len(sizes)
+    assert (least <= 0).all() and (most >= 0).all()
+    noticeable = np.where(most > 0, sizes, -sizes)
+    assert ((least <= noticeable) & (noticeable <= most)).all()
+
+
 # -- absent at zero ------------------------------------------------------------------------
 
 

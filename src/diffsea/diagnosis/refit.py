@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from diffsea.diagnosis.constancy import Constancy, constancy
+from diffsea.diagnosis.physical import possible, recorded_copies
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
@@ -22,7 +23,6 @@ Progress = Callable[[str], None]
 NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
 FULL = 4  # at most so many, and what the evidence does not tell from the best
 EVIDENCE = 10.0  # twice the log of odds of 150 to 1
-ABSENT = 2.0  # standard errors below zero that an effect which is absent in a run may come out
 ENOUGH = 0.8  # of the gain that the linear model promises: less is a stalled refit
 
 
@@ -188,29 +188,16 @@ def _made(
     seen: Seen,
     judged: Gain | None,
 ) -> Fitted:
-    places = problem.layout.indices((effect.name,))
-    within = not effect.positive or _positive(problem, effect, fitted)
-    if effect.shape is not None:
-        shape = fitted.coordinates[places[effect.shape]]
-        within = within and abs(shape - seen.look.at[effect.shape]) < seen.reach
-        within = within and (effect.periodic or _while_recorded(problem, effect, float(shape)))
-    spreads = problem.layout.spreads()[places]
+    spreads = problem.layout.spreads()[problem.layout.indices((effect.name,))]
     volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
-    copies = len(_recorded_copies(problem, effect))
+    copies = len(recorded_copies(problem, effect))
     room = 2 * np.log(spreads).sum() + problem.layout.tail_cost(effect, copies)
     return Fitted(
         effect.name, fitted, current.deviance - fitted.deviance,
         float(volume + room), judged, seen,
-        within, copies=copies,
+        possible(problem, effect, fitted, seen), copies=copies,
         inflation=_own_inflation(problem, effect, fitted),
     )  # fmt: skip
-
-
-def _while_recorded(problem: Problem, effect: Effect, shape: float) -> bool:
-    """Whether a change happens between the first and the last row: else nothing changes."""
-    size = problem.layout.sizes[problem.layout.effects.index(effect)][effect.shape]
-    times = np.asarray(problem.tape.run_time)[np.asarray(problem.tape.known).any(1)]
-    return bool(times.min() < shape * size < times.max())
 
 
 def _own_inflation(problem: Problem, effect: Effect, fitted: Estimate) -> float:
@@ -221,26 +208,6 @@ def _own_inflation(problem: Problem, effect: Effect, fitted: Estimate) -> float:
     own = [list(fitted.index).index(k) for k in problem.layout.indices((effect.name,))]
     plain = np.diag(np.linalg.inv(fitted.precision))[own]
     return max(1.0, float(np.mean(np.diag(fitted.covariance)[own] / plain)))
-
-
-def _recorded_copies(problem: Problem, effect: Effect) -> list[int]:
-    """Copies of an effect's coordinates that belong to recorded runs: a tape has spare ones."""
-    if problem.layout.copies(effect) == 1:
-        return [0]
-    return np.unique(np.asarray(problem.tape.run)[np.asarray(problem.tape.known).any(1)]).tolist()
-
-
-def _positive(problem: Problem, effect: Effect, fitted: Estimate) -> bool:
-    """Whether an effect that cannot be negative is not; of several copies some may be absent."""
-    copies = _recorded_copies(problem, effect)
-    places = np.array(problem.layout.indices((effect.name,)))
-    first = places.reshape(problem.layout.copies(effect), -1)[copies, 0]
-    amounts = fitted.coordinates[first]
-    if len(copies) == 1:
-        return bool(amounts[0] > 0)
-    covariance = np.linalg.inv(fitted.precision)
-    stds = np.sqrt(np.diag(covariance)[[list(fitted.index).index(k) for k in first]])
-    return bool((amounts > -ABSENT * stds).all() and (amounts > 0).any())
 
 
 def _starts(problem: Problem, current: Estimate, effect: Effect, seen: Seen) -> list[np.ndarray]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import Propeller
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.entry import Coordinates, Effect, time_scale
+from diffsea.vessel.effects.entry import Bound, Coordinates, Effect, time_scale
 from diffsea.vessel.servo import Servo
 
 
@@ -88,6 +89,7 @@ class Stage:
     finite: tuple[float, ...] = ()
     flat: bool = False
     limited: bool = False  # only where limits are stated
+    in_orders: bool = False  # its coordinate counts orders, and cannot be more than the largest
 
     def apply(
         self, vessel: Vessel, channels: tuple[str, ...], value: Scalar, side: int = 0
@@ -124,6 +126,10 @@ class Stage:
         def decode(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
             return {self.parameter: self.to_file(at[0], vessel, channels(vessel))}
 
+        def bounds(vessel: Vessel) -> tuple[Bound, ...]:
+            largest = float(full(vessel, channels(vessel))) if self.in_orders else math.inf
+            return ((-largest, largest),)
+
         def possible(vessel: Vessel) -> bool:
             servos = [vessel.servos[c] for c in channels(vessel)]
             stated = any(s.upper is not None or s.lower is not None for s in servos)
@@ -134,7 +140,7 @@ class Stage:
             f"{self.name}:{kind}", "actuator", {self.parameter: self._unit(kind)},
             lambda v, at: self.apply(v, channels(v), at[0], SIDES.get(kind, 0)),
             lambda v: (self.size(full(v, channels(v)), time_scale(v)),),
-            possible, self.positive, decode=decode, coordinate_names=("size",),
+            possible, self.positive, bounds=bounds, decode=decode, coordinate_names=("size",),
             finite=self.finite, flat=self.flat, where={"kind": kind}, law=self.law,
             confusables=self.confusables,
         )  # fmt: skip
@@ -208,11 +214,13 @@ STAGES = {
             "deadband", "width", False, _plus("deadband"), lambda n, t: 0.05 * n,
             "no action for |order| < width, order - width sign(order) beyond",
             ("backlash", "thrust-loss-with-speed", "drag-change"), _added("deadband"),
+            in_orders=True,
         ),
         Stage(
             "backlash", "width", False, _plus("backlash"), lambda n, t: 0.05 * n,
             "play operator: the actuator stays while the order is within `width` of it",
             ("deadband", "thrust-lag", "rate-limit"), _added("backlash"), finite=LATE,
+            in_orders=True,
         ),
         Stage(
             "thrust-saturation", "limit", False, _clipped, lambda n, t: 0.3,
@@ -225,7 +233,7 @@ STAGES = {
             "actuator-bias", "bias", False, _plus("bias"), lambda n, t: 0.03 * n,
             "orders act as order + bias: rudder trim, a thruster's neutral point",
             ("thrust-asymmetry", "thruster-misalignment", "gyro-bias", "wind"), _added("bias"),
-            positive=False,
+            positive=False, in_orders=True,
         ),
     )
 }  # fmt: skip

@@ -21,6 +21,9 @@ from diffsea.vessel.base import Vessel
 
 Coordinates = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
 Numbers = dict[str, Any]  # parameter name to a number
+Bound = tuple[float, float]
+ANY: Bound = (-math.inf, math.inf)
+MORE_THAN_ALL: Bound = (-1.0, math.inf)  # of a share that is added: no more than all can be lost
 
 
 def _always(vessel: Vessel) -> bool:
@@ -39,7 +42,7 @@ class Effect:
     `periodic` one is a frequency, looked at where a spectrum has peaks; its coordinate counts
     from the one value of `grid`. At the `finite` sizes of its first coordinate, in prior sizes,
     an effect is looked at, too: one that far from zero looks like its derivative there no more,
-    and a `flat` one has none.
+    and a `flat` one has none. No vessel is beyond its `bounds`.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Effect:
     size: Callable[[Vessel], tuple[Scalar, ...]]  # of each coordinate that would be noticeable
     when: Callable[[Vessel], bool] = _always  # whether a vessel could have it and lacks it
     positive: bool = False  # only positive values of the first coordinate are physical
+    bounds: Callable[[Vessel], tuple[Bound, ...]] | None = None  # of each coordinate
     own: bool = False  # whether each recording may have its own: a field of the environment
     decode: Callable[[Vessel, Coordinates], Numbers] | None = None
     encode: Callable[[Vessel, Numbers], tuple[float, ...]] | None = None

@@ -1,5 +1,6 @@
 """Effects on the hull: damping, inertia, and their changes."""
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -7,6 +8,9 @@ import numpy as np
 
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import (
+    ANY,
+    MORE_THAN_ALL,
+    Bound,
     Coordinates,
     Effect,
     fresh,
@@ -137,6 +141,16 @@ def _inertia_sizes(*names: str) -> Callable[[Vessel], tuple[float, ...]]:
     return sizes
 
 
+def _inertia_bounds(*names: str) -> Callable[[Vessel], tuple[Bound, ...]]:
+    def bounds(vessel: Vessel) -> tuple[Bound, ...]:
+        # The buoyancy of a box lies at most L / 6 off amidships while both its ends are wet; a
+        # quarter leaves room for other shapes and for an origin that is not amidships.
+        end = 0.25 * float(vessel.rigid_body.length)
+        return tuple((-end, end) if name == "x_G" else ANY for name in names)
+
+    return bounds
+
+
 def _munk(vessel: Vessel, at: Coordinates) -> Vessel:
     return with_force(vessel, fresh("munk-moment", vessel.forces), MunkMoment(at[0]))
 
@@ -201,6 +215,7 @@ def _lift(name: str, units: dict[str, str]) -> Effect:
 def _off_diagonal(name: str, units: dict[str, str]) -> Effect:
     return Effect(
         name, "hull", units, _inertia(*units), _inertia_sizes(*units), _no_coupling,
+        bounds=_inertia_bounds(*units),
         law="off-diagonal inertia m x_G - Y_rdot, m x_G - N_vdot (Fossen 2021, section 6.5)",
         confusables=("munk-moment", "speed-dependent-damping", "sway-yaw-coupling"),
     )  # fmt: skip
@@ -243,7 +258,8 @@ HULL = (
     Effect(
         "mass-change", "hull", {"time": "s", "mass": "kg"}, _payload,
         lambda v: (0.1 * float(v.rigid_body.mass), onset_size(v)),
-        lambda v: float(v.rigid_body.payload) == 0, shape=1, grid=onsets,
+        lambda v: float(v.rigid_body.payload) == 0,
+        bounds=lambda v: ((-float(v.rigid_body.mass), math.inf), ANY), shape=1, grid=onsets,
         decode=lambda v, at: {"time": at[1], "mass": at[0]},
         encode=lambda v, n: (n.get("mass", 0.0), n.get("time", 0.0)),
         coordinate_names=("mass", "time"),
@@ -252,7 +268,8 @@ HULL = (
     ),
     Effect(
         "drag-change", "hull", {"time": "s", "factor": "1"}, _fouling,
-        lambda v: (0.2, onset_size(v)), shape=1, grid=onsets,
+        lambda v: (0.2, onset_size(v)), bounds=lambda v: (MORE_THAN_ALL, ANY), shape=1,
+        grid=onsets,
         decode=lambda v, at: {"time": at[1], "factor": at[0]},
         encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),
         coordinate_names=("factor", "time"),

@@ -8,7 +8,14 @@ import numpy as np
 
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.entry import Coordinates, Effect, Numbers, shifted, time_scale
+from diffsea.vessel.effects.entry import (
+    Bound,
+    Coordinates,
+    Effect,
+    Numbers,
+    shifted,
+    time_scale,
+)
 from diffsea.vessel.sensors import Clock
 
 
@@ -55,6 +62,12 @@ def _clock(vessel: Vessel, by: Coordinates) -> Vessel:
     return dataclasses.replace(vessel, sensors=dataclasses.replace(vessel.sensors, clock=clock))
 
 
+def _on_board(vessel: Vessel) -> tuple[Bound, ...]:
+    """An antenna is not farther off than a length: room for other reference points."""
+    length = float(vessel.rigid_body.length)
+    return ((-length, length),) * 2
+
+
 def _iron_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
     return {
         "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
@@ -91,7 +104,7 @@ SENSORS = (
     _latency("but_position", _BUT_POSITION),
     Effect(
         "lever-arm", "sensor", {"x": "m", "y": "m"}, _terms("lever_x", "lever_y"),
-        lambda v: (0.1 * float(v.rigid_body.length),) * 2,
+        lambda v: (0.1 * float(v.rigid_body.length),) * 2, bounds=_on_board,
         law="p_m = p + R(psi) (x, y): positions of an antenna off the reference point",
         confusables=("sensor-latency", "current", "clock-drift"),
     ),

@@ -1,5 +1,6 @@
 """Effects on what thrusters, propellers and rudders make of an executed order."""
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -9,6 +10,9 @@ from diffsea.types import Scalar
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller, Rudder
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import (
+    ANY,
+    MORE_THAN_ALL,
+    Bound,
     Coordinates,
     Effect,
     Numbers,
@@ -73,6 +77,12 @@ def _ordered_in_newtons(vessel: Vessel) -> bool:
     return fixed or any(isinstance(p, AzimuthThruster) for p in parts)
 
 
+def _with_speed_bounds(vessel: Vessel) -> tuple[Bound, ...]:
+    """No thruster pushes harder the faster it goes, at one order."""
+    own = [float(part.losses.with_speed) for part in _thrusters(vessel).values()]
+    return ((-min(own), math.inf),)
+
+
 def _change(vessel: Vessel, at: Coordinates) -> Vessel:
     change = Change(at[0], at[1], True)
     return with_secondary(vessel, fresh("thrust-change", vessel.secondary), change)
@@ -114,6 +124,11 @@ def _interaction(vessel: Vessel, at: Coordinates) -> Vessel:
     return _map(vessel, _of(vessel, Rudder), change)
 
 
+def _interaction_bounds(vessel: Vessel) -> tuple[Bound, ...]:
+    """Twice what was measured on models: a_H 0.5, a force near x_H = -0.5 L, gamma_R 0.2 to 0.7."""
+    return (0.0, 1.0), (-1.0, 0.0), (-0.5, 1.0)
+
+
 def _interaction_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
     x_H = at[1] * vessel.rigid_body.length / jnp.where(jnp.abs(at[0]) > 1e-9, at[0], 1.0)
     return {"a_H": at[0], "x_H": x_H, "gamma_R": 1 - at[2]}
@@ -128,18 +143,20 @@ def _interaction_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, .
 THRUST = (
     Effect(
         "thrust-asymmetry", "actuator", {"ratio": "1"}, _asymmetry, lambda v: (0.1,), _sided,
+        bounds=lambda v: ((-1.0, 1.0),),
         law="port and starboard thrust times (1 - ratio) and (1 + ratio)",
         confusables=("thruster-misalignment", "actuator-bias", "gyro-bias", "wind"),
     ),
     Effect(
         "thruster-misalignment", "actuator", {"angle": "rad"}, _misalignment, lambda v: (0.05,),
         lambda v: _sided(v) and bool(_of(v, FixedThruster)),
+        bounds=lambda v: ((-math.pi / 2, math.pi / 2),),
         law="the push of every fixed thruster turned by `angle`, clockwise from above",
         confusables=("thrust-asymmetry", "actuator-bias", "heading-offset", "gyro-bias"),
     ),
     Effect(
         "thrust-loss-with-speed", "actuator", {"slope": "s/m"}, _loss("with_speed"),
-        lambda v: (0.02 / speed_scale(v),), _ordered_in_newtons,
+        lambda v: (0.02 / speed_scale(v),), _ordered_in_newtons, bounds=_with_speed_bounds,
         law="T (1 - slope u_r): the tangent of a propeller's falling K_T(J)",
         confusables=("quadratic-damping", "deadband", "drag-change", "thrust-saturation"),
     ),
@@ -151,7 +168,8 @@ THRUST = (
     ),
     Effect(
         "thrust-change", "actuator", {"time": "s", "factor": "1"}, _change,
-        lambda v: (0.1, onset_size(v)), lambda v: bool(_thrusters(v)), shape=1, grid=onsets,
+        lambda v: (0.1, onset_size(v)), lambda v: bool(_thrusters(v)),
+        bounds=lambda v: (MORE_THAN_ALL, ANY), shape=1, grid=onsets,
         decode=lambda v, at: {"time": at[1], "factor": at[0]},
         encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),
         coordinate_names=("factor", "time"),
@@ -168,7 +186,7 @@ THRUST = (
     ),
     Effect(
         "rudder-interaction", "actuator", {"a_H": "1", "x_H": "m", "gamma_R": "1"}, _interaction,
-        lambda v: (0.1, 0.05, 0.2), _lone_rudders,
+        lambda v: (0.1, 0.05, 0.2), _lone_rudders, bounds=_interaction_bounds,
         decode=_interaction_parameters, encode=_interaction_coordinates,
         coordinate_names=("a_H", "a_H x_H / L", "1 - gamma_R"),
         law="MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle "
