@@ -2,6 +2,7 @@
 
 import copy
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -693,3 +694,24 @@ def test_a_number_of_the_propulsion_is_reported_in_the_vessels_own_unit(vessel, 
     assert found["width"]["unit"] == unit
     rate = found_effects._with_errors(boat, EFFECTS["rate-limit:propulsion"], np.ones(1), np.eye(1))
     assert rate["rate_limit"]["unit"] == f"{unit} per s"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "beyond"),
+    [
+        # 1 / (1.645 std); draught 0.2 m over 1 - exp(-1.645 std)
+        ("rate-limit:propulsion", "rate_limit", 1 / 1.645),
+        ("shallow-water", "depth", 0.2 / (1 - np.exp(-1.645))),
+    ],
+)
+def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
+    name, parameter, beyond
+):
+    boat = read_vessel(Path(__file__).parent / "oracle" / "usv.toml").vessel
+    for value in (0.0, -0.5):
+        found = found_effects._unseen(boat, EFFECTS[name], np.array([value]), np.eye(1))
+        assert not found_effects.is_seen(found)
+        assert found[parameter]["beyond"] == pytest.approx(beyond)
+        assert found_effects._unseen(boat, EFFECTS[name], np.array([2.0]), np.eye(1)) is None
+    of_lag = EFFECTS["thrust-lag:propulsion"]
+    assert found_effects._unseen(boat, of_lag, np.array([0.0]), np.eye(1)) is None

@@ -15,7 +15,7 @@ from diffsea.diagnosis.remainder import latent_force
 from diffsea.diagnosis.screening import Screening
 from diffsea.diagnosis.select import ALPHA, Diagnosis
 from diffsea.identification.estimates import Estimate, physical_table
-from diffsea.identification.found_effects import effect_table, place_of, reported
+from diffsea.identification.found_effects import effect_table, is_seen, place_of, reported
 from diffsea.identification.holdout import transferred
 from diffsea.identification.problem import Problem
 from diffsea.vessel.catalogue import Table, updated_document
@@ -167,7 +167,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
         "log10_odds_next": accepted.ahead * LOG10_OF_HALF,
         **_gain(fitted),
     }
-    records = []
+    records = []  # none for a recording in which it was not seen
     for number, parameters in enumerate(copies):
         record = {
             "name": catalogue_name(accepted.name),
@@ -180,13 +180,16 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
             if number >= len(diagnosis.split.recordings):
                 break
             record["recording"] = diagnosis.split.recordings[number].name
-        records.append(record)
+        if is_seen(parameters) or len(copies) == 1:
+            records.append(record)
     return records
 
 
 def _with_intervals(parameters: dict[str, dict], constancy: Constancy | None) -> dict[str, dict]:
     """Each number with its central 90 % interval, errors as wide as parts of the data scatter."""
     widen, out = 1.0 if constancy is None else constancy.scatter, {}
+    if not is_seen(parameters):
+        return parameters
     for name, entry in parameters.items():
         std = widen * entry["std"]
         off = float(norm.ppf(0.95)) * std
@@ -311,7 +314,7 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     tables = []
     for accepted in diagnosis.effects:
         copies = reported(problem, final, accepted.name)
-        if len(copies) == 1:
+        if len(copies) == 1 and is_seen(copies[0]):
             tables.append(effect_table(diagnosis.split.train.base, accepted.name, copies[0]))
     return updated_document(document, values, tables)
 

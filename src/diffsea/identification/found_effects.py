@@ -1,5 +1,9 @@
 """Fitted effects as people and files have them: SI units, standard errors, tables."""
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +14,17 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import COMMANDED, EFFECTS, Effect, catalogue_name, channels_of
 
 
-def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, dict]]:
+NINETY_FIVE = 1.645  # standard errors above which one of twenty draws of a normal lies
+
+Entry = dict[str, Any]  # value, std, unit
+
+
+def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, Entry]]:
     """An effect's parameters with standard errors, one dictionary for each copy.
 
-    Standard errors by linear propagation from coordinates to parameters.
+    Standard errors by linear propagation from coordinates to parameters. What is endless while
+    the effect is absent (a rate limit, a depth) and not seen has neither, but the `beyond` that it
+    exceeds with a probability of 95 %.
     """
     layout = problem.layout
     effect = next(e for e in layout.effects if e.name == name)
@@ -25,13 +36,35 @@ def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, di
     for copy, values in enumerate(layout.physical(name, fitted.coordinates)):
         part = slice(copy * len(sizes), (copy + 1) * len(sizes))
         spread = covariance[part, part] * np.outer(sizes, sizes)
-        out.append(_with_errors(problem.base, effect, values, spread))
+        unseen = _unseen(problem.base, effect, values, spread)
+        out.append(unseen or _with_errors(problem.base, effect, values, spread))
     return out
+
+
+def is_seen(parameters: Mapping[str, Entry]) -> bool:
+    """Whether the numbers of a reported effect are known: not those of one that is not seen."""
+    return all(entry["value"] is not None for entry in parameters.values())
+
+
+def _unseen(
+    vessel: Vessel, effect: Effect, values: np.ndarray, covariance: np.ndarray
+) -> dict[str, Entry] | None:
+    """Entries of an effect that is not told from none, if it is endless then; else None."""
+    absent = effect.parameters(vessel, jnp.zeros(len(values)))
+    error = NINETY_FIVE * math.sqrt(covariance[0, 0])
+    if len(values) > 1 or np.isfinite(list(absent.values())).all() or values[0] > error:
+        return None
+    beyond = effect.parameters(vessel, jnp.array([max(values[0], 0.0) + error]))
+    return {
+        name: {"value": None, "std": None, "unit": _unit(vessel, effect, unit),
+               "beyond": float(beyond[name])}
+        for name, unit in effect.units.items()
+    }  # fmt: skip
 
 
 def _with_errors(
     vessel: Vessel, effect: Effect, values: np.ndarray, covariance: np.ndarray
-) -> dict:
+) -> dict[str, Entry]:
     def listed(at: jax.Array) -> jax.Array:
         return jnp.stack([jnp.asarray(v) for v in effect.parameters(vessel, at).values()])
 
@@ -39,7 +72,7 @@ def _with_errors(
     J = np.asarray(jax.jacfwd(listed)(at))
     std = np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0))
     numbers = zip(effect.units.items(), np.asarray(listed(at)), std, strict=True)
-    parameters: dict[str, dict] = {
+    parameters: dict[str, Entry] = {
         name: {"value": float(value), "std": float(error), "unit": _unit(vessel, effect, unit)}
         for (name, unit), value, error in numbers
     }

@@ -11,7 +11,7 @@ from diffsea.errors import UserError
 from diffsea.identification.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
 from diffsea.identification.fit import normalised_rms
-from diffsea.identification.found_effects import effect_table, reported
+from diffsea.identification.found_effects import effect_table, is_seen, reported
 from diffsea.identification.free_run import FreeRun
 from diffsea.identification.gusts import Noise
 from diffsea.identification.holdout import HEAD_SHARE, Split, cut_all, transferred
@@ -99,8 +99,12 @@ class Study:
 
     @property
     def effect_tables(self) -> list[dict]:
-        """Tables for the vessel file of the effects that all recordings share."""
-        shared = {name: copies[0] for name, copies in self.effects.items() if len(copies) == 1}
+        """Tables for the vessel file of the effects seen that all recordings share."""
+        shared = {
+            name: copies[0]
+            for name, copies in self.effects.items()
+            if len(copies) == 1 and is_seen(copies[0])
+        }
         if self.problem is None:
             return []
         base = self.problem.base

@@ -177,6 +177,8 @@ def parameter_lines(effect: Record) -> list[str]:
     lines = []
     for name, entry in effect["parameters"].items():
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
+        if "beyond" in entry:
+            text = f"above {rounded(entry['beyond'], None, entry['unit'])}, if any"
         lines.append(f"{name.replace('_', ' ')} {text}{direction_note(effect, name)}")
     return lines
 
@@ -187,7 +189,7 @@ def effect_lines(name: str, copies: Sequence[Record]) -> list[str]:
     for number, parameters in enumerate(copies, start=1):
         told = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
         where = f", recording {number}" if len(copies) > 1 else ""
-        lines.append(f"{title(name)}{where}: {told}")
+        lines.append(f"{title(name).replace(':', ', ')}{where}: {told}")
     return lines
 
 
