@@ -35,6 +35,7 @@ from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, split
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.tape import Shape
+from diffsea.threads import one_blas_thread
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import catalogue_name
@@ -72,6 +73,7 @@ class Diagnosis:
         return tuple(accepted.name for accepted in self.effects)
 
 
+@one_blas_thread
 def diagnose(
     vessel: Vessel,
     recordings: list[Trajectory],

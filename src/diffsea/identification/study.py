@@ -30,6 +30,7 @@ from diffsea.identification.trial_numbers import TrialNumbers
 from diffsea.identification.trial_sheet import Sheet
 from diffsea.parameters import check_names
 from diffsea.priors import Parameter
+from diffsea.threads import one_blas_thread
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect, find_effects
@@ -177,6 +178,7 @@ class Study:
         return noise if isinstance(noise, Noise) else self.recorded.start()[1]
 
 
+@one_blas_thread
 def identify(
     vessel: Vessel,
     data: Sequence[Trajectory] | Sequence[Sheet],

@@ -22,6 +22,7 @@ from diffsea.recordings.motion import Motion, integral, motion_of
 from diffsea.recordings.naming import disagreement_findings
 from diffsea.recordings.regression import SIGNIFICANCE
 from diffsea.recordings.responses import response_findings
+from diffsea.threads import one_blas_thread
 from diffsea.types import Trajectory
 
 
@@ -29,6 +30,7 @@ from diffsea.types import Trajectory
 _OUTWARDS = 10.0
 
 
+@one_blas_thread
 def audit(trajectory: Trajectory, level: float = SIGNIFICANCE) -> list[Finding]:
     """Everything that is wrong with one recording, as far as kinematics can tell.
 

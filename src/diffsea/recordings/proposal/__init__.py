@@ -18,6 +18,7 @@ from diffsea.recordings.proposal.names import Suggestion as Suggestion
 from diffsea.recordings.proposal.names import suggestion as suggestion
 from diffsea.recordings.proposal.proposing import propose_evidence
 from diffsea.recordings.proposal.text import actuator_guesses, level, mapping_text
+from diffsea.threads import one_blas_thread
 from diffsea.types import MOTION_CHANNELS
 
 
@@ -38,6 +39,7 @@ class Proposal:
     timed: bool = True
 
 
+@one_blas_thread
 def propose(paths: str | Path | Sequence[str | Path]) -> Proposal:
     """Propose one mapping for a file, or for several files of one layout.
 
