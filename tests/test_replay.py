@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsea.errors import UserError
-from diffsea.simulation.recorded import how_actuated, recorded_actuation
+from diffsea.simulation.recorded import how_actuated, over_rows, recorded_actuation
 from diffsea.simulation.replay import (
     horizon_errors,
     replay,
@@ -97,6 +97,56 @@ def test_executed_values_hold_until_the_next_but_not_where_they_were_lost():
     np.testing.assert_allclose(executed(gap)["screw"][t < 8], 30.0 + np.floor(t[t < 8]))
     for lost in (t > 5, t < 12, (t < 8) | (t > 12), t > 30):
         assert executed(lost) == {}
+
+
+def test_a_measured_actuator_on_its_way_acts_between_its_samples():
+    """u' + u / 5 = 0.6 (1 - exp(-t)), from rest: the closed form, and not half a row late."""
+    t = np.arange(0.0, 20.0, 0.25)
+    run = straight(t, u0=0.0)
+    u = 3 * (1 - np.exp(-0.2 * t)) + 0.75 * (np.exp(-t) - np.exp(-0.2 * t))
+    run = dataclasses.replace(run, u=u, executed={"screw": 60 * (1 - np.exp(-t))})
+    predicted = replay(boat(), run)
+    np.testing.assert_allclose(predicted.u, u, atol=3e-3)  # held until the next: 0.05
+    np.testing.assert_array_equal(predicted.executed["screw"], run.executed["screw"])
+
+
+def acting(done, ordered=None, sampled=None):
+    t = 0.1 * np.arange(len(done))
+    seen = done if sampled is None else np.where(sampled, done, np.nan)
+    orders = {} if ordered is None else {"screw": ordered}
+    run = dataclasses.replace(straight(t), commanded=orders, executed={"screw": seen})
+    return over_rows(run, recorded_actuation(boat(), run)[1])["screw"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_what_moves_in_steps_holds_and_what_is_on_its_way_has_the_mean_of_a_row(noise):
+    rng = np.random.default_rng(3)
+    steps = np.repeat(rng.uniform(-30.0, 30.0, 30), 40)
+    slewing = np.empty_like(steps)
+    now = 0.0
+    for k, order in enumerate(steps):
+        slewing[k] = now
+        now += np.clip(order - now, -1.5, 1.5)
+    slewing += noise * rng.normal(size=len(steps))
+    steps = steps + noise * rng.normal(size=len(steps))
+    np.testing.assert_array_equal(acting(steps), steps)
+    means = np.append(0.5 * (slewing[1:] + slewing[:-1]), slewing[-1])
+    np.testing.assert_allclose(acting(slewing), means)
+    np.testing.assert_allclose(acting(slewing, steps), means)
+
+
+def test_smooth_orders_that_are_executed_at_once_hold():
+    smooth = 20 * np.sin(0.05 * np.arange(600))
+    np.testing.assert_array_equal(acting(0.8 * smooth, smooth), 0.8 * smooth)
+    late = 20 * np.sin(0.05 * np.arange(600) - 1.0)
+    assert not np.array_equal(acting(late, smooth), late)
+
+
+def test_an_actuator_sampled_more_rarely_than_the_rows_is_on_straight_lines():
+    ramp = np.abs(np.linspace(-30.0, 30.0, 601))
+    seen = np.arange(601) % 4 == 0
+    means = np.append(0.5 * (ramp[1:] + ramp[:-1]), ramp[-1])
+    np.testing.assert_allclose(acting(ramp, sampled=seen), means)
 
 
 def test_a_channel_is_measured_only_where_all_recordings_have_it():

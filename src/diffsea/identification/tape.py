@@ -11,7 +11,7 @@ from diffsea.errors import UserError
 from diffsea.identification.heel import predicted_heel
 from diffsea.identification.lanes import Lanes, in_lanes
 from diffsea.identification.looks import Span, merged
-from diffsea.simulation.recorded import recorded_actuation
+from diffsea.simulation.recorded import over_rows, recorded_actuation
 from diffsea.types import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -169,6 +169,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     starts = _begins(t, natural_time(vessel))
     dt = np.where(np.append(starts[1:], True), 0.0, np.append(np.diff(t), 0.0))
     orders, executed = recorded_actuation(vessel, recording)
+    executed = over_rows(recording, executed)
     return {
         "t": t - t[0],
         "run_time": t,

@@ -10,6 +10,8 @@ from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
 
 
+MOVING = 0.3  # correlation of an actuator's next step with its last: above, it is on its way
+AT_ONCE = 0.5  # share of its steps that orders of the same instant explain: above, it holds them
 _LOST = 5.0  # sampling intervals of an actuator's own: without a value for longer, it is lost
 
 Samples = Float[np.ndarray, "time"]
@@ -47,6 +49,47 @@ def recorded_actuation(
         if found is not None:
             executed[channel] = found
     return orders, executed
+
+
+def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, Samples]:
+    """Executed values as they act from each row to the next.
+
+    What moves in steps holds until the next value. What is on its way from one sample to the next
+    (a rudder that slews, a thruster that spools up) has been sampled: held, it would act half a
+    sampling interval late, so its mean over the row is taken, by straight lines.
+    """
+    valid = np.asarray(recording.valid, bool)
+    t = np.asarray(recording.t, float)[valid]
+    out = {}
+    for channel, values in executed.items():
+        sampled = np.asarray(recording.executed[channel], float)[valid]
+        known = np.isfinite(sampled)
+        order = recording.commanded.get(channel)
+        order = None if order is None else held(np.asarray(order, float)[valid])[known]
+        out[channel] = values
+        if _on_its_way(sampled[known], order):
+            line = np.interp(t, t[known], sampled[known])
+            out[channel] = 0.5 * (line + np.append(line[1:], line[-1]))
+    return out
+
+
+def _on_its_way(values: Samples, orders: Samples | None) -> bool:
+    """Whether a measured actuator moves between its samples, rather than at them.
+
+    Its steps then follow one another. White noise is taken out of their correlations: it adds to
+    that of a step with itself, and takes half as much from that with the next.
+    """
+    steps = np.diff(values)
+    if len(steps) < 3 or not steps.any():
+        return False
+    itself, following, after = (float(steps[k:] @ steps[: len(steps) - k]) for k in range(3))
+    noise = max(after - following, 0.0)
+    if max(following, after) <= MOVING * max(itself - 2 * noise, 0.0):
+        return False
+    ordered = np.zeros(len(steps)) if orders is None else np.diff(orders)
+    if not np.isfinite(ordered).all() or not ordered.any():
+        return True
+    return float(steps @ ordered) ** 2 < AT_ONCE * itself * float(ordered @ ordered)
 
 
 def recorded_heel(recording: Trajectory) -> Samples:

@@ -17,7 +17,7 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
 from diffsea.simulation.integrate import rk4
-from diffsea.simulation.recorded import Samples, recorded_actuation, recorded_heel
+from diffsea.simulation.recorded import Samples, over_rows, recorded_actuation, recorded_heel
 from diffsea.types import MOTION_CHANNELS, Environment, Outcome, Scalar, State, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.sensors import Clock, Sensors
@@ -64,7 +64,8 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         UserError: the recording lacks a channel's orders, or a state to start from.
     """
     t, orders, executed, notes = _inputs(vessel, recording, measured_actuation)
-    steps, rows = _steps(vessel, t, orders, executed, recorded_heel(recording))
+    acting = over_rows(recording, executed)
+    steps, rows = _steps(vessel, t, orders, acting, recorded_heel(recording))
     start, derived = _true_motion(vessel.sensors, recording, t)
     first = State(*(jnp.asarray(start[c][0]) for c in MOTION_CHANNELS))
     actuation = _actuation(vessel, steps)
@@ -74,7 +75,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         t=t,
         **_shown(vessel.sensors, t, true),
         commanded=orders,
-        executed={c: np.asarray(now)[rows] for c, now in actuation.now.items()},
+        executed={c: np.asarray(now)[rows] for c, now in actuation.now.items()} | executed,
         extra={},
         valid=np.ones(t.shape, bool),
         outcome=int(Outcome.COMPLETED if plausible(vessel, true) else Outcome.DIVERGED),
@@ -114,7 +115,8 @@ def horizon_errors(
     horizons = [h for h in horizons if t[0] + h <= t[-1]]
     if not horizons:
         return {}
-    steps, rows = _steps(vessel, t, orders, executed, recorded_heel(recording))
+    acting = over_rows(recording, executed)
+    steps, rows = _steps(vessel, t, orders, acting, recorded_heel(recording))
     motion, _ = _true_motion(vessel.sensors, recording, t)
     begin, end = _windows(t, horizons, spacing)
     first = State(*(jnp.asarray(motion[c][begin]) for c in MOTION_CHANNELS))
