@@ -270,19 +270,13 @@ def test_likelihood_finds_the_coefficients_under_each_trials_wind():
         fine = 3.0 * _rudder(400, k) - wind / MODEL.b
         r = np.asarray(model.simulate(0.0, jnp.asarray(fine), 1.0))
         r = r[::4] + 1e-4 * draw.standard_normal(100)
-        runs.append(_recording(_means(fine), r, 4.0, f"trial {k}"))
+        runs.append(_recording(fine[::4], r, 4.0, f"trial {k}"))
     start = Norrbin(0.0, 0.03, 0.0, 60.0, 2.4e-3)
     found = identify_by_likelihood(runs, start, 160.0, 7.7)
     std = np.sqrt(np.diag(found.covariance))
     off = np.asarray(found.model.coefficients - MODEL.coefficients)
     assert np.all(np.abs(off) < 4 * std)
     assert std[4] < 0.05 * float(MODEL.b) and std[1] < 0.2 * float(MODEL.a1)
-
-
-def _means(fine: np.ndarray) -> np.ndarray:
-    """Mean angle from every fourth sample to the next."""
-    middle = 0.5 * (fine + np.append(fine[1:], fine[-1]))
-    return middle.reshape(-1, 4).mean(1)
 
 
 @pytest.fixture(scope="module")

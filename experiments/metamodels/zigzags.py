@@ -217,18 +217,15 @@ def _peak(true, rate, stage, side, k: int) -> np.ndarray:
 
 
 def recordings(records: Records, which, every: int = 2) -> list[Trajectory]:
-    """Trials as recordings with heading, yaw rate and the executed rudder, every so many rows.
-
-    In recordings an angle holds until the next, so that it is the mean until then.
-    """
+    """Trials as recordings with heading, yaw rate and the executed rudder, every so many rows."""
     count = len(records.t) // every
     t = np.asarray(records.t)[::every][:count]
-    held = np.asarray(records.held)[:, : count * every].reshape(-1, count, every).mean(2)
+    rudder = np.asarray(records.held)[:, ::every][:, :count]
     nothing = np.full(t.shape, np.nan)
     return [
         Trajectory(
             t, nothing, nothing, np.asarray(records.psi[k])[::every][:count], nothing, nothing,
-            np.asarray(records.r[k])[::every][:count], {}, {"rudder": held[k]}, {},
+            np.asarray(records.r[k])[::every][:count], {}, {"rudder": rudder[k]}, {},
             np.ones(t.shape, bool), name=f"zigzag {k}",
         )
         for k in which
