@@ -715,3 +715,31 @@ def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
         assert found_effects._unseen(boat, EFFECTS[name], np.array([2.0]), np.eye(1)) is None
     of_lag = EFFECTS["thrust-lag:propulsion"]
     assert found_effects._unseen(boat, of_lag, np.array([0.0]), np.eye(1)) is None
+
+
+def test_every_possible_effect_applies_to_a_tug_with_all_kinds_of_thruster():
+    document = tomllib.loads((Path(__file__).parent / "oracle" / "usv.toml").read_text())
+    document["tunnel_thruster"] = [{"name": "bow", "x": 1.5, "max_force": 40.0}]
+    tug = build(document)
+    orders = {"port": 100.0, "starboard": 60.0, "bow": 20.0}
+    for effect in EFFECTS.values():
+        if effect.possible(tug):
+            other = effect.apply(tug, np.array(effect.sizes(tug)))
+            assert np.isfinite(total_force(other, moving(1.0, 0.1, 0.05), orders)).all()
+            assert set(other.servos) == set(tug.servos)
+
+
+def test_a_wind_that_is_added_meets_the_superstructure_of_the_table_before():
+    document = tomllib.loads((Path(__file__).parent / "oracle" / "usv.toml").read_text())
+    hull = {"frontal_area": 1.6, "lateral_area": 3.2, "C_X": 0.7, "C_Y": 0.85, "C_N": 0.05}
+    calm = {"name": "wind", "speed": 0.0, "direction": 0.0, **hull}
+    breeze = {"name": "wind", "speed": 8.0, "direction": 1.0}
+    orders = {"port": 100.0, "starboard": 60.0}
+
+    def force(*tables):
+        vessel = build({**document, "effect": list(tables)})
+        parts = vessel.breakdown(moving(1.0, 0.1), orders, vessel.environment, 0.0).values()
+        return np.sum([np.asarray(part.stacked) for part in parts], axis=0)
+
+    np.testing.assert_allclose(force(calm, breeze), force(breeze | hull), rtol=1e-12)
+    assert not np.allclose(force(calm, breeze), force(breeze), rtol=0.01)

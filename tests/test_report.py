@@ -543,7 +543,7 @@ def test_several_effects_and_effects_of_each_run():
     }
     both = summary_of("explained") | {"effects": [CURRENT, lag]}
     text = " ".join(verdict_text(both).split())
-    assert "flowing to 69 deg and actuators that lag with a time constant of 0.83 s" in text
+    assert "flowing to 69 deg and a lag with a time constant of 0.83 s in the actuators" in text
     assert text.startswith("The recordings show a steady current")
     speeds = {
         name: {"speed": {"value": value, "std": 0.01, "unit": "m/s"}}
@@ -609,3 +609,20 @@ def test_typesetting():
     assert typeset("p = 1e-9; N s^2/m^2") == "p = 1×10⁻⁹; N s²/m²"
     assert typeset("-3.2 -> 0.1 deg/s") == "−3.2 → 0.1°/s"
     assert typeset("zigzag-20 and run3e5") == "zigzag-20 and run3e5"
+
+
+def test_a_change_says_by_how_much_of_what_there_was_and_a_stage_which_actuators():
+    def said(name, **record):
+        sizes = record.pop("sizes")
+        entries = {key: {"value": v, "std": s, "unit": u} for key, (v, s, u) in sizes.items()}
+        return phrase({"name": name, "parameters": entries, **record})
+
+    at = (60.2, 0.2, "s")
+    grown = said("drag-change", sizes={"time": at, "factor": (0.396, 0.012, "1")})
+    assert grown == "a drag that is 40 % larger from 60 s on"
+    lost = said("thrust-change", sizes={"time": at, "factor": (-0.25, 0.01, "1")})
+    assert lost == "a thrust that is 25 % smaller from 60 s on"
+    lighter = said("mass-change", sizes={"time": at, "mass": (-13.2, 0.5, "kg")})
+    assert lighter == "a mass that is 13 kg smaller from 60 s on"
+    slow = said("thrust-lag", sizes={"time_constant": (0.6, 0.02, "s")}, actuators=["rudder"])
+    assert slow == "a lag with a time constant of 0.60 s in the rudder"

@@ -15,14 +15,13 @@ _TEMPLATES = {
     "hard-iron": "a compass error of {amplitude} that changes with heading",
     "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
     "clock-drift": "clocks of motion and orders that are {offset} apart and drift by {rate}",
-    "thrust-lag": "actuators that lag with a time constant of {time_constant}",
+    "thrust-lag": "a lag with a time constant of {time_constant} in {actuators}",
     "thrust-delay": "a dead time of {delay} between order and action",
-    "rate-limit": "a slew limit of {rate_limit} in the actuators",
-    "deadband": "a dead band of {width} in the actuators",
-    "backlash": "a play of {width} in the actuators",
+    "rate-limit": "a slew limit of {rate_limit} in {actuators}",
+    "deadband": "a dead band of {width} in {actuators}",
+    "backlash": "a play of {width} in {actuators}",
     "thrust-saturation": "thrust that clips at {limit}",
-    "actuator-bias": "a neutral point of the actuators that is off by {bias}",
-    "thrust-change": "a thrust that changes by the factor {factor} at {time}",
+    "actuator-bias": "a neutral point of {actuators} that is off by {bias}",
     "propeller-side-force": "a side force of the propeller",
     "rudder-interaction": "an interaction of hull, propeller and rudder",
     "quadratic-damping": "a drag that grows with the square of speed",
@@ -31,8 +30,6 @@ _TEMPLATES = {
     "speed-dependent-damping": "a damping that grows with forward speed",
     "added-mass-coupling": "an added mass that couples sway and yaw",
     "munk-moment": "a Munk moment other than the model's",
-    "mass-change": "a change of mass by {mass} at {time}",
-    "drag-change": "a drag that changes by the factor {factor} at {time}",
     "roll-coupling": "a coupling of roll into sway and yaw",
 }
 _CHANNELS = {
@@ -93,6 +90,15 @@ def _loss(per: str, scale: float) -> Callable[[Record], str]:
     return phrase
 
 
+def _change(what: str, parameter: str, scale: float, unit: str | None) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "larger" if _value(effect, parameter) > 0 else "smaller"
+        amount = _size(effect, parameter, scale, unit)
+        return f"a {what} that is {amount} {way} from {_size(effect, 'time')} on"
+
+    return phrase
+
+
 def _latency(effect: Record) -> str:
     late = frozenset(effect.get("channels", ()))
     if late == _BUT_POSITION:
@@ -105,6 +111,9 @@ _PHRASES: dict[str, Callable[[Record], str]] = {
     "thrust-asymmetry": _asymmetry,
     "thruster-misalignment": _misalignment,
     "heading-offset": _reading("a compass", "angle"),
+    "thrust-change": _change("thrust", "factor", 100.0, "%"),
+    "drag-change": _change("drag", "factor", 100.0, "%"),
+    "mass-change": _change("mass", "mass", 1.0, None),
     "gyro-bias": _reading("a yaw-rate sensor", "bias"),
     "sensor-latency": _latency,
     "thrust-loss-with-speed": _loss("for every m/s of speed", 1.0),
@@ -121,6 +130,7 @@ def phrase(effect: Record) -> str:
         key: rounded(entry["value"], entry.get("std"), entry.get("unit", ""))
         for key, entry in effect["parameters"].items()
     }
+    values["actuators"] = f"the {listed(effect.get('actuators') or ['actuators'])}"
     try:
         return _TEMPLATES[name].format(**values)
     except KeyError:

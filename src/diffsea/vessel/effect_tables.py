@@ -32,7 +32,8 @@ def with_effect(vessel: Vessel, table: Table) -> Vessel:
     check_keys(table, ("name", *units, *wind_keys), where)
     if wind_keys:
         given = {key: number(table, key, where) for key in wind_keys if key in table}
-        wind = dataclasses.replace(default_wind(vessel), **given)
+        # What an earlier table says of the superstructure holds for a wind that is added.
+        wind = dataclasses.replace(vessel.forces.get("wind", default_wind(vessel)), **given)
         vessel = dataclasses.replace(vessel, forces=vessel.forces | {"wind": wind})
     # Where an effect has an entry of all its coefficients, its parts are of no use here.
     whole = [variant for variant in variants if variant.name == name]

@@ -101,8 +101,11 @@ class Stage:
         largest = full(vessel, channels)
 
         def change(servo: Servo, actuator: eqx.Module) -> Servo:
-            here = value if side == 0 else jnp.where(jnp.sign(actuator.y) == side, value, 0.0)
-            return self.change(servo, here, largest)
+            if side == 0:
+                return self.change(servo, value, largest)
+            # An actuator without a y stands on the centreline: tunnel thrusters, rudders.
+            beside = jnp.sign(getattr(actuator, "y", 0.0)) == side
+            return self.change(servo, jnp.where(beside, value, 0.0), largest)
 
         return on_channels(vessel, channels, change)
 
