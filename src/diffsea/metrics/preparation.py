@@ -6,6 +6,7 @@ not measured is derived from what was, and each such step is told in a note.
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +23,8 @@ _NOISE = 0.002
 # The window is the time in which the vessel, turning fast, changes its heading by this.
 _WINDOW_HEADING = math.radians(5)
 _WINDOW_ROWS = 201
+_BLOCK = 10_000  # rows whose windows are held in memory at once
+_RATE_ROWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97)  # of which one suits the noise
 
 Samples = Float[np.ndarray, "time"]
 
@@ -130,7 +133,17 @@ def _complete_velocity(t: Samples, motion: dict[str, Samples], notes: list[str])
 
 
 def _rate(t: Samples, values: Samples) -> Samples:
-    return np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
+    """Slope of local parabolas over as many rows as predict left-out samples best.
+
+    Differences of two samples would have the noise of both over one interval: of positions to
+    0.1 m at 5 Hz, 0.7 m/s.
+    """
+    counts = [count for count in _RATE_ROWS if count <= len(t)]
+    if not counts or np.any(np.diff(t) <= 0):
+        return np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
+    fits = [_parabolas(t, values, count) for count in counts]
+    missed = [np.sum(((values - fit.value) / (1 - fit.leverage)) ** 2) for fit in fits]
+    return fits[int(np.argmin(missed))].slope
 
 
 def _noisy(values: Samples) -> bool:
@@ -159,19 +172,36 @@ def _smooth(
     if count < 5 or count > len(t) or not names:
         return
     for name in names:
-        motion[name] = _local_parabolas(t, motion[name], count)
+        motion[name] = _parabolas(t, motion[name], count).value
     seconds = count * (t[-1] - t[0]) / (len(t) - 1)
     notes.append(f"noise in {', '.join(names)} smoothed by parabolas over {seconds:.3g} s")
 
 
-def _local_parabolas(t: Samples, values: Samples, count: int) -> Samples:
-    """Value at each row of the parabola fitted to the `count` rows around it."""
-    rows = np.arange(len(t))
+class _Parabolas(NamedTuple):
+    """Parabolas fitted to the rows around each row, at that row."""
+
+    value: Samples
+    slope: Samples  # per second
+    leverage: Samples  # of the row's own sample in its value
+
+
+def _parabolas(t: Samples, values: Samples, count: int) -> _Parabolas:
+    """The parabola fitted to the `count` rows around each row."""
+    blocks = [
+        _parabolas_at(np.arange(k, min(k + _BLOCK, len(t))), t, values, count)
+        for k in range(0, len(t), _BLOCK)
+    ]
+    return _Parabolas(*map(np.concatenate, zip(*blocks, strict=True)))
+
+
+def _parabolas_at(rows: np.ndarray, t: Samples, values: Samples, count: int) -> _Parabolas:
     first = np.clip(rows - count // 2, 0, len(t) - count)
     window = first[:, None] + np.arange(count)
-    span = t[window[:, -1]] - t[window[:, 0]]
-    offset = (t[window] - t[:, None]) / np.maximum(span, 1e-12)[:, None]
+    span = np.maximum(t[window[:, -1]] - t[window[:, 0]], 1e-12)
+    offset = (t[window] - t[rows][:, None]) / span[:, None]
     basis = np.stack([np.ones_like(offset), offset, offset**2], axis=-1)
     normal = np.einsum("nki,nkj->nij", basis, basis) + 1e-12 * np.eye(3)
     moments = np.einsum("nki,nk->ni", basis, values[window])
-    return np.linalg.solve(normal, moments[..., None])[:, 0, 0]
+    found = np.linalg.solve(normal, moments[..., None])[..., 0]
+    # At the row itself the basis is (1, 0, 0).
+    return _Parabolas(found[:, 0], found[:, 1] / span, np.linalg.inv(normal)[:, 0, 0])
