@@ -187,13 +187,13 @@ def test_wind_on_the_bow_balances_drag():
 
 
 def test_wind_components_and_defaults():
-    """From 45 deg on the starboard bow: astern and to port; C_N > 0 turns to starboard."""
+    """From 45 deg on the starboard bow: astern and to port; C_N > 0 turns to port."""
     sim = Simulator(vessel(), {"wind": {"speed": 6.0, "direction": 0.25 * math.pi, "still_air": 1}})
     X, Y, N = sim.forces(0.0, 0.0, 0.0, 0.0, 0.0, [])
     a = 6 / math.sqrt(2)
     assert X == pytest.approx(-0.5 * 1.225 * 0.7 * 0.5 * 0.2 * 6 * a)
     assert Y == pytest.approx(-0.5 * 1.225 * 0.85 * 2.0 * 0.2 * 6 * a)
-    assert N == pytest.approx(0.5 * 1.225 * 0.1 * 2.0 * 0.2 * 2.0 * 2 * a * a)
+    assert N == pytest.approx(-0.5 * 1.225 * 0.1 * 2.0 * 0.2 * 2.0 * 2 * a * a)
     X, Y, N = sim.forces(0.0, 0.0, -a, -a, 0.0, [])  # drifting with the air
     assert max(abs(X), abs(Y), abs(N)) < 1e-12
 
@@ -212,7 +212,7 @@ def test_wind_leaves_the_drag_of_still_air_to_the_hull():
     speed = math.hypot(1.3, 0.4)
     assert X == pytest.approx(-0.5 * 1.225 * 0.7 * 0.5 * 0.2 * speed * 1.3)
     assert Y == pytest.approx(0.5 * 1.225 * 0.85 * 2.0 * 0.2 * speed * 0.4)
-    assert N == pytest.approx(-0.5 * 1.225 * 0.1 * 2.0 * 0.2 * 2.0 * 2 * 1.3 * 0.4)
+    assert N == pytest.approx(0.5 * 1.225 * 0.1 * 2.0 * 0.2 * 2.0 * 2 * 1.3 * 0.4)
 
 
 def test_wind_acts_on_the_velocity_over_ground():

@@ -18,7 +18,7 @@ def effects(hull: Hull) -> list[Effect]:
         Effect("clock-drift", "", ("rate",), (), 0.001, 0.05, clock, _sided),
         Effect("current", "", ("speed",), ("surge", "sway"), 0.02 * U, 0.6 * U, current, _turned,
                ("direction",)),
-        Effect("wind", "", ("speed",), ("surge", "sway", "yaw"), 2.0, 18.0, wind, _turned,
+        Effect("wind", "", ("speed",), ("surge", "sway", "yaw"), 2.0, 18.0, wind, _blown,
                ("direction",)),
         Effect("wave-force", "", ("amplitude",), ("surge", "sway"), 0.01 * weight(hull),
                0.5 * weight(hull), wave, _wave_draw(hull), ("direction",)),
@@ -78,9 +78,17 @@ def current(model: Model, hull: Hull, size: float, extra: dict) -> dict:
     return {"speed": size, "direction": a}
 
 
+def _blown(rng, hull) -> dict:
+    """Nobody measured the superstructure: its coefficients differ from the usual ones."""
+    C_X, C_Y = (usual * math.exp(0.5 * rng.normal()) for usual in (0.7, 0.85))
+    C_N = float(rng.normal(0.05, 0.1))
+    return _turned(rng, hull) | {"superstructure": (C_X, C_Y, C_N)}
+
+
 def wind(model: Model, hull: Hull, size: float, extra: dict) -> dict:
     """`direction` is where it comes from."""
     a = extra["direction"]
+    model.superstructure = tuple(extra.get("superstructure", model.superstructure))
     model.wind = (-size * math.cos(a), -size * math.sin(a))
     return {"speed": size, "direction": a}
 

@@ -87,22 +87,25 @@ def strip_force(hull: dict, cd: float) -> Callable:
     return force
 
 
-def wind_force(hull: dict, air: tuple[float, float]) -> Callable:
+def wind_force(
+    hull: dict, air: tuple[float, float], coefficients: tuple[float, float, float]
+) -> Callable:
     """Quadratic in the apparent wind, function of (psi, u, v) with u, v over ground.
 
-    Areas beam x draught and length x draught; C_X 0.7 and C_Y 0.85 with a little of the third
-    harmonic in the angle of attack, as measured curves have; moment arm 0.1 L sin 2 gamma.
+    Areas beam x draught and length x draught; C_X and C_Y with a little of the third harmonic in
+    the angle of attack, as measured curves have; N = C_N q A L sin 2 gamma with gamma from ahead.
     """
     front, side = hull["beam"] * hull["draught"], hull["length"] * hull["draught"]
     q = 0.5 * AIR
+    C_X, C_Y, C_N = coefficients
 
     def force(psi: float, u: float, v: float) -> tuple[float, float, float]:
         c, s = math.cos(psi), math.sin(psi)
         a, b = c * air[0] + s * air[1] - u, c * air[1] - s * air[0] - v
         V2, g = a * a + b * b, math.atan2(b, a)
-        X = q * front * V2 * (0.7 * math.cos(g) + 0.03 * math.cos(3 * g))
-        Y = q * side * V2 * (0.85 * math.sin(g) - 0.03 * math.sin(3 * g))
-        return X, Y, q * side * hull["length"] * V2 * 0.1 * math.sin(2 * g)
+        X = q * front * V2 * (C_X * math.cos(g) + 0.03 * math.cos(3 * g))
+        Y = q * side * V2 * (C_Y * math.sin(g) - 0.03 * math.sin(3 * g))
+        return X, Y, q * side * hull["length"] * V2 * -C_N * math.sin(2 * g)
 
     return force
 

@@ -71,6 +71,7 @@ class Model:
     actuators: list[Actuator]
     current: tuple[float, float] = (0.0, 0.0)  # north, east, m/s
     wind: tuple[float, float] = (0.0, 0.0)  # velocity of the air, north, east, m/s
+    superstructure: tuple[float, float, float] = (0.7, 0.85, 0.1)  # C_X, C_Y, C_N
     wave: dict | None = None
     ratio_of_depth: float = 0.0  # draught over depth of water
     strip_cd: float = 0.0

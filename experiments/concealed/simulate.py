@@ -104,7 +104,7 @@ def derivative(model: Model, servos: dict[str, Servo], gusts: Gusts | None, midd
     q = model.ratio_of_depth
     drag_x, drag_y = drag * (1.0 - q) ** -0.25, drag / (1.0 - q)
     actuators = actuator_force(model, servos, push)
-    wind = F.wind_force(model.hull, model.wind) if any(model.wind) else None
+    wind = F.wind_force(model.hull, model.wind, model.superstructure) if any(model.wind) else None
     V_N, V_E = model.current
     roll, wave, munk = model.roll, model.wave, model.munk + inertia.no_munk
     extra, slosh = model.extra_forces, model.slosh

@@ -208,7 +208,7 @@ def _candidates(model, d, t, dt, psi, u, v, r, acc, push, hull, inertial) -> dic
         ),
         "clock-drift": stack(frc(*(t * a for a in push_dot))),
         "current": stack(frc(*(-c * drag_u + s * drag_v)), frc(*(-s * drag_u - c * drag_v))),
-        "wind": stack(frc(side * c, -s, 0.1 * L * s * c), frc(side * s, c, -0.1 * L * s * c)),
+        "wind": stack(frc(side * c, -s, -0.1 * L * s * c), frc(side * s, c, 0.1 * L * s * c)),
         "wave-force": stack(frc(c, -s, zero), frc(s, c, zero)),
         "shallow-water": stack(frc(*(hull * np.array([[0.25], [1.0], [1.0]])))),
         "thrust-lag": stack(frc(*(-_smoothed(push_dot, 8)))),

@@ -5,7 +5,7 @@ current               V_c = speed (cos, sin)(direction), where it flows to;
 wind                  air velocity w = -speed (cos, sin)(direction), direction it comes from;
                       (u_rw, v_rw) = R' w - (u, v) over ground, V = hypot(u_rw, v_rw);
                       X = 1/2 rho_a A_F C_X V u_rw, Y = 1/2 rho_a A_L C_Y V v_rw,
-                      N = 1/2 rho_a A_L L C_N 2 u_rw v_rw;  rho_a = 1.225,
+                      N = -1/2 rho_a A_L L C_N 2 u_rw v_rw;  rho_a = 1.225,
                       C_X 0.7, C_Y 0.85, C_N 0.1, A_F beam x draught, A_L length x draught;
                       less the same in still air (w = 0), unless `still_air` is 1
 wave-force            bias + amplitude sin(2 pi frequency t + phase) newtons towards

@@ -150,6 +150,7 @@ def _one_way(
     eta = coordinates[place].copy()
     if effects[name].shape is not None:
         eta[effects[name].shape] = 0.0  # it is gone without its size, whatever its time
+    eta[list(effects[name].idle)] = 0.0
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())

@@ -70,6 +70,8 @@ class Layout:
             own = [SPREAD] * len(sizes)
             if effect.shape is not None and not effect.periodic:
                 own[effect.shape] = max(SPREAD, self.latest / sizes[effect.shape])
+            for k in effect.idle:
+                own[k] = 1.0
             out += own * self.copies(effect)
         return np.array(out)
 
@@ -140,8 +142,8 @@ def negative(layout: Layout, coordinates: np.ndarray) -> list[str]:
 
 
 def _amounts(effect: Effect, count: int) -> np.ndarray:
-    """Which of an effect's coordinates say how much of it there is, not when or where."""
-    return np.arange(count) != (-1 if effect.shape is None else effect.shape)
+    """Which of an effect's coordinates say how much of it there is, not when, where or how."""
+    return ~np.isin(np.arange(count), [*effect.idle, -1 if effect.shape is None else effect.shape])
 
 
 def equipped(
@@ -161,8 +163,8 @@ def equipped(
         if not effect.own:
             vessel = effect.apply(vessel, physical[0])
             continue
-        # The parts are attached by applying the effect at zero; the flow is each run's own.
-        still = effect.apply(vessel, jnp.zeros(len(sizes)))
+        # The parts are attached by applying the effect without its flow, which is each run's own.
+        still = effect.apply(vessel, jnp.where(_amounts(effect, len(sizes)), 0.0, physical[0]))
         changed = jax.vmap(lambda p, e=effect, v=vessel: e.apply(v, p).environment)(physical)
         added = jax.tree.map(lambda new, old: new - old, changed, vessel.environment)
         flow = jax.tree.map(lambda now, more: now + more + zero, flow, added)

@@ -35,12 +35,12 @@ def looks(
     """
     sizes = effect.sizes(vessel)
     zero = [0.0] * len(sizes)
-    moved = tuple(k for k in range(len(sizes)) if k != effect.shape)
+    moved = tuple(k for k in range(len(sizes)) if k not in (effect.shape, *effect.idle))
     secants = [Look(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
     if effect.flat:
         return secants
     if effect.shape is None or effect.grid is None:
-        return [Look(effect.name, tuple(zero), moved), *secants]
+        return [Look(effect.name, at, moved) for at in _at_rest(effect, zero)] + secants
     values = effect.grid(vessel, 0.0, sum(end - start for start, end in spans))
     if effect.periodic:
         values = tuple(() if frequencies is None else np.asarray(frequencies) - values[0])
@@ -51,6 +51,17 @@ def looks(
         at = list(zero)
         at[effect.shape] = value / sizes[effect.shape]
         out.append(Look(effect.name, tuple(at), moved))
+    return out
+
+
+def _at_rest(effect: Effect, zero: list[float]) -> list[tuple[float, ...]]:
+    """Coordinates of an absent effect, with its idle ones at zero and at their places."""
+    out = [tuple(zero)]
+    for values in effect.places:
+        at = list(zero)
+        for k, value in zip(effect.idle, values, strict=True):
+            at[k] = value
+        out.append(tuple(at))
     return out
 
 

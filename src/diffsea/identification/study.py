@@ -298,7 +298,7 @@ def _objective(
 
 
 def chosen_effects(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects of the catalogue by name, all variants that the vessel could have.
+    """Effects of the catalogue by name; where none has that very name, all its variants.
 
     Raises:
         UserError: an unknown name, or an effect that the vessel cannot have.
@@ -310,7 +310,8 @@ def chosen_effects(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
             raise UserError(
                 f"{vessel.name!r} cannot have {name} estimated: it has it, or lacks parts"
             )
-        found += possible
+        # An entry of all coefficients makes those of some, or of more, of no use beside it.
+        found += [effect for effect in possible if effect.name == name] or possible
     return tuple(found)
 
 

@@ -11,10 +11,11 @@ class Wind(AbstractForce):
     """Wind on the superstructure, quadratic in apparent wind, beyond the drag of still air.
 
     With the air's velocity relative to the vessel (u_a, v_a) and V its size,
-    `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = q A_L L C_N 2 u_a v_a`,
+    `X = q A_F C_X V u_a`, `Y = q A_L C_Y V v_a`, `N = -q A_L L C_N 2 u_a v_a`,
     q = rho_air / 2: the cos, sin and sin-2-gamma laws of Isherwood-type coefficients
-    (Fossen 2021, eq. 10.23). The same forces in still air are subtracted: drag measured in a
-    calm, which the hull's derivatives stand for, contains them already.
+    (Fossen 2021, eq. 10.23): C_N > 0 turns the bow away from a wind on the bow. The same forces
+    in still air are subtracted: drag measured in a calm, which the hull's derivatives stand for,
+    contains them already.
     """
 
     frontal_area: Scalar  # m^2
@@ -35,7 +36,7 @@ class Wind(AbstractForce):
         return Force(
             q * self.frontal_area * self.C_X * speed * u_a,
             q * self.lateral_area * self.C_Y * speed * v_a,
-            q * self.lateral_area * self.length * self.C_N * 2 * u_a * v_a,
+            -q * self.lateral_area * self.length * self.C_N * 2 * u_a * v_a,
         )
 
 

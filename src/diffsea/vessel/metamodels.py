@@ -158,7 +158,7 @@ class NorrbinDamping(AbstractForce):
 def _yaw_wind(moment: Scalar, length: Scalar) -> Wind:
     """Wind that only yaws, by `moment` at 10 m/s from 45 deg."""
     unit = 0.5 * 1.225 * 10.0**2 * length
-    return Wind(0.0, 1.0, length, C_X=0.0, C_Y=0.0, C_N=moment / unit)
+    return Wind(0.0, 1.0, length, C_X=0.0, C_Y=0.0, C_N=-moment / unit)
 
 
 DEGREES = math.degrees(1.0)

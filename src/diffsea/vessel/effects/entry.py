@@ -43,6 +43,10 @@ class Effect:
     from the one value of `grid`. At the `finite` sizes of its first coordinate, in prior sizes,
     an effect is looked at, too: one that far from zero looks like its derivative there no more,
     and a `flat` one has none. No vessel is beyond its `bounds`.
+
+    `idle` coordinates do nothing while the others are zero, as a shape, but about as much is known
+    of them as their sizes say (the coefficients of a superstructure in a wind). They are zero at
+    first, and as each of `places` says, where the effect is looked at, too.
     """
 
     name: str
@@ -61,6 +65,8 @@ class Effect:
     periodic: bool = False
     finite: tuple[float, ...] = ()
     flat: bool = False  # no derivative at zero
+    idle: tuple[int, ...] = ()
+    places: tuple[tuple[float, ...], ...] = ()  # values of the idle ones, in prior sizes
     valid: float = math.inf  # size of the first coordinate, in prior sizes, up to which it holds
     needs: str = ""  # extra channel that recordings must have
     coordinate_names: tuple[str, ...] = ()  # where they are not the parameters

@@ -1,5 +1,7 @@
 """Effects of the environment: current, wind, waves and shallow water."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -36,6 +38,39 @@ def _wind(vessel: Vessel, flow: Coordinates) -> Vessel:
         vessel = with_force(vessel, "wind", default_wind(vessel))
     vessel = shifted(vessel, lambda v: v.environment.wind_north, flow[0])
     return shifted(vessel, lambda v: v.environment.wind_east, flow[1])
+
+
+SCALE = 0.8  # spread of a logarithm: what is known of a superstructure that nobody measured
+
+
+def _superstructure(vessel: Vessel) -> Wind:
+    return vessel.forces.get("wind", default_wind(vessel))
+
+
+def _wind_and_superstructure(vessel: Vessel, at: Coordinates) -> Vessel:
+    """Coordinates: flow north and east, added C_N, logarithms of the factors of C_X and C_Y."""
+    meant = _superstructure(vessel)
+    changed = dataclasses.replace(
+        meant, C_N=meant.C_N + at[2], C_X=meant.C_X * jnp.exp(at[3]), C_Y=meant.C_Y * jnp.exp(at[4])
+    )
+    return _wind(with_force(vessel, "wind", changed), at[:2])
+
+
+def _wind_and_superstructure_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+    meant = _superstructure(vessel)
+    return _PLAIN_WIND.parameters(vessel, at[:2]) | {
+        "C_X": meant.C_X * jnp.exp(at[3]), "C_Y": meant.C_Y * jnp.exp(at[4]),
+        "C_N": meant.C_N + at[2],
+    }  # fmt: skip
+
+
+def _wind_and_superstructure_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    meant = _superstructure(vessel)
+    ratios = (numbers.get(key, getattr(meant, key)) / getattr(meant, key) for key in ("C_X", "C_Y"))
+    return (
+        *_PLAIN_WIND.coordinates(vessel, numbers),
+        float(numbers.get("C_N", meant.C_N) - meant.C_N), *(float(np.log(r)) for r in ratios),
+    )  # fmt: skip
 
 
 def _flow(name: str, turn: float, add, size: float, law: str, confusables: tuple) -> Effect:
@@ -120,6 +155,12 @@ def _depth_ratio(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     return (-float(np.log1p(-float(vessel.rigid_body.draught) / depth)) if depth else 0.0,)
 
 
+_PLAIN_WIND = _flow(
+    "wind", np.pi, _wind, 5.0,
+    "quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
+    ("current", "wave-force", "thrust-asymmetry"),
+)  # fmt: skip
+
 ENVIRONMENT = (
     _flow(
         "current", 0.0, _current, 0.3,
@@ -127,10 +168,19 @@ ENVIRONMENT = (
         "(Fossen 2021, section 10.3)",
         ("wind", "hard-iron", "heading-offset", "wave-force"),
     ),
-    _flow(
-        "wind", np.pi, _wind, 5.0,
-        "quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
-        ("current", "wave-force", "thrust-asymmetry"),
+    _PLAIN_WIND,
+    Effect(
+        "wind:coefficients", "environment",
+        {"speed": "m/s", "direction": "rad", "C_X": "1", "C_Y": "1", "C_N": "1"},
+        _wind_and_superstructure, lambda v: (5.0, 5.0, 0.1, SCALE, SCALE),
+        # What a file states of the superstructure is believed.
+        lambda v: "wind" not in v.forces, own=True,
+        decode=_wind_and_superstructure_parameters, encode=_wind_and_superstructure_coordinates,
+        idle=(2, 3, 4), places=((-1.0, 0.0, 0.0), (-2.0, 0.0, 0.0)),
+        coordinate_names=("north", "east", "C_N added", "log C_X factor", "log C_Y factor"),
+        law="wind on a superstructure of which only what is usual is known: C_X and C_Y within a "
+        "factor of 2.2, C_N within 0.1 (one standard deviation)",
+        confusables=("current", "wave-force", "thrust-asymmetry"),
     ),
     Effect(
         "wave-force", "environment",
