@@ -122,6 +122,19 @@ def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat
     assert np.sort(np.abs(around)) == pytest.approx([2.5, 2.5, 5.0, 5.0, 7.5, 7.5])
 
 
+def test_a_wind_is_looked_for_with_several_superstructures(boat):
+    effect = EFFECTS["wind:coefficients"]
+    tried = looks(effect, boat, [(0.0, 100.0)])
+    assert [look.moved for look in tried] == [(0, 1)] * 3
+    added = [look.at[2] * effect.sizes(boat)[2] for look in tried]
+    assert added == pytest.approx([0.0, -0.1, -0.2])
+    sizes = (effect.sizes(boat),)
+    layout = Layout((), (effect,), sizes, 1, False)
+    assert layout.spreads() == pytest.approx([3.0, 3.0, 1.0, 1.0, 1.0])
+    strains = np.asarray(layout.strains(np.array([0, 0, 4.0, -5.0, 6.0]), layout.spreads()))
+    assert strains == pytest.approx([0, 0, 4.0, -5.0, 6.0])  # no heavy tail
+
+
 def test_heel_is_a_candidate_only_where_it_was_recorded(boat):
     heel = {"phi": np.array([0.0, 0.1])}
     without = {effect.name for effect in candidates(boat, [_Run(0, 1, heel), _Run(0, 1)])}
@@ -274,10 +287,39 @@ def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
     monkeypatch.setattr(revision, "decide", lambda data, bare, again, progress: again[0])
     monkeypatch.setattr(revision, "rivals", lambda best, again: ())
     now = SimpleNamespace(coordinates=None)
-    kept = revision.revised(SimpleNamespace(train=problem), accepted, now, lambda text: None)
+    data = SimpleNamespace(train=problem)
+    kept = revision.revised(data, accepted, accepted[:-1], now, lambda text: None)
     assert asked == ["wind", "lever-arm"]
     # Its size is as constant as it is beside the others, not as it was alone.
     assert not kept.changed and kept.effects[0].fitted.constancy is now_constant
+
+
+def test_what_was_found_beside_a_withdrawn_name_is_asked_for_without_it(monkeypatch):
+    """Wind stands out less than what is left; the current was found beside it."""
+    accepted = tuple(
+        Accepted(name, dataclasses.replace(_refitted(name, 100.0), gain=Gain(30.0, 3.0)), ())
+        for name in ("wind", "current")
+    )
+    asked = []
+
+    def revised(data, effects, again, current, progress):
+        asked.append([one.name for one in again])
+        kept = tuple(effects) if current == "both" else ()
+        return revision.Revision(kept, current, ("current",) if current == "bare" else (), False)
+
+    monkeypatch.setattr(select, "revised", revised)
+    monkeypatch.setattr(select, "screen", lambda problem, current: SimpleNamespace(remainder=1e-9))
+    monkeypatch.setattr(select, "outdone", lambda one, screening: one.name == "wind")
+    monkeypatch.setattr(select, "without", lambda problem, current, names: "bare")
+    monkeypatch.setattr(select, "nameless", lambda problem, shown: False)
+    monkeypatch.setattr(select, "remainder", lambda data, current: None)
+    drawn = SimpleNamespace(of_located=lambda remainder: remainder)
+    screening = SimpleNamespace(remainder=1e-9)
+    found = select.Forward(None, screening, "both", screening, accepted, ())
+    told = select.concluded(_data(), found, drawn, lambda text: None)
+    assert asked == [["wind"], ["current"]]
+    assert (told.verdict, told.effects, told.final) == ("unexplained", (), "bare")
+    assert told.dropped == ("current", "wind")
 
 
 def test_doubles_of_the_strongest_are_refitted_too():
@@ -482,7 +524,7 @@ def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(monkeypatch
 
 def test_the_chance_that_is_stated_is_the_one_that_decided(monkeypatch):
     screening = SimpleNamespace(remainder=0.4, p_value=1e-5)
-    kept = SimpleNamespace(effects=(), changed=False, dropped=())
+    kept = SimpleNamespace(effects=(), estimate=None, changed=False, dropped=())
     data = SimpleNamespace(train=None, recordings=())
     found = select.Forward(None, None, None, screening, (), ())
     monkeypatch.setattr(select, "revised", lambda *_: kept)

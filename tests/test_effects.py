@@ -94,7 +94,7 @@ def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
 
 PLACES = [(name, k) for name in POSSIBLE for k in range(at_zero(name).size)]
 # Coordinates that do nothing while the effect is absent: shapes, and what has finite sizes only.
-FLAT = [(n, k) for n, k in PLACES if EFFECTS[n].shape == k or EFFECTS[n].flat]
+FLAT = [(n, k) for n, k in PLACES if k in (EFFECTS[n].shape, *EFFECTS[n].idle) or EFFECTS[n].flat]
 SIZES = np.array([EFFECTS[name].sizes(VESSEL)[k] for name, k in PLACES])
 
 

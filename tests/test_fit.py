@@ -253,6 +253,33 @@ def test_an_effect_is_sought_where_it_shows_itself(document):
     assert result.agreement is not None and result.agreement.starts == 5
 
 
+def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
+    """Twice to three times the usual areas, and a bow that turns into the wind."""
+    house = {"frontal_area": 1.2, "lateral_area": 2.4, "C_X": 0.6, "C_Y": 0.9, "C_N": -0.04}
+    blown = document | {"effect": [{"name": "wind", "speed": 9.0, "direction": 1.0, **house}]}
+    runs = [_run(blown, seed) for seed in (3, 4)]
+    settings = Settings(free=HULL, effects=("wind:coefficients",), profiles=())
+    result = study.identify(build(_away(document, 1.2)), runs, settings)
+    found = result.effects["wind:coefficients"][0]
+    hull = document["hull"]
+    front, side = hull["beam"] * hull["draught"], hull["length"] * hull["draught"]
+    truth = {
+        "speed": 9.0, "direction": 1.0, "C_X": 0.6 * 1.2 / front, "C_Y": 0.9 * 2.4 / side,
+        "C_N": -0.04 * 2.4 / side,
+    }  # fmt: skip
+    for name, value in truth.items():
+        assert abs(found[name]["value"] - value) < 4 * found[name]["std"], name
+    assert found["speed"]["std"] < 2.0 and found["direction"]["std"] < 0.05
+    assert [table["name"] for table in result.effect_tables] == ["wind"]
+    again = build(document | {"effect": result.effect_tables})
+    assert float(again.forces["wind"].C_N) == pytest.approx(found["C_N"]["value"])
+
+
+def test_an_entry_of_all_coefficients_stands_for_its_parts(document):
+    chosen = study.chosen_effects(build(document), ("wind", "thrust-lag"))
+    assert [effect.name for effect in chosen] == ["wind", "thrust-lag:propulsion"]
+
+
 def test_an_effect_that_comes_out_impossible_is_told(document, recordings, monkeypatch):
     settings = Settings(free=HULL, effects=("thrust-lag",))
     found = SimpleNamespace(deviance=0.0, coordinates=np.append(np.zeros(len(HULL)), -0.5))

@@ -19,15 +19,19 @@ class Revision:
 
 
 def revised(
-    data: Split, accepted: list[Accepted], current: Estimate, progress: Progress
+    data: Split,
+    accepted: list[Accepted],
+    asked: list[Accepted],
+    current: Estimate,
+    progress: Progress,
 ) -> Revision:
-    """Ask for every effect but the last again, now that the others are in the model.
+    """Ask for some of the effects again, with those that are in the model now.
 
-    Without it, and with each of its near rivals instead: what was accepted first was judged
-    while the others' effects were still in the data.
+    Without it, and with each of its near rivals instead: what was accepted was judged beside
+    others, while the effects of later ones were still in the data.
     """
     effects, dropped, changed = list(accepted), [], False
-    for one in accepted[:-1]:
+    for one in asked:
         progress(f"asking again for {one.name}")
         bare = without(data.train, current, [one.name])
         options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]

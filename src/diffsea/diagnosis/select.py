@@ -188,19 +188,21 @@ def together(
 
 def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress) -> Diagnosis:
     """Ask for every name again, withdraw what more than it is left beside, and say what is left."""
-    current, screening = found.current, found.screening
-    kept = revised(data, list(found.accepted), current, progress)
-    named = kept.effects
-    if kept.changed:
-        current = kept.estimate
-        screening = screen(data.train, current)
+    accepted = list(found.accepted)
+    kept = revised(data, accepted, accepted[:-1], found.current, progress)
+    screening = screen(data.train, kept.estimate) if kept.changed else found.screening
     left = drawn.of_located(screening.remainder)
-    doubtful = [one.name for one in named if left < ALPHA and outdone(one, screening)]
+    dropped = list(kept.dropped)
+    doubtful = [one.name for one in kept.effects if left < ALPHA and outdone(one, screening)]
     if doubtful:
-        current = without(data.train, current, doubtful)
-        screening = screen(data.train, current)
-        named = tuple(one for one in named if one.name not in doubtful)
+        # What was found beside them is asked for without them.
+        rest = [one for one in kept.effects if one.name not in doubtful]
+        bare = without(data.train, kept.estimate, doubtful)
+        kept = revised(data, rest, rest, bare, progress)
+        screening = screen(data.train, kept.estimate)
         left = min(left, drawn.of_located(screening.remainder))
+        dropped += [*kept.dropped, *doubtful]
+    current, named = kept.estimate, kept.effects
     if not named and nameless(data.train, found.shown):
         left = min(left, drawn.of_strongest(screening.p_value))
     verdict = _verdict(named, left)
@@ -214,7 +216,7 @@ def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress)
         where = locate(data.train, found.nominal, current)
     return Diagnosis(
         verdict, data, found.nominal, current, named, found.shown, found.first, screening, where,
-        left, (*kept.dropped, *doubtful), unnamed, drawn,
+        left, tuple(dropped), unnamed, drawn,
     )  # fmt: skip
 
 
