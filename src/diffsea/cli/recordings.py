@@ -257,7 +257,8 @@ def _errors_text(result: dict) -> str:
         cells = [shown.get(_UNITS[n], ("", 1.0))[1] * errors.get(n, math.nan) for n in names]
         return [label, *(f"{cell:.3g}" for cell in cells)]
 
-    rows = [row("over the whole run", result["overall"])]
+    part = "the rest of the run" if "environment" in result else "the whole run"
+    rows = [row(f"over {part}", result["overall"])]
     for seconds, errors in result["horizons"].items():
         rows.append(row(f"{seconds} s ahead of {errors['starts']} starts", errors))
     return "\n".join(

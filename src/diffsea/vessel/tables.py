@@ -11,10 +11,11 @@ Table = dict[str, Any]
 
 
 def check_keys(table: Mapping, keys: tuple[str, ...], where: str) -> None:
-    """Raise `UserError` for a key that is not known, with the nearest one."""
+    """Raise `UserError` for a key that is not known, with the nearest one, or else all."""
     for key in table:
         if key not in keys:
-            raise UserError(f"unknown key {key!r} in {where}{nearest(key, keys)}")
+            hint = nearest(key, keys) or f"; known are {', '.join(keys)}"
+            raise UserError(f"unknown key {key!r} in {where}{hint}")
 
 
 def tables_of(document: Table, kind: str) -> list[Table]:
