@@ -54,7 +54,7 @@ def _recording(piece: Piece, every: int) -> Trajectory:
     t, psi, u, r = (a[: rows * every : every] for a in (t, *series[:-1]))
     nothing = np.full(t.shape, np.nan)
     return Trajectory(
-        t, nothing, nothing, psi, u, nothing, r, {}, {"rudder": held}, {},
+        t, nothing, nothing, psi, u, nothing, r, {"rudder": held}, {}, {},
         np.ones(t.shape, bool), name=f"{piece.log} at {piece.t[0]:.0f} s",
     )  # fmt: skip
 

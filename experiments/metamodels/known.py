@@ -78,7 +78,7 @@ def sail(seed: int, count: int) -> list[Trajectory]:
     nothing = np.full(t.shape, np.nan)
     return [
         Trajectory(
-            t, nothing, nothing, psi[k], nothing, nothing, r[k], {}, {"rudder": held[k]},
+            t, nothing, nothing, psi[k], nothing, nothing, r[k], {"rudder": held[k]}, {},
             {"angle": now[k]}, np.ones(t.shape, bool), name=f"known {k}",
         )
         for k in range(count)

@@ -217,15 +217,18 @@ def _peak(true, rate, stage, side, k: int) -> np.ndarray:
 
 
 def recordings(records: Records, which, every: int = 2) -> list[Trajectory]:
-    """Trials as recordings with heading, yaw rate and the executed rudder, every so many rows."""
+    """Trials as recordings with heading, yaw rate and rudder, every so many rows.
+
+    The rudder is its mean until the next row, as an order: those hold.
+    """
     count = len(records.t) // every
     t = np.asarray(records.t)[::every][:count]
-    rudder = np.asarray(records.held)[:, ::every][:, :count]
+    held = np.asarray(records.held)[:, : count * every].reshape(-1, count, every).mean(2)
     nothing = np.full(t.shape, np.nan)
     return [
         Trajectory(
             t, nothing, nothing, np.asarray(records.psi[k])[::every][:count], nothing, nothing,
-            np.asarray(records.r[k])[::every][:count], {}, {"rudder": rudder[k]}, {},
+            np.asarray(records.r[k])[::every][:count], {"rudder": held[k]}, {}, {},
             np.ones(t.shape, bool), name=f"zigzag {k}",
         )
         for k in which
