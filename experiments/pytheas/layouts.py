@@ -213,7 +213,7 @@ def comparison_rows(found: dict[str, Flown]) -> list[dict]:
             if past > 0
             else "never turns past the waypoint"
         )
-        turned = f"{beyond} past the waypoint; swings by {swings:.1f} deg rms in D5"
+        turned = f"{beyond}; swings by {swings:.1f} deg rms in D5"
         obtained = turned if name.startswith("(c)") else moved
         rows.append(compared(name, "", PUBLISHED[name[:3]], obtained))
     return rows
