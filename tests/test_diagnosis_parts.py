@@ -135,6 +135,11 @@ def test_a_wind_is_looked_for_with_several_superstructures(boat):
     assert strains == pytest.approx([0, 0, 4.0, -5.0, 6.0])  # no heavy tail
 
 
+def test_a_superstructure_is_not_asked_for_where_each_run_has_a_wind_of_its_own(boat):
+    names = lambda per_run: {e.name for e in candidates(boat, [_Run(0, 1)], per_run)}
+    assert names(False) - names(True) == {"wind:coefficients"}
+
+
 def test_heel_is_a_candidate_only_where_it_was_recorded(boat):
     heel = {"phi": np.array([0.0, 0.1])}
     without = {effect.name for effect in candidates(boat, [_Run(0, 1, heel), _Run(0, 1)])}

@@ -10,10 +10,13 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect
 
 
-def candidates(vessel: Vessel, recordings: list[Trajectory]) -> tuple[Effect, ...]:
+def candidates(
+    vessel: Vessel, recordings: list[Trajectory], per_run: bool = False
+) -> tuple[Effect, ...]:
     """Effects of the catalogue that this vessel could have and its model lacks.
 
-    What recordings would have to show and do not (heel) leaves an effect out.
+    What recordings would have to show and do not (heel) leaves an effect out. So do coefficients
+    of the vessel's own that come with an environment, where each run has its own.
     """
 
     def recorded(channel: str) -> bool:
@@ -25,7 +28,9 @@ def candidates(vessel: Vessel, recordings: list[Trajectory]) -> tuple[Effect, ..
     return tuple(
         effect
         for effect in EFFECTS.values()
-        if effect.possible(vessel) and (not effect.needs or recorded(effect.needs))
+        if effect.possible(vessel)
+        and (not effect.needs or recorded(effect.needs))
+        and not (per_run and effect.own and effect.idle)
     )
 
 

@@ -99,7 +99,7 @@ def diagnose(
     if draws:
         check(draws)
     free = free_by_default(vessel) if free is None else free
-    effects = candidates(vessel, [*recordings, *(test or [])])
+    effects = candidates(vessel, [*recordings, *(test or [])], per_run)
 
     def problem_of(runs: list[Trajectory], least: Shape) -> Problem:
         return make_problem(vessel, runs, free, effects, per_run, ROOM, least=least)

@@ -22,6 +22,9 @@ from diffsea.vessel.environment import EarthForce, Wind
 from diffsea.vessel.secondary import ShallowDamping
 
 
+SCALE = 0.8  # spread of a logarithm: what is known of a superstructure that nobody measured
+
+
 def default_wind(vessel: Vessel) -> Wind:
     """Wind areas of a vessel that states none: as much above the water as below."""
     body = vessel.rigid_body
@@ -40,7 +43,33 @@ def _wind(vessel: Vessel, flow: Coordinates) -> Vessel:
     return shifted(vessel, lambda v: v.environment.wind_east, flow[1])
 
 
-SCALE = 0.8  # spread of a logarithm: what is known of a superstructure that nobody measured
+def _flow(name: str, turn: float, add, size: float, law: str, confusables: tuple) -> Effect:
+    """A uniform flow, named by speed and direction, moved by its components.
+
+    `turn` is added to the direction in which the fluid moves to get the one that is named.
+    """
+
+    def decode(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+        speed, direction = speed_and_direction(at[0], at[1])
+        return {"speed": speed, "direction": jnp.mod(direction + turn, 2 * jnp.pi)}
+
+    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+        speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
+        north, east = components_towards(speed, direction - turn)
+        return float(north), float(east)
+
+    return Effect(
+        name, "environment", {"speed": "m/s", "direction": "rad"}, add, lambda v: (size, size),
+        own=True, decode=decode, encode=encode, coordinate_names=("north", "east"), law=law,
+        confusables=confusables,
+    )  # fmt: skip
+
+
+_PLAIN_WIND = _flow(
+    "wind", np.pi, _wind, 5.0,
+    "quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
+    ("current", "wave-force", "thrust-asymmetry"),
+)  # fmt: skip
 
 
 def _superstructure(vessel: Vessel) -> Wind:
@@ -70,28 +99,6 @@ def _wind_and_superstructure_coordinates(vessel: Vessel, numbers: Numbers) -> tu
     return (
         *_PLAIN_WIND.coordinates(vessel, numbers),
         float(numbers.get("C_N", meant.C_N) - meant.C_N), *(float(np.log(r)) for r in ratios),
-    )  # fmt: skip
-
-
-def _flow(name: str, turn: float, add, size: float, law: str, confusables: tuple) -> Effect:
-    """A uniform flow, named by speed and direction, moved by its components.
-
-    `turn` is added to the direction in which the fluid moves to get the one that is named.
-    """
-
-    def decode(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
-        speed, direction = speed_and_direction(at[0], at[1])
-        return {"speed": speed, "direction": jnp.mod(direction + turn, 2 * jnp.pi)}
-
-    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-        speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
-        north, east = components_towards(speed, direction - turn)
-        return float(north), float(east)
-
-    return Effect(
-        name, "environment", {"speed": "m/s", "direction": "rad"}, add, lambda v: (size, size),
-        own=True, decode=decode, encode=encode, coordinate_names=("north", "east"), law=law,
-        confusables=confusables,
     )  # fmt: skip
 
 
@@ -154,12 +161,6 @@ def _depth_ratio(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     depth = numbers.get("depth", 0.0)
     return (-float(np.log1p(-float(vessel.rigid_body.draught) / depth)) if depth else 0.0,)
 
-
-_PLAIN_WIND = _flow(
-    "wind", np.pi, _wind, 5.0,
-    "quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
-    ("current", "wave-force", "thrust-asymmetry"),
-)  # fmt: skip
 
 ENVIRONMENT = (
     _flow(
