@@ -32,12 +32,12 @@ def ship(ratio: float = 1.0, hull: dict | None = None):
 
     At another speed the same primes hold about that speed, as they do where engine power
     changes and resistance and rudder forces go with speed squared. `hull` replaces entries of
-    the vessel file's hull.
+    the vessel file's hull. The house stands aft: the bow turns into the wind.
     """
     document = dict(read_vessel("mariner").document)
     document["hull"] = {**document["hull"], "reference_speed": SPEED * ratio, **(hull or {})}
     vessel = build(document)
-    wind = default_wind(vessel)
+    wind = dataclasses.replace(default_wind(vessel), C_N=-0.1)
     return eqx.tree_at(lambda v: v.forces, vessel, vessel.forces | {"wind": wind})
 
 
