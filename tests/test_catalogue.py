@@ -13,7 +13,7 @@ from diffsea.identification import found_effects
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
 from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_document
-from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.effects import EFFECTS, default_wind
 
 
 NAMES = (
@@ -545,6 +545,9 @@ def test_a_bad_file_is_refused_with_a_reason(case, tmp_path):
 
 
 ADDED = {
+    "unheard-of parameter": (
+        '[[effect]]\nname = "current"\nfoo = 1.0', r"key 'foo'.*known are name, speed, direction"
+    ),
     "unknown effect": ('[[effect]]\nname = "curent"\nspeed = 0.3', r"'curent'.*mean 'current'"),
     "misspelt parameter": (
         '[[effect]]\nname = "current"\nsped = 0.3', r"'sped' in .*'current'.*mean 'speed'",
@@ -699,9 +702,9 @@ def test_a_number_of_the_propulsion_is_reported_in_the_vessels_own_unit(vessel, 
 @pytest.mark.parametrize(
     ("name", "parameter", "beyond"),
     [
-        # 1 / (1.645 std); draught 0.2 m over 1 - exp(-1.645 std)
-        ("rate-limit:propulsion", "rate_limit", 1 / 1.645),
-        ("shallow-water", "depth", 0.2 / (1 - np.exp(-1.645))),
+        # 1 / (1.6449 std); draught 0.2 m over 1 - exp(-1.6449 std)
+        ("rate-limit:propulsion", "rate_limit", 1 / 1.6448536),
+        ("shallow-water", "depth", 0.2 / (1 - np.exp(-1.6448536))),
     ],
 )
 def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
@@ -727,6 +730,26 @@ def test_every_possible_effect_applies_to_a_tug_with_all_kinds_of_thruster():
             other = effect.apply(tug, np.array(effect.sizes(tug)))
             assert np.isfinite(total_force(other, moving(1.0, 0.1, 0.05), orders)).all()
             assert set(other.servos) == set(tug.servos)
+
+
+def test_wind_is_fossens_law_of_the_angle_of_attack():
+    """Fossen 2021, eqs. 10.16 to 10.23, with gamma = -atan2(v_rw, u_rw), less that of still air."""
+    wind = default_wind(read_vessel("otter").vessel)
+    area, side, length = map(float, (wind.frontal_area, wind.lateral_area, wind.length))
+
+    def law(u_rw, v_rw):
+        angle, q = -np.arctan2(v_rw, u_rw), 0.5 * 1.225 * (u_rw**2 + v_rw**2)
+        N = q * side * length * 0.1 * np.sin(2 * angle)
+        return np.array([-q * area * 0.7 * np.cos(angle), q * side * 0.85 * np.sin(angle), N])
+
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        u, v, north, east = rng.normal(size=4) * (1.0, 0.3, 6.0, 6.0)
+        air = Environment(wind_north=north, wind_east=east)
+        found = np.asarray(wind(moving(u, v), air, 0.0).stacked)
+        np.testing.assert_allclose(
+            found, law(u - north, v - east) - law(u, v), rtol=1e-5, atol=1e-6
+        )
 
 
 def test_a_wind_that_is_added_meets_the_superstructure_of_the_table_before():

@@ -13,6 +13,7 @@ from experiments.concealed import (
     baselines,
     draw,
     effects,
+    forces,
     limits,
     orders,
     outcomes,
@@ -176,6 +177,17 @@ def test_drift_in_a_current():
     )
 
 
+def test_a_wind_on_the_bow_turns_it_away_where_the_superstructure_says_so():
+    hull, air = USV.document["hull"], (-5.0, -5.0)  # from the starboard bow of a ship to the north
+    force = lambda C_N: forces.wind_force(hull, air, (0.7, 0.85, C_N))(0.0, 0.0, 0.0)
+    assert force(0.1)[2] < 0 < force(-0.1)[2]
+    assert force(0.1)[0] < 0 and force(0.1)[1] < 0
+    drawn = effects.catalogue(USV)["wind"].draw(np.random.default_rng(1), USV)
+    model = build(USV.document)
+    effects.apply(model, USV, "wind", 8.0, drawn)
+    assert model.superstructure == tuple(drawn["superstructure"]) != (0.7, 0.85, 0.1)
+
+
 def test_drift_before_the_wind():
     model = build(USV.document)
     effects.apply(model, USV, "wind", 12.0, {"direction": math.pi})  # from the south
@@ -201,8 +213,6 @@ def test_mass_taken_on_keeps_the_velocity():
 
 
 def test_strip_drag_in_pure_sway_and_pure_yaw():
-    from experiments.concealed import forces
-
     force = forces.strip_force({"length": 4.0, "draught": 0.3}, 1.1)
     k = 0.5 * 1025.0 * 0.3 * 1.1
     assert force(0.5, 0.0) == pytest.approx((-k * 4.0 * 0.25, 0.0), abs=1e-9)

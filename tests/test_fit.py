@@ -275,6 +275,12 @@ def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
     assert float(again.forces["wind"].C_N) == pytest.approx(found["C_N"]["value"])
 
 
+def test_coefficients_that_runs_share_are_not_fitted_with_a_wind_of_each_run(document, recordings):
+    settings = Settings(free=HULL, effects=("wind:coefficients",), per_recording=True)
+    with pytest.raises(UserError, match="wind:coefficients.*all recordings share.*ask for wind,"):
+        study.identify(build(document), recordings, settings)
+
+
 def test_an_entry_of_all_coefficients_stands_for_its_parts(document):
     chosen = study.chosen_effects(build(document), ("wind", "thrust-lag"))
     assert [effect.name for effect in chosen] == ["wind", "thrust-lag:propulsion"]

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import norm
 
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
@@ -14,7 +15,7 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import COMMANDED, EFFECTS, Effect, catalogue_name, channels_of
 
 
-NINETY_FIVE = 1.645  # standard errors above which one of twenty draws of a normal lies
+NINETY_FIVE = float(norm.ppf(0.95))  # standard errors that one of twenty draws exceeds
 
 Entry = dict[str, Any]  # value, std, unit
 

@@ -33,7 +33,7 @@ from diffsea.priors import Parameter
 from diffsea.threads import one_blas_thread
 from diffsea.types import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import Effect, find_effects
+from diffsea.vessel.effects import Effect, catalogue_name, find_effects
 
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
@@ -290,6 +290,12 @@ def _objective(
         return TrialNumbers(vessel, parameters, sheets)
     priors = {p.name: p for p in parameters}
     effects = chosen_effects(vessel, settings.effects)
+    shared = [effect.name for effect in effects if effect.own and effect.idle]
+    if settings.per_recording and shared:
+        raise UserError(
+            f"{shared[0]} has coefficients that all recordings share, and each recording cannot "
+            f"have its own: ask for {catalogue_name(shared[0])}, or for one environment of all"
+        )
     room = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(
         vessel, list(data), tuple(priors), effects, settings.per_recording, room, priors

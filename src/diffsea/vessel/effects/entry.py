@@ -23,7 +23,7 @@ Coordinates = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
 Numbers = dict[str, Any]  # parameter name to a number
 Bound = tuple[float, float]
 ANY: Bound = (-math.inf, math.inf)
-MORE_THAN_ALL: Bound = (-1.0, math.inf)  # of a share that is added: no more than all can be lost
+ALL_LOST_AT_MOST: Bound = (-1.0, math.inf)  # of a share that is added
 
 
 def _always(vessel: Vessel) -> bool:

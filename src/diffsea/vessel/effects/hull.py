@@ -8,8 +8,8 @@ import numpy as np
 
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import (
+    ALL_LOST_AT_MOST,
     ANY,
-    MORE_THAN_ALL,
     Bound,
     Coordinates,
     Effect,
@@ -268,7 +268,7 @@ HULL = (
     ),
     Effect(
         "drag-change", "hull", {"time": "s", "factor": "1"}, _fouling,
-        lambda v: (0.2, onset_size(v)), bounds=lambda v: (MORE_THAN_ALL, ANY), shape=1,
+        lambda v: (0.2, onset_size(v)), bounds=lambda v: (ALL_LOST_AT_MOST, ANY), shape=1,
         grid=onsets,
         decode=lambda v, at: {"time": at[1], "factor": at[0]},
         encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),

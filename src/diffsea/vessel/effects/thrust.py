@@ -10,8 +10,8 @@ from diffsea.types import Scalar
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller, Rudder
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.entry import (
+    ALL_LOST_AT_MOST,
     ANY,
-    MORE_THAN_ALL,
     Bound,
     Coordinates,
     Effect,
@@ -169,7 +169,7 @@ THRUST = (
     Effect(
         "thrust-change", "actuator", {"time": "s", "factor": "1"}, _change,
         lambda v: (0.1, onset_size(v)), lambda v: bool(_thrusters(v)),
-        bounds=lambda v: (MORE_THAN_ALL, ANY), shape=1, grid=onsets,
+        bounds=lambda v: (ALL_LOST_AT_MOST, ANY), shape=1, grid=onsets,
         decode=lambda v, at: {"time": at[1], "factor": at[0]},
         encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),
         coordinate_names=("factor", "time"),
