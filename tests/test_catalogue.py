@@ -3,6 +3,7 @@
 import copy
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.optimize import brentq, fsolve
 
 from diffsea.errors import UserError
 from diffsea.identification import found_effects
+from diffsea.identification.layout import Layout
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
 from diffsea.vessel.catalogue import build, dump, read_vessel, shipped, updated_document
@@ -716,6 +718,11 @@ def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
         assert not found_effects.is_seen(found)
         assert found[parameter]["beyond"] == pytest.approx(beyond)
         assert found_effects._unseen(boat, EFFECTS[name], np.array([2.0]), np.eye(1)) is None
+    effect, fitted = EFFECTS[name], SimpleNamespace(coordinates=np.zeros(1), index=np.arange(1))
+    layout = Layout((), (effect,), ((1.0,),), 1, False)
+    fitted.covariance = np.eye(1)
+    told = found_effects.reported(SimpleNamespace(layout=layout, base=boat), fitted, name)
+    assert [entry[parameter]["value"] for entry in told] == [None]
     of_lag = EFFECTS["thrust-lag:propulsion"]
     assert found_effects._unseen(boat, of_lag, np.array([0.0]), np.eye(1)) is None
 
