@@ -16,15 +16,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from diffsea.diagnosis.experiment import next_experiment
-from diffsea.diagnosis.select import Diagnosis, diagnose
-from diffsea.diagnosis.summary import nominal_document, summary, vessel_document
-from diffsea.recordings import audit, read_mapping, read_recording
+from diffsea.diagnosis.record import nominal_document, summary, vessel_document
+from diffsea.diagnosis.search import Diagnosis, diagnose
+from diffsea.recordings import read_mapping, read_recording
+from diffsea.recordings.auditing import audit
 from diffsea.recordings.conditioning import cut
 from diffsea.report.comparison import with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report
-from diffsea.report.text import verdict_text
-from diffsea.types import Trajectory
-from diffsea.vessel.catalogue import Table, build, dump, read_vessel
+from diffsea.report.words import verdict_text
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.files import Table, build, dump, read_vessel
 
 
 ROOT = Path(__file__).resolve().parents[1]

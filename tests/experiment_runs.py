@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-
-EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+from tests.paths import EXPERIMENTS
 
 
 def quick_run(name: str, folder: Path) -> dict:

@@ -6,7 +6,6 @@ can be started in too.
 
 import copy
 import math
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +17,10 @@ from diffsea.simulation.control import Helm
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
-from diffsea.types import MOTION_CHANNELS, Environment, State, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.types import Environment, State
 
 
-ORACLE = Path(__file__).parent / "oracle"
 CALM = Environment()
 
 

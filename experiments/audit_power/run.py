@@ -24,7 +24,8 @@ from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
 from tests.oracle.simulator import load
 
-from diffsea.recordings import audit, read_recording
+from diffsea.recordings import read_recording
+from diffsea.recordings.auditing import audit
 
 
 DATA = ROOT.parent / "shared" / "data"
@@ -242,7 +243,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few recordings, three minutes")
     parser.add_argument("--level", type=float, help="significance instead of the audit's own")
     arguments = parser.parse_args()
-    from diffsea.recordings.regression import SIGNIFICANCE
+    from diffsea.statistics import SIGNIFICANCE
 
     level = arguments.level or SIGNIFICANCE
     started = time.process_time()

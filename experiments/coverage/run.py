@@ -29,8 +29,8 @@ from diffsea.errors import UserError
 from diffsea.identification.estimates import physical_table
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
-from diffsea.types import MOTION_CHANNELS, Trajectory
-from diffsea.vessel.catalogue import build
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.vessel.files import build
 
 
 SECONDS, INTERVAL = 80.0, 0.25

@@ -9,7 +9,7 @@ from diffsea.parameters import named
 from diffsea.simulation import standard
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.standard import Plan
-from diffsea.sweeps import Designs
+from diffsea.studies.sweep import Designs
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 

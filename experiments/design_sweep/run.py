@@ -20,7 +20,7 @@ from memory import peak_memory
 from reporting import Experiment, compared, comparison, experiment, table
 
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.vessel.files import read_vessel
 
 
 LIMIT = 5.0  # ship lengths, of the tactical diameter
@@ -234,7 +234,7 @@ def whole_table(beyond: dict) -> str:
 
 def speed_table(speed: dict) -> str:
     lines = [
-        ("`diffsea.sweeps`, event located, float64", f"{speed['sweep']:.2g}", "1"),
+        ("`diffsea.studies.sweep`, event located, float64", f"{speed['sweep']:.2g}", "1"),
         ("NumPy, 4096 designs at once, flipped at the sample", f"{speed['numpy']:.2g}",
          f"{speed['over_numpy']:.3g}"),
         ("plain Python, flipped at the sample", f"{speed['python']:.2g}",

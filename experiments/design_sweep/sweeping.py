@@ -1,4 +1,4 @@
-"""The sweep itself through `diffsea.sweeps`, and what the maps show of it."""
+"""The sweep itself through `diffsea.studies.sweep`, and what the maps show of it."""
 
 import time
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from loading import KINDS, Kind, axes, designs, plan
 from reporting import Experiment
 
-from diffsea import sweeps
+from diffsea.studies import sweep
 from diffsea.vessel.base import Vessel
 
 
@@ -51,7 +51,7 @@ def swept(run: Experiment, vessel: Vessel, size: tuple[int, int], kinds: tuple[K
     tables, rates, seconds = {}, {}, {}
     for kind in kinds:
         began = time.perf_counter()
-        rows, rates[kind.label] = sweeps.sweep(vessel, plan(vessel, kind), table)
+        rows, rates[kind.label] = sweep.sweep(vessel, plan(vessel, kind), table)
         tables[kind.label] = slimmed(rows)
         seconds[kind.label] = time.perf_counter() - began
         rate, took = rates[kind.label], seconds[kind.label]
@@ -70,7 +70,7 @@ def rate(vessel: Vessel, kind: Kind, count: int) -> float:
     """Vessel-steps per second of a sweep of some designs, compiled before."""
     pairs = np.meshgrid(*axes(count, count))
     table = designs(vessel, pairs[0].ravel(), pairs[1].ravel())
-    return sweeps.sweep(vessel, plan(vessel, kind), table)[1]
+    return sweep.sweep(vessel, plan(vessel, kind), table)[1]
 
 
 def in_units(values: np.ndarray, unit: str, length: float) -> np.ndarray:

@@ -43,9 +43,10 @@ def one(vessel, document: dict, seed: int) -> dict:
     from tests.oracle import make_recordings
 
     from diffsea.diagnosis.experiment import next_experiment
-    from diffsea.diagnosis.select import diagnose
-    from diffsea.diagnosis.summary import summary
-    from diffsea.recordings import audit, read_recording
+    from diffsea.diagnosis.record import summary
+    from diffsea.diagnosis.search import diagnose
+    from diffsea.recordings import read_recording
+    from diffsea.recordings.auditing import audit
 
     with tempfile.TemporaryDirectory() as folder:
         make_recordings.produce(
@@ -82,7 +83,7 @@ def main() -> None:
     from experiments.memory import peak_memory
     from tests.oracle.simulator import load
 
-    from diffsea.vessel.catalogue import build
+    from diffsea.vessel.files import build
 
     document = load(str(ROOT / "tests" / "oracle" / "usv.toml"))
     vessel = build(document)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.metrics.drift import circle_drift
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 STEADY = 30.0  # s after the rudder is over

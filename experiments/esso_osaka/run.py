@@ -33,15 +33,15 @@ from prediction import (
 )
 from scipy.stats import spearmanr
 
+from diffsea.identification.data.dataset import Shape
+from diffsea.identification.effect_records import reported
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
-from diffsea.identification.found_effects import reported
 from diffsea.identification.holdout import Split, row_deviance, split, transferred
 from diffsea.identification.problem import Problem, free_by_default, make_problem
-from diffsea.identification.tape import Shape
-from diffsea.types import Trajectory
-from diffsea.vessel.catalogue import Table, build
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.files import Table, build
 
 
 # Chosen before any result was seen, for time: zig-zags without their ends, turns without the 100 s

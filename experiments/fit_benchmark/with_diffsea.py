@@ -21,15 +21,16 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
-from diffsea.identification import free_run as objective
-from diffsea.identification import likelihood, shooting
+from diffsea.identification.coordinates import equipped
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
-from diffsea.identification.layout import equipped
 from diffsea.identification.least_squares import with_known_jacobian
+from diffsea.identification.objectives import output_error as objective
+from diffsea.identification.objectives import shooting
 from diffsea.identification.problem import Problem, Static, make_problem
-from diffsea.types import Trajectory
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.files import read_vessel
 
 
 STEPS = 200
@@ -93,11 +94,11 @@ def _misfits(at: tuple, given: tuple, layout: Static) -> jax.Array:
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs
         x = jnp.where(row["starts"], first, x)
-        shown = likelihood.expected(vessel, x, row, row["flow"])
+        shown = kalman.expected(vessel, x, row, row["flow"])
         misfit = jnp.where(row["known"], (row["measured"] - shown) / SIGMA, 0.0)
-        return likelihood.propagate(vessel, x, row, row["flow"], tape.substeps), misfit
+        return kalman.propagate(vessel, x, row, row["flow"], tape.substeps), misfit
 
-    inputs = likelihood.rows(vessel, flows, tape), at[1][tape.run]
+    inputs = kalman.rows(vessel, flows, tape), at[1][tape.run]
     return jax.lax.scan(body, jnp.zeros(6), inputs)[1]
 
 

@@ -20,7 +20,7 @@ from prediction import (
     write_results,
 )
 
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 # Fitted: the large zig-zag, which heels most, and a small one to the other side.

@@ -29,8 +29,8 @@ from prediction import (
 )
 
 from diffsea.simulation.replay import replay
-from diffsea.types import Trajectory
-from diffsea.vessel.catalogue import Table, read_vessel
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.files import Table, read_vessel
 
 
 # Small and large zig-zags to both sides, short enough; none of the runs held out was fitted by

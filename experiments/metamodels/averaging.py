@@ -13,7 +13,7 @@ import numpy as np
 from metamodel import ideal_overshoots
 from zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
 
-from diffsea.identification.norrbin import Trials, identify
+from diffsea.metamodels.fit import Trials, identify
 
 
 WINDS = {"calm": (0.0, 2.0), "4 to 6": (4.0, 6.0), "7 to 11": (7.0, 11.0), "12 to 16": (12.0, 16.0)}

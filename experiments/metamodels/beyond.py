@@ -14,10 +14,10 @@ from scipy.stats import t as student
 from ship import SPEED
 from zigzags import ideal
 
-from diffsea.identification.norrbin import COMMON, OWN
-from diffsea.identification.norrbin_likelihood import identify_by_likelihood
-from diffsea.identification.tape import Shape
-from diffsea.vessel.metamodels import Norrbin
+from diffsea.identification.data.dataset import Shape
+from diffsea.metamodels.fit import COMMON, OWN
+from diffsea.metamodels.likelihood import identify_by_likelihood
+from diffsea.metamodels.norrbin import Norrbin
 
 
 LENGTH = 160.93  # m

@@ -9,7 +9,8 @@ from ship import answers, ship
 from voyages import year
 
 from diffsea.metrics.repeats import fit_percent
-from diffsea.types import Environment, Trajectory
+from diffsea.trajectory import Trajectory
+from diffsea.types import Environment
 
 
 CHOSEN = 12  # trials with the least side wind, as published

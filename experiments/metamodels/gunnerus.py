@@ -15,9 +15,9 @@ from models import from_dimensions, from_tests
 from ship import SPEED, answers, ship
 from zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
 
+from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width
 from diffsea.types import Environment
-from diffsea.vessel.metamodels import Norrbin
 
 
 RATIO = 0.75  # 7.5 over 10 knots

@@ -8,9 +8,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 from voyages import Log
 
-from diffsea.campaign.places import by_place
-from diffsea.campaign.settings import Settings
-from diffsea.campaign.turning import turning_motions
+from diffsea.segments.places import by_place
+from diffsea.segments.settings import Settings
+from diffsea.segments.unordered import turning_motions
 
 
 INTERVAL = 1.0  # s, common to all channels

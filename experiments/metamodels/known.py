@@ -10,8 +10,8 @@ import numpy as np
 from metamodel import trials
 from ship import RAD, SENSORS, SPEED
 
-from diffsea.types import Trajectory
-from diffsea.vessel.metamodels import Norrbin
+from diffsea.metamodels.norrbin import Norrbin
+from diffsea.trajectory import Trajectory
 
 
 TRUE = Norrbin(-5e-5, 0.022, 0.2, 120.0, 2.0e-3)

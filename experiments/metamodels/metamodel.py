@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from ship import RUDDER_RATE
 
-from diffsea.identification.norrbin import NorrbinFit, Trials, identify
+from diffsea.metamodels.fit import NorrbinFit, Trials, identify
+from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots
+from diffsea.metamodels.norrbin import Norrbin, in_degrees
 from diffsea.metrics.repeats import fit_percent
-from diffsea.simulation.ideal_zigzag import Zigzag, ideal_zigzag, overshoots
-from diffsea.vessel.metamodels import Norrbin, in_degrees
 
 
 SIDES = (1.0, -1.0)

@@ -14,10 +14,10 @@ import pandas as pd
 from metamodel import cross_validated, identified, told
 from reporting import ROOT
 
-from diffsea.identification.norrbin import Trials
+from diffsea.metamodels.fit import Trials
+from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots
 from diffsea.recordings import read_mapping, read_recording
-from diffsea.simulation.ideal_zigzag import Zigzag, overshoots
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 DATA = ROOT.parent / "shared" / "data"

@@ -14,8 +14,8 @@ import numpy as np
 
 from diffsea.parameters import replace
 from diffsea.types import Environment, State
-from diffsea.vessel.catalogue import build, read_vessel
 from diffsea.vessel.effects import default_wind
+from diffsea.vessel.files import build, read_vessel
 
 
 RAD = math.pi / 180

@@ -20,7 +20,8 @@ from ship import (
     weather_of,
 )  # fmt: skip
 
-from diffsea.types import State, Trajectory
+from diffsea.trajectory import Trajectory
+from diffsea.types import State
 
 
 STEP = 0.5  # s

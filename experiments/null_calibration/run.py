@@ -16,12 +16,12 @@ from reporting import Experiment, experiment, panels, table
 from scipy.stats import binomtest, kstest
 
 from diffsea.diagnosis.bootstrap import FEWEST, Bootstrap, bootstrap
-from diffsea.diagnosis.candidates import candidates
-from diffsea.diagnosis.select import ROOM
+from diffsea.diagnosis.screening import candidates
+from diffsea.diagnosis.search import ROOM
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
 from diffsea.recordings import read_recording
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.vessel.files import read_vessel
 
 
 LEVELS = (0.01, 0.05, 0.1, 0.5)

@@ -26,12 +26,13 @@ from tests.oracle import sensors
 from tests.oracle.make_recordings import MASSES, gust_scale, perform, perturbed, stream
 from tests.oracle.simulator import load
 
-from diffsea.identification.gusts import Noise
+from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import ekf
 from diffsea.identification.online.guarded import OnlineRun, run_least_squares, run_online
-from diffsea.types import MOTION_CHANNELS, State, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.types import State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build
+from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")

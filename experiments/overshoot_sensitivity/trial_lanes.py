@@ -21,9 +21,9 @@ from jaxtyping import Array, Float
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.simulation.manoeuvres import Stages, zigzag
 from diffsea.simulation.trials import Settings, run_trial
-from diffsea.types import Outcome
+from diffsea.trajectory import Outcome
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.vessel.files import read_vessel
 
 
 TRIALS = ("zigzag 10/10", "zigzag 20/20", "circle 35")

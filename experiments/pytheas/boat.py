@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from diffsea.parameters import replace
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import read_vessel
 from diffsea.vessel.environment import EarthForce
+from diffsea.vessel.files import read_vessel
 
 
 LENGTH, BEAM, WATER = 1.0, 0.55, 1000.0  # m, m, kg/m^3

@@ -22,7 +22,7 @@ from diffsea.simulation.control.guidance import Pursuit
 from diffsea.simulation.control.waypoint_logic import WaypointLogic
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build, read_vessel
+from diffsea.vessel.files import build, read_vessel
 
 
 MOTOR, APART, LEVER = 10.0, 0.45, 0.4  # N, m, m

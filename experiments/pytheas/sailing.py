@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control.waypoint_logic import waypoint_logic
-from diffsea.types import Scalar, Trajectory
+from diffsea.trajectory import Trajectory
+from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 
 

@@ -25,9 +25,9 @@ from diffsea.metrics import recording_metrics
 from diffsea.recordings import read_mapping, read_recording
 from diffsea.report.comparison import Comparison, horizon_table, predict
 from diffsea.simulation import standard
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build, dump, read_vessel, updated_document
+from diffsea.vessel.files import build, dump, read_vessel, updated_document
 
 
 HERE = Path(__file__).resolve().parent

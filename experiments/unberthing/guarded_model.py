@@ -14,7 +14,7 @@ from diffsea.identification.online import rls, trust
 from diffsea.identification.online.gate import Gate
 from diffsea.identification.online.guarded import RLS_CHANNELS, Guarded, Standing, guarded
 from diffsea.identification.online.trust import Limits
-from diffsea.priors import Parameter
+from diffsea.parameters import Parameter
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.environment import SteadyForce
 

@@ -15,7 +15,7 @@ from diffsea.kinematics import components_towards
 from diffsea.parameters import named, replace
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.vessel.files import read_vessel
 
 
 DEGREE, KNOT = np.pi / 180, 1852 / 3600

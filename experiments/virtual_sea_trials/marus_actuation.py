@@ -14,14 +14,14 @@ import marus_trials
 import marus_vessel
 import numpy as np
 
-from diffsea.diagnosis.select import Diagnosis, diagnose
+from diffsea.diagnosis.search import Diagnosis, diagnose
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.recordings import cut, resample
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build
+from diffsea.vessel.files import build
 
 
 # Logs of the fit and the one held out, by the names of the paper's trials.

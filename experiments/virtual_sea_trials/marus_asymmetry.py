@@ -15,7 +15,7 @@ import numpy as np
 
 from diffsea.diagnosis.refit import EVIDENCE
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.trial_numbers import TrialNumbers
+from diffsea.identification.objectives.trial_numbers import TrialNumbers
 from diffsea.vessel.effects import Effect
 
 

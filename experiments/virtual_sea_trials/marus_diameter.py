@@ -22,7 +22,7 @@ import marus_vessel
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.identification.trial_numbers import TrialNumbers
+from diffsea.identification.objectives.trial_numbers import TrialNumbers
 from diffsea.parameters import replace
 from diffsea.simulation import standard
 

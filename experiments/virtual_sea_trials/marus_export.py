@@ -6,8 +6,8 @@ from pathlib import Path
 import marus_trials
 import numpy as np
 
-from diffsea.campaign import export
-from diffsea.campaign.export import record
+from diffsea.segments import export
+from diffsea.segments.export import record
 from diffsea.vessel.base import Vessel
 
 

@@ -15,9 +15,8 @@ import marus_vessel
 import numpy as np
 
 from diffsea.identification.estimates import Estimate, interval
-from diffsea.identification.identifiability import Identifiability, identifiability
-from diffsea.identification.trial_numbers import TrialNumbers
-from diffsea.identification.trial_sheet import Sheet
+from diffsea.identification.objectives.trial_numbers import Sheet, TrialNumbers
+from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.simulation import standard
 from diffsea.simulation.standard import Plan
 from diffsea.vessel.base import Vessel

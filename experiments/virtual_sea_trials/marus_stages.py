@@ -17,10 +17,10 @@ import numpy as np
 from reporting import Experiment
 
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.trial_numbers import TrialNumbers
-from diffsea.types import Trajectory
-from diffsea.vessel.catalogue import read_vessel
+from diffsea.identification.objectives.trial_numbers import TrialNumbers
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.files import read_vessel
 
 
 STARTS = 2

@@ -16,14 +16,14 @@ import marus_published as published
 import marus_vessel
 import numpy as np
 
-from diffsea.campaign import Segment, segments, traceability
 from diffsea.metrics.recorded import recording_metrics
 from diffsea.recordings import resample
+from diffsea.segments import Segment, segments, traceability
 from diffsea.simulation import standard
 from diffsea.simulation.control import RUDDER_EQUIVALENT
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import Table, build
+from diffsea.vessel.files import Table, build
 
 
 GUARD = 0.1  # s before the onset that no approach is judged by

@@ -11,10 +11,10 @@ import math
 import equinox as eqx
 import marus_published as published
 
-from diffsea.priors import Parameter, hull_prior
+from diffsea.parameters import Parameter, hull_prior
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import Table, build
 from diffsea.vessel.effects import EFFECTS, Effect
+from diffsea.vessel.files import Table, build
 from diffsea.vessel.hull import Damping
 
 

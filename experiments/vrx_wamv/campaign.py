@@ -10,7 +10,7 @@ import math
 import numpy as np
 from plant import CHANNELS, NEW, Plant, driven, speed_for
 
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 RATE = 5.0  # Hz

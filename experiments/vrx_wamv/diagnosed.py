@@ -8,9 +8,9 @@ from joint import QUADRATIC
 from models import document, truth
 from plant import NEW, Plant
 
-from diffsea.diagnosis.select import diagnose
-from diffsea.diagnosis.summary import summary
-from diffsea.vessel.catalogue import build
+from diffsea.diagnosis.record import summary
+from diffsea.diagnosis.search import diagnose
+from diffsea.vessel.files import build
 
 
 DRAG = ("X_u", "Y_v", "N_r")

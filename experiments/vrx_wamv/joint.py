@@ -8,13 +8,12 @@ from campaign import Run
 from models import document, vessel_of
 
 from diffsea.identification.estimates import physical_table
-from diffsea.identification.free_run import FreeRun
-from diffsea.identification.objectives import Innovations, Objective
+from diffsea.identification.objectives.base import Innovations, Objective
+from diffsea.identification.objectives.output_error import FreeRun
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.parameters import named
-from diffsea.priors import Parameter, hull_prior
+from diffsea.parameters import Parameter, hull_prior, named
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build
+from diffsea.vessel.files import build
 
 
 LINEAR = ("mass", "I_z", "X_u", "Y_v", "N_r")

@@ -8,7 +8,7 @@ from plant import CHANNELS, THRUST_PER_SPEED, Plant, speed_for
 
 from diffsea.simulation.replay import replay, replay_errors
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.catalogue import build
+from diffsea.vessel.files import build
 
 
 HULL = (

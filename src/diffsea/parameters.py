@@ -2,12 +2,23 @@
 
 A model is a tree of numbers; its parameters are named after their place in it. What is
 known of them before seeing data stands beside the model, in `priors`.
+
+What is known of a model's numbers before seeing data: start, spread, bounds, unit, meaning.
+
+The records stand beside the model, so that choosing what to estimate never edits the model.
 """
 
+import dataclasses
+import math
+import re
+import tomllib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from diffsea.errors import UserError, nearest
 from diffsea.types import Scalar
@@ -85,3 +96,204 @@ def check_names(model: Model, names: Iterable[str]) -> None:
                 f"the vessel has no parameter {name!r}{nearest(name, known)}; "
                 f"it has: {', '.join(known)}"
             )
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """What is known of one number before seeing data.
+
+    It is estimated by a coordinate that is zero at the prior mean `value`, has a normal prior
+    of standard deviation `spread`, and cannot leave the bounds: the number itself in units of
+    `scale` where there are none, the logarithm of its distance to one bound, or the logit of
+    its place between two.
+    """
+
+    name: str
+    value: float
+    scale: float = 1.0  # in the number's own unit: change for a unit step, without bounds
+    spread: float = 1.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    unit: str = ""
+
+    @property
+    def bounded(self) -> int:
+        """How many bounds there are."""
+        return math.isfinite(self.lower) + math.isfinite(self.upper)
+
+    def decode(self, coordinate: Scalar) -> Scalar:
+        """The number at a coordinate; zero is the prior mean."""
+        if self.bounded == 0:
+            return self.value + self.scale * coordinate
+        if self.bounded == 1:
+            bound = self._bound
+            return bound + (self.value - bound) * jnp.exp(coordinate)
+        return self.lower + (self.upper - self.lower) / (1 + jnp.exp(-self._zero - coordinate))
+
+    def encode(self, value: float) -> float:
+        """The coordinate of a number inside the bounds."""
+        if self.bounded == 0:
+            return (value - self.value) / self.scale
+        if self.bounded == 1:
+            return float(np.log((value - self._bound) / (self.value - self._bound)))
+        return _logit((value - self.lower) / (self.upper - self.lower)) - self._zero
+
+    def slope(self, coordinate: float) -> float:
+        """Derivative of the number by its coordinate, without its sign."""
+        if self.bounded == 0:
+            return abs(self.scale)
+        at = float(self.decode(coordinate))
+        if self.bounded == 1:
+            return abs(at - self._bound)
+        return (at - self.lower) * (self.upper - at) / (self.upper - self.lower)
+
+    @property
+    def std(self) -> float:
+        """Prior standard deviation of the number, to first order."""
+        return self.spread * self.slope(0.0)
+
+    @property
+    def _bound(self) -> float:
+        return self.lower if math.isfinite(self.lower) else self.upper
+
+    @property
+    def _zero(self) -> float:
+        return _logit((self.value - self.lower) / (self.upper - self.lower))
+
+
+def _logit(share: float) -> float:
+    return math.log(share / (1 - share))
+
+
+# Hull derivatives that dissipate or carry inertia, and so keep their sign; couplings need not.
+_SIGNED = re.compile(r"X_(0|u+)|Y_v+|N_r+|X_udot|Y_vdot|N_rdot")
+_DERIVATIVE = re.compile(r"[XYN]_(0|[uvrd]+|[uvr]dot)")
+_PLACE = re.compile(r"(.*\.)?(x|y|x_\w|angle|bias|l_R)")
+
+
+def hull_prior(
+    name: str, value: float, spread: float = 0.5, nondimensional: bool = False
+) -> Parameter:
+    """Prior of a number of a vessel around the vessel file's value.
+
+    Drag, added mass, masses and sizes keep their sign; couplings (`Y_r`, `N_v`, `Y_vvr` ...)
+    and positions may change it. `spread` is relative: 0.5 means that half as much again is
+    unremarkable.
+    """
+    free = value == 0 or (
+        not _SIGNED.fullmatch(name) and bool(_DERIVATIVE.fullmatch(name) or _PLACE.fullmatch(name))
+    )
+    return Parameter(
+        name, value, abs(value) or 1.0, spread,
+        lower=0.0 if value > 0 and not free else -math.inf,
+        upper=0.0 if value < 0 and not free else math.inf,
+        unit=unit(name, nondimensional),
+    )  # fmt: skip
+
+
+_KEYS = ("value", "std", "spread", "lower", "upper", "free")
+
+
+def read_priors(path: str | Path, known: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
+    """Priors from a TOML file, by name; None for a number that is to stay as it is.
+
+        format = 1
+        [X_u]
+        value = -50.0     # prior mean and start; default: the vessel file's
+        std = 10.0        # prior standard deviation; or spread = 0.2, relative
+        lower = -200.0    # bounds, open where absent
+        upper = 0.0
+        [x_G]
+        free = false
+
+    `known` are the numbers that may be named, with their defaults.
+
+    Raises:
+        UserError: a file that cannot be read, an unknown name or key, a value out of bounds.
+    """
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UserError(f"cannot read priors from {path}: {error}") from error
+    if document.pop("format", 1) != 1:
+        raise UserError(f"{path}: this version reads format = 1")
+    return {name: _from_entry(path, name, entry, known) for name, entry in document.items()}
+
+
+def _from_entry(
+    path: str | Path, name: str, entry: object, known: Mapping[str, Parameter]
+) -> Parameter | None:
+    if name not in known:
+        raise UserError(f"{path}: the vessel has no parameter {name!r}{nearest(name, known)}")
+    if not isinstance(entry, dict):
+        raise UserError(f"{path}: {name} must be a table, for example [{name}] std = 1.0")
+    for key, value in entry.items():
+        if key not in _KEYS:
+            raise UserError(f"{path}, [{name}]: unknown key {key!r}{nearest(key, _KEYS)}")
+        if not isinstance(value, bool if key == "free" else (int, float)):
+            raise UserError(f"{path}, [{name}]: {key} = {value!r} is not what it should be")
+    if not entry.get("free", True):
+        return None
+    default = known[name]
+    lower, upper = float(entry.get("lower", -math.inf)), float(entry.get("upper", math.inf))
+    if "lower" not in entry and "upper" not in entry:
+        lower, upper = default.lower, default.upper
+    value = float(entry.get("value", default.value))
+    if not (lower < value < upper and math.isfinite(value)):
+        raise UserError(
+            f"{path}, [{name}]: the value {value:g} is not between the bounds "
+            f"{lower:g} and {upper:g}"
+        )
+    made = Parameter(name, value, abs(value) or 1.0, 1.0, lower, upper, default.unit)
+    spread = entry["std"] / made.slope(0.0) if "std" in entry else entry.get("spread", 0.5)
+    if not spread > 0:
+        raise UserError(f"{path}, [{name}]: the prior's width must be above zero")
+    return dataclasses.replace(made, spread=float(spread))
+
+
+_LETTER_UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "d": "rad"}
+_UNITS = {
+    "mass": "kg", "I_z": "kg m^2", "x_G": "m", "length": "m", "beam": "m", "draught": "m",
+    "water_density": "kg/m^3", "X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m",
+    "N_vdot": "kg m", "N_rdot": "kg m^2",
+}  # fmt: skip
+
+
+def unit(name: str, nondimensional: bool = False) -> str:
+    """SI unit of a hull parameter; an empty string where none is known."""
+    if nondimensional and _DERIVATIVE.fullmatch(name) and not name.endswith("dot"):
+        return "1"
+    if name in _UNITS:
+        return _UNITS[name]
+    match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
+    if match is None:
+        return ""
+    force = "N m" if match[1] == "N" else "N"
+    per = " ".join(f"({_LETTER_UNITS[letter]})" for letter in match[2])
+    return f"{force} / {per}"
+
+
+_DEGREES = {"X": "surge", "Y": "sway", "N": "yaw"}
+_OWN = {"X": "u", "Y": "v", "N": "r"}
+_ORDERS = {1: "linear", 2: "quadratic", 3: "cubic", 4: "quartic"}
+_MEANINGS = {
+    "mass": "mass", "I_z": "moment of inertia about the centre of gravity",
+    "x_G": "centre of gravity forward of amidships", "X_0": "resistance ahead",
+    "X_udot": "added mass in surge", "Y_vdot": "added mass in sway",
+    "N_rdot": "added moment of inertia in yaw", "Y_rdot": "added mass, sway and yaw",
+    "N_vdot": "added mass, yaw and sway",
+}  # fmt: skip
+
+
+def meaning(name: str) -> str:
+    """A hull parameter in words: `N_rr` is quadratic damping in yaw."""
+    if name in _MEANINGS:
+        return _MEANINGS[name]
+    match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
+    if match is None:
+        return name.replace(".", ", ").replace("_", " ")
+    degree, letters = match[1], match[2]
+    if set(letters) == {_OWN[degree]}:
+        return f"{_ORDERS.get(len(letters), '')} damping in {_DEGREES[degree]}".strip()
+    force = "moment" if degree == "N" else "force"
+    return f"{_DEGREES[degree]} {force} from {' '.join(letters)}"

@@ -5,14 +5,14 @@ import dataclasses
 import pathlib
 from typing import TYPE_CHECKING, Any
 
-from diffsea.cli.identify import add_common, clock, read_all, source
+from diffsea.cli.diagnose import add_common, clock, read_all, source
 from diffsea.cli.options import Outputs, add_command, count, names, one_of, read_vessel, table
 from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
     from diffsea.identification.study import Settings, Study
-    from diffsea.types import Trajectory
+    from diffsea.trajectory import Trajectory
     from diffsea.vessel.base import Vessel
 
 
@@ -77,7 +77,7 @@ def _fit(args: argparse.Namespace) -> None:
         from diffsea.identification.study import identify
         from diffsea.report.comparison import horizon_table
         from diffsea.report.fit_page import compared, fit_report, worse
-        from diffsea.vessel.catalogue import build, dump, updated_document
+        from diffsea.vessel.files import build, dump, updated_document
 
         tell = clock()
         file = read_vessel(args)
@@ -107,7 +107,7 @@ def _fit(args: argparse.Namespace) -> None:
 
 
 def _from_sheet(args: argparse.Namespace) -> bool:
-    from diffsea.identification.trial_sheet import is_sheet
+    from diffsea.identification.objectives.trial_numbers import is_sheet
 
     sheets = [is_sheet(path) for path in args.recordings]
     if any(sheets) and not all(sheets):
@@ -118,7 +118,7 @@ def _from_sheet(args: argparse.Namespace) -> bool:
 
 
 def _data(args: argparse.Namespace, vessel: "Vessel") -> "tuple[list, list[Trajectory]]":
-    from diffsea.identification.trial_sheet import read_sheet
+    from diffsea.identification.objectives.trial_numbers import read_sheet
 
     if _from_sheet(args):
         return [sheet for path in args.recordings for sheet in read_sheet(path, vessel)], []
@@ -128,7 +128,7 @@ def _data(args: argparse.Namespace, vessel: "Vessel") -> "tuple[list, list[Traje
 def _settings(args: argparse.Namespace, vessel: "Vessel") -> "Settings":
     from diffsea.identification.problem import default_priors
     from diffsea.identification.study import Settings
-    from diffsea.priors import read_priors
+    from diffsea.parameters import read_priors
 
     objective = args.objective or ("trial-numbers" if _from_sheet(args) else "innovation")
     priors = read_priors(args.priors, default_priors(vessel)) if args.priors else {}
@@ -213,7 +213,7 @@ def _summary(study: "Study", quality: dict, warning: str) -> str:
 
 
 def _effect_lines(study: "Study") -> list[str]:
-    from diffsea.report.text import effect_lines
+    from diffsea.report.words import effect_lines
 
     return [line for name, copies in study.effects.items() for line in effect_lines(name, copies)]
 

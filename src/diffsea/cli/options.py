@@ -16,8 +16,8 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.types import Trajectory
-    from diffsea.vessel.catalogue import VesselFile
+    from diffsea.trajectory import Trajectory
+    from diffsea.vessel.files import VesselFile
 
 
 def add_command(
@@ -132,9 +132,9 @@ def names(text: str) -> tuple[str, ...]:
 
 def read_vessel(args: argparse.Namespace) -> "VesselFile":
     """The vessel of a command, with the document it was read from."""
-    from diffsea.vessel import catalogue
+    from diffsea.vessel import files
 
-    return catalogue.read_vessel(args.vessel)
+    return files.read_vessel(args.vessel)
 
 
 def read_recordings(

@@ -10,8 +10,8 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
-    from diffsea.recordings.proposal import Proposal
-    from diffsea.types import Trajectory
+    from diffsea.recordings.mapping_proposal import Proposal
+    from diffsea.trajectory import Trajectory
 
 
 def read_recordings(
@@ -22,7 +22,7 @@ def read_recordings(
     The mapping is written to `out`. Besides the recordings come, by name, findings that stand
     in for files that could not be read for want of a time, and what to tell.
     """
-    from diffsea.recordings.proposal import is_foreign, propose
+    from diffsea.recordings.mapping_proposal import is_foreign, propose
 
     paths = args.recordings
     if args.mapping is not None or not any(is_foreign(path) for path in paths):

@@ -11,7 +11,7 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
-    from diffsea.recordings.repair import Repair
+    from diffsea.recordings.auditing.repair import Repair
 
 
 # Written out because asking the library would import JAX; a test compares the two.
@@ -100,7 +100,7 @@ def register(commands) -> None:
 
 def _metrics(args: argparse.Namespace) -> None:
     from diffsea.metrics import recording_metrics
-    from diffsea.metrics.executes import as_thrust
+    from diffsea.metrics.orders import as_thrust
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
@@ -119,7 +119,7 @@ def _metrics(args: argparse.Namespace) -> None:
 
 
 def _audit(args: argparse.Namespace) -> None:
-    from diffsea.recordings import audit
+    from diffsea.recordings.auditing import audit
 
     if args.repair:
         _repair(args)
@@ -135,7 +135,7 @@ def _audit(args: argparse.Namespace) -> None:
 
 def _repair(args: argparse.Namespace) -> None:
     from diffsea.recordings import read_mapping, write_recording
-    from diffsea.recordings.repair import mapping_text, repair
+    from diffsea.recordings.auditing.repair import mapping_text, repair
 
     stems = _repaired_stems(args)
     mapping = read_mapping(args.mapping) if args.mapping else None
@@ -205,9 +205,9 @@ def _size(finding: "Finding") -> str:
 def _predict(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report import trial_plots
-    from diffsea.simulation.recorded import how_actuated
+    from diffsea.simulation.actuation import how_actuated
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
-    from diffsea.types import Outcome
+    from diffsea.trajectory import Outcome
 
     vessel = options.read_vessel(args).vessel
     (recording,) = options.read_recordings([args.recording], args.mapping)

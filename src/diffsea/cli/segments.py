@@ -11,8 +11,8 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.campaign import Segment
-    from diffsea.types import Trajectory
+    from diffsea.segments import Segment
+    from diffsea.trajectory import Trajectory
     from diffsea.vessel.base import Vessel
 
 
@@ -67,11 +67,11 @@ def _kinds(text: str) -> tuple[str, ...]:
 
 
 def _segment(args: argparse.Namespace) -> None:
-    from diffsea.campaign import Settings, grouped
-    from diffsea.campaign.export import record, source_of
-    from diffsea.campaign.segments import fitted, segments_of
-    from diffsea.campaign.signals import signals_of
     from diffsea.report.segment_plots import save_segments
+    from diffsea.segments import Settings, grouped
+    from diffsea.segments.export import record, source_of
+    from diffsea.segments.segments import fitted, segments_of
+    from diffsea.segments.signals import signals_of
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     runs = options.read_recordings(args.recordings, args.mapping)
@@ -124,8 +124,8 @@ def _written(
     args: argparse.Namespace, out: options.Outputs, run: "Trajectory", signals,
     found: "list[Segment]", vessel: "Vessel | None",
 ) -> list[dict]:  # fmt: skip
-    from diffsea.campaign.export import export, file_name
-    from diffsea.campaign.traceability import checks_of
+    from diffsea.segments.export import export, file_name
+    from diffsea.segments.traceability import checks_of
 
     suffix = f".{args.format}"
     checks = {n: checks_of(signals, item, vessel) for n, item in enumerate(found)}

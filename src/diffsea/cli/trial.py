@@ -119,7 +119,7 @@ def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "Plan":
 
 def require_run(trial, plan: "Plan", vessel: "Vessel") -> None:
     """Raise `UserError` where a trial has no result: it diverged or was never executed."""
-    from diffsea.types import Outcome
+    from diffsea.trajectory import Outcome
 
     outcome = Outcome(int(trial.trajectory.outcome))
     if outcome is Outcome.DIVERGED:

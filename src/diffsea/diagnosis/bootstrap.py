@@ -16,7 +16,7 @@ from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
-from diffsea.identification.simulated import simulated
+from diffsea.identification.resimulation import simulated
 
 
 FEWEST = 100  # draws: fewer cannot show less than one per cent

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from diffsea.diagnosis.columns import columns_at, gains_at
+from diffsea.diagnosis.jacobians import columns_at, gains_at
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem

@@ -10,12 +10,15 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.columns import columns_at
 from diffsea.diagnosis.decision import Accepted
+from diffsea.diagnosis.jacobians import columns_at
 from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.score import Projection
-from diffsea.diagnosis.select import Diagnosis
-from diffsea.identification.design import (
+from diffsea.diagnosis.search import Diagnosis
+from diffsea.identification.data.dataset import natural_time
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.problem import make_problem
+from diffsea.identification.uncertainty.design import (
     LIBRARY,
     SECONDS,
     Schedule,
@@ -24,9 +27,6 @@ from diffsea.identification.design import (
     imagined,
     ordered,
 )
-from diffsea.identification.estimates import Estimate
-from diffsea.identification.problem import make_problem
-from diffsea.identification.tape import natural_time
 from diffsea.vessel.effects import catalogue_name
 
 

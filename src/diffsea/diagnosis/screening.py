@@ -1,22 +1,78 @@
-"""Efficient scores of the whole catalogue and of unnamed forces against one estimate."""
+"""Which effects a diagnosis considers, and how closely it looks at their shapes.
+
+Efficient scores of the whole catalogue and of unnamed forces against one estimate.
+"""
 
 import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.candidates import nearby, shape_spacings
-from diffsea.diagnosis.columns import columns_at, gains_at
-from diffsea.diagnosis.locate import Cell, bin_columns, cells
-from diffsea.diagnosis.looking import look_columns
-from diffsea.diagnosis.null import Null, joint_null
-from diffsea.diagnosis.score import Projection, Score
-from diffsea.diagnosis.spectrum import peaks
+from diffsea.diagnosis.jacobians import columns_at, gains_at, look_columns, peaks
+from diffsea.diagnosis.localisation import Cell, bin_columns, cells
+from diffsea.diagnosis.score import Null, Projection, Score, joint_null
+from diffsea.identification.coordinates import SPREAD
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.expansion_points import Look, looks
 from diffsea.identification.fit import estimate
-from diffsea.identification.layout import SPREAD
-from diffsea.identification.looks import Look, looks
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import catalogue_name
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+
+
+def candidates(
+    vessel: Vessel, recordings: list[Trajectory], per_run: bool = False
+) -> tuple[Effect, ...]:
+    """Effects of the catalogue that this vessel could have and its model lacks.
+
+    What recordings would have to show and do not (heel) leaves an effect out. So do coefficients
+    of the vessel's own that come with an environment, where each run has its own.
+    """
+
+    def recorded(channel: str) -> bool:
+        return all(
+            channel in run.extra and bool(np.isfinite(np.asarray(run.extra[channel])).any())
+            for run in recordings
+        )
+
+    return tuple(
+        effect
+        for effect in EFFECTS.values()
+        if effect.possible(vessel)
+        and (not effect.needs or recorded(effect.needs))
+        and not (per_run and effect.own and effect.idle)
+    )
+
+
+def shape_spacings(
+    effects: tuple[Effect, ...], vessel: Vessel, tried: list[Look], resolution: float
+) -> dict[str, float]:
+    """Distance between neighbouring shapes to look at for each effect, in prior sizes.
+
+    Between its looks, or the `resolution` (Hz) of a frequency; zero without a shape.
+    """
+    out = {}
+    for effect in effects:
+        out[effect.name] = 0.0
+        if effect.shape is None:
+            continue
+        values = [look.at[effect.shape] for look in tried if look.effect == effect.name]
+        out[effect.name] = float(np.median(np.diff(np.sort(values)))) if len(values) > 1 else 0.0
+        if effect.periodic:
+            out[effect.name] = resolution / effect.sizes(vessel)[effect.shape]
+    return out
+
+
+def nearby(effect: Effect, look: Look, spacing: float) -> list[Look]:
+    """Looks at shapes around one, three to each side."""
+    if effect.shape is None or spacing == 0:
+        return []
+    out = []
+    for step in (-3, -2, -1, 1, 2, 3):
+        at = list(look.at)
+        at[effect.shape] += step * spacing
+        out.append(dataclasses.replace(look, at=tuple(at)))
+    return out
 
 
 SHORT_LIST = 6

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import norm
 
-from diffsea.priors import Parameter, meaning
+from diffsea.parameters import Parameter, meaning
 
 
 Progress = Callable[[str], None]

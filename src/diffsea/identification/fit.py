@@ -9,12 +9,11 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.identification import likelihood
-from diffsea.identification.colour import autocorrelation, long_run
 from diffsea.identification.estimates import Estimate, Progress, made, silent
-from diffsea.identification.gusts import Noise
-from diffsea.identification.likelihood import Tuned, deviance
-from diffsea.identification.noise import Clock, Path, excerpt, refine
+from diffsea.identification.filter import kalman
+from diffsea.identification.filter.kalman import Tuned, deviance
+from diffsea.identification.filter.noise_fit import Clock, Path, excerpt, refine
+from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import (
     Problem,
     jacobian,
@@ -22,6 +21,7 @@ from diffsea.identification.problem import (
     selection,
     traced,
 )
+from diffsea.statistics import autocorrelation, long_run
 
 
 ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
@@ -104,7 +104,7 @@ def _path(tuned: Tuned) -> Path:
 
 def _clock(problem: Problem) -> Clock:
     tape = problem.tape
-    return Clock(tape.dt, tape.starts, likelihood.first_variance(problem.base))
+    return Clock(tape.dt, tape.starts, kalman.first_variance(problem.base))
 
 
 def posterior(

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from diffsea.errors import UserError
+from diffsea.identification.data.dataset import ANY, Shape
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.kalman import Tuned
 from diffsea.identification.fit import block_sums, estimate
-from diffsea.identification.likelihood import Tuned
 from diffsea.identification.problem import Problem
-from diffsea.identification.tape import ANY, Shape
 from diffsea.recordings.conditioning import cut
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.design import equipped_vessel
+from diffsea.identification.effect_records import reported
 from diffsea.identification.fit import estimate
-from diffsea.identification.found_effects import reported
 from diffsea.identification.problem import make_problem
+from diffsea.identification.uncertainty.design import equipped_vessel
 from diffsea.recordings.conditioning import cut
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS
 

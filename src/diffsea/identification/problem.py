@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diffsea.identification import likelihood
-from diffsea.identification.gusts import Noise
-from diffsea.identification.layout import Layout
+from diffsea.identification.coordinates import Layout
+from diffsea.identification.data.dataset import ANY, Shape, Tape, make_tape
+from diffsea.identification.filter import kalman
+from diffsea.identification.filter.kalman import Gains, Tuned
+from diffsea.identification.filter.noise_fit import Prior, noise_prior
+from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.least_squares import ONCE, least_squares_from, value_and_jacobian
-from diffsea.identification.likelihood import Gains, Tuned
-from diffsea.identification.noise import Prior, noise_prior
-from diffsea.identification.tape import ANY, Shape, Tape, make_tape
-from diffsea.parameters import check_names, named
-from diffsea.priors import Parameter, hull_prior
-from diffsea.types import Scalar, Trajectory
+from diffsea.parameters import Parameter, check_names, hull_prior, named
+from diffsea.trajectory import Trajectory
+from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
@@ -124,7 +124,7 @@ def make_problem(
 
 @eqx.filter_jit
 def _tune(base: Vessel, layout: Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
-    return likelihood.tune(base, layout.value, tape, noise, coordinates)
+    return kalman.tune(base, layout.value, tape, noise, coordinates)
 
 
 class Inputs(eqx.Module):
@@ -148,7 +148,7 @@ def _white(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     width = problem.selection.shape[1]
     coordinates = problem.fixed + problem.selection @ free[:width]
     push = jnp.tensordot(free[width:], problem.pushes, axes=1)
-    white = likelihood.innovations(
+    white = kalman.innovations(
         problem.base, layout.value, problem.tape, problem.gains, coordinates, push
     )
     return jnp.where(jnp.isfinite(white), white, 1e4).ravel()

@@ -8,30 +8,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.design import NextManoeuvre, next_manoeuvre
+from diffsea.identification.coordinates import equipped, negative
+from diffsea.identification.effect_records import effect_table, is_seen, reported
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
+from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
-from diffsea.identification.found_effects import effect_table, is_seen, reported
-from diffsea.identification.free_run import FreeRun
-from diffsea.identification.gusts import Noise
 from diffsea.identification.holdout import HEAD_SHARE, Split, cut_all, transferred
-from diffsea.identification.identifiability import Identifiability, identifiability
-from diffsea.identification.layout import equipped, negative
-from diffsea.identification.objectives import Innovations, Objective
+from diffsea.identification.multistart import Agreement, effect_starts, multistart
+from diffsea.identification.objectives.base import Innovations, Objective
+from diffsea.identification.objectives.output_error import FreeRun
+from diffsea.identification.objectives.trial_numbers import Sheet, TrialNumbers
 from diffsea.identification.problem import (
     Problem,
     default_priors,
     free_by_default,
     make_problem,
 )
-from diffsea.identification.profile import Profile, asymmetric, profile
-from diffsea.identification.starts import Agreement, effect_starts, multistart
-from diffsea.identification.trial_numbers import TrialNumbers
-from diffsea.identification.trial_sheet import Sheet
-from diffsea.parameters import check_names
-from diffsea.priors import Parameter
-from diffsea.threads import one_blas_thread
-from diffsea.types import Trajectory
+from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
+from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
+from diffsea.identification.uncertainty.profile import Profile, asymmetric, profile
+from diffsea.parameters import Parameter, check_names
+from diffsea.runtime import one_blas_thread
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect, catalogue_name, find_effects
 

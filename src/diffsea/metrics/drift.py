@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.errors import UserError
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 LAP = 2 * math.pi

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from diffsea.errors import UserError
 from diffsea.kinematics import to_body
 from diffsea.metrics.crossings import slopes
-from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
 # White noise is smoothed where its deviation exceeds this part of the channel's range.

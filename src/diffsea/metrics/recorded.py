@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.metrics.executes import MANOEUVRES, Orders, find_orders, identify, stop_order, the_turn
 from diffsea.metrics.imo import imo_verdicts
-from diffsea.metrics.preparation import prepared
-from diffsea.metrics.trials import (
+from diffsea.metrics.manoeuvres import (
     APPROACH_SECONDS,
     stopping_metrics,
     turning_metrics,
     zigzag_metrics,
 )
-from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.metrics.orders import MANOEUVRES, Orders, find_orders, identify, stop_order, the_turn
+from diffsea.metrics.preparation import prepared
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
 # The heading may wander by this in the approach that defines the original heading.

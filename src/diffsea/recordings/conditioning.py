@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.types import MOTION_CHANNELS, Series, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Series, Trajectory
 
 
 _ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from scipy import interpolate
 
-from diffsea.types import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
 _KNOTS = 400  # windows per comparison at most: enough for any standard error wanted here

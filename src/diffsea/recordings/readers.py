@@ -16,7 +16,6 @@ import pandas as pd
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings import logs
-from diffsea.recordings.angles import unwrap
 from diffsea.recordings.geodesy import placed
 from diffsea.recordings.mappings import (
     Column,
@@ -27,7 +26,8 @@ from diffsea.recordings.mappings import (
 from diffsea.recordings.tables import PARQUET_SUFFIXES, numbers, read_table
 from diffsea.recordings.vocabulary import EMPTY_ROWS as EMPTY_ROWS
 from diffsea.recordings.vocabulary import REPEATED_TIMES as REPEATED_TIMES
-from diffsea.types import MOTION_CHANNELS, Series, Trajectory
+from diffsea.series import unwrap
+from diffsea.trajectory import MOTION_CHANNELS, Series, Trajectory
 
 
 _EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch

@@ -8,11 +8,11 @@ from typing import NamedTuple, Protocol
 import jax
 import numpy as np
 
+from diffsea.identification.coordinates import equipped
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split, transferred
-from diffsea.identification.layout import equipped
 from diffsea.simulation.replay import horizon_errors, replay
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 

@@ -17,7 +17,7 @@ from diffsea.report.interactive import (
     numbers,
 )
 from diffsea.report.location_plots import rows, track_layout
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 _LOOKS = ({"color": NOMINAL, "width": 1.6, "dash": "dash"}, {"color": DIAGNOSED, "width": 1.8})

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from diffsea.report import text as words
+from diffsea.report import words as words
 from diffsea.report.comparison import Comparison, Outcome, compare, with_errors
 from diffsea.report.comparison_plots import curves, has_history, histories, tracks
 from diffsea.report.interactive import HEAD, plot, scripts
@@ -23,7 +23,7 @@ from diffsea.report.quantities import known, with_error
 from diffsea.report.records import parameter_table, provenance
 from diffsea.report.what_sections import next_section, unseen_section, what_section
 from diffsea.report.where_section import where_section
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 

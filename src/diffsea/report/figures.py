@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from diffsea.report.page import Html, markup
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 WIDTH = 4.6  # inches

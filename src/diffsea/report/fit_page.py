@@ -22,8 +22,8 @@ from diffsea.report.page import (
 from diffsea.report.predictions import predictions
 from diffsea.report.quantities import rounded, significant, with_error
 from diffsea.report.records import parameter_table, provenance
-from diffsea.report.text import capital, effect_lines, error_line, headline_horizon, listed
-from diffsea.types import Trajectory
+from diffsea.report.words import capital, effect_lines, error_line, headline_horizon, listed
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 

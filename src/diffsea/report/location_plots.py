@@ -23,7 +23,7 @@ from diffsea.report.interactive import (
     stepped,
 )
 from diffsea.report.quantities import known, significant, typeset, with_error
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 DEGREES = ("surge", "sway", "yaw")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from diffsea.report import figures
-from diffsea.report import text as words
+from diffsea.report import words as words
 from diffsea.report.comparison import Comparison, horizon_table
 from diffsea.report.page import Content, Html, element, folded, grid, paragraph, table, verbatim
 from diffsea.report.quantities import known

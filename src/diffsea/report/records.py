@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsea.report import text as words
+from diffsea.report import words as words
 from diffsea.report.page import (
     Html,
     element,
@@ -19,7 +19,7 @@ from diffsea.report.page import (
     verbatim,
 )
 from diffsea.report.quantities import rounded, with_error
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 _OWN = ("recordings", "versions", "python")  # told in a form of their own

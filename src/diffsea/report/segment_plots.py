@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diffsea.campaign.segments import SEGMENT_KINDS, Segment
-from diffsea.campaign.signals import Signals
 from diffsea.report.trial_plots import BLUE, GREY, ORANGE
+from diffsea.segments.segments import SEGMENT_KINDS, Segment
+from diffsea.segments.signals import Signals
 
 
 _COLOURS = dict(

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diffsea.metrics.executes import as_thrust, steering
+from diffsea.metrics.orders import as_thrust, steering
 from diffsea.simulation.trials import Trial
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 BLUE, ORANGE, GREY = "#1f5fa8", "#d1720f", "#8a8a8a"

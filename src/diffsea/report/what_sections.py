@@ -4,7 +4,7 @@ could not have been seen."""
 import math
 from collections.abc import Sequence
 
-from diffsea.report import text as words
+from diffsea.report import words as words
 from diffsea.report.evidence_plots import STATUS, manoeuvre_plot, odds_plot
 from diffsea.report.interactive import plot
 from diffsea.report.page import (

@@ -3,7 +3,7 @@
 import html
 from collections.abc import Mapping, Sequence
 
-from diffsea.report import text as words
+from diffsea.report import words as words
 from diffsea.report.interactive import GREY, PALE, plot, stepped
 from diffsea.report.location_plots import (
     DEGREES,
@@ -30,7 +30,7 @@ from diffsea.report.page import (
     verbatim,
 )
 from diffsea.report.quantities import known, probability, significant
-from diffsea.types import Trajectory
+from diffsea.trajectory import Trajectory
 
 
 _PLACES = 8

@@ -10,7 +10,8 @@ from diffsea.errors import UserError
 from diffsea.simulation.control import AbstractController
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.switching import executed_now, plausible, select
-from diffsea.types import Environment, Outcome, Scalar, State, Trajectory
+from diffsea.trajectory import Outcome, Trajectory
+from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 
 

@@ -16,9 +16,10 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
+from diffsea.simulation.actuation import Samples, over_rows, recorded_actuation, recorded_heel
 from diffsea.simulation.integrate import rk4
-from diffsea.simulation.recorded import Samples, over_rows, recorded_actuation, recorded_heel
-from diffsea.types import MOTION_CHANNELS, Environment, Outcome, Scalar, State, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Outcome, Trajectory
+from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.sensors import Clock, Sensors
 from diffsea.vessel.servo import OrderHistory, Response

@@ -22,7 +22,8 @@ from diffsea.simulation.control import (
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import Row, executed_now, plausible, run_stages, select
-from diffsea.types import Environment, Outcome, Scalar, State, Trajectory
+from diffsea.trajectory import Outcome, Trajectory
+from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea.kinematics import to_earth
-from diffsea.types import MOTION_CHANNELS, Scalar, State
+from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.types import Scalar, State
 
 
 class Clock(eqx.Module):

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from diffsea.errors import UserError
-from diffsea.parameters import check_names, named
-from diffsea.priors import Parameter, hull_prior
+from diffsea.parameters import Parameter, check_names, hull_prior, named
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS
 

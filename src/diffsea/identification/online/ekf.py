@@ -2,7 +2,7 @@
 
 The state is `(x, y, psi, u, v, r)`, three accelerations of gusts that last, the executed
 values of channels that lag their orders, and the coordinates of the parameters. Parameters
-are those of `diffsea.priors`: a coordinate is zero at the prior mean and keeps the number
+are those of `diffsea.parameters`: a coordinate is zero at the prior mean and keeps the number
 within its bounds. The steady current counts among them (`current_north`, `current_east`).
 
 Process noise, all of it:
@@ -27,15 +27,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.identification.gusts import Noise, gust_model, product
-from diffsea.identification.likelihood import first_variance
+from diffsea.identification.data.dataset import natural_time
+from diffsea.identification.filter.kalman import first_variance
+from diffsea.identification.filter.process_noise import Noise, gust_model, product
 from diffsea.identification.online.choice import Choice, chosen
-from diffsea.identification.tape import natural_time
 from diffsea.kinematics import wrap
-from diffsea.parameters import replace
-from diffsea.priors import Parameter
+from diffsea.parameters import Parameter, replace
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
-from diffsea.types import MOTION_CHANNELS, Scalar, State
+from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import on_channels
 from diffsea.vessel.servo import OrderHistory, Servo

@@ -16,16 +16,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.identification.gusts import Noise
-from diffsea.identification.noise import noise_prior
+from diffsea.identification.data.dataset import make_tape
+from diffsea.identification.filter.noise_fit import noise_prior
+from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import ekf, rls, trust
 from diffsea.identification.online.choice import Choice
 from diffsea.identification.online.gate import Gate, Passage, passed, shut
 from diffsea.identification.online.trust import Evidence, Limits, Memory, Trust
-from diffsea.identification.tape import make_tape
-from diffsea.priors import Parameter
-from diffsea.simulation.recorded import recorded_actuation
-from diffsea.types import MOTION_CHANNELS, Scalar, State, Trajectory
+from diffsea.parameters import Parameter
+from diffsea.simulation.actuation import recorded_actuation
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
 

@@ -34,11 +34,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
+from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.online.choice import Choice, chosen, linear
-from diffsea.identification.tape import natural_time
 from diffsea.kinematics import through_water
-from diffsea.parameters import replace
-from diffsea.priors import Parameter
+from diffsea.parameters import Parameter, replace
 from diffsea.simulation.integrate import history_length
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Force, Vessel

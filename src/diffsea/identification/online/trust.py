@@ -27,9 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.tape import natural_time
-from diffsea.parameters import replace
-from diffsea.priors import Parameter
+from diffsea.identification.data.dataset import natural_time
+from diffsea.parameters import Parameter, replace
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Force, Vessel
 

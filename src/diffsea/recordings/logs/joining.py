@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.angles import unwrap
+from diffsea.series import unwrap
 
 
 _ANGLES = ("psi", "phi", "wind_direction")

@@ -12,7 +12,7 @@ from diffsea.recordings.logs import ardupilot, matlab, px4, ros
 from diffsea.recordings.logs.joining import Channel, joined
 from diffsea.recordings.logs.streams import Stream, checked, listing
 from diffsea.recordings.mappings import Column, Mapping
-from diffsea.types import MOTION_CHANNELS
+from diffsea.trajectory import MOTION_CHANNELS
 
 
 _HEADINGS = ("yaw", "heading", "psi")  # what a field for the example may be called

@@ -1,5 +1,8 @@
 """Control: helm, laws, guidance and controllers, each with `init` and `step`."""
 
+from diffsea.simulation.control.allocation import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
+from diffsea.simulation.control.allocation import Helm as Helm
+from diffsea.simulation.control.allocation import require_helm as require_helm
 from diffsea.simulation.control.autopilot import AbstractController as AbstractController
 from diffsea.simulation.control.autopilot import Autopilot as Autopilot
 from diffsea.simulation.control.autopilot import Steering as Steering
@@ -14,9 +17,6 @@ from diffsea.simulation.control.dynamic_pd import dynamic_pd as dynamic_pd
 from diffsea.simulation.control.guidance import Course as Course
 from diffsea.simulation.control.guidance import LineOfSight as LineOfSight
 from diffsea.simulation.control.guidance import Pursuit as Pursuit
-from diffsea.simulation.control.helm import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
-from diffsea.simulation.control.helm import Helm as Helm
-from diffsea.simulation.control.helm import require_helm as require_helm
 from diffsea.simulation.control.laws import AbstractHeadingLaw as AbstractHeadingLaw
 from diffsea.simulation.control.laws import AbstractSpeedLaw as AbstractSpeedLaw
 from diffsea.simulation.control.laws import FilteredPD as FilteredPD

@@ -11,8 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from diffsea.simulation.control.allocation import Helm, require_helm
 from diffsea.simulation.control.guidance import AbstractGuidance, Course
-from diffsea.simulation.control.helm import Helm, require_helm
 from diffsea.simulation.control.laws import (
     AbstractHeadingLaw,
     AbstractSpeedLaw,

@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from diffsea.simulation.control.helm import Helm
+from diffsea.simulation.control.allocation import Helm
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller
 from diffsea.vessel.base import Vessel

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
+from diffsea.simulation.control.allocation import Helm, require_helm
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.balance import throttle_for
 from diffsea.simulation.control.guidance import LineOfSight
-from diffsea.simulation.control.helm import Helm, require_helm
 from diffsea.simulation.control.laws import SpeedHold, speed_hold, wrapped
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from diffsea.errors import UserError
+from diffsea.simulation.control.allocation import Helm
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.guidance import Pursuit, Waypoints
-from diffsea.simulation.control.helm import Helm
 from diffsea.simulation.control.laws import wrapped
 from diffsea.types import Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster

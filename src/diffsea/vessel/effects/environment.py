@@ -8,6 +8,7 @@ import numpy as np
 from diffsea.kinematics import components_towards, speed_and_direction
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.dependent_forces import ShallowDamping
 from diffsea.vessel.effects.entry import (
     Coordinates,
     Effect,
@@ -19,7 +20,6 @@ from diffsea.vessel.effects.entry import (
     with_secondary,
 )
 from diffsea.vessel.environment import EarthForce, Wind
-from diffsea.vessel.secondary import ShallowDamping
 
 
 SCALE = 0.8  # spread of a logarithm: what is known of a superstructure that nobody measured

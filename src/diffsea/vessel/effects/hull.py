@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.dependent_forces import Change, MunkMoment, RollCoupling
 from diffsea.vessel.effects.entry import (
     ALL_LOST_AT_MOST,
     ANY,
@@ -21,7 +22,6 @@ from diffsea.vessel.effects.entry import (
     with_secondary,
 )
 from diffsea.vessel.hull import CrossFlowDrag, Damping, PrimeDamping
-from diffsea.vessel.secondary import Change, MunkMoment, RollCoupling
 
 
 def _cross_flow(vessel: Vessel, cd: Coordinates) -> Vessel:

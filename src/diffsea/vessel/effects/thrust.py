@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller, Rudder
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.dependent_forces import Change, ScrewSideForce
 from diffsea.vessel.effects.entry import (
     ALL_LOST_AT_MOST,
     ANY,
@@ -22,7 +23,6 @@ from diffsea.vessel.effects.entry import (
     speed_scale,
     with_secondary,
 )
-from diffsea.vessel.secondary import Change, ScrewSideForce
 
 
 def _thrusters(vessel: Vessel) -> dict[str, eqx.Module]:

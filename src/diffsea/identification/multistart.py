@@ -1,0 +1,115 @@
+"""Several starts at once: is the optimum that was found the only one?"""
+
+import dataclasses
+
+import numpy as np
+from scipy.stats import chi2
+
+from diffsea.errors import UserError
+from diffsea.identification.estimates import Estimate, Progress, silent
+from diffsea.identification.expansion_points import looks
+from diffsea.identification.objectives.base import Objective, Starts
+from diffsea.identification.problem import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Agreement:
+    """How many of several starts lead to the optimum, and the best rival where there is one."""
+
+    starts: int
+    agreeing: int
+    rival: float | None  # deviance of the next best optimum above the best; None without one
+
+    def as_dict(self) -> dict:
+        """The record of fit.json."""
+        return dataclasses.asdict(self)
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        told = f"{self.agreeing} of {self.starts} starts lead to this optimum"
+        if self.rival is not None:
+            told += f"; the best other one is {self.rival:.1f} worse in -2 log posterior"
+        return told
+
+
+def effect_starts(problem: Problem) -> Starts:
+    """Coordinates without any effect, then those with each at places where it may show itself.
+
+    Where they are absent some effects have no derivative, and others one that leads away from what
+    can be. What changes at some time begins at several.
+    """
+    layout, spans = problem.layout, problem.tape.spans
+    rows = [np.zeros(layout.size)]
+    for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
+        places = [look.at for look in looks(effect, problem.base, spans)]
+        if effect.positive and not effect.finite:
+            places.append((1.0, *(0.0 for _ in sizes[1:])))
+        for place in filter(any, places):
+            row = np.zeros(layout.size)
+            row[layout.indices((effect.name,))] = np.tile(place, layout.copies(effect))
+            rows.append(row)
+    return np.array(rows)
+
+
+def multistart(
+    objective: Objective,
+    free: tuple[str, ...],
+    count: int,
+    seed: int = 0,
+    progress: Progress = silent,
+    besides: Starts | None = None,
+) -> tuple[Estimate, Agreement | None]:
+    """The best fit of all that is free from the prior mean and `count` - 1 draws of the prior.
+
+    With `besides`, starts that hold more than parameters, draws hold nothing of that. Where only
+    those and the prior mean are asked for, nothing is said of agreement.
+
+    All starts are explored together (`jax.vmap`) for a few steps; the best of them and the best
+    one elsewhere are fitted to their ends. Starts agree where the exploration led them to one
+    place, within the 99.9 % region of the fit.
+
+    Raises:
+        UserError: no start from which the model can be simulated.
+    """
+    parameters = objective.parameters
+    spreads = np.array([p.spread for p in parameters])
+    besides = np.zeros((1, len(parameters))) if besides is None else besides
+    draws = np.zeros((count - 1, besides.shape[1]))
+    drawn = np.random.default_rng(seed).normal(size=(count, len(parameters))) * spreads
+    draws[:, : len(parameters)] = drawn[1:]
+    starts = np.concatenate([besides, draws])
+    ends, costs = objective.explore(starts, free)
+    finite = np.isfinite(costs)
+    if not finite.any():
+        raise UserError(
+            "the model diverges from every start; look at the vessel file (drag and added mass "
+            "are negative) and at the recordings' units"
+        )
+    order = [k for k in np.argsort(costs) if finite[k]]
+    progress(f"{len(order)} of {len(starts)} starts explored; fitting from the best")
+    lead = ends[order[0]]
+    best = objective.fit(free, lead, progress)
+    if count == 1:
+        return best, None
+    near = [k for k in order if _inside(best, ends[k] - lead)]
+    apart = [k for k in order if k not in near]
+    rival = None
+    if apart:
+        progress("fitting from the best start elsewhere")
+        other = objective.fit(free, ends[apart[0]], progress)
+        beside = [k for k in apart if _inside(best, ends[k] - ends[apart[0]])]
+        if _inside(best, other.coordinates - best.coordinates):
+            near += beside
+        else:
+            if other.deviance < best.deviance:
+                best, other, near = other, best, beside
+            rival = other.deviance - best.deviance
+    return best, Agreement(len(starts), len(near), rival)
+
+
+def _inside(fitted: Estimate, difference: np.ndarray) -> bool:
+    """Whether coordinates differ by less than the fit's 99.9 % region."""
+    off = difference[fitted.index]
+    distance = float(off @ np.linalg.solve(fitted.covariance, off))
+    return distance < float(chi2.ppf(0.999, len(off)))

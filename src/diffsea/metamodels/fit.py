@@ -1,0 +1,224 @@
+"""Norrbin's metamodel from several trials at once, by least squares.
+
+Output error, as Gavrilin and Steen (2017) do: one set of coefficients, every trial with a first
+yaw rate of its own, all that disturbs taken for white noise of the sensor.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from diffsea.errors import UserError
+from diffsea.metamodels.norrbin import Norrbin
+from diffsea.recordings.conditioning import resample
+from diffsea.trajectory import Trajectory
+from diffsea.types import Scalar
+
+
+STEPS = 25  # of Levenberg-Marquardt
+
+
+class Trials(eqx.Module):
+    """Several trials on uniform clocks, padded to one length.
+
+    A trial of which nothing is known is none: sets of different numbers of trials can share a
+    shape.
+    """
+
+    dt: Scalar  # s
+    delta: Float[Array, "trial time"]  # rad, executed
+    r: Float[Array, "trial time"]  # rad/s, measured; anything where not known
+    known: Bool[Array, "trial time"]
+
+
+class NorrbinFit(eqx.Module):
+    """What least squares found. Coefficients in the order a_0, a_1, a_2, a_3, b."""
+
+    model: Norrbin
+    own: Float[Array, "trial 2"]  # first yaw rate (rad/s); own moment (rad/s^2), added to a_0
+    predicted: Float[Array, "trial time"]  # rad/s
+    scatter: Scalar  # rad/s, standard deviation of the residuals
+    white: Float[Array, "5 5"]  # covariance, residuals taken for white noise
+    clustered: Float[Array, "5 5"]  # covariance from the scatter between trials
+    converged: Bool[Array, ""]
+
+
+def trials_of(
+    recordings: Sequence[Trajectory], dt: float, channel: str = "rudder", length: int | None = None
+) -> Trials:
+    """Trials from recordings, resampled to `dt` s; `length` samples each, the longest if None.
+
+    Executed angles where they were measured, else the orders.
+
+    Raises `UserError` where a recording has no such channel or no yaw rate.
+    """
+    columns = [_columns(run, dt, channel) for run in recordings]
+    count = max(len(r) for _, r in columns) if length is None else length
+    delta = np.stack([np.pad(d, (0, max(0, count - len(d))), "edge")[:count] for d, _ in columns])
+    r = np.stack(
+        [np.pad(s, (0, max(0, count - len(s))), constant_values=np.nan)[:count] for _, s in columns]
+    )
+    known = np.isfinite(r)
+    return Trials(
+        jnp.asarray(dt),
+        jnp.asarray(delta),
+        jnp.asarray(np.where(known, r, 0.0)),
+        jnp.asarray(known),
+    )
+
+
+def _columns(run: Trajectory, dt: float, channel: str) -> tuple[np.ndarray, np.ndarray]:
+    if channel not in run.executed and channel not in run.commanded:
+        names = ", ".join([*run.executed, *run.commanded]) or "none"
+        raise UserError(f"{run.name} has no channel {channel!r}; it has: {names}")
+    if not run.has("r"):
+        raise UserError(f"{run.name} has no yaw rate (r); map one, or differentiate the heading")
+    even = resample(run, dt)
+    group = even.executed if channel in even.executed else even.commanded
+    return np.asarray(group[channel], float), np.asarray(even.r, float)
+
+
+COMMON = 1e9  # a tie that leaves trials no moment of their own
+OWN = 1e-2  # one that leaves it free
+
+
+def identify(trials: Trials, tie: Scalar = COMMON, steps: int = STEPS) -> NorrbinFit:
+    """Coefficients that reproduce the yaw rates of all trials best, by least squares.
+
+    With a `tie` of `COMMON` as published: all that disturbs is white noise. With `OWN` every
+    trial has a steady moment of its own (wind, trim, what the autopilot works against), and
+    `a_0` is their mean: an autopilot answers a moment with rudder, so that without it rudder
+    and disturbance are correlated and every coefficient is biased. The tie is the stiffness to
+    the mean in units of what a trial itself says of its moment.
+
+    Pure: `vmap` it over sets of trials, `jit` it. Starts from the regression of the integrated
+    equation, which needs no first guess; at most `steps` of Levenberg and Marquardt.
+    """
+    theta = regression(trials)
+    own = jnp.stack([_first_rates(trials), jnp.zeros(trials.r.shape[0])], axis=1)
+    stiff = tie * _normal(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
+    start = (theta, own, _cost(theta, own, trials, stiff), jnp.asarray(1e-2))
+    theta, own, cost, _ = jax.lax.scan(
+        lambda carry, _: (_improved(carry, trials, stiff), None), start, length=steps
+    )[0]
+    return _judged(theta, own, cost, trials, stiff)
+
+
+def regression(trials: Trials) -> Float[Array, "5"]:
+    """Coefficients by linear least squares on the equation integrated once over each trial.
+
+    `r(t) - r(0) = b I(delta) - a_0 t - a_1 I(r) - a_2 I(r^2) - a_3 I(r^3)`, the first yaw rate
+    free. Integrals do not magnify noise as derivatives do; but noise in `r` biases it a little.
+    """
+
+    def columns(delta: Array, r: Array, known: Array) -> Array:
+        parts = jnp.stack([-jnp.ones_like(r), -r, -(r**2), -(r**3), delta])
+        middle = 0.5 * (parts[:, 1:] + parts[:, :-1]) * trials.dt
+        integral = jnp.concatenate([jnp.zeros((5, 1)), jnp.cumsum(middle, axis=1)], axis=1)
+        rows = jnp.concatenate([integral, r[None]]) * known
+        # The free first yaw rate takes the mean of everything out.
+        return (rows - known * rows.sum(1, keepdims=True) / jnp.maximum(known.sum(), 1)).T
+
+    rows = jax.vmap(columns)(trials.delta, trials.r, trials.known).reshape(-1, 6)
+    A, y = rows[:, :5], rows[:, 5]
+    size = jnp.sqrt(jnp.sum(A**2, axis=0)) + 1e-300
+    A = A / size
+    # A touch of ridge: trials under one angle alone do not tell the terms apart.
+    return jnp.linalg.solve(A.T @ A + 1e-6 * jnp.eye(5), A.T @ y) / size
+
+
+def _first_rates(trials: Trials) -> Float[Array, "trial"]:
+    early = trials.known[:, :5]
+    return jnp.sum(jnp.where(early, trials.r[:, :5], 0.0), 1) / jnp.maximum(early.sum(1), 1)
+
+
+def _simulated(theta: Array, own: Array, trials: Trials) -> Array:
+    def one(mine: Array, delta: Array) -> Array:
+        return Norrbin.of(theta.at[0].add(mine[1])).simulate(mine[0], delta, trials.dt)
+
+    return jax.vmap(one)(own, trials.delta)
+
+
+def _residual(predicted: Array, trials: Trials) -> Array:
+    """Simulated less measured; large but finite where a simulation runs away."""
+    wild = 1e3 * jnp.max(jnp.abs(trials.r))
+    off = jnp.where(jnp.isfinite(predicted), predicted - trials.r, wild)
+    return jnp.where(trials.known, jnp.clip(off, -wild, wild), 0.0)
+
+
+def _cost(theta: Array, own: Array, trials: Trials, stiff: Array) -> Array:
+    misfit = jnp.sum(_residual(_simulated(theta, own, trials), trials) ** 2)
+    return misfit + jnp.sum(stiff * own[:, 1] ** 2)
+
+
+def _normal(theta: Array, own: Array, trials: Trials, stiff: Scalar) -> tuple[Array, Array]:
+    """Per trial: the Gauss-Newton matrix of the coefficients and its own numbers; the gradient."""
+
+    def one(mine: Array, delta: Array, measured: Array, known: Array) -> tuple[Array, Array]:
+        alone = Trials(trials.dt, delta[None], measured[None], known[None])
+
+        def residual(seven: Array) -> Array:
+            return _residual(_simulated(seven[:5], seven[None, 5:], alone), alone)[0]
+
+        seven = jnp.append(theta, mine)
+        J = jax.jacfwd(residual)(seven)
+        return J.T @ J, J.T @ residual(seven)
+
+    H, g = jax.vmap(one)(own, trials.delta, trials.r, trials.known)
+    return H.at[:, 6, 6].add(stiff), g.at[:, 6].add(stiff * own[:, 1])
+
+
+def _reduced(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, Array]:
+    """Matrix and gradients of the coefficients, each trial's own numbers eliminated.
+
+    Besides: how those follow the coefficients, and their own steps.
+    """
+    size = jnp.sqrt(jnp.diagonal(H[:, 5:, 5:], axis1=1, axis2=2))
+    size = jnp.where(size > 0, size, 1.0)  # of a trial of which nothing is known
+    both = size[:, :, None] * size[:, None, :]
+    inner = H[:, 5:, 5:] / both + (damping + 1e-12) * jnp.eye(2)
+    inverse = jnp.linalg.inv(inner) / both
+    share = jnp.einsum("nij,njk->nik", H[:, :5, 5:], inverse)
+    A = jnp.sum(H[:, :5, :5] - jnp.einsum("nij,njk->nik", share, H[:, 5:, :5]), axis=0)
+    scores = g[:, :5] - jnp.einsum("nij,nj->ni", share, g[:, 5:])
+    return A, scores, share, -jnp.einsum("nij,nj->ni", inverse, g[:, 5:])
+
+
+def _improved(carry: tuple, trials: Trials, stiff: Array) -> tuple:
+    """One step of Levenberg and Marquardt, withdrawn where it makes things worse."""
+    theta, own, cost, damping = carry
+    A, scores, share, alone = _reduced(*_normal(theta, own, trials, stiff), damping)
+    size = jnp.sqrt(jnp.diag(A)) + 1e-150
+    scaled = A / jnp.outer(size, size) + damping * jnp.eye(5)
+    step = -jnp.linalg.solve(scaled, scores.sum(0) / size) / size
+    mine = alone - jnp.einsum("nij,i->nj", share, step)
+    after = _cost(theta + step, own + mine, trials, stiff)
+    better = after < cost
+    return (
+        jnp.where(better, theta + step, theta),
+        jnp.where(better, own + mine, own),
+        jnp.where(better, after, cost),
+        jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-12, 1e8),
+    )
+
+
+def _judged(theta: Array, own: Array, cost: Array, trials: Trials, stiff: Array) -> NorrbinFit:
+    A, scores, _, _ = _reduced(*_normal(theta, own, trials, stiff), 0.0)
+    size = jnp.sqrt(jnp.diag(A)) + 1e-150
+    inverse = jnp.linalg.inv(A / jnp.outer(size, size)) / jnp.outer(size, size)
+    predicted = _simulated(theta, own, trials)
+    count, number = trials.known.sum(), trials.known.any(axis=1).sum()
+    left = jnp.sum(_residual(predicted, trials) ** 2)
+    # What another Gauss-Newton step promises to gain, against what is left or was there at all.
+    gain = scores.sum(0) @ inverse @ scores.sum(0)
+    little = 1e-3 * cost + 1e-12 * jnp.sum(jnp.where(trials.known, trials.r, 0.0) ** 2)
+    variance = left / jnp.maximum(count - 5 - number, 1)
+    spread = scores.T @ scores * number / jnp.maximum(number - 1, 1)
+    return NorrbinFit(
+        Norrbin.of(theta), own, predicted, jnp.sqrt(variance), variance * inverse,
+        inverse @ spread @ inverse, gain < little,
+    )  # fmt: skip

@@ -1,0 +1,148 @@
+"""The ideal zig-zag of a metamodel: the trial as it should have been run."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from diffsea.metamodels.norrbin import Norrbin
+from diffsea.types import Scalar
+
+
+@dataclasses.dataclass(frozen=True)
+class Zigzag:
+    """The ideal zig-zag that a metamodel is asked for. Angles in rad.
+
+    From straight running, at exactly the ordered angles, switched at exactly the heading.
+    `trimmed` counts rudder angles from the neutral one; else from amidships.
+    """
+
+    angle: float = math.radians(10.0)
+    heading: float = math.radians(10.0)
+    side: float = 1.0  # first execute to starboard; -1 to port
+    rate_limit: float = math.radians(5.0)  # rad/s, of the rudder
+    seconds: float = 600.0
+    step: float = 0.25  # s; the rudder's ramp is straight within each
+    executes: int = 3
+    trimmed: bool = False
+
+
+class IdealRun(eqx.Module):
+    """An ideal zig-zag, a row per step. A run that is over goes on under its last order."""
+
+    t: Float[Array, "time"]  # s from the first execute
+    psi: Float[Array, "time"]  # rad
+    r: Float[Array, "time"]  # rad/s
+    delta: Float[Array, "time"]  # rad, executed
+    overshoots: Float[Array, "overshoot"]  # rad, NaN where there was none
+    switch_times: Float[Array, "overshoot"]  # s, of the second execute and on; NaN likewise
+
+
+class _Now(eqx.Module):
+    psi: Scalar
+    r: Scalar
+    delta: Scalar
+    stage: Int[Array, ""]
+    switch_times: Float[Array, "overshoot"]
+    overshoots: Float[Array, "overshoot"]
+
+
+def ideal_zigzag(model: Norrbin, wanted: Zigzag) -> IdealRun:
+    """Run the ideal zig-zag. Pure: jit it, `vmap` it over models, differentiate it.
+
+    Switches are located inside their steps, on the cubic through headings and yaw rates at both
+    ends, and the step is done in two parts; peaks of heading are read off likewise.
+    """
+    neutral = jnp.asarray(model.neutral, float)
+    nothing = jnp.full(wanted.executes - 1, jnp.nan)
+    zero = jnp.zeros(())
+    start = _Now(zero, zero, neutral, jnp.zeros((), int), nothing, nothing)
+
+    def body(now: _Now, t: Scalar) -> tuple[_Now, _Now]:
+        return _stepped(model, wanted, now, t), now
+
+    times = wanted.step * jnp.arange(math.ceil(wanted.seconds / wanted.step))
+    last, rows = jax.lax.scan(body, start, times)
+    return IdealRun(
+        times, rows.psi, rows.r, rows.delta, last.overshoots, last.switch_times
+    )  # fmt: skip
+
+
+def overshoots(model: Norrbin, wanted: Zigzag) -> Float[Array, "overshoot"]:
+    """Overshoot angles (rad) of the ideal zig-zag; NaN for one that does not happen in time."""
+    return ideal_zigzag(model, wanted).overshoots
+
+
+def overshoots_with_std(
+    model: Norrbin, covariance: Float[Array, "5 5"], wanted: Zigzag
+) -> tuple[Float[Array, "overshoot"], Float[Array, "overshoot"]]:
+    """Overshoots (rad) and their standard errors, from the coefficients' covariance."""
+    theta = model.coefficients
+    J = jax.jacfwd(lambda at: overshoots(Norrbin.of(at), wanted))(theta)
+    return overshoots(model, wanted), jnp.sqrt(jnp.einsum("ij,jk,ik->i", J, covariance, J))
+
+
+def _order(model: Norrbin, wanted: Zigzag, stage: Int[Array, ""]) -> Scalar:
+    """The rudder angle ordered in a stage."""
+    sense = wanted.side * (1 - 2 * (jnp.minimum(stage, wanted.executes - 1) % 2))
+    return sense * wanted.angle + (model.neutral if wanted.trimmed else 0.0)
+
+
+def _moved(
+    model: Norrbin, wanted: Zigzag, now: _Now, stage: Int[Array, ""], dt: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Heading, yaw rate and rudder `dt` s later under the order of a stage."""
+    most = wanted.rate_limit * dt
+    order = _order(model, wanted, stage)
+    delta = now.delta + jnp.clip(order - now.delta, -most, most)
+    r = model.step(now.r, now.delta, delta, dt)
+    # Simpson's rule with the slopes at both ends: of fourth order.
+    curve = model.response(now.r, now.delta) - model.response(r, delta)
+    return now.psi + 0.5 * dt * (now.r + r) + dt**2 / 12 * curve, r, delta
+
+
+def _stepped(model: Norrbin, wanted: Zigzag, now: _Now, t: Scalar) -> _Now:
+    dt = wanted.step
+    psi, r, delta = _moved(model, wanted, now, now.stage, dt)
+    sense = wanted.side * (1 - 2 * (now.stage % 2))
+    more = now.stage < wanted.executes - 1
+    switches = more & (sense * psi >= wanted.heading) & (sense * now.psi < wanted.heading)
+    # Where nothing switches the first part is of no length.
+    s = jnp.where(switches, _fraction(now, psi, r, sense * wanted.heading, dt), 0.0)
+    psi_s, r_s, delta_s = _moved(model, wanted, now, now.stage, s * dt)
+    middle = _Now(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
+    stage = now.stage + switches
+    psi, r, delta = _moved(model, wanted, middle, stage, (1 - s) * dt)
+    here = jnp.arange(wanted.executes - 1)
+    times = jnp.where(switches & (here == now.stage), t + s * dt, now.switch_times)
+    ends = _Now(psi, r, delta, stage, times, now.overshoots)
+    return eqx.tree_at(lambda n: n.overshoots, ends, _peaked(wanted, middle, ends, (1 - s) * dt))
+
+
+def _fraction(now: _Now, psi: Scalar, r: Scalar, level: Scalar, dt: Scalar) -> Scalar:
+    """Where in a step the heading reaches a level: Newton's method on the cubic."""
+    s = (level - now.psi) / jnp.where(psi == now.psi, 1.0, psi - now.psi)
+    for _ in range(6):
+        value, slope = _cubic(now.psi, now.r * dt, psi, r * dt, s)
+        s = jnp.clip(s - (value - level) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
+    return s
+
+
+def _cubic(p0: Scalar, m0: Scalar, p1: Scalar, m1: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
+    """Value and slope of the cubic with given ends and slopes there, at s from 0 to 1."""
+    a, b = 2 * (p0 - p1) + m0 + m1, 3 * (p1 - p0) - 2 * m0 - m1
+    return p0 + s * (m0 + s * (b + s * a)), m0 + s * (2 * b + 3 * s * a)
+
+
+def _peaked(wanted: Zigzag, before: _Now, after: _Now, dt: Scalar) -> Float[Array, "overshoot"]:
+    """The overshoots, with that of the present order where the heading turns back."""
+    number = after.stage - 1
+    sense = wanted.side * (1 - 2 * (number % 2))
+    here: Bool[Array, overshoot] = jnp.arange(wanted.executes - 1) == number
+    turns = (sense * before.r > 0) & (sense * after.r <= 0) & here & jnp.isnan(after.overshoots)
+    s = before.r / jnp.where(before.r == after.r, 1.0, before.r - after.r)
+    peak, _ = _cubic(before.psi, before.r * dt, after.psi, after.r * dt, jnp.clip(s, 0.0, 1.0))
+    return jnp.where(turns, sense * peak - wanted.heading, after.overshoots)

@@ -1,0 +1,331 @@
+"""The circle through the steady part of a turn.
+
+Numbers of the standard trials: turning circle, zig-zag and stopping.
+
+Every function takes one trajectory, reads each number off at an interpolated instant and
+can be differentiated, in both modes, with respect to the trajectory and the times of the
+orders; under `vmap` it works on a batch. Definitions follow IMO MSC.137(76) and
+MSC/Circ.1053. A number that the run does not contain is NaN with derivative zero.
+
+The axes are those of the approach: distances are along the original heading and, for a
+turn, towards the side that the vessel turns to. Angles are positive that way too.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from diffsea.kinematics import to_body, to_earth
+from diffsea.metrics.crossings import (
+    Crossing,
+    Curve,
+    cornered,
+    first_crossing,
+    highest,
+    interval_at,
+    known,
+    slopes,
+    valid_rows,
+    value_at,
+)
+from diffsea.trajectory import Trajectory
+from diffsea.types import Scalar
+
+
+# Spread of the points, relative to its larger axis, below which they lie on a line.
+_FLATTEST = 1e-6
+
+
+def fitted_radius(
+    x: Float[Array, "time"], y: Float[Array, "time"], chosen: Bool[Array, "time"]
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Radius (m) of the circle nearest to the chosen points, and whether there is one.
+
+    The algebraic fit of Kasa (1976): least squares of x^2 + y^2 = 2ax + 2by + c about the
+    centroid, which is linear. Position noise of standard deviation s biases the radius R by
+    a relative amount of order (s/R)^2, more on short arcs; ask for a quarter of a circle.
+    """
+    weight = jnp.where(chosen, 1.0, 0.0) / jnp.maximum(jnp.sum(chosen), 1)
+    x, y = (jnp.where(chosen, p - jnp.sum(weight * p), 0.0) for p in (_filled(x), _filled(y)))
+    square = x**2 + y**2
+    xx, xy, yy, xz, yz, mean = (
+        jnp.sum(weight * p) for p in (x * x, x * y, y * y, x * square, y * square, square)
+    )
+    determinant = xx * yy - xy**2
+    found = determinant > _FLATTEST * (xx + yy) ** 2
+    # Division and root see harmless numbers where there is no circle: no NaN in derivatives.
+    safe = jnp.where(found, determinant, 1.0)
+    a, b = (yy * xz - xy * yz) / (2 * safe), (xx * yz - xy * xz) / (2 * safe)
+    return jnp.sqrt(jnp.where(found, a**2 + b**2 + mean, 1.0)), found
+
+
+def _filled(p: Float[Array, "time"]) -> Float[Array, "time"]:
+    return jnp.where(jnp.isfinite(p), p, 0.0)
+
+
+APPROACH_SECONDS = 10.0
+# IMO MSC.137(76) section 5.3.2: the initial turning ability is judged at this change.
+INITIAL_TURN = math.radians(10)
+# A zig-zag that reverses at 10 deg reverses at 10 deg give or take a sample.
+_REVERSAL_MARGIN = math.radians(1)
+
+
+def turning_metrics(
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    side: Scalar,
+    psi0: Scalar | None = None,
+    approach_seconds: Scalar = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Turning circle after one order that is held to the end of the record.
+
+    **Arguments:** `execute_time` (s) of the order; `side` +1 to starboard, -1 to port;
+    `psi0` (rad) the original heading, that at the execute if absent.
+
+    **Returns:** `advance`, `transfer` at 90 deg and `tactical_diameter` at 180 deg change
+    of heading (m); the largest `max_advance` and `max_transfer` (m); `time_to_90` and
+    `time_to_180` (s); `steady_turning_diameter` (m), `steady_yaw_rate` (rad/s) and
+    `final_speed` (m/s) of the steady part; `speed_loss`, the fraction of the approach speed
+    lost by then; `peak_yaw_rate` (rad/s) and `approach_speed` (m/s).
+
+    The steady part is what follows 360 deg, or in a shorter record the last 180 deg but
+    nothing before 180 deg; it needs 270 deg in all.
+    """
+    run = _referred(trajectory, execute_time, side, psi0)
+    turn, start = run.heading, execute_time
+    quarters = jnp.array([0.5, 1.0, 1.5]) * math.pi
+    crossings = jax.vmap(lambda angle: first_crossing(turn, angle, +1, after=start))(quarters)
+    to_90, to_180, to_270 = map(Crossing, crossings.time, crossings.found)
+    foremost = highest(run.along, 1.0, after=start, before=_until(to_180))
+    outermost = highest(run.across, 1.0, after=start, before=_until(to_270))
+    approach = _approach_speed(run, start, approach_seconds)
+    steady = _steady_turn(run)
+    return {
+        "advance": known(value_at(run.along, to_90.time), to_90.found),
+        "transfer": known(value_at(run.across, to_90.time), to_90.found),
+        "tactical_diameter": known(value_at(run.across, to_180.time), to_180.found),
+        "max_advance": known(foremost.value, foremost.found),
+        "max_transfer": known(outermost.value, outermost.found),
+        "time_to_90": known(to_90.time - start, to_90.found),
+        "time_to_180": known(to_180.time - start, to_180.found),
+        **steady,
+        "speed_loss": known(1 - steady["final_speed"] / _nonzero(approach), approach > 0),
+        "peak_yaw_rate": _peak_yaw_rate(run.yaw, start),
+        "approach_speed": approach,
+    }
+
+
+def zigzag_metrics(
+    trajectory: Trajectory,
+    switch_times: Float[Array, "switch"],
+    psi0: Scalar | None = None,
+    side: Scalar = 1.0,
+    approach_seconds: Scalar = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Zig-zag with its orders at the switch times.
+
+    **Arguments:** `switch_times` (s) the first execute and then every reversal, NaN for
+    one that did not happen; `psi0` (rad) the original heading, that at the first execute if
+    absent; `side` of the first order, +1 starboard, -1 port.
+
+    **Returns:** `overshoot_k` (rad), how far the heading goes beyond the heading at
+    reversal k before it turns back, and `time_to_check_yaw_k` (s) until then;
+    `initial_turning_distance` (m) made good along the original course, and
+    `initial_turning_time` (s), until the heading has changed by 10 deg under the first
+    order; `reach_time` (s) from the execute until the heading is the original one again;
+    `period` (s) between reversals 1 and 3; `peak_yaw_rate` (rad/s) either way;
+    `approach_speed` (m/s).
+    """
+    times, happened = _finite(switch_times)
+    start, first = times[0], times[1]
+    run = _referred(trajectory, start, side, psi0)
+    turned = first_crossing(run.heading, INITIAL_TURN, +1, after=start)
+    under_order = ~happened[1] | (value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN)
+    turned = Crossing(turned.time, turned.found & under_order)
+    back = first_crossing(run.heading, 0.0, -1, after=first)
+    return {
+        **_overshoots(run, times, happened),
+        "initial_turning_distance": known(value_at(run.along, turned.time), turned.found),
+        "initial_turning_time": known(turned.time - start, turned.found),
+        "reach_time": known(back.time - start, back.found & happened[1]),
+        "period": _period(times, happened),
+        "peak_yaw_rate": _peak_yaw_rate(cornered(run.yaw, times), start),
+        "approach_speed": _approach_speed(run, start, approach_seconds),
+    }
+
+
+def stopping_metrics(
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    psi0: Scalar | None = None,
+    approach_seconds: Scalar = APPROACH_SECONDS,
+) -> dict[str, Float[Array, ""]]:
+    """Stopping trial: from the order until the surge velocity passes zero.
+
+    **Returns:** `track_reach` (m) along the path; `head_reach` (m) along the original
+    heading; `lateral_deviation` (m), positive to starboard; `stopping_time` (s);
+    `heading_change` (rad) until then; `approach_speed` (m/s).
+    """
+    run = _referred(trajectory, execute_time, 1.0, psi0)
+    # A simulated run ends at the stop, with a speed that rounding may leave above zero.
+    stopped = 1e-12 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
+    stop = first_crossing(run.surge, stopped, -1, after=execute_time)
+    travelled = _travelled(run, stop.time) - _travelled(run, execute_time)
+    return {
+        "track_reach": known(travelled, stop.found),
+        "head_reach": known(value_at(run.along, stop.time), stop.found),
+        "lateral_deviation": known(value_at(run.across, stop.time), stop.found),
+        "stopping_time": known(stop.time - execute_time, stop.found),
+        "heading_change": known(value_at(run.heading, stop.time), stop.found),
+        "approach_speed": _approach_speed(run, execute_time, approach_seconds),
+    }
+
+
+class _Run(NamedTuple):
+    """A trajectory referred to the position and heading at the execute."""
+
+    heading: Curve  # rad, change towards the side
+    along: Curve  # m, in the direction of the original heading
+    across: Curve  # m, towards the side
+    surge: Curve  # m/s
+    sway: Curve  # m/s
+    path: Float[Array, "time"]  # m travelled
+    yaw: Curve  # rad/s, towards the side
+    counts: Bool[Array, "time"]
+
+
+def _referred(
+    trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None
+) -> _Run:
+    valid = jnp.asarray(trajectory.valid)
+    rows = valid_rows(valid)
+    t, x, y, psi, u, v, r = (
+        jnp.asarray(getattr(trajectory, name))[rows]
+        for name in ("t", "x", "y", "psi", "u", "v", "r")
+    )
+    heading = Curve(t, psi, r)
+    psi0 = value_at(heading, execute_time) if psi0 is None else psi0
+    north, east = to_earth(u, v, psi)
+    x0 = value_at(Curve(t, x, north), execute_time)
+    y0 = value_at(Curve(t, y, east), execute_time)
+    along, across = to_body(x - x0, y - y0, psi0)
+    ahead, abeam = to_body(north, east, psi0)
+    surge, sway = Curve(t, u, slopes(t, u)), Curve(t, v, slopes(t, v))
+    return _Run(
+        heading=Curve(t, side * (psi - psi0), side * r),
+        along=Curve(t, along, ahead),
+        across=Curve(t, side * across, side * abeam),
+        surge=surge,
+        sway=sway,
+        path=_path(surge, sway),
+        yaw=Curve(t, side * r, side * slopes(t, r)),
+        counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
+    )
+
+
+def _path(surge: Curve, sway: Curve) -> Float[Array, "time"]:
+    """Distance travelled (m) by each sample: trapezoids with their end correction."""
+    speed = _magnitude(surge.value, sway.value)
+    # Not differences of the speed: those smear its kink where the vessel stops.
+    growth = surge.value * surge.rate + sway.value * sway.rate
+    slope = jnp.where(speed > 0, growth / _nonzero(speed), 0.0)
+    step = jnp.diff(surge.t)
+    part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
+    return jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)])
+
+
+def _speed_at(run: _Run, time: Scalar) -> Float[Array, ""]:
+    return _magnitude(value_at(run.surge, time), value_at(run.sway, time))
+
+
+def _travelled(run: _Run, time: Scalar) -> Float[Array, ""]:
+    """Distance (m) travelled by a time: by the sample before it and on from there."""
+    t = run.surge.t
+    time = jnp.clip(time, t[0], t[-1])
+    i = interval_at(t, time)
+    return run.path[i] + (time - t[i]) * (_speed_at(run, t[i]) + _speed_at(run, time)) / 2
+
+
+def _magnitude(u: Array, v: Array) -> Array:
+    # The root has an infinite derivative at rest.
+    square = u**2 + v**2
+    return jnp.where(square > 0, jnp.sqrt(_nonzero(square)), 0.0)
+
+
+def _approach_speed(run: _Run, execute_time: Scalar, seconds: Scalar) -> Float[Array, ""]:
+    """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
+    begin = jnp.maximum(execute_time - seconds, run.surge.t[0])
+    duration = execute_time - begin
+    mean = (_travelled(run, execute_time) - _travelled(run, begin)) / _nonzero(duration)
+    return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
+
+
+def _peak_yaw_rate(yaw: Curve, execute_time: Scalar) -> Float[Array, ""]:
+    """Largest yaw rate (rad/s) to either side after the execute."""
+    sampled = jnp.max(jnp.where(yaw.t >= execute_time, jnp.abs(yaw.value), -jnp.inf))
+    senses = jnp.array([1.0, -1.0])
+    peaks = jax.vmap(lambda sense: highest(yaw, sense, after=execute_time))(senses)
+    between = jnp.max(jnp.where(peaks.found, senses * peaks.value, -jnp.inf))
+    return jnp.maximum(sampled, between)
+
+
+def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
+    turn = run.heading
+    total = jax.lax.stop_gradient(turn.value[-1])
+    begin = first_crossing(turn, jnp.clip(total - math.pi, math.pi, 2 * math.pi), +1)
+    enough = begin.found & (total >= 1.5 * math.pi)
+    chosen = run.counts & (turn.t >= begin.time) & enough
+    radius, round_ = fitted_radius(run.along.value, run.across.value, chosen)
+    duration = jnp.where(enough, turn.t[-1] - begin.time, 1.0)
+    turned = (run.heading.value[-1] - value_at(run.heading, begin.time)) / duration
+    travelled = (run.path[-1] - _travelled(run, begin.time)) / duration
+    return {
+        "steady_turning_diameter": known(2 * radius, enough & round_),
+        "steady_yaw_rate": known(turned, enough),
+        "final_speed": known(travelled, enough),
+    }
+
+
+def _overshoots(
+    run: _Run, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
+) -> dict[str, Float[Array, ""]]:
+    starts = times[1:]
+    ends = jnp.append(jnp.where(happened[2:], times[2:], jnp.inf), jnp.inf)
+    senses = jnp.where(jnp.arange(starts.shape[0]) % 2 == 0, 1.0, -1.0)
+    peaks = jax.vmap(highest, (None, 0, 0, 0))(run.heading, senses, starts, ends)
+    at_reversal = jax.vmap(value_at, (None, 0))(run.heading, starts)
+    found = peaks.found & happened[1:]
+    beyond = known(senses * (peaks.value - at_reversal), found)
+    checked = known(peaks.time - starts, found)
+    return {
+        **{f"overshoot_{k + 1}": angle for k, angle in enumerate(beyond)},
+        **{f"time_to_check_yaw_{k + 1}": time for k, time in enumerate(checked)},
+    }
+
+
+def _period(times: Float[Array, "switch"], happened: Bool[Array, "switch"]) -> Float[Array, ""]:
+    if times.shape[0] < 4:
+        return jnp.full((), jnp.nan)
+    return known(times[3] - times[1], happened[1] & happened[3])
+
+
+def _finite(
+    switch_times: Float[Array, "switch"],
+) -> tuple[Float[Array, "switch"], Bool[Array, "switch"]]:
+    """The times with zero for those that did not happen, and at least two of them."""
+    times = jnp.atleast_1d(jnp.asarray(switch_times))
+    missing = max(0, 2 - times.shape[0])
+    times = jnp.concatenate([times, jnp.full((missing,), jnp.nan, times.dtype)])
+    happened = jnp.isfinite(times)
+    return jnp.where(happened, times, 0.0), happened
+
+
+def _nonzero(value: Scalar | Array) -> Array:
+    return jnp.where(value > 0, value, 1.0)
+
+
+def _until(crossing: Crossing) -> Float[Array, ""]:
+    return jnp.where(crossing.found, crossing.time, jnp.inf)

@@ -1,0 +1,200 @@
+"""Columns of actuators: what they drive, whether ordered or realised, and which way they push.
+
+Names say what is a rudder or a thruster; whether a positive value turns the vessel to
+starboard, the yaw rate says. The responses are those of the audit: a column whose negative
+would be found to push the wrong way is confirmed as it stands.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from diffsea.recordings.auditing.actuators import response_findings
+from diffsea.recordings.auditing.channels import order_findings
+from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.recordings.mappings import UNITS
+from diffsea.recordings.motion import motion_of
+from diffsea.trajectory import Series, Trajectory
+
+
+ROLES = ("rudder", "propeller", "port", "starboard", "thrust")
+_NAMED = 0.5  # weight of a label above which a name is believed
+_LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
+# Probabilities that a column is an order, or was realised, for each reason to think so: what moves
+# gradually may also be an order from a lever that somebody moves, or from a controller.
+_JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
+_FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
+
+
+@dataclasses.dataclass(frozen=True)
+class Actuator:
+    """One column that drives the vessel.
+
+    `push` is 1 where a positive value was seen to turn to starboard (speed up, of a
+    propeller), -1 where the contrary, 0 where the run does not tell.
+    """
+
+    column: str
+    role: str
+    sure: float
+    unit: str = ""
+    ordered: bool = True
+    reason: str = ""
+    push: int = 0
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is yaw that answers."""
+        return self.role in ("rudder", "port", "starboard")
+
+
+def find_actuators(
+    runs: list[Trajectory], suggestions: dict[str, Suggestion], unnamed: list[str]
+) -> list[Actuator]:
+    """Actuators of runs whose `commanded` has every column that may be one.
+
+    `unnamed` are columns whose names say nothing; the one that yaw answers best is taken for
+    a rudder where no column is named as what turns the vessel.
+    """
+    found = []
+    for role in ROLES:
+        columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > _NAMED]
+        for column in _chosen(role, columns, suggestions, runs):
+            found.append(_judged(column, role, suggestions[column], runs))
+    found = _paired(found, runs)
+    if not any(actuator.turns for actuator in found):
+        found += _guessed(runs, [c for c in unnamed if c in runs[0].commanded], suggestions)
+    return found
+
+
+def _chosen(
+    role: str, columns: list[str], suggestions: dict[str, Suggestion], runs: list[Trajectory]
+) -> list[str]:
+    """At most one order and one realised value of a role; forces before pulse widths."""
+
+    def rank(column: str) -> tuple:
+        words = set(suggestions[column].words)
+        return (
+            "force" in words or suggestions[column].unit in ("N", "kN"),
+            "pwm" not in words,
+            suggestions[column].weights[role],
+        )
+
+    kept: dict[bool, str] = {}
+    for column in sorted(columns, key=rank, reverse=True):
+        ordered, _, _ = _ordered(column, suggestions[column], runs)
+        kept.setdefault(ordered, column)
+    best = max(kept.values(), key=rank, default=None)
+    if best is None:
+        return []
+    # Of different dimensions they are not order and answer of one actuator.
+    return [c for c in kept.values() if c == best or rank(c)[:2] == rank(best)[:2]]
+
+
+def _judged(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> Actuator:
+    ordered, reason, chance = _ordered(column, suggestion, runs)
+    push = 0
+    if role in ("rudder", "propeller"):
+        push = _vote([_alone(run, role, run.commanded[column]) for run in runs])
+    return Actuator(
+        column, role, chance * suggestion.weights[role], _unit(column, role, suggestion, runs),
+        ordered, reason, push,
+    )  # fmt: skip
+
+
+def _unit(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> str:
+    if suggestion.unit in UNITS:
+        return suggestion.unit
+    largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
+    if role == "rudder":
+        return "deg" if largest > _LARGEST_RADIANS else "rad"
+    if role == "propeller" and suggestion.unit != "?":
+        rotates = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
+        if rotates & set(suggestion.words):
+            return "rpm" if largest > _FASTEST else "rev/s"
+    return ""
+
+
+def _ordered(
+    column: str, suggestion: Suggestion, runs: list[Trajectory]
+) -> tuple[bool, str, float]:
+    """Whether the column holds orders, why, and how probable that is."""
+    angle = suggestion.weights["rudder"] > _NAMED
+    name = "rudder" if angle else "thrust"
+    for run in runs:
+        series = np.asarray(run.commanded[column], dtype=float)
+        if angle and np.nanmax(np.abs(series)) > _LARGEST_RADIANS:
+            series = np.radians(series)
+        tested = dataclasses.replace(run, commanded={}, executed={name: series})
+        for finding in order_findings(tested):
+            size = f"{np.degrees(finding.value):.3g} deg" if angle else f"{finding.value:.3g}"
+            return True, f"it jumps by up to {size} within one sample, as only orders do", _JUMPS
+    if suggestion.ordered is not None:
+        return suggestion.ordered, "so its name says", _SAID
+    if all(np.nanmax(run.commanded[column]) == np.nanmin(run.commanded[column]) for run in runs):
+        return True, "it never changes, as orders may", _CONSTANT
+    return False, "it moves gradually, as what was realised does", _GRADUAL
+
+
+def _alone(run: Trajectory, role: str, series: Series) -> tuple[int, float]:
+    """Which way an actuator pushes, and how many standard errors that is sure."""
+    values = np.asarray(series, dtype=float)
+    size = float(np.nanmax(values) - np.nanmin(values))
+    if not size > 0:
+        return 0, 0.0
+    for sign in (1, -1):
+        # The audit tells only what is wrong: both signs are shown to it.
+        found = _tested(run, {role: sign * values / size})
+        if found:
+            return -sign, abs(found[0].value) / max(found[0].std, 1e-12)
+    return 0, 0.0
+
+
+def _tested(run: Trajectory, commanded: dict[str, Series]) -> list[Finding]:
+    return response_findings(
+        dataclasses.replace(run, commanded=commanded, executed={}), motion_of(run)
+    )
+
+
+def _vote(verdicts: list[tuple[int, float]]) -> int:
+    """The sign of the verdicts, each counting as it is certain."""
+    return int(np.sign(sum(push * certainty for push, certainty in verdicts)))
+
+
+def _paired(found: list[Actuator], runs: list[Trajectory]) -> list[Actuator]:
+    """Thrusters on either side, with which way their difference turns the vessel."""
+    port = [a for a in found if a.role == "port"]
+    starboard = [a for a in found if a.role == "starboard"]
+    if not port or not starboard:
+        return found
+    verdicts = []
+    for run in runs:
+        left, right = run.commanded[port[0].column], run.commanded[starboard[0].column]
+        for push, pair in ((-1, (left, right)), (1, (right, left))):
+            findings = _tested(run, dict(zip(("port", "starboard"), pair, strict=True)))
+            swapped = [f for f in findings if f.kind == "swapped-actuators"]
+            verdicts += [(push, abs(f.value) / max(f.std, 1e-12)) for f in swapped]
+    push = _vote(verdicts)
+    return [dataclasses.replace(a, push=push) if a in (*port, *starboard) else a for a in found]
+
+
+def _guessed(
+    runs: list[Trajectory], columns: list[str], suggestions: dict[str, Suggestion]
+) -> list[Actuator]:
+    """The unnamed column that yaw answers best, as a rudder, if any is answered at all."""
+    verdicts = {
+        column: [_alone(run, "rudder", run.commanded[column]) for run in runs] for column in columns
+    }
+    strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
+    best = max(strength, key=lambda column: strength[column], default=None)
+    if best is None or strength[best] <= 0:
+        return []
+    ordered, reason, chance = _ordered(best, suggestions[best], runs)
+    return [
+        Actuator(
+            best, "rudder", 0.5 * chance, _unit(best, "rudder", suggestions[best], runs), ordered,
+            f"yaw rate answers it best of the unnamed columns; {reason}", _vote(verdicts[best]),
+        )
+    ]  # fmt: skip

@@ -1,0 +1,408 @@
+"""Effects and their sizes as phrases of plain words.
+
+A diagnosis in plain words, for the terminal and the head of the report.
+"""
+
+import textwrap
+from collections.abc import Callable, Sequence
+
+from diffsea.report.quantities import (
+    duration,
+    known,
+    odds,
+    probability,
+    rounded,
+    significant,
+    with_error,
+)
+
+
+Record = dict
+
+_TEMPLATES = {
+    "current": "a steady current of {speed} flowing to {direction}",
+    "wind": "a steady wind of {speed} from {direction}",
+    "wave-force": "a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
+    "shallow-water": "shallow water, {depth} deep,",
+    "hard-iron": "a compass error of {amplitude} that changes with heading",
+    "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
+    "clock-drift": "clocks of motion and orders that are {offset} apart and drift by {rate}",
+    "thrust-lag": "a lag with a time constant of {time_constant} in {actuators}",
+    "thrust-delay": "a dead time of {delay} between order and action",
+    "rate-limit": "a slew limit of {rate_limit} in {actuators}",
+    "deadband": "a dead band of {width} in {actuators}",
+    "backlash": "a play of {width} in {actuators}",
+    "thrust-saturation": "thrust that clips at {limit}",
+    "actuator-bias": "a neutral point of {actuators} that is off by {bias}",
+    "propeller-side-force": "a side force of the propeller",
+    "rudder-interaction": "an interaction of hull, propeller and rudder",
+    "quadratic-damping": "a drag that grows with the square of speed",
+    "crossflow-drag": "a cross-flow drag of the hull with coefficient {cd}",
+    "sway-yaw-coupling": "a linear coupling of sway and yaw",
+    "speed-dependent-damping": "a damping that grows with forward speed",
+    "added-mass-coupling": "an added mass that couples sway and yaw",
+    "munk-moment": "a Munk moment other than the model's",
+    "roll-coupling": "a coupling of roll into sway and yaw",
+}
+_CHANNELS = {
+    frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
+    frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
+}  # fmt: skip
+_BUT_POSITION = frozenset(("psi", "u", "v", "r"))
+
+
+def title(name: str) -> str:
+    """A catalogue name as words: `thrust-lag` is `thrust lag`."""
+    return name.replace("-", " ")
+
+
+def listed(items: list[str], last: str = "and") -> str:
+    """`a, b and c`."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def _value(effect: Record, parameter: str) -> float:
+    return float(effect["parameters"].get(parameter, {}).get("value") or 0.0)
+
+
+def _size(effect: Record, parameter: str, scale: float = 1.0, unit: str | None = None) -> str:
+    """Absolute value of a parameter, rounded."""
+    entry = effect["parameters"].get(parameter, {"value": None})
+    if not known(entry["value"]):
+        return "an unknown amount"
+    std = entry.get("std")
+    unit = entry.get("unit", "") if unit is None else unit
+    return rounded(abs(entry["value"]) * scale, std * scale if known(std) else None, unit)
+
+
+def _asymmetry(effect: Record) -> str:
+    strong, weak = ("starboard", "port") if _value(effect, "ratio") > 0 else ("port", "starboard")
+    share = _size(effect, "ratio", 100.0, "%")
+    return f"thrust {share} stronger than stated on the {strong} side and weaker on the {weak} side"
+
+
+def _misalignment(effect: Record) -> str:
+    side = "starboard" if _value(effect, "angle") > 0 else "port"
+    return f"a thrust line turned {_size(effect, 'angle')} to {side}"
+
+
+def _reading(what: str, parameter: str) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "high" if _value(effect, parameter) > 0 else "low"
+        return f"{what} that reads {_size(effect, parameter)} too {way}"
+
+    return phrase
+
+
+def _loss(per: str, scale: float) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "falls" if _value(effect, "slope") > 0 else "rises"
+        return f"a thrust that {way} by {_size(effect, 'slope', 100 * scale, '%')} {per}"
+
+    return phrase
+
+
+def _change(what: str, parameter: str, scale: float, unit: str | None) -> Callable[[Record], str]:
+    def phrase(effect: Record) -> str:
+        way = "larger" if _value(effect, parameter) > 0 else "smaller"
+        amount = _size(effect, parameter, scale, unit)
+        return f"a {what} that is {amount} {way} from {_size(effect, 'time')} on"
+
+    return phrase
+
+
+def _latency(effect: Record) -> str:
+    late = frozenset(effect.get("channels", ()))
+    if late == _BUT_POSITION:
+        return f"a measured position that is {_size(effect, 'delay')} ahead of all else measured"
+    channels = _CHANNELS.get(late, "signal")
+    return f"a measured {channels} that arrives {_size(effect, 'delay')} late"
+
+
+_PHRASES: dict[str, Callable[[Record], str]] = {
+    "thrust-asymmetry": _asymmetry,
+    "thruster-misalignment": _misalignment,
+    "heading-offset": _reading("a compass", "angle"),
+    "thrust-change": _change("thrust", "factor", 100.0, "%"),
+    "drag-change": _change("drag", "factor", 100.0, "%"),
+    "mass-change": _change("mass", "mass", 1.0, None),
+    "gyro-bias": _reading("a yaw-rate sensor", "bias"),
+    "sensor-latency": _latency,
+    "thrust-loss-with-speed": _loss("for every m/s of speed", 1.0),
+    "thrust-loss-in-turns": _loss("for every deg/s of yaw rate", 0.017453292519943295),
+}
+
+
+def phrase(effect: Record) -> str:
+    """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
+    name = effect["name"]
+    if name in _PHRASES:
+        return _PHRASES[name](effect)
+    values = {
+        key: rounded(entry["value"], entry.get("std"), entry.get("unit", ""))
+        for key, entry in effect["parameters"].items()
+    }
+    values["actuators"] = f"the {listed(effect.get('actuators') or ['actuators'])}"
+    try:
+        return _TEMPLATES[name].format(**values)
+    except KeyError:
+        return f"the effect {title(name)!r}"
+
+
+def group_phrase(group: list[Record]) -> str:
+    """One effect as a phrase, or one that has its own size in each recording."""
+    if len(group) == 1:
+        return phrase(group[0])
+    first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
+    if first is None:
+        return f"a {title(group[0]['name'])} of its own in each recording"
+    values = [_value(effect, first) for effect in group]
+    low, high = (rounded(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
+    return f"a {title(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
+
+
+_QUANTITIES = {"position": "m", "heading": "rad"}
+_MODELS = ("nominal", "diagnosed")
+
+
+def accepted(summary: Record) -> list[Record]:
+    """The effects that have a name."""
+    return [effect for effect in summary["effects"] if effect["name"] != "unexplained"]
+
+
+def grouped(effects: list[Record]) -> list[list[Record]]:
+    """Effects with the records of one that has its own size in each recording together."""
+    groups: dict[object, list[Record]] = {}
+    for number, effect in enumerate(effects):
+        key = effect["name"] if "recording" in effect else number
+        groups.setdefault(key, []).append(effect)
+    return list(groups.values())
+
+
+def capital(text: str) -> str:
+    """The text beginning with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
+def alternatives(summary: Record) -> list[str]:
+    """Names that the same data support nearly as well as an accepted effect."""
+    names = [name for effect in accepted(summary) for name in effect.get("alternatives", [])]
+    return list(dict.fromkeys(names))
+
+
+def finding(summary: Record) -> str:
+    """What is missing, in one sentence."""
+    groups = grouped(accepted(summary))
+    if not groups:
+        return _without_effects(summary)
+    what = listed([group_phrase(group).rstrip(",") for group in groups])
+    rivals = [title(name) for name in alternatives(summary)]
+    if summary["verdict"] == "unexplained":
+        return (
+            f"The recordings show {what}, which the model leaves out, and something else that "
+            "has no name here."
+        )
+    if summary["verdict"] == "ambiguous" and rivals:
+        return (
+            f"The model leaves out {what}, or else {listed(rivals, 'or')}: these recordings "
+            "cannot tell which."
+        )
+    return f"The recordings show {what}, which the model leaves out."
+
+
+def _without_effects(summary: Record) -> str:
+    if summary["verdict"] == "consistent":
+        return (
+            "The model agrees with the recordings: they show nothing that is missing from it "
+            "beyond the values of its parameters."
+        )
+    where = strongest(summary)
+    place = f", strongest in {where[0]}" if where else ""
+    return (
+        "The recordings show something that the model leaves out and that no effect known here "
+        f"describes{place}."
+    )
+
+
+def held_out_change(summary: Record) -> str:
+    """What the diagnosis does to predictions of held-out runs, in one sentence."""
+    on = capital(held_out_place(summary))
+    row = headline_horizon(summary.get("held_out", {}).get("horizons", []), _MODELS)
+    if row is None:
+        return _fit_change(summary, on)
+    quantity = _headline_quantity(row, _MODELS)
+    old, new = (row[model][quantity] for model in _MODELS)
+    before, after = (two_digits(value, _QUANTITIES[quantity]) for value in (old, new))
+    what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead is"
+    if not accepted(summary):
+        return f"{what} off by {after}."
+    if before == after or abs(new - old) < 0.02 * old:
+        return f"{what} off by {after} with or without it."
+    if new > old:
+        return f"{what} then off by {after}, which is worse than {before} without it."
+    return f"{what} then off by {after} instead of {before}."
+
+
+def held_out_place(summary: Record) -> str:
+    """Where predictions were judged: `on runs kept back as a test`."""
+    how = summary.get("held_out", {}).get("how", "")
+    what = "the last part of each run," if "last part" in how else "runs"
+    return f"on {what} kept back as a test"
+
+
+def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
+    """The errors to quote: 20 s ahead, else the longest horizon that there is."""
+    rows = [row for row in rows if _headline_quantity(row, models)]
+    preferred = [row for row in rows if row["seconds"] == 20]
+    return (preferred or rows[-1:] or [None])[0]
+
+
+def _headline_quantity(row: Record, models: Sequence[str]) -> str:
+    for quantity in ("position", "heading"):
+        if all(known(row[model].get(quantity)) for model in models):
+            return quantity
+    return ""
+
+
+def two_digits(value: float, unit: str) -> str:
+    """An error with two significant digits."""
+    return rounded(value, 0.1 * abs(value), unit)
+
+
+def _fit_change(summary: Record, on: str) -> str:
+    old, new = (summary["fit"][model].get("test") for model in _MODELS)
+    if not known(old) or not known(new):
+        return "There was nothing held out to judge it by."
+    if not accepted(summary):
+        return f"{on}, the error of the next sample is {significant(new, 2)} times the noise."
+    return (
+        f"{on}, the error of the next sample goes from {significant(old, 2)} to "
+        f"{significant(new, 2)} times the noise."
+    )
+
+
+def strongest(summary: Record, count: int = 3) -> list[str]:
+    """Where the mismatch is, one line for each degree of freedom, strongest first."""
+    lines, seen = [], []
+    for cell in summary["where"]:
+        degree = cell["degree_of_freedom"]
+        if degree in seen:
+            continue
+        seen.append(degree)
+        windows = [c for c in summary["where"] if c["degree_of_freedom"] == degree]
+        windows = [c for c in windows if c["recording"] != "all"] or windows
+        lines.append(_place(windows[0]))
+    return lines[:count]
+
+
+def _place(cell: Record) -> str:
+    run = cell["recording"]
+    when = f"{cell['start']:.0f} to {cell['end']:.0f} s"
+    where = "all runs" if run == "all" else f"{run} from {when}"
+    regime = cell.get("regime", "")
+    regime = f", {regime}" if regime and regime != "no regime stands out" else ""
+    force = significant(cell["force_rms"], 2)
+    return f"{cell['degree_of_freedom']}, {where}{regime} (about {force} {cell['unit']})"
+
+
+def remaining(summary: Record) -> str:
+    """What the final model still does not explain, in one sentence."""
+    p = summary.get("remainder_p_value")
+    if not known(p):
+        return ""
+    if p < 0.01:
+        return (
+            "Structure remains in the residuals that the model does not explain "
+            f"(p = {probability(p)})."
+        )
+    return f"No significant structure remains in the residuals (p = {probability(p)})."
+
+
+def parameter_lines(effect: Record) -> list[str]:
+    """`speed 0.301 +- 0.004 m/s` for each parameter of an effect."""
+    lines = []
+    for name, entry in effect["parameters"].items():
+        text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
+        if "beyond" in entry:
+            text = f"above {rounded(entry['beyond'], None, entry['unit'])}, if any"
+        lines.append(f"{name.replace('_', ' ')} {text}{direction_note(effect, name)}")
+    return lines
+
+
+def effect_lines(name: str, copies: Sequence[Record]) -> list[str]:
+    """A fitted effect in a line, or in one line for each recording."""
+    lines = []
+    for number, parameters in enumerate(copies, start=1):
+        told = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
+        where = f", recording {number}" if len(copies) > 1 else ""
+        lines.append(f"{title(name).replace(':', ', ')}{where}: {told}")
+    return lines
+
+
+def direction_note(effect: Record, parameter: str) -> str:
+    """Whether a direction is where something flows to or comes from."""
+    notes = {"current": " (flows to)", "wind": " (comes from)"}
+    return notes.get(effect["name"], "") if parameter == "direction" else ""
+
+
+def verdict_text(summary: Record) -> str:
+    """The diagnosis in a few lines for the terminal."""
+    lines = [*textwrap.wrap(finding(summary), 88), *textwrap.wrap(held_out_change(summary), 88), ""]
+    lines += _item("where", strongest(summary))
+    lines += _item("what", [_what(effect) for effect in accepted(summary)])
+    lines += _item("error", error_lines(summary))
+    lines += _item("left", [remaining(summary)])
+    lines += _item("data", [audit_line(record) for record in summary["audit"]][:5])
+    lines += _item("next", [next_line(summary)])
+    return "\n".join(lines).rstrip()
+
+
+def _item(label: str, texts: list[str]) -> list[str]:
+    out = []
+    for text in filter(None, texts):
+        begin = f"{label:<7}"
+        out += textwrap.wrap(text, 88, initial_indent=begin, subsequent_indent=" " * 7)
+        label = ""
+    return out
+
+
+def _what(effect: Record) -> str:
+    place = f" in {effect['recording']}" if "recording" in effect else ""
+    channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
+    size = effect.get("evidence", {}).get("log10_odds")
+    sure = f"; odds {odds(size)}" if known(size) else ""
+    return f"{title(effect['name'])}{channels}{place}: {', '.join(parameter_lines(effect))}{sure}"
+
+
+def error_lines(summary: Record) -> list[str]:
+    """Errors of position and heading at each horizon, before and after."""
+    models = _MODELS if accepted(summary) else _MODELS[1:]
+    rows = summary.get("held_out", {}).get("horizons", [])
+    return [line for row in rows if (line := error_line(row, models))]
+
+
+def error_line(row: Record, models: Sequence[str]) -> str:
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`."""
+    parts = []
+    for quantity in ("position", "heading"):
+        values = [row[model].get(quantity) for model in models]
+        if all(known(value) for value in values):
+            texts = [two_digits(value, _QUANTITIES[quantity]) for value in values]
+            parts.append(f"{quantity} {' -> '.join(texts)}")
+    return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
+
+
+def audit_line(record: Record) -> str:
+    """One finding of the audit."""
+    return f"{title(record['kind'])} in {record['recording']}: {record['message']}"
+
+
+def next_line(summary: Record) -> str:
+    """The experiment that would help most."""
+    proposal = summary.get("next_experiment")
+    if not proposal:
+        return ""
+    seconds = proposal.get("seconds")
+    if not known(seconds):
+        return f"no manoeuvre: {proposal['why']}"
+    return f"{title(proposal['manoeuvre'])} for {duration(seconds)}: {proposal['why']}"

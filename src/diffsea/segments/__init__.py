@@ -1,0 +1,13 @@
+"""Sea-trial campaigns: trials found in long recordings, traced and made ready to identify."""
+
+from diffsea.segments.approach import Approach as Approach
+from diffsea.segments.export import cut_out as cut_out
+from diffsea.segments.export import export as export
+from diffsea.segments.groups import grouped as grouped
+from diffsea.segments.places import by_place as by_place
+from diffsea.segments.segments import SEGMENT_KINDS as SEGMENT_KINDS
+from diffsea.segments.segments import Segment as Segment
+from diffsea.segments.segments import segments as segments
+from diffsea.segments.settings import Settings as Settings
+from diffsea.segments.traceability import Check as Check
+from diffsea.segments.traceability import traceability as traceability

@@ -1,0 +1,283 @@
+"""A long recording as the signals that trials show in: yaw, speed, steering and push.
+
+Steering is a rudder angle or the rudder-equivalent angle of a pair of thrusters; a positive
+one is what the channel calls positive. Commanded and executed actuation stay apart: where
+nothing was measured the executed angle is what the vessel's servos make of the orders, or
+without a vessel the orders themselves, and `origin` says which.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from diffsea.errors import UserError
+from diffsea.metrics.orders import propulsion, steering
+from diffsea.recordings.motion import integral, motion_of
+from diffsea.simulation.actuation import recorded_actuation
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.actuators import AzimuthThruster, FixedThruster
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.servo import OrderHistory, Servo
+
+
+MEASURED, RECONSTRUCTED, ORDERED, NOTHING = "measured", "reconstructed", "commanded", "none"
+_GAP = 5.0  # median time steps: a longer one is a hole in the recording
+_USUAL = 0.98  # quantile of push that stands for the largest: orders have peaks
+_SIDES = ("port", "left", "starboard", "stbd", "right")
+_SLACK = 0.1  # of the largest thrust: below it a pair of thrusters does not steer
+
+Samples = Float[np.ndarray, "time"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Signals:
+    """Signals of one recording on its own clock, without rows that do not count.
+
+    `known` is false where heading is missing; `breaks` are the rows after a hole.
+    `drive` is the executed push, about one at its largest, `throttle` the ordered one; `steer`
+    and `drive` are None where no such channel was recorded, `commanded` where no order was.
+    """
+
+    run: Trajectory
+    t: Samples  # s
+    psi: Samples  # rad
+    r: Samples  # rad/s
+    speed: Samples | None  # m/s over ground
+    ahead: Bool[np.ndarray, "time"]  # whether the vessel goes ahead, as far as is known
+    commanded: Samples | None  # rad
+    steer: Samples | None  # rad, executed
+    drive: Samples | None
+    throttle: Samples | None  # the same of the orders
+    working: Bool[np.ndarray, "time"]  # whether anything pushes
+    origin: str  # of `steer` and `drive`
+    channel: str
+    known: Bool[np.ndarray, "time"]
+    breaks: tuple[int, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def orders(self) -> Samples | None:
+        """The steering in which orders show (rad): as commanded, else as executed."""
+        return self.steer if self.commanded is None else self.commanded
+
+    @property
+    def interval(self) -> float:
+        """Median time step, s."""
+        return float(np.median(np.diff(self.t)))
+
+    def rows(self, start: float, end: float) -> slice:
+        """Rows from `start` to `end` (s), both included."""
+        return slice(*np.searchsorted(self.t, [start - 1e-9, end + 1e-9]))
+
+
+def signals_of(run: Trajectory, vessel: Vessel | None = None) -> Signals:
+    """The signals of a recording.
+
+    A vessel says which thrusters are to port, what its thrust curves are, and how its servos
+    answer. Without one, channels are told apart by their names.
+
+    Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
+    """
+    run = _counting(run)
+    motion = motion_of(run)
+    notes: list[str] = []
+    psi, r, known = _yaw(motion, run.name, notes)
+    origin, executed = _executed(run, vessel, notes)
+    asked = _within_limits(run.commanded, vessel)
+    ordered = _steered(run, asked, vessel)
+    done = _steered(run, executed, vessel)
+    shown = _grouped(executed, vessel)
+    drive = _push(run, shown)
+    if drive is None and executed is run.executed:
+        drive, shown = _push(run, _grouped(asked, vessel)), asked
+        notes += [] if drive is None else ["executed push was not measured: orders stand for it"]
+    return Signals(
+        run=run,
+        t=motion.t,
+        psi=psi,
+        r=r,
+        speed=_speed(motion, notes),
+        ahead=motion.values["u"] >= 0 if motion.has("u") else np.ones(motion.t.shape, bool),
+        commanded=None if ordered is None else ordered[0],
+        steer=None if done is None else done[0],
+        drive=drive,
+        throttle=_push(run, _grouped(asked, vessel)),
+        working=_working(shown, len(motion.t)),
+        origin=origin if done is not None or shown else NOTHING,
+        channel="none" if done is None else done[1],
+        known=known,
+        breaks=_breaks(motion.t),
+        notes=tuple(notes),
+    )
+
+
+def _counting(run: Trajectory) -> Trajectory:
+    """The rows that count, at strictly increasing times."""
+    rows = np.flatnonzero(np.asarray(run.valid, bool))
+    time = np.asarray(run.t, float)[rows]
+    ahead = np.ones(time.shape, bool)
+    ahead[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
+    rows = rows[ahead]
+    if rows.size < 20:
+        raise UserError(f"{run.name} has {rows.size} rows; trials cannot be found in fewer than 20")
+
+    def kept(series) -> np.ndarray:
+        return np.asarray(series, float)[rows]
+
+    channels = {name: kept(getattr(run, name)) for name in ("t", "x", "y", "psi", "u", "v", "r")}
+    groups = {
+        group: {name: kept(series) for name, series in getattr(run, group).items()}
+        for group in ("commanded", "executed", "extra")
+    }
+    return dataclasses.replace(run, **channels, **groups, valid=np.ones(rows.shape, bool))
+
+
+def _yaw(motion, name: str, notes: list[str]) -> tuple[Samples, Samples, np.ndarray]:
+    """Heading, yaw rate, and where they are known; one derived from the other if need be."""
+    values, known = motion.values, motion.known
+    if motion.has("psi") and motion.has("r"):
+        return values["psi"], values["r"], known["psi"]
+    if motion.has("psi"):
+        notes.append("yaw rate was not recorded: it is the derivative of the heading")
+        return values["psi"], np.gradient(values["psi"], motion.t), known["psi"]
+    if motion.has("r"):
+        notes.append("heading was not recorded: it is the integral of the yaw rate, from zero")
+        return integral(motion.t, values["r"]), values["r"], known["r"]
+    raise UserError(
+        f"{name} has neither heading (psi) nor yaw rate (r), at least 20 samples of it: no trial "
+        "can be found; map one of them"
+    )
+
+
+def _speed(motion, notes: list[str]) -> Samples | None:
+    values = motion.values
+    if motion.has("u"):
+        return np.hypot(values["u"], values["v"] if motion.has("v") else 0.0)
+    if motion.has("x", "y"):
+        notes.append("velocity was not recorded: speed is the derivative of the positions")
+        return np.hypot(*(np.gradient(values[axis], motion.t) for axis in "xy"))
+    notes.append("neither velocity nor position was recorded: the vessel is taken to be moving")
+    return None
+
+
+def _breaks(t: Samples) -> tuple[int, ...]:
+    steps = np.diff(t)
+    return tuple(int(k) + 1 for k in np.flatnonzero(steps > _GAP * np.median(steps)))
+
+
+def _executed(
+    run: Trajectory, vessel: Vessel | None, notes: list[str]
+) -> tuple[str, dict[str, Samples]]:
+    """Executed actuation and where it is from. Groups are never mixed."""
+    if run.executed and set(run.commanded) <= set(run.executed):
+        return MEASURED, run.executed
+    if _steered(run, run.executed, vessel) is not None:
+        absent = ", ".join(c for c in run.commanded if c not in run.executed)
+        notes.append(f"executed {absent} was not measured and is left out")
+        return MEASURED, run.executed
+    if not run.commanded:
+        return MEASURED, run.executed
+    if vessel is None or not set(vessel.channels) <= set(run.commanded):
+        notes.append(
+            "executed actuation was not measured, and no vessel says how the orders are answered: "
+            "they are taken as executed at once"
+        )
+        return ORDERED, run.commanded
+    notes.append(f"executed actuation is reconstructed from the orders by {vessel.name!r}")
+    orders, _ = recorded_actuation(vessel, run)
+    answered = {c: executed_by(servo, run.t, orders[c]) for c, servo in vessel.servos.items()}
+    return RECONSTRUCTED, answered
+
+
+def _within_limits(orders: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:
+    """Orders as the vessel's servos take them: a controller may ask for more than there is."""
+    if vessel is None:
+        return orders
+    return {
+        name: np.asarray(jax.vmap(vessel.servos[name].target)(jnp.asarray(series)), float)
+        if name in vessel.servos
+        else series
+        for name, series in orders.items()
+    }
+
+
+def executed_by(servo: Servo, t: Samples, orders: Samples) -> Samples:
+    """What a servo that has settled to the first order makes of orders given at times `t` (s)."""
+    if servo.direct:
+        return np.asarray(jax.vmap(servo.target)(jnp.asarray(orders)), float)
+    times, values = jnp.append(t[0] - 1e9, t), jnp.append(orders[0], orders)
+
+    def body(now, step):
+        start, dt, order = step
+        history = OrderHistory(start[None], order[None])
+        if servo.delay is not None:
+            history = OrderHistory(times, values)
+        return servo.respond(now, history, start, dt).final, now
+
+    settled = jnp.asarray(servo.target(jnp.asarray(orders[0])), float)
+    steps = (jnp.asarray(t), jnp.asarray(np.append(np.diff(t), 0.0)), jnp.asarray(orders))
+    return np.asarray(jax.lax.scan(body, settled, steps)[1], float)
+
+
+def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:
+    """The channels by what they do: with a vessel its thrusts are summed by side."""
+    if vessel is None:
+        return channels
+    grouped = dict(channels)
+    for part in vessel.actuators.values():
+        names = tuple(part.servos)
+        if isinstance(part, FixedThruster) and names[0] in grouped:
+            value = grouped.pop(names[0])
+            value = value if part.curve is None else value * np.abs(value)
+            y = float(part.y)
+            side = "port" if y < 0 else "starboard" if y > 0 else f"middle {names[0]}"
+            grouped[side] = grouped.get(side, 0.0) + value
+        elif isinstance(part, AzimuthThruster) and part.angle_channel in grouped:
+            grouped[part.angle_channel] = np.sign(float(part.x)) * grouped[part.angle_channel]
+    return grouped
+
+
+def _steered(
+    run: Trajectory, channels: dict[str, Samples], vessel: Vessel | None
+) -> tuple[Samples, str] | None:
+    """Steering angle (rad) of a group of channels; zero where a pair of thrusters is idle."""
+    grouped = _grouped(channels, vessel)
+    found = steering(dataclasses.replace(run, commanded=grouped, executed={}))
+    if found is None:
+        return None
+    angle, names = found[0], found[1].removeprefix("commanded ")
+    pair = [grouped[name] for name in names.split(", ") if name in grouped]
+    if len(pair) == 2 and not any(map(_steers, names.split(", "))):
+        largest = max(np.nanmax(np.abs(side)) for side in pair)
+        angle = np.where(np.max(np.abs(pair), axis=0) < _SLACK * largest, 0.0, angle)
+    return angle, names
+
+
+def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
+    """Sum of the push of a group, about one at its largest; None where nothing pushes."""
+    driving = {n: s for n, s in grouped.items() if not _steers(n) and np.isfinite(s).any()}
+    if len(driving) == 2 and all(any(w in n.lower() for w in _SIDES) for n in driving):
+        push = np.nan_to_num(sum(driving.values()))  # one unit: what is more to port is push too
+    else:
+        push = propulsion(dataclasses.replace(run, commanded=driving, executed={}))
+    if push is None or not np.max(np.abs(push)) > 0:
+        return None
+    usual = np.quantile(np.abs(push), _USUAL)
+    return push / (usual if usual > 0 else np.max(np.abs(push)))
+
+
+def _working(channels: dict[str, Samples], rows: int) -> np.ndarray:
+    """Whether any propulsor pushes noticeably; everywhere, where none was recorded."""
+    loads = [
+        np.abs(series) / max(np.nanmax(np.abs(series)), 1e-12)
+        for name, series in channels.items()
+        if not _steers(name) and np.isfinite(series).any()
+    ]
+    return np.max(loads, axis=0) > _SLACK if loads else np.ones(rows, bool)
+
+
+def _steers(name: str) -> bool:
+    return "rudder" in name.lower() or name.lower().endswith(".angle")

@@ -1,0 +1,232 @@
+"""Vessels as TOML files: reading with checks, writing back, and the ones that ship.
+
+A `VesselFile` keeps the document beside the vessel, so that what a fit or a diagnosis
+changes is written into the user's own file and everything else stays as it was.
+"""
+
+import copy
+import dataclasses
+import importlib.resources
+import pathlib
+import tomllib
+from collections.abc import Mapping
+
+import tomli_w
+
+from diffsea.errors import UserError, nearest
+from diffsea.vessel import actuators as act
+from diffsea.vessel.actuator_tables import ACTUATORS
+from diffsea.vessel.base import AbstractActuator, AbstractForce, AddedMass, RigidBody, Vessel
+from diffsea.vessel.effects.tables import with_effect
+from diffsea.vessel.hull import POWERS, Damping, PrimeDamping, Scaling, is_derivative
+from diffsea.vessel.servo import Servo
+from diffsea.vessel.tables import Table as Table
+from diffsea.vessel.tables import check_keys, needed, positive, tables_of
+
+
+_BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
+_ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents", "reference_speed")
+
+
+@dataclasses.dataclass(frozen=True)
+class VesselFile:
+    """A vessel and the document it was read from."""
+
+    vessel: Vessel
+    document: Table
+    path: str
+
+
+def shipped() -> dict[str, pathlib.Path]:
+    """The vessels that come with the package, by name."""
+    folder = importlib.resources.files("diffsea.vessel") / "data"
+    paths = sorted(pathlib.Path(str(folder)).glob("*.toml"))
+    return {path.stem: path for path in paths}
+
+
+def read_vessel(source: str | pathlib.Path) -> VesselFile:
+    """Read a vessel from a TOML file, or a shipped one by its name.
+
+    Raises:
+        UserError: the file cannot be read, a key or an effect is unknown, a value is not a
+            number or impossible; with the nearest known name or the repair.
+    """
+    path = pathlib.Path(source)
+    if not path.exists() and str(source) in shipped():
+        path = shipped()[str(source)]
+    document = _parse(path)
+    try:
+        return VesselFile(build(document), document, str(source))
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from None
+
+
+def _parse(path: pathlib.Path) -> Table:
+    if path.is_dir():
+        raise UserError(f"{path} is a folder; name the vessel's TOML file")
+    if not path.exists():
+        names = ", ".join(shipped())
+        raise UserError(
+            f"{path}: no such vessel file{nearest(path.stem, shipped())}; "
+            f"give the path of a TOML file or one of the shipped vessels: {names}"
+        )
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not a text file; a vessel is a TOML file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def build(document: Table) -> Vessel:
+    """The vessel a document describes, checked. Raises `UserError` as `read_vessel` does."""
+    if document.get("format", 1) != 1:
+        raise UserError(f"format = {document['format']!r}; this version reads format = 1")
+    check_keys(document, ("format", "name", "source", "hull", "effect", *ACTUATORS), "the file")
+    hull = document.get("hull")
+    if not isinstance(hull, dict):
+        raise UserError("there is no [hull] table; it holds length, beam, draught, mass, I_z ...")
+    body, added, forces, scaling = _hull(hull)
+    parts: dict[str, AbstractActuator] = {}
+    for kind in ACTUATORS:
+        for number, table in enumerate(tables_of(document, kind), start=1):
+            name = str(table.get("name", kind if number == 1 else f"{kind}{number}"))
+            if name in parts:
+                raise UserError(f"two actuators are called {name!r}; give each its own name")
+            parts[name] = ACTUATORS[kind](name, table, body, scaling)
+    _check_propellers(parts)
+    vessel = Vessel(
+        body, added, forces, parts,
+        name=str(document.get("name", "vessel")), source=str(document.get("source", "")),
+    )  # fmt: skip
+    for table in tables_of(document, "effect"):
+        vessel = with_effect(vessel, table)
+    check(vessel)
+    return vessel
+
+
+def check(vessel: Vessel) -> None:
+    """Raise `UserError` where a vessel is impossible."""
+    body = vessel.rigid_body
+    for field in ("mass", "I_z", "length", "beam", "draught", "water_density"):
+        if not float(getattr(body, field)) > 0:
+            raise UserError(f"[hull] {field} = {float(getattr(body, field)):g} must be positive")
+    if not vessel.has_inertia():
+        raise UserError(
+            "[hull] the mass matrix (rigid body plus added mass) is not positive definite; "
+            "added masses X_udot, Y_vdot, N_rdot are negative in the SNAME sign convention, "
+            "and Y_rdot, N_vdot, x_G must be small against them"
+        )
+    for channel, servo in vessel.servos.items():
+        _check_servo(channel, servo)
+
+
+def _check_servo(channel: str, servo: Servo) -> None:
+    low, high = servo.lower, servo.upper
+    if low is not None and high is not None and not float(low) < float(high):
+        raise UserError(
+            f"actuator {channel!r}: its lower limit {low:g} is not below its upper limit {high:g}"
+        )
+    for field in ("time_constant", "delay", "deadband", "backlash", "sharpness"):
+        value = getattr(servo, field)
+        if value is not None and float(value) < 0:
+            raise UserError(f"actuator {channel!r}: {field} = {float(value):g} is negative")
+    if servo.rate_limit is not None and not float(servo.rate_limit) > 0:
+        raise UserError(f"actuator {channel!r}: rate_limit must be positive")
+
+
+def _check_propellers(parts: Mapping[str, AbstractActuator]) -> None:
+    propellers = [name for name, part in parts.items() if isinstance(part, act.Propeller)]
+    for name, part in parts.items():
+        wanted = getattr(part, "propeller", None)
+        if wanted is not None and wanted not in propellers:
+            raise UserError(
+                f"rudder {name!r} stands behind propeller {wanted!r}, which the file does not "
+                f"have; it has: {', '.join(propellers) or 'none'}"
+            )
+
+
+def _hull(
+    hull: Table,
+) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce], Scaling | None]:
+    known = (*_BODY, *_ADDED, *_HULL_WORDS)
+    names = [key for key in hull if is_derivative(key)]
+    suggestions = (*known, "X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
+    for key in hull:
+        if key not in known and key not in names:
+            raise UserError(f"unknown key {key!r} in [hull]{nearest(key, suggestions)}")
+    for key in ("mass", "I_z", "length", "beam", "draught"):
+        needed(hull, key, "[hull]")
+    numbers = {key: needed(hull, key, "[hull]") for key in hull if key not in _HULL_WORDS[:3]}
+    body = RigidBody(**{key: numbers[key] for key in _BODY if key in numbers})
+    terms = hull.get("added_mass_coriolis", "full")
+    if terms not in ("full", "no-munk", "none"):
+        raise UserError('[hull] added_mass_coriolis is "full", "no-munk" or "none"')
+    added = AddedMass(
+        **{key: numbers[key] for key in _ADDED if key in numbers}, coriolis_terms=terms
+    )
+    derivatives = {name: numbers[name] for name in names}
+    scaling = _scaling(hull, body, numbers)
+    exponents = _exponents(hull, derivatives)
+    if scaling is None:
+        return body, added, {"damping": Damping(derivatives, exponents)}, None
+    return body, added, {"damping": PrimeDamping(derivatives, scaling)}, scaling
+
+
+def _exponents(hull: Table, derivatives: dict[str, float]) -> dict[str, float]:
+    """Exponents of power laws: `[hull.exponents]` with some of X_u, Y_v and N_r."""
+    table, where = hull.get("exponents", {}), "[hull.exponents]"
+    if not isinstance(table, dict):
+        raise UserError(f"{where} is a table, for example X_u = 1.7")
+    check_keys(table, POWERS, where)
+    if table and "nondimensional" in hull:
+        raise UserError(f"{where}: power laws are for derivatives in SI units")
+    for key in table:
+        if key not in derivatives:
+            raise UserError(f"{where}: {key} is no power law without {key} in [hull]")
+    return {key: positive(table, key, where) for key in table}
+
+
+def _scaling(hull: Table, body: RigidBody, numbers: dict[str, float]) -> Scaling | None:
+    kind = hull.get("nondimensional")
+    if kind is None:
+        return None
+    if kind not in ("mmg", "abkowitz"):
+        raise UserError('[hull] nondimensional is "mmg" or "abkowitz"; leave it out for SI units')
+    speed = numbers.get("reference_speed", 0.0)
+    if kind == "abkowitz" and not speed > 0:
+        raise UserError("[hull] an Abkowitz set needs reference_speed (m/s)")
+    return Scaling(kind, body.length, body.draught, body.water_density, speed)
+
+
+def updated_document(document: Table, values: Mapping[str, float], effects: list[Table]) -> Table:
+    """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables."""
+    new = copy.deepcopy(document)
+    for name, value in values.items():
+        if name.startswith("exponents."):
+            new["hull"]["exponents"][name.removeprefix("exponents.")] = float(value)
+        elif "." in name:
+            _set_actuator(new, name, value)
+        else:
+            new["hull"][name] = float(value)
+    if effects:
+        new["effect"] = [*new.get("effect", []), *effects]
+    return new
+
+
+def _set_actuator(document: Table, name: str, value: float) -> None:
+    actuator, key = name.rsplit(".", 1)
+    for kind in ACTUATORS:
+        for table in document.get(kind, []):
+            if table.get("name", kind) == actuator:
+                table[key] = float(value)
+                return
+    raise UserError(f"{name!r} cannot be written into the vessel file")
+
+
+def dump(document: Table) -> str:
+    """The document as TOML text."""
+    return tomli_w.dumps(document)

@@ -1,0 +1,80 @@
+"""Whether an effect's size is one: a lasting gyro bias, and one that comes and goes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracle.simulator import load
+from tests.runs import random_steps
+
+from diffsea.diagnosis.constancy import SHARE, Constancy, constancy
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.files import build
+
+
+FREE, BIAS = ("X_u", "N_r"), 0.01  # rad/s
+SECONDS, STEP = 96.0, 0.25
+
+
+@pytest.fixture(scope="module")
+def document(request) -> dict:
+    return load(str(request.path.parent / "oracle" / "usv.toml"))
+
+
+@pytest.fixture(scope="module")
+def plain(document) -> Trajectory:
+    """A run of the oracle without any bias."""
+    return random_steps(document, 7, SECONDS, STEP)
+
+
+def judged(document, run: Trajectory, bias: np.ndarray):
+    """The test of a gyro bias fitted to a run whose yaw rate has some bias in each row."""
+    biased = dataclasses.replace(run, r=run.r + bias)
+    problem = make_problem(build(document), [biased], FREE, (EFFECTS["gyro-bias"],), False, 1)
+    without = estimate(problem, FREE)
+    fitted = estimate(problem, (*FREE, "gyro-bias"), without.coordinates)
+    return constancy(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
+
+
+def test_a_lasting_bias_has_one_size(document, plain):
+    found = judged(document, plain, np.full(len(plain.t), BIAS))
+    assert found.holds and found.share < 0.05
+    assert found.scatter < 1.5
+
+
+def test_a_bias_that_comes_and_goes_in_each_half_has_not(document, plain):
+    # Four eighths of the run, two in either half: halves alone would agree.
+    on = np.isin(np.arange(len(plain.t)) * 8 // len(plain.t), (1, 3, 5, 7))
+    found = judged(document, plain, np.where(on, 2 * BIAS, 0.0))
+    assert not found.holds and found.share > 0.5
+    assert found.scatter > 5
+
+
+def test_a_bias_of_one_half_has_not(document, plain):
+    late = np.arange(len(plain.t)) > len(plain.t) // 2
+    assert not judged(document, plain, np.where(late, 2 * BIAS, 0.0)).holds
+
+
+def test_a_sensor_error_must_be_there_all_the_time(document, plain):
+    on = np.arange(len(plain.t)) * 12 // len(plain.t) != 5
+    found = judged(document, plain, np.where(on, 4 * BIAS, 0.0))
+    assert not found.holds and found._replace(tolerated=SHARE).holds
+
+
+def test_errors_widened_by_the_scatter_of_parts_cover_their_mean():
+    """Parts of equal weight whose sizes scatter three times as far as their errors say."""
+    rng = np.random.default_rng(3)
+    parts, errors, far = 8, 0.5, 3.0
+    covered = []
+    for _ in range(2000):
+        sizes = 10 + far * errors * rng.normal(size=parts)
+        statistic = float(((sizes - sizes.mean()) ** 2).sum() / errors**2)
+        std = errors / np.sqrt(parts) * Constancy(statistic, 0.0, 0.0, degrees=parts - 1).scatter
+        covered.append(abs(sizes.mean() - 10) < 1.645 * std)
+    # Of a normal quantile with seven degrees of freedom; without the scatter it is 42 %.
+    assert np.mean(covered) == pytest.approx(0.86, abs=0.03)
+    assert Constancy(3.0, 0.9, 0.0, degrees=7).scatter == 1.0
+    assert Constancy(0.0, 1.0, 0.0).scatter == 1.0

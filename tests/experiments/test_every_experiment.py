@@ -1,0 +1,56 @@
+"""`make experiments`: every folder takes part, and what it runs is there."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from tests.paths import EXPERIMENTS
+
+
+HERE = EXPERIMENTS
+sys.path.insert(0, str(HERE))
+
+import every
+import reporting
+
+
+FOLDERS = sorted(path.name for path in HERE.iterdir() if (path / "README.md").exists())
+
+
+def test_every_experiment_has_a_script_and_is_in_the_list():
+    listing = (HERE / "README.md").read_text()
+    for name in FOLDERS:
+        assert (HERE / name / "run.py").exists(), name
+        assert f"`{name}`" in listing, name
+    assert set(every.COMMANDS) <= set(FOLDERS)
+    for name, commands in every.COMMANDS.items():
+        for first, *_ in commands:
+            assert first == "-m" or (HERE / name / first).resolve().exists(), (name, first)
+
+
+def test_a_misspelt_experiment_is_told():
+    done = subprocess.run(
+        [sys.executable, HERE / "every.py", "pythea"], capture_output=True, text=True
+    )
+    assert done.returncode == 1 and "pytheas" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_results_are_written_whole_and_tables_filled_in(tmp_path, capsys):
+    home = tmp_path / "made"
+    home.mkdir()
+    readme = home / "README.md"
+    readme.write_text("before\n<!-- begin figures -->\nold\n<!-- end figures -->\nafter\n")
+    run = reporting.Experiment(home, home, quick=False, began=0.0)
+    rows = [reporting.compared("speed", "m/s", 1.5, 1.52341), reporting.compared("x", "", None, 2)]
+    run.write(
+        {"comparison": rows, "nothing": float("nan")}, {"figures": reporting.comparison(rows)}
+    )
+    record = json.loads((home / "results.json").read_text())
+    assert record["experiment"] == "made" and record["nothing"] is None
+    assert record["comparison"][0]["obtained"] == 1.52341
+    text = readme.read_text()
+    assert text.startswith("before") and text.endswith("after\n") and "old" not in text
+    assert "| speed | 1.5 | 1.523 | m/s |  |" in text and "| x | - | 2 |" in text
+    with pytest.raises(SystemExit, match="no place for 'other'"):
+        run.write({}, {"other": "text"})

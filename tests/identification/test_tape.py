@@ -1,0 +1,167 @@
+"""Recordings on the tape as they come: gaps, positions alone, and filters that diverge."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracle.sensors import gust
+from tests.oracle.simulator import load
+from tests.runs import random_steps
+
+from diffsea.diagnosis.jacobians import columns_of, residual_at
+from diffsea.errors import UserError
+from diffsea.identification.filter.kalman import deviance
+from diffsea.identification.filter.noise_fit import Clock, Path, excerpt
+from diffsea.identification.fit import estimate, posterior
+from diffsea.identification.holdout import split
+from diffsea.identification.problem import make_problem
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.files import build
+
+
+SEEN = ("x", "y", "psi", "u", "v", "r")
+
+
+@pytest.fixture(scope="module")
+def document(request) -> dict:
+    return load(str(request.path.parent / "oracle" / "usv.toml"))
+
+
+@pytest.fixture(scope="module")
+def run(document) -> Trajectory:
+    """Two minutes of random steps by the oracle, as its sensors show them."""
+    return random_steps(document, 4, 120.0, 0.5)
+
+
+def rows(run: Trajectory, chosen: np.ndarray) -> Trajectory:
+    series = {name: getattr(run, name)[chosen] for name in ("t", *SEEN, "valid")}
+    commanded = {name: values[chosen] for name, values in run.commanded.items()}
+    return dataclasses.replace(run, **series, commanded=commanded)
+
+
+@pytest.mark.parametrize("seconds", [10.0, 60.0])
+def test_a_gap_is_as_good_as_two_runs(document, run, seconds):
+    vessel, free = build(document), ("X_u", "X_uu")
+    before, after = run.t < 40, run.t >= 40 + seconds
+    pieces = [rows(run, before), rows(run, after)]
+    one = make_problem(vessel, [rows(run, before | after)], free)
+    two = make_problem(vessel, pieces, free)
+    coordinates, noise = one.start()
+    values = [float(deviance(problem.tuned(coordinates, noise))) for problem in (one, two)]
+    assert values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+def test_a_short_hole_is_bridged(document, run):
+    vessel = build(document)
+    tape = make_problem(vessel, [rows(run, (run.t < 40) | (run.t >= 41))], ("X_u",)).tape
+    assert np.asarray(tape.starts).sum() == 1
+
+
+def test_positions_alone_tell_the_first_heading(document, run):
+    vessel = build(document)
+    start = np.flatnonzero(np.hypot(run.u, run.v) > 0.5)[0]
+    moving = rows(run, run.t >= run.t[start])
+    hidden = {name: np.full(moving.t.size, np.nan) for name in ("psi", "u", "v", "r")}
+    alone = dataclasses.replace(moving, **hidden)
+    turned = dataclasses.replace(alone, x=-alone.x, y=-alone.y)  # the same run, half a turn on
+    values = []
+    for one in (alone, turned):
+        problem = make_problem(vessel, [one], ("X_u",))
+        values.append(posterior(problem, *problem.start()))
+    assert values[0] == pytest.approx(values[1], abs=1.0)
+
+
+def test_a_filter_that_diverges_has_no_likelihood(document, run):
+    vessel = build(document)
+    hidden = {name: np.full(run.t.size, np.nan) for name in ("psi", "u", "v", "r")}
+    problem = make_problem(vessel, [dataclasses.replace(run, **hidden)], ("X_uu",))
+    coordinates, noise = problem.start()
+    assert np.isfinite(float(deviance(problem.tuned(coordinates, noise))))
+    away = coordinates + 12.0  # drag 10^5 times as large: no step of the integration is stable
+    assert not np.isfinite(float(deviance(problem.tuned(away, noise))))
+
+
+@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("rate", [0.02, -0.02])
+def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, rate, measured):
+    """After two minutes the clocks are three times sqrt(L / g) apart."""
+    off = {"rate": rate, "offset": 0.3}
+    drift = EFFECTS["clock-drift"]
+
+    def white(seen: Trajectory, vessel) -> np.ndarray:
+        """Variance of the whitened innovations of each channel."""
+        seen = dataclasses.replace(seen, executed=seen.commanded if measured else {})
+        problem = make_problem(vessel, [seen], ("X_u",))
+        tuned = problem.tuned(*problem.start())
+        return (np.asarray(tuned.white) ** 2).sum(0) / np.asarray(tuned.gains.used).sum(0)
+
+    vessel = build(document)
+    late = random_steps(document, 4, 120.0, 0.5, {"clock-drift": off})
+    known = drift.apply(vessel, np.array(drift.coordinates(vessel, off)))
+    right = white(run, vessel)
+    assert white(late, known) == pytest.approx(right, rel=0.5)
+    assert white(late, vessel).max() > 3 * right.max()
+
+
+def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
+    """Gusts move the vessel a great deal within the delay, two and a half rows."""
+    vessel, delay = build(document), 0.5
+    late = {"sensor-latency": {"delay": delay, "channels": ["u", "v"]}}
+    blow = gust(np.random.default_rng(9), 0.0, 160.0, std=(0.1, 0.1, 0.05), tau=(2.0, 2.0, 2.0))
+    seen = random_steps(document, 1, 160.0, 0.2, late, blow)
+    effect = EFFECTS["sensor-latency:velocity"]
+    free = ("X_u", "X_uu", "Y_v", "N_r")
+    problem = make_problem(vessel, [seen], free, (effect,), room=1)
+    fitted = estimate(problem, (*free, effect.name))
+    found = problem.layout.physical(effect.name, fitted.coordinates).item()
+    assert found == pytest.approx(delay, rel=0.1)
+
+
+def test_too_little_held_out_is_told(document, run):
+    vessel = build(document)
+    problem_of = lambda runs, least: make_problem(vessel, runs, ("X_u",), least=least)
+    with pytest.raises(UserError, match="only 12 rows are held out"):
+        split(problem_of, [run], [rows(run, run.t < 6)], False)
+
+
+@pytest.mark.parametrize("offset", [0.3, -0.3])
+def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
+    """Where actuators are measured: what a first look promises is a good part of the gain."""
+    off = {"clock-drift": {"offset": offset, "rate": 0.0}}
+    late = random_steps(document, 4, 120.0, 0.5, off)
+    late = dataclasses.replace(late, executed=late.commanded)
+    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), room=2)
+    start, noise = problem.start()
+    gains = problem.tuned(start, noise).gains
+    place = problem.layout.indices(("clock-drift",))
+    residual, J = columns_of(problem, gains, start, place)
+    fitted = J @ np.linalg.lstsq(J, residual, rcond=None)[0]
+    away = start.copy()
+    away[place[1]] = offset / EFFECTS["clock-drift"].sizes(problem.base)[1]
+    gain = (residual**2).sum() - (residual_at(problem, gains, away) ** 2).sum()
+    assert (fitted**2).sum() > 0.2 * gain > 20.0
+
+
+def test_runs_longer_than_their_distance_keep_their_order(document, run):
+    slow = dataclasses.replace(run, t=120.0 * run.t)
+    tape = make_problem(build(document), [slow, slow], ("X_u",)).tape
+    assert (np.diff(np.asarray(tape.t)[: 2 * run.t.size]) > 0).all()
+
+
+def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, run):
+    short = rows(run, run.t < 6.0)
+    thin = dataclasses.replace(short, t=short.t / 50)
+    with pytest.raises(UserError, match="too short to estimate anything"):
+        make_problem(build(document), [thin], ("X_u",))
+
+
+@pytest.mark.parametrize("long", [600, 1030, 2000])
+def test_noise_is_estimated_from_recorded_rows_alone(long):
+    empty = np.zeros((2048, 6))
+    used = np.where(np.arange(2048)[:, None] < long, 1.0, empty)
+    path = Path(empty, empty, empty, empty, used, empty, empty, empty)
+    clock = Clock(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
+    chosen = np.asarray(excerpt(path, clock)[1].dt)
+    assert chosen.max() < long
+    assert len(np.unique(chosen)) == chosen.size == 128 * min(8, long // 128)

@@ -1,0 +1,301 @@
+"""Mappings proposed for foreign files: disguised clean runs, layouts, names, and real data."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.disguises import Disguise, choose, disguise, judged
+from tests.oracle.make_recordings import load, produce
+from tests.paths import DATA, EXPERIMENTS, ORACLE
+
+from diffsea.cli import main
+from diffsea.errors import UserError
+from diffsea.recordings import read_mapping, read_recording
+from diffsea.recordings.mapping_proposal import is_foreign, propose, suggestion
+from diffsea.recordings.mapping_proposal.wording import SURE
+
+
+MOTION = {"t", "x", "y", "psi", "u", "v", "r"}
+PLAIN = Disguise(
+    style="letters",
+    frame="ned",
+    earth=False,
+    stated=False,
+    masked=False,
+    heading="deg",
+    rate="deg/s",
+    speed="m/s",
+    time="ms",
+    geographic=False,
+    layout="csv",
+    reversed_rudder=False,
+)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Noisy runs, as tables, of a vessel that no threshold was chosen on."""
+    folder = tmp_path_factory.mktemp("runs")
+    names = ["random-fast", "zigzag-fast", "circle-slow"]
+    produce(folder, load(ORACLE / "boat.toml"), 11, seconds=70.0, rate=4.0, runs=names)
+    return {name: pd.read_csv(folder / f"{name}.csv") for name in names}
+
+
+def recovered(native, how, folder, seed=0):
+    """What a proposal makes of a run in disguise: channels right or wrong, and how sure."""
+    path, written = folder / "foreign.csv", folder / "foreign.mapping.toml"
+    disguise(native, how, np.random.default_rng(seed), path)
+    proposal = propose(path)
+    written.write_text(proposal.text, encoding="utf-8")
+    alias = {"latitude": "x", "longitude": "y"}
+    sure = {
+        alias.get(name, name).removeprefix("cmd_").removeprefix("exec_"): value
+        for name, value in proposal.sure.items()
+    }
+    return judged(native, path, written), sure
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"frame": "port sway"},
+        {"frame": "east first", "heading": "deg 360"},
+        {"frame": "enu", "style": "ros", "heading": "rad", "rate": "rad/s"},
+        {"earth": True, "style": "surveyor"},
+        {"style": "surveyor", "geographic": True, "speed": "kn"},
+        {"rate": "deg/min", "speed": "kn", "time": "us"},
+        {"speed": "km/h", "time": "epoch", "stated": True},
+        {"layout": "comma decimals", "style": "german"},
+        {"layout": "blanks", "style": "snake"},
+        {"layout": "preamble", "style": "words"},
+        {"layout": "units below", "stated": True},
+        {"layout": "tab", "style": "ros"},
+    ],
+    ids=str,
+)
+def test_a_disguised_run_is_recovered(change, runs, tmp_path):
+    right, _ = recovered(runs["zigzag-fast"], dataclasses.replace(PLAIN, **change), tmp_path)
+    assert {name for name, fine in right.items() if not fine} == set()
+
+
+def test_columns_without_names_are_found_by_kinematics(runs, tmp_path):
+    how = dataclasses.replace(PLAIN, layout="bare", time="s")
+    right, sure = recovered(runs["zigzag-fast"], how, tmp_path)
+    # Sway of this craft is hardly more than noise: nothing but its name would tell it.
+    assert all(right[channel] for channel in MOTION - {"v"})
+    assert min(sure[channel] for channel in ("t", "psi", "r")) > 0.5
+
+
+def test_most_random_disguises_are_seen_through(runs, tmp_path):
+    """Over 60 random disguises; `sure` must be right nearly always, but not be all there is."""
+    whole, claims = [], []
+    tables = list(runs.values())
+    for seed in range(60):
+        rng = np.random.default_rng(5000 + seed)
+        right, sure = recovered(tables[seed % 3], choose(rng), tmp_path, seed)
+        whole.append(all(right[channel] for channel in MOTION))
+        claims += [(value, right.get(name, False)) for name, value in sure.items()]
+    called = [fine for value, fine in claims if value >= SURE]
+    others = [fine for value, fine in claims if value < SURE]
+    print(f"motion right {np.mean(whole):.2f}; sure {np.mean(called):.3f} of {len(called)}")
+    assert np.mean(whole) > 0.75
+    assert len(called) > 0.5 * len(claims)
+    assert np.mean(called) > 0.94
+    assert np.mean(others) < np.mean(called)
+
+
+def test_a_mirrored_record_is_not_called_sure_without_a_witness(runs, tmp_path):
+    """Without actuators nothing tells starboard from port, and names of letters do not either."""
+    native = runs["zigzag-fast"].drop(columns=["cmd_port", "cmd_starboard"])
+    _, sure = recovered(native, dataclasses.replace(PLAIN, heading="rad"), tmp_path)
+    assert max(sure[channel] for channel in ("y", "psi", "v", "r")) < SURE
+    _, sure = recovered(runs["zigzag-fast"], dataclasses.replace(PLAIN, heading="rad"), tmp_path)
+    assert min(sure[channel] for channel in ("psi", "r")) > SURE
+
+
+def test_contradicting_names_give_way_to_kinematics(runs, tmp_path):
+    """Columns labelled the wrong way round: yaw rate as heading, and x as y."""
+    native = runs["random-fast"]
+    table = native.rename(columns={"x": "y", "y": "x", "psi": "r", "r": "psi", "t": "time"})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+    mapping = read_mapping(tmp_path / "a.toml")
+    assert mapping.channels["psi"].column == "r" and mapping.channels["r"].column == "psi"
+    right = judged(native, tmp_path / "a.csv", mapping)
+    assert all(right[channel] for channel in MOTION)
+
+
+def test_orders_are_told_from_what_was_realised(runs, tmp_path):
+    table = runs["random-fast"].rename(columns={"t": "time"})
+    smooth = table["cmd_port"].ewm(span=12).mean()
+    table = table.rename(columns={"cmd_port": "left", "cmd_starboard": "right"})
+    table["left"] = smooth
+    table.to_csv(tmp_path / "a.csv", index=False)
+    sure = propose(tmp_path / "a.csv").sure
+    assert "exec_port" in sure and "cmd_starboard" in sure
+
+
+def test_a_rudder_that_turns_to_port_is_given_a_sign(tmp_path):
+    native = rudder_run()
+    for sign in (1, -1):
+        table = native.assign(cmd_rudder=sign * np.degrees(native["cmd_rudder"]))
+        table = table.rename(columns={"t": "time", "psi": "heading", "cmd_rudder": "helm"})
+        table.to_csv(tmp_path / "a.csv", index=False)
+        (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+        rudder = read_mapping(tmp_path / "a.toml").channels["cmd_rudder"]
+        assert (rudder.column, rudder.unit, rudder.sign) == ("helm", "deg", sign)
+
+
+def rudder_run():
+    """A ship of first order in yaw under steps of the rudder, drifting outwards; exact."""
+    t = np.arange(0, 120, 0.25)
+    order = np.radians(15) * np.sign(np.sin(2 * np.pi * t / 34 + 0.3))
+    r = np.zeros_like(t)
+    for i in range(t.size - 1):
+        r[i + 1] = r[i] + 0.25 * (0.12 * order[i] - r[i]) / 4.0
+    psi, u, v = 0.4 + np.cumsum(r) * 0.25, 1.5 + 0 * t - 2 * r**2, -1.2 * r
+    flow = (u + 1j * v) * np.exp(1j * psi)
+    place = np.cumsum(flow) * 0.25
+    columns = {"t": t, "x": place.real, "y": place.imag, "psi": psi, "u": u, "v": v, "r": r}
+    return pd.DataFrame(columns | {"cmd_rudder": order})
+
+
+def test_a_file_without_time_gets_its_step_from_kinematics_or_is_asked(runs, tmp_path):
+    native = runs["random-fast"]
+    table = native.drop(columns="t").rename(columns={"psi": "yaw", "r": "yaw_rate [rad/s]"})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    proposal = propose(tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text(proposal.text)
+    assert proposal.timed and "time_step" in proposal.checks[0]
+    assert read_mapping(tmp_path / "a.toml").time_step == pytest.approx(0.25, rel=0.06)
+    table[["yaw", "cmd_port"]].to_csv(tmp_path / "b.csv", index=False)
+    proposal = propose(tmp_path / "b.csv")
+    (tmp_path / "b.toml").write_text(proposal.text)
+    assert not proposal.timed and "ASK" in proposal.text and "unknown" in proposal.checks[0]
+    assert read_mapping(tmp_path / "b.toml").time_step == 1.0
+
+
+def test_stamps_of_date_and_time_give_the_step(runs, tmp_path):
+    native = runs["random-fast"]
+    stamps = pd.Timestamp("2024-05-01T10:00:00Z") + pd.to_timedelta(native["t"], unit="s")
+    table = native.drop(columns="t").assign(stamp=stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
+    table.rename(columns={"psi": "yaw"}).to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+    assert read_mapping(tmp_path / "a.toml").time_step == pytest.approx(0.25)
+    assert "'stamp'" in (tmp_path / "a.toml").read_text()
+
+
+def test_names_of_logs_are_understood():
+    found = {
+        "imu:angular_velocity.z": "r",
+        "/odom:twist.linear.x": "vx",
+        "T_port": "port",
+        "Sway velocity": "v",
+        "delta_rudder [rad]": "rudder",
+        "surge_dot": "other",
+        "heading_setpoint": "other",
+        "yaw_rate [deg/s]": "r",
+        "ruderwinkel": "rudder",
+        "gyro.z [m]": "other",
+    }
+    assert {name: suggestion(name).best for name in found} == found
+    assert suggestion("yaw_rate_deg_s").unit == "deg/s"
+    assert suggestion("torque [Nm]").unit == "?" and suggestion("speed (kn)").unit == "kn"
+    assert suggestion("rudder_cmd").ordered is True
+    assert suggestion("rudder_actual").ordered is False
+
+
+def test_the_command_writes_the_mapping_and_audits_through_it(runs, tmp_path, capsys):
+    how = dataclasses.replace(PLAIN, style="snake")
+    for name in ("random-fast", "zigzag-fast"):
+        disguise(runs[name], how, np.random.default_rng(0), tmp_path / f"{name}.csv")
+    files = [str(tmp_path / "random-fast.csv"), str(tmp_path / "zigzag-fast.csv")]
+    out = tmp_path / "out"
+    assert main(["audit", *files, "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "how sure" in told and f"--mapping {out / 'random-fast.mapping.toml'}" in told
+    assert sorted(path.name for path in out.iterdir()) == [
+        "audit.json",
+        "random-fast.mapping.toml",
+    ]
+    assert json.loads((out / "audit.json").read_text()) == []
+    run = read_recording(files[1], out / "random-fast.mapping.toml")
+    np.testing.assert_allclose(run.r, runs["zigzag-fast"]["r"], atol=1e-6)
+    again = ["audit", *files, "--mapping", str(out / "random-fast.mapping.toml")]
+    assert main([*again, "--json", "-o", str(tmp_path / "again")]) == 0
+    assert json.loads(capsys.readouterr().out) == []
+    assert not (tmp_path / "again" / "random-fast.mapping.toml").exists()
+
+
+def test_with_json_the_message_goes_elsewhere(runs, tmp_path, capsys):
+    table = runs["random-fast"][["psi", "cmd_port"]].rename(columns={"psi": "yaw"})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    assert main(["audit", str(tmp_path / "a.csv"), "--json", "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    (finding,) = json.loads(printed.out)
+    assert finding["kind"] == "time-step" and "not audited" in finding["message"]
+    assert "mapping was proposed" in printed.err
+
+
+def test_native_files_need_no_proposal(runs, tmp_path):
+    runs["random-fast"].to_csv(tmp_path / "native.csv", index=False)
+    assert not is_foreign(tmp_path / "native.csv")
+    runs["random-fast"].to_csv(tmp_path / "foreign.csv", index=False, sep=";")
+    assert is_foreign(tmp_path / "foreign.csv")
+    runs["random-fast"].to_parquet(tmp_path / "native.parquet")
+    assert not is_foreign(tmp_path / "native.parquet")
+
+
+def test_files_of_two_layouts_are_refused(runs, tmp_path):
+    disguise(runs["random-fast"], PLAIN, np.random.default_rng(0), tmp_path / "a.csv")
+    other = dataclasses.replace(PLAIN, style="snake")
+    disguise(runs["random-fast"], other, np.random.default_rng(0), tmp_path / "b.csv")
+    with pytest.raises(UserError, match="b.csv has other columns"):
+        propose([tmp_path / "a.csv", tmp_path / "b.csv"])
+    (tmp_path / "c.csv").write_text("time,a\n0,1\n1,1\n2,1\n")
+    with pytest.raises(UserError, match="too few rows"):
+        propose(tmp_path / "c.csv")
+
+
+REAL = {
+    # Files, the mapping they are compared with (latencies are none of a proposal's business),
+    # and channels in which the two differ.
+    "esso_osaka": ("esso_osaka/recordings/zigzag*.csv", "mapping.toml", set()),
+    "kcs_marin": ("kcs_marin/*.txt", "mapping.toml", set()),
+    # The propeller turns at a constant speed in a column without a name.
+    "kvlcc2_hsva": ("kvlcc2_hsva/*.dat", "mapping_repaired.toml", {"exec_propeller"}),
+    "blueboat": ("blueboat/*.csv", "mapping_repaired.toml", set()),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_recordings(name, tmp_path):
+    pattern, reference, differing = REAL[name]
+    files = sorted(DATA.glob(pattern))
+    if not files:
+        pytest.skip(f"no {DATA / pattern}")
+    (tmp_path / "proposed.toml").write_text(propose(files).text, encoding="utf-8")
+    known = read_mapping(EXPERIMENTS / name / reference)
+    found = read_mapping(tmp_path / "proposed.toml")
+    assert found.velocity_axes == known.velocity_axes
+    theirs, ours = described(known), described(found)
+    wrong = {c for c in {*theirs, *ours} if theirs.get(c) != ours.get(c)}
+    assert wrong == differing
+    run = read_recording(files[-1], found)
+    assert np.all(np.isfinite(run.psi))
+
+
+def described(mapping):
+    """Column (by place, where the mapping lists them), gain and shift of every channel."""
+    places = list(mapping.columns or ())
+    return {
+        channel: (
+            places.index(column.column) if places else column.column,
+            pytest.approx(column.gain),
+            pytest.approx(column.shift),
+        )
+        for channel, column in mapping.channels.items()
+    }

@@ -1,0 +1,627 @@
+"""Reports: every section for every verdict, nothing unescaped, the summary's own numbers."""
+
+import dataclasses
+import functools
+import html.parser
+import itertools
+import json
+import math
+import types
+
+import numpy as np
+import pytest
+from tests.paths import ORACLE
+
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.holdout import Split
+from diffsea.identification.multistart import Agreement
+from diffsea.identification.objectives.base import Innovations
+from diffsea.identification.problem import Problem, make_problem
+from diffsea.identification.study import Study
+from diffsea.identification.uncertainty.identifiability import identifiability
+from diffsea.report.comparison import Comparison, compare, predict, with_held_out_errors
+from diffsea.report.comparison_plots import unwrapped
+from diffsea.report.diagnosis_page import diagnosis_report
+from diffsea.report.fit_page import fit_report, worse
+from diffsea.report.interactive import figure, plot
+from diffsea.report.page import markup
+from diffsea.report.quantities import (
+    duration,
+    interval,
+    odds,
+    probability,
+    rounded,
+    significant,
+    typeset,
+    with_error,
+)
+from diffsea.report.words import phrase, verdict_text
+from diffsea.simulation.replay import replay
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.files import build, read_vessel
+
+
+USV = ORACLE / "usv.toml"
+NASTY = 'zig<zag> & "20".csv'
+SECTIONS = (
+    "verdict", "where", "what", "held-out", "next", "unseen", "parameters", "data", "provenance",
+)  # fmt: skip
+VERDICTS = ("consistent", "explained", "ambiguous", "unexplained")
+
+
+def usv(current: float = 0.0) -> Vessel:
+    document = read_vessel(USV).document
+    flow = {"name": "current", "speed": current, "direction": 1.2}
+    return build(document | ({"effect": [flow]} if current else {}))
+
+
+def recording(name: str, vessel: Vessel, phase: float = 0.0) -> Trajectory:
+    """A run of the vessel in slow turns, with a little noise."""
+    t = np.arange(0.0, 70.0, 0.5)
+    still = {c: np.zeros_like(t) for c in ("x", "y", "psi", "v", "r")}
+    turn = 60 * np.sign(np.sin(0.2 * t + phase))
+    run = Trajectory(
+        t=t, **still, u=np.full_like(t, 1.2), extra={}, executed={}, valid=np.ones(t.shape, bool),
+        commanded={"port": 100 + turn, "starboard": 100 - turn}, name=name,
+        provenance=("read from <b>file</b>, sha256 12ab", "3 rows dropped"),
+    )  # fmt: skip
+    shown = replay(vessel, run)
+    rng = np.random.default_rng(len(name))
+    size = {"x": 0.1, "y": 0.1, "psi": 0.01, "u": 0.02, "v": 0.02, "r": 0.005}
+    noisy = {c: getattr(shown, c) + s * rng.normal(size=t.size) for c, s in size.items()}
+    return dataclasses.replace(run, **noisy)
+
+
+def maps(strength: float) -> dict:
+    """Cells whose z-scores grow with the degree of freedom; some could not be tested."""
+    time, regime = [], []
+    for number, degree in enumerate(("surge", "sway", "yaw")):
+        unit = "N m" if degree == "yaw" else "N"
+        for run, k in itertools.product((NASTY, "random"), range(8)):
+            z = strength * number * (-1.0) ** k if k else None
+            force = None if z is None else 2.0 * z
+            time.append(
+                {"recording": run, "degree_of_freedom": degree, "start": 8.7 * k,
+                 "end": 8.7 * (k + 1), "force": force, "std": 2.0, "z": z, "unit": unit}
+            )  # fmt: skip
+        for k, name in enumerate(("drift angle 0 to 8 deg", "drift angle 8 to 21.5 deg")):
+            z = 2 * strength * number * k
+            regime.append({"regime": name, "degree_of_freedom": degree, "force": 1.5 * z,
+                           "std": 1.5, "z": z, "unit": unit})  # fmt: skip
+    return {"time": time, "regime": regime, "threshold": 3.4}
+
+
+CURRENT = {
+    "name": "current",
+    "parameters": {
+        "speed": {"value": 0.3012, "std": 0.0042, "unit": "m/s", "interval": [0.2951, 0.3073]},
+        "direction": {"value": 1.2043, "std": 0.0141, "unit": "rad"},
+    },
+    "evidence": {
+        "score": 812.4, "p_value": 1.3e-9, "cost_drop": 0.62, "held_out_gain": 1540.0,
+        "held_out_gain_std": 130.0, "log10_odds": 142.3, "log10_odds_next": 3.25,
+    },
+    "alternatives": [],
+}  # fmt: skip
+
+
+def summary_of(verdict: str) -> dict:
+    found = verdict in ("explained", "ambiguous")
+    effects = [CURRENT | {"alternatives": ["wind"] if verdict == "ambiguous" else []}]
+    unexplained = {
+        "name": "unexplained", "parameters": {}, "alternatives": [],
+        "evidence": {"score": 0.0, "p_value": 1e-7, "cost_drop": 0.0},
+    }  # fmt: skip
+    where = [
+        {
+            "degree_of_freedom": "sway", "recording": NASTY, "start": 31.0, "end": 58.5,
+            "regime": "drift angle 8 to 21.5 deg", "force_rms": 12.13, "unit": "N",
+            "p_value": 1.2e-6,
+        },
+        {
+            "degree_of_freedom": "yaw", "recording": "all", "start": 0.0, "end": 69.5,
+            "regime": "drift angle 8 to 21.5 deg", "force_rms": 31.9, "unit": "N m",
+            "p_value": 4e-5,
+        },
+    ]  # fmt: skip
+    audit = [
+        {
+            "kind": "sensor-latency", "recording": NASTY, "value": 0.8, "std": 0.05, "unit": "s",
+            "message": "position lags velocity by 0.80 s <script>", "repair": "offset = -0.8",
+        },
+        {"kind": "axes", "recording": NASTY, "value": None, "std": None, "unit": "",
+         "message": "v is positive to port"},
+    ]  # fmt: skip
+    wind = {"speed": {"value": 3.1, "std": 0.4, "unit": "m/s"}}
+    candidates = [
+        {"name": "sensor-latency", "channels": ["r"], "log10_odds": -1.2, "p_value": 0.031,
+         "held_out_gain": None, "held_out_gain_std": None, "parameters": {},
+         "status": "screened out", "reason": "its score is <within> chance"},
+        {"name": "current", "log10_odds": 142.3, "p_value": 1.3e-9, "held_out_gain": 1540.0,
+         "held_out_gain_std": 130.0, "parameters": CURRENT["parameters"], "status": "accepted",
+         "reason": "confirmed on held-out runs"},
+        {"name": "added-mass-coupling", "variant": "Y_rdot", "log10_odds": -0.7, "p_value": 0.4,
+         "status": "screened out", "reason": "its score is within chance"},
+        {"name": "wind", "log10_odds": 139.1, "p_value": 2e-6, "held_out_gain": 1520.0,
+         "held_out_gain_std": 130.0, "parameters": wind,
+         "status": "rival" if verdict == "ambiguous" else "rejected", "reason": "weaker"},
+    ]  # fmt: skip
+    limits = [
+        {"name": "gyro-bias", "parameter": "bias", "limit": 0.0012, "unit": "rad/s"},
+        {"name": "mass-change", "parameter": "mass", "limit": None, "unit": "kg",
+         "note": "no run accelerates"},
+    ]  # fmt: skip
+    return {
+        "format": 1,
+        "verdict": verdict,
+        "audit": audit if verdict != "consistent" else [],
+        "where": where if verdict != "consistent" else [],
+        "effects": effects if found else [unexplained] if verdict == "unexplained" else [],
+        "fit": {
+            "nominal": {"train": 8.13, "test": 9.02},
+            "diagnosed": {"train": 1.02, "test": 1.13},
+        },
+        "parameters": [
+            parameter("X_u", "linear damping in surge", -52.0, -63.91, 1.42, 0.98),
+            parameter("N_rdot", "added moment of inertia in yaw", -240.0, -231.0, 80.0, 0.3),
+        ],
+        "held_out": {"how": "whole recordings", "recordings": ["circle"]},
+        "candidates": candidates,
+        "detection_limits": limits,
+        "map": maps(0.0 if verdict == "consistent" else 2.0),
+        "map_after": maps(2.0 if verdict == "unexplained" else 0.0),
+        "null": {"draws": 199, "alpha": 0.01, "threshold": 3.4},
+        "remainder_p_value": 1e-7 if verdict == "unexplained" else 0.4,
+        "next_experiment": {
+            "manoeuvre": "turning-circle", "why": "separates current from wind",
+            "seconds": 143.0, "evidence": {"turning-circle": 41.0, "zigzag": 2.2},
+        }
+        if verdict == "ambiguous" else None,
+    }  # fmt: skip
+
+
+def parameter(
+    name: str, meaning: str, start: float, value: float, std: float, share: float
+) -> dict:
+    """A row of a table of fitted parameters."""
+    return {
+        "name": name, "meaning": meaning, "unit": "kg m^2", "start": start, "value": value,
+        "std": std, "interval": [value - 1.645 * std, value + 1.645 * std], "determined": share,
+    }  # fmt: skip
+
+
+def study() -> Study:
+    """A fit as if made: all at the start, N_rdot known by the vessel file alone."""
+    objective = Innovations(make_problem(usv(0.3), list(recordings()[0]), ("X_u", "N_rdot")))
+    fitted = estimate_of(objective.problem, {})
+    information = np.diag([1e4, 0.1])
+    fitted = dataclasses.replace(
+        fitted, covariance=np.diag([1e-4, 0.24]), information=information,
+        shrinkage=np.array([0.99, 0.04]), path=(50.0, 2.0, 1.0),
+    )  # fmt: skip
+    told = identifiability(objective.parameters, fitted)
+    agreement = Agreement(8, 7, 3.5)
+    return Study(
+        "usv", objective, fitted, "anchored by <mass>", told, agreement, {}, None, {"x": 2}
+    )
+
+
+def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estimate:
+    """An estimate as if fitted, with these effects in SI units."""
+    coordinates, noise = problem.start()
+    for name, physical in values.items():
+        sizes = np.array(problem.layout.sizes[[e.name for e in problem.layout.effects].index(name)])
+        copies = np.array(physical).reshape(-1, len(sizes)) / sizes
+        coordinates[problem.layout.slices()[name]] = copies.ravel()
+    index = np.arange(len(coordinates))
+    free = tuple(p.name for p in problem.layout.parameters) + tuple(values)
+    covariance, share = 1e-4 * np.eye(len(index)), np.full(len(index), 0.99)
+    information = np.linalg.inv(covariance)
+    return Estimate(
+        free, coordinates, 0.0, index, covariance, information, information, share, 1.0, noise
+    )
+
+
+def outcome_of(verdict: str, currents: tuple[float, ...] = ()) -> types.SimpleNamespace:
+    """What reports need of a diagnosis; with `currents` to the north, one for each run's own."""
+    found = verdict in ("explained", "ambiguous")
+    runs, held_out = recordings()
+    held_out = runs if currents else held_out
+    effects = (EFFECTS["current"],)
+    problem = make_problem(usv(), list(runs), effects=effects, per_run=bool(currents))
+    flow = sum(((speed, 0.0) for speed in currents), ()) or (0.109, 0.280)
+    values = {"current": flow} if found else {}
+    return types.SimpleNamespace(
+        split=Split(problem, problem, None, runs, held_out, bool(currents)),
+        names=("current",) if found else (),
+        final=estimate_of(problem, values),
+    )
+
+
+@functools.cache
+def recordings() -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
+    """What is fitted and what is held out, all in the same current."""
+    true = usv(0.3)
+    runs = (recording(NASTY, true), recording("random", true, 1.0))
+    return runs, (recording("circle", true, 2.0), recording("zigzag-fast", true, 3.0))
+
+
+SOURCE = {
+    "command": "diffsea diagnose usv.toml *.csv",
+    "vessel": "usv.toml (sha256 34cd)",
+    "settings": {"environment": "shared", "free": ["X_u", "N_rdot"]},
+    "recordings": {"circle": ["not shown twice"]},
+    "versions": {"diffsea": "9.9.9"},
+}
+
+
+class Reader(html.parser.HTMLParser):
+    """Reads a page: ids, text by section, tags that are not closed in order."""
+
+    VOID = ("meta", "img", "link", "br")
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.images: list[dict] = []
+        self.links: list[str] = []
+        self.section = ""
+        self.words: dict[str, list[str]] = {}
+        self.plots: list[dict] = []  # figures with their text and section
+        self.faults: list[str] = []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.ids += [given["id"]] if "id" in given else []
+        self.links += [given[key] for key in ("src", "href") if key in given]
+        if tag == "section":
+            self.section = given["id"]
+        if tag == "img":
+            self.images.append(given)
+        if given.get("class") == "plot":
+            self.plots.append({"told": given["aria-label"], "section": self.section})
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.faults.append(f"</{tag}> in {self.section}")
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("script", "style"):
+            if self.section and data.startswith("{"):
+                self.plots[-1] |= json.loads(data)
+            return
+        self.words.setdefault(self.section, []).append(data)
+
+    def drawn(self, section: str) -> list[dict]:
+        return [plot for plot in self.plots if plot["section"] == section]
+
+    def text(self, section: str) -> str:
+        return " ".join(" ".join(self.words[section]).split())
+
+
+@functools.cache
+def page_of(verdict: str) -> str:
+    diagnosis = outcome_of(verdict)
+    diagnosed = usv(0.3) if diagnosis.names else usv()
+    return diagnosis_report(summary_of(verdict), diagnosis, usv(), diagnosed, SOURCE)
+
+
+def assert_sound(page: str) -> Reader:
+    """One file, tags closed, nothing fetched, every figure told in words."""
+    reader = Reader(page)
+    assert page.startswith("<!DOCTYPE html>") and "</html>" in page
+    assert not reader.faults and not reader.open
+    assert len(set(reader.ids)) == len(reader.ids)
+    assert all(link.startswith(("data:image/svg+xml;base64,", "#")) for link in reader.links)
+    assert all(len(image["alt"]) > 20 for image in reader.images)
+    assert all(len(plot["told"]) > 20 and plot["data"] for plot in reader.plots)
+    assert "nan" not in " ".join(" ".join(words) for words in reader.words.values()).split()
+    return reader
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_has_every_section(verdict):
+    reader = assert_sound(page_of(verdict))
+    assert tuple(reader.ids) == SECTIONS
+    assert all(reader.text(section) for section in SECTIONS)
+    assert verdict in reader.text("verdict")
+    # Maps of regimes, with an effect also after it; of each recording a map and a track.
+    assert len(reader.drawn("where")) == (6 if "current" in reader.text("verdict") else 5)
+    assert len(reader.drawn("held-out")) == 4 and len(reader.drawn("what")) == 1
+
+
+def test_page_shows_the_numbers_of_the_summary():
+    reader = assert_sound(page_of("ambiguous"))
+    what = reader.text("what")
+    assert "0.301 ± 0.004 m/s" in what and "69.0 ± 0.8°" in what and "flows to" in what
+    assert "0.295 to 0.307 m/s" in what and "67.7 to 70.3°" in what
+    assert "62 %" in what and "1540 ± 130" in what and "wind" in what
+    assert "no effect: 1×10¹⁴² : 1" in what and "next best name: 1800 : 1" in what
+    assert "1 : 16" in what and "(Y rdot)" in what
+    reasons = ("confirmed on held-out runs", "weaker", "its score is <within> chance")
+    assert sorted(reasons, key=what.index) == list(reasons)
+    where = reader.text("where")
+    assert "12 N" in where and "32 N m" in where and "31 to 58 s" in where and "1×10⁻⁶" in where
+    parameters = reader.text("parameters")
+    assert "−63.9 ± 1.4" in parameters and "−52.0" in parameters and "98 %" in parameters
+    assert "0.80 ± 0.05 s" in reader.text("data") and "show faults" in reader.text("verdict")
+    then = reader.text("next")
+    assert "It separates current from wind" in then and "must run for 140 s" in then
+    unseen = reader.text("unseen")
+    assert "0.069°/s" in unseen and "not at any plausible size" in unseen
+    provenance = reader.text("provenance")
+    assert "34cd" in provenance and "12ab" in provenance and "diffsea 9.9.9" in provenance
+    assert "free: X_u, N_rdot" in provenance and "not shown twice" not in provenance
+    assert "draws: 199" in provenance
+
+
+def test_what_was_not_computed_is_said():
+    absent = ("map", "map_after", "candidates", "detection_limits", "null", "next_experiment")
+    result = {k: v for k, v in summary_of("explained").items() if k not in absent}
+    for effect in result["effects"]:
+        effect["evidence"] = {}
+    page = diagnosis_report(result, outcome_of("explained"), usv(), usv(0.3), SOURCE)
+    reader = assert_sound(page)
+    assert tuple(reader.ids) == SECTIONS
+    for section in ("where", "what", "unseen"):
+        assert "not computed" in reader.text(section)
+    assert not reader.drawn("where") and len(reader.drawn("held-out")) == 4
+
+
+def test_maps_have_each_cell_in_its_place():
+    given = summary_of("explained")["map"]
+    reader = Reader(page_of("explained"))
+    nominal, _, first, track, *_ = reader.drawn("where")
+    heat = first["data"][0]
+    assert heat["y"] == ["surge", "sway", "yaw"] and heat["x"] == pytest.approx(8.7 * np.arange(9))
+    for cell in given["time"]:
+        if cell["recording"] == NASTY:
+            row, column = heat["y"].index(cell["degree_of_freedom"]), round(cell["start"] / 8.7)
+            assert heat["z"][row][column] == cell["z"]
+    # Sway has z of 2, below the threshold of 3.4; yaw has 4.
+    assert set(heat["text"][1]) == {""} and heat["text"][2] == ["", *["−4", "4"] * 3, "−4"]
+    heat = nominal["data"][0]
+    assert heat["x"] == ["surge", "sway", "yaw"] and heat["z"] == [[0, 0, 0], [0, 4, 8]]
+    assert len(track["data"]) == 2 + 2 * 3  # the track, its start, forces before and after
+    yaw = track["data"][1]
+    assert yaw["meta"]["colouring"] == "N (yaw), nominal model" and yaw["visible"]
+    for t, colour in zip(yaw["customdata"], yaw["marker"]["color"], strict=True):
+        assert colour == 8.0 * (-1) ** int(t // 8.7) or abs(t / 8.7 - round(t / 8.7)) < 1e-6
+    assert min(yaw["customdata"]) > 8.0  # nothing is known of the first window
+
+
+def test_held_out_runs_are_drawn_in_people_s_units():
+    run = recordings()[1][0]
+    track, times, *_ = Reader(page_of("explained")).drawn("held-out")
+    assert [trace["name"] for trace in track["data"]] == ["measured", "nominal", "diagnosed"]
+    assert track["data"][0]["x"] == pytest.approx(run.y, abs=0.05)
+    assert track["data"][0]["y"] == pytest.approx(run.x, abs=0.05)
+    assert track["data"][0]["customdata"] == pytest.approx(run.t)
+    panels = [trace for trace in times["data"] if trace["name"] == "measured"]
+    for panel, values in zip(panels, (57.29578 * run.psi, 57.29578 * run.r, run.u), strict=False):
+        assert panel["y"] == pytest.approx(values, abs=0.02 * np.ptp(values))
+    titles = [note["text"] for note in times["layout"]["annotations"]]
+    assert titles[0] == "heading (deg)" and titles[1] == "yaw rate (deg/s)"
+    assert track["layout"]["meta"]["group"] == times["layout"]["meta"]["group"]
+
+
+def test_headings_lie_on_one_turn():
+    wrapped = np.array([170.0, 179.0, -172.0, np.nan, -160.0])
+    later = np.array([530.0, 539.0, 548.0, 553.0, 560.0])
+    first, second = unwrapped([wrapped, later])
+    assert first[[0, 1, 2, 4]] == pytest.approx([170, 179, 188, 200])
+    assert second == pytest.approx(later - 360)
+
+
+def test_page_stays_small_with_long_recordings():
+    long = recordings()[0][0]
+    t = np.linspace(0, 69.5, 20_000)
+    ones = np.ones(t.shape, bool)
+    channels = {c: np.interp(t, long.t, getattr(long, c)) for c in ("x", "y", "psi", "u", "v", "r")}
+    orders = {c: np.interp(t, long.t, values) for c, values in long.commanded.items()}
+    run = dataclasses.replace(long, t=t, valid=ones, commanded=orders, **channels)
+    outcome = outcome_of("explained")
+    runs = tuple(dataclasses.replace(run, name=f"run {k}") for k in range(16))
+    split = dataclasses.replace(outcome.split, recordings=runs)
+    result = summary_of("explained")
+    cells = [c | {"recording": one.name} for one in runs for c in result["map"]["time"][:8]]
+    result["map"]["time"] = result["map_after"]["time"] = cells
+    outcome = types.SimpleNamespace(split=split, names=outcome.names, final=outcome.final)
+    page = diagnosis_report(result, outcome, usv(), usv(0.3), SOURCE)
+    reader = assert_sound(page)
+    assert len(page) < 6.2e6
+    # All runs are there, the weaker ones folded.
+    assert len(reader.drawn("where")) == 2 + 2 * 16 and "10 more runs" in reader.text("where")
+
+
+def test_page_carries_its_library_once_and_forbids_requests():
+    page = page_of("explained")
+    assert page.count("* plotly.js v") == 1 and len(page) < 6e6
+    assert "Content-Security-Policy" in page and "default-src 'none'" in page
+
+
+def test_errors_on_the_page_are_those_of_the_models():
+    diagnosis = outcome_of("explained")
+    summary = with_held_out_errors(summary_of("explained"), diagnosis, usv(), usv(0.3))
+    rows = {row["seconds"]: row for row in summary["held_out"]["horizons"]}
+    assert set(rows) == {5.0, 20.0, 60.0}
+    # Two runs of 69.5 s, started every 10 s.
+    assert rows[20.0]["starts"] == 10
+    # The water carries the vessel 0.3 m/s that the nominal model does not know of.
+    assert rows[20.0]["nominal"]["position"] > 4 and rows[20.0]["diagnosed"]["position"] < 1
+    old, new = (rows[20.0][model]["position"] for model in ("nominal", "diagnosed"))
+    told = f"off by {significant(new, 2)} m instead of {significant(old, 2)} m"
+    assert told in Reader(page_of("explained")).text("verdict")
+    assert told in " ".join(verdict_text(summary).split())
+
+
+def test_names_from_files_are_escaped():
+    page = page_of("explained")
+    assert "0.80 s <script>" not in page and "<b>file" not in page and "zig<zag>" not in page
+    assert NASTY in Reader(page).text("where")
+    drawn = plot(figure(title={"text": "</script><b>"}), "a plot <of> nothing at all", 100)
+    assert drawn.count("</script>") == 1 and "<of>" not in drawn and "<b>" not in drawn
+    assert markup('a <b> & "c"') == "a &lt;b&gt; &amp; &quot;c&quot;"
+
+
+def test_a_current_of_each_run_is_its_own():
+    diagnosis = outcome_of("explained", currents=(0.5, -0.5))
+    ahead, astern = compare(diagnosis, usv(), usv())
+    for run, sign in ((ahead, 1), (astern, -1)):
+        drift = run.predictions["diagnosed"].run.x - run.predictions["nominal"].run.x
+        assert drift[-1] == pytest.approx(sign * 0.5 * 69.5, rel=0.05)
+
+
+def test_one_model_where_nothing_was_found():
+    reader = assert_sound(page_of("consistent"))
+    assert "nominal →" not in reader.text("held-out")
+    assert "predicts" in reader.text("held-out")
+
+
+@pytest.mark.parametrize("held_out", [True, False])
+def test_fit_page(held_out):
+    runs, test = recordings()
+    quality = {"train": 1.02} | ({"test": 1.31} if held_out else {})
+    history = ["round 1: -2 log posterior -20.1", "round 2: <done>"]
+    seen = list(test) if held_out else list(runs)
+    shown = [
+        Comparison(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)}) for r in seen
+    ]
+    page = fit_report(study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE)
+    reader = assert_sound(page)
+    sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
+    assert tuple(reader.ids) == sections
+    assert "N_rdot" in reader.text("summary") and "−52.0 ± 0.5" in reader.text("parameters")
+    assert "Anchored by <mass>" in reader.text("parameters")
+    assert "linear damping in surge" in reader.text("parameters")
+    assert "7 of 8 starts" in reader.text("open") and "2 of x" in reader.text("open")
+    assert "1.00 N_rdot (the data determine" in reader.text("open")
+    assert ("1.31 times in what was held out" in reader.text("summary")) is held_out
+    assert ("worse than the vessel file" in reader.text("summary")) is (worse(shown) != "")
+    swapped = [
+        Comparison(
+            o.recording, {"start": o.predictions["fitted"], "fitted": o.predictions["start"]}
+        )
+        for o in shown
+    ]
+    assert worse(shown) == "" and "predicts position" in worse(swapped)
+    assert ("none were held out" in reader.text("predictions")) is not held_out
+    assert "round 2: <done>" in reader.text("convergence")
+    assert ("circle" in reader.text("predictions")) is held_out
+
+
+def test_verdict_text_of_each_verdict():
+    explained = verdict_text(summary_of("explained"))
+    told = " ".join(explained.split())
+    assert told.startswith("The recordings show a steady current of 0.30 m/s flowing to 69 deg,")
+    assert "speed 0.301 +- 0.004 m/s, direction 69.0 +- 0.8 deg (flows to)" in told
+    assert "from 9.0 to 1.1 times the noise" in told and "(flows to); odds 1e142 : 1" in told
+    ambiguous = verdict_text(summary_of("ambiguous"))
+    told = " ".join(ambiguous.split())
+    assert "or else wind: these recordings cannot tell which" in told
+    assert "turning circle for 140 s: separates current from wind" in told
+    unexplained = " ".join(verdict_text(summary_of("unexplained")).split())
+    assert "no effect known here describes, strongest in sway" in unexplained
+    consistent = verdict_text(summary_of("consistent"))
+    assert consistent.startswith("The model agrees with the recordings")
+    assert "what" not in consistent.split("\n\n")[-1].split()
+    assert all(len(line) <= 88 for line in explained.splitlines() + ambiguous.splitlines())
+
+
+def test_several_effects_and_effects_of_each_run():
+    lag = CURRENT | {
+        "name": "thrust-lag",
+        "parameters": {"time_constant": {"value": 0.83, "std": 0.05, "unit": "s"}},
+    }
+    both = summary_of("explained") | {"effects": [CURRENT, lag]}
+    text = " ".join(verdict_text(both).split())
+    assert "flowing to 69 deg and a lag with a time constant of 0.83 s in the actuators" in text
+    assert text.startswith("The recordings show a steady current")
+    speeds = {
+        name: {"speed": {"value": value, "std": 0.01, "unit": "m/s"}}
+        for name, value in (("one", 0.21), ("two", 0.34))
+    }
+    own = [CURRENT | {"recording": name, "parameters": s} for name, s in speeds.items()]
+    text = " ".join(verdict_text(summary_of("explained") | {"effects": own}).split())
+    assert "of its own in each recording (speed 0.210 m/s to 0.340 m/s), which" in text
+    assert "current in two: speed 0.340 +- 0.010 m/s" in text
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_every_effect_has_a_phrase(name):
+    effect = EFFECTS[name]
+    parameters = {
+        key: {"value": 0.1, "std": 0.01, "unit": unit} for key, unit in effect.units.items()
+    }
+    text = phrase({"name": name.split(":")[0], "parameters": parameters})
+    assert "{" not in text and "effect" not in text and "unknown" not in text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "unit", "text"),
+    [
+        (0.3012, 0.0042, "m/s", "0.301 +- 0.004 m/s"),
+        (0.3012, 0.0142, "m/s", "0.301 +- 0.014 m/s"),
+        (1.2043, 0.0141, "rad", "69.0 +- 0.8 deg"),
+        (0.01, 0.0005, "rad/s", "0.57 +- 0.03 deg/s"),
+        (12345.6, 321.0, "N", "12300 +- 300 N"),
+        (0.1, 0.03, "1", "0.10 +- 0.03"),
+        (-0.001, 0.4, "s", "0.0 +- 0.4 s"),
+        (5.0, 0.0, "s", "5.00 s"),
+        (5.0, math.nan, "s", "5.00 s"),
+        (None, None, "s", "not known"),
+        (9.99, 0.0996, "m", "10.0 +- 0.1 m"),
+    ],
+)
+def test_rounding_with_error(value, std, unit, text):
+    assert with_error(value, std, unit) == text
+
+
+def test_rounding_alone():
+    assert rounded(0.3012, 0.0042, "m/s") == "0.30 m/s"
+    assert rounded(2.1, 0.01, "rad") == "120 deg" and rounded(2.15, 0.01, "rad") == "123 deg"
+    assert rounded(1234.0, 30.0, "kg") == "1230 kg"
+    assert significant(0.0, 3) == "0" and significant(1.3e-9, 2) == "1.3e-9"
+    assert significant(12345678.0, 3) == "1.23e7" and significant(999.6, 3) == "1000"
+    assert probability(1.3e-9) == "1e-9" and probability(0.0312) == "0.031"
+    assert probability(0.0) == "< 1e-99" and probability(1.0) == "1.0"
+
+
+def test_odds_intervals_and_durations():
+    assert [odds(x) for x in (0.0, 1.0, 2.93, 142.3)] == ["1 : 1", "10 : 1", "850 : 1", "1e142 : 1"]
+    assert odds(-1.5) == "1 : 32" and odds(None) == "not known"
+    assert interval((0.2951, 0.3073), "m/s") == "0.295 to 0.307 m/s"
+    assert interval((-0.5, 0.5), "rad") == "-29 to 29 deg"
+    assert interval((1.5, math.inf), "kg") == "1.50 to open kg"
+    assert [duration(x) for x in (143.0, 600.0, 86400.0)] == ["140 s", "10 min", "24 h"]
+
+
+def test_typesetting():
+    assert typeset("69.0 +- 0.8 deg") == "69.0 ± 0.8°"
+    assert typeset("p = 1e-9; N s^2/m^2") == "p = 1×10⁻⁹; N s²/m²"
+    assert typeset("-3.2 -> 0.1 deg/s") == "−3.2 → 0.1°/s"
+    assert typeset("zigzag-20 and run3e5") == "zigzag-20 and run3e5"
+
+
+def test_a_change_says_by_how_much_of_what_there_was_and_a_stage_which_actuators():
+    def said(name, **record):
+        sizes = record.pop("sizes")
+        entries = {key: {"value": v, "std": s, "unit": u} for key, (v, s, u) in sizes.items()}
+        return phrase({"name": name, "parameters": entries, **record})
+
+    at = (60.2, 0.2, "s")
+    grown = said("drag-change", sizes={"time": at, "factor": (0.396, 0.012, "1")})
+    assert grown == "a drag that is 40 % larger from 60 s on"
+    lost = said("thrust-change", sizes={"time": at, "factor": (-0.25, 0.01, "1")})
+    assert lost == "a thrust that is 25 % smaller from 60 s on"
+    lighter = said("mass-change", sizes={"time": at, "mass": (-13.2, 0.5, "kg")})
+    assert lighter == "a mass that is 13 kg smaller from 60 s on"
+    slow = said("thrust-lag", sizes={"time_constant": (0.6, 0.02, "s")}, actuators=["rudder"])
+    assert slow == "a lag with a time constant of 0.60 s in the rudder"

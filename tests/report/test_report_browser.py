@@ -1,0 +1,137 @@
+"""The diagnosis report in a browser: it works offline, its cursor moves, a phone shows it all."""
+
+import pytest
+from tests.chromium import NAMES, Page, installed, opened
+from tests.report.test_report import page_of
+
+
+pytestmark = pytest.mark.skipif(
+    installed() is None, reason=f"no browser is on the path (looked for {', '.join(NAMES)})"
+)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The report of an ambiguous case at desktop width; tests leave it as they found it."""
+    folder = tmp_path_factory.mktemp("browser")
+    file = folder / "report.html"
+    file.write_text(page_of("ambiguous"), encoding="utf-8")
+    with opened(file, folder / "profile") as shown:
+        yield shown
+
+
+def hover(page: Page, plot: str, across: float, down: float) -> None:
+    """The mouse at a share of a plot's inner area."""
+    page.run(f"{plot}.scrollIntoView({{block: 'center'}})")
+    box = page.run(
+        f"(b => [b.x, b.y, b.width, b.height])({plot}.querySelector('.nsewdrag')"
+        ".getBoundingClientRect())"
+    )
+    # Plotly notices a move, not a mouse that was always there.
+    for step in (0.02, 0.0):
+        page.mouse(box[0] + (across + step) * box[2], box[1] + down * box[3])
+
+
+def plot(section: str, number: int) -> str:
+    return f"document.querySelectorAll('#{section} .plot')[{number}]"
+
+
+def test_every_plot_is_drawn_without_complaint_or_request(page):
+    drawn = page.run("[...document.querySelectorAll('.plot')].map(p => !!p.querySelector('svg'))")
+    assert len(drawn) == 12 and all(drawn)
+    assert page.complaints == []
+    assert page.requests and all(u.startswith(("file:", "data:", "blob:")) for u in page.requests)
+    # Should anything try, the page's own policy stops it, not the lack of a network.
+    told = page.run(
+        "new Promise(done => { document.addEventListener('securitypolicyviolation', "
+        "() => done('forbidden'), {once: true}); fetch('https://example.org')"
+        ".catch(() => setTimeout(() => done('failed'), 500)); })"
+    )
+    assert told == "forbidden"
+    page.complaints.clear()
+
+
+def test_hovering_moves_the_cursor_in_all_plots_of_the_run(page):
+    track, times, other = (plot("held-out", k) for k in (0, 1, 3))
+    line = f"{times}.layout.shapes[0]"
+    assert page.run(f"{line}.visible") is False
+    for share in (0.25, 0.75):
+        hover(page, times, share, 0.5)
+        page.until(f"{line}.visible && Math.abs({line}.x0 - {share} * 69.5) < 3")
+        # The marks on the tracks are where each track is at that time.
+        for k in range(3):
+            mark, curve = f"{track}.layout.shapes[{k}]", f"{track}.data[{k}]"
+            row = f"{curve}.customdata.findIndex(t => Math.abs(t - {line}.x0) <= 0.26)"
+            assert page.run(f"{mark}.visible")
+            here = page.run(f"[{mark}.xanchor, {mark}.yanchor, {curve}.x[{row}], {curve}.y[{row}]]")
+            assert here[:2] == pytest.approx(here[2:], abs=0.8)
+    assert page.run(f"{other}.layout.shapes[0].visible") is False
+    assert page.complaints == []
+
+
+def test_hovering_a_map_moves_the_mark_on_its_track(page):
+    heat, track = plot("where", 2), plot("where", 3)
+    hover(page, heat, 0.5, 0.5)
+    page.until(f"{track}.layout.shapes[0].visible")
+    time = page.run(f"{heat}.layout.shapes[0].x0")
+    assert time == pytest.approx(0.5 * 69.6, abs=3.0)
+
+
+def test_a_legend_entry_hides_its_curves_in_all_plots_of_the_run(page):
+    track, times = plot("held-out", 0), plot("held-out", 1)
+    shown = (
+        f"[...{track}.data, ...{times}.data].filter(t => t.name === 'nominal')"
+        ".map(t => t.visible ?? true)"
+    )
+    entry = f"{track}.querySelectorAll('.legendtoggle')[1]"
+    assert page.run(shown) == [True] * 5
+    for wanted in ("legendonly", True):
+        page.run(f"{track}.scrollIntoView({{block: 'center'}})")
+        at = page.run(
+            f"(b => [b.x + b.width / 2, b.y + b.height / 2])({entry}.getBoundingClientRect())"
+        )
+        page.mouse(*at, click=True)
+        page.until(f"{shown}.every(v => v === {'true' if wanted is True else repr(wanted)})")
+    others = f"[...{track}.data, ...{times}.data].map(t => t.visible ?? true)"
+    assert page.run(f"{others}.every(v => v === true)")
+
+
+def test_tracks_take_the_chosen_colour(page):
+    chosen = "document.querySelector('select.colouring')"
+    seen = (
+        "[...document.querySelectorAll('.coloured .plot')].map(p => p.data"
+        ".filter(t => t.meta && t.meta.colouring && t.visible).map(t => t.meta.colouring).join())"
+    )
+    first, last = page.run(f"[{chosen}.options[0].value, {chosen}.options[5].value]")
+    for value in (last, first):
+        page.run(f"{chosen}.value = '{value}'; {chosen}.dispatchEvent(new Event('change'))")
+        page.until(f"{seen}.every(name => name === '{value}')")
+    assert first == "N (yaw), nominal model" and first != last
+
+
+@pytest.mark.parametrize(("width", "phone"), [(1280, False), (390, True)])
+def test_nothing_is_wider_than_the_window(page, width, phone):
+    page.resize(width, 900, phone)
+    page.until("[...document.querySelectorAll('.plot')].every(p => Math.abs("
+               "p.clientWidth - p.querySelector('svg').clientWidth) < 2)")  # fmt: skip
+    over = page.run("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert over <= 0
+    # Curves are clipped at the edge of their plot; words and boxes must not reach beyond it.
+    wide = page.run(
+        "[...document.querySelectorAll('main *')].filter(e => (e instanceof HTMLElement ||"
+        " e.tagName === 'text') && e.getBoundingClientRect().width > 0 && (b => b.left < -1 &&"
+        " b.left > -2000 || b.right > document.documentElement.clientWidth + 1)"
+        "(e.getBoundingClientRect())).map(e => e.tagName + ' ' + e.textContent.slice(0, 40))"
+    )
+    assert wide == []
+    smallest = page.run(
+        "Math.min(...[...document.querySelectorAll('.plot')].map(p => p.clientWidth))"
+    )
+    assert smallest > 0.75 * width if phone else smallest > 400
+
+
+def test_a_fold_draws_its_plots_when_it_opens(page):
+    page.resize(1280, 900)
+    page.run("document.querySelectorAll('details').forEach(d => d.open = true)")
+    page.until("[...document.querySelectorAll('.plot')].every(p => p.dataset.drawn)")
+    assert page.complaints == []

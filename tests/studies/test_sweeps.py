@@ -1,0 +1,137 @@
+"""Sweeps against the same designs run one by one, and designs that cannot be run."""
+
+import contextlib
+import io
+import json
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.boats import BOAT
+
+from diffsea.cli import main
+from diffsea.errors import UserError
+from diffsea.report.study_plots import save_map
+from diffsea.simulation import standard
+from diffsea.studies import sweep
+from diffsea.vessel.files import build, read_vessel
+
+
+ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]
+# The last mass makes the inertia negative; the last damping makes the yaw rate explode.
+# With the larger inertia the boat needs more than twice the time.
+GRID = ["speed=1.0:1.4:2", "mass=-190:230:3", "N_r=-300:60000:2", "I_z=300:3000:2"]
+AXES = ["speed", "mass", "N_r", "I_z"]
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep")
+    (folder / "boat.toml").write_text(BOAT)
+    first, *others = GRID
+    words = ["sweep", str(folder / "boat.toml"), *ORDERED, "--grid", first, "--grid", *others]
+    told = io.StringIO()
+    with contextlib.redirect_stderr(told):
+        assert main([*words, "-o", str(folder / "out")]) == 0
+    table = pd.read_parquet(folder / "out" / "sweep.parquet")
+    return table, json.loads((folder / "out" / "sweep.json").read_text()), told.getvalue()
+
+
+def single(speed, **hull):
+    """The numbers of one design, by the code of `diffsea trial`."""
+    document = tomllib.loads(BOAT)
+    document["hull"] |= hull
+    vessel = build(document)
+    plan = standard.plan(vessel, "zigzag", speed=speed, executes=2, step=0.1)
+    trial, numbers = standard.measured(vessel, plan)
+    return standard.summary(vessel, plan, trial, numbers)
+
+
+def test_a_grid_has_every_combination_once(swept):
+    table, summary, _ = swept
+    assert len(table) == summary["designs"] == 24
+    assert not table[AXES].duplicated().any()
+    assert sorted(set(table["mass"])) == [-190.0, 20.0, 230.0]
+
+
+def test_every_design_has_the_numbers_of_its_own_trial(swept):
+    """The last of them ran twice, the second time for longer."""
+    table = swept[0].set_index(AXES)
+    assert "2 designs take longer" in swept[2]
+    for speed, mass, I_z in ((1.0, 20.0, 300.0), (1.4, 230.0, 300.0), (1.0, 230.0, 3000.0)):
+        row, alone = table.loc[(speed, mass, -300.0, I_z)], single(speed, mass=mass, I_z=I_z)
+        assert row["outcome"] == "completed" == alone["outcome"]
+        for name in ("overshoot_1", "initial_turning_distance", "peak_yaw_rate", "reach_time"):
+            assert row[name] == pytest.approx(alone[name], rel=1e-9), name
+        assert row["approach_speed"] == pytest.approx(speed, rel=1e-6)
+        assert row["imo_overshoot_1"] == alone["imo"]["overshoot_1"]["verdict"]
+
+
+def test_a_design_that_fails_spoils_only_its_row(swept):
+    table, summary, _ = swept
+    impossible, wild = table["mass"] < 0, (table["mass"] > 0) & (table["N_r"] > 0)
+    assert (table["outcome"][impossible] == "impossible").all()
+    assert (table["outcome"][wild] == "diverged").all()
+    failed = table[impossible | wild]
+    assert failed[["overshoot_1", "approach_speed", "imo_overshoot_1"]].isna().all(axis=None)
+    good = table[~impossible & ~wild]
+    assert (good["outcome"] == "completed").all() and good["overshoot_1"].notna().all()
+    assert summary["outcomes"] == {"impossible": 8, "diverged": 8, "completed": 8}
+    assert summary["metrics"]["overshoot_1"]["designs"] == 8
+
+
+def test_a_map_leaves_failed_designs_white(tmp_path):
+    names, values = sweep.grid({"mass": (1.0, 3.0, 3), "x_G": (0.0, 1.0, 4)})
+    table = pd.DataFrame(values, columns=list(names))
+    table["overshoot_1"] = np.where(table["mass"] > 2, np.nan, table["mass"] + table["x_G"])
+    table["imo_overshoot_1"] = np.where(table["x_G"] > 0.5, "fail", "pass")
+    table["approach_speed"] = 1.0
+    save_map(table, names, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sample_covers_its_ranges_evenly_and_repeats_with_its_seed():
+    axes = {"mass": (100.0, 200.0), "x_G": (-0.5, 0.5)}
+    names, values = sweep.sample(axes, 20, seed=3)
+    assert names == ("mass", "x_G") and values.shape == (20, 2)
+    for k, (low, high) in enumerate(axes.values()):
+        assert sorted(((values[:, k] - low) / (high - low) * 20).astype(int)) == list(range(20))
+    np.testing.assert_array_equal(values, sweep.sample(axes, 20, seed=3).values)
+    assert not np.array_equal(values, sweep.sample(axes, 20, seed=4).values)
+
+
+@pytest.mark.parametrize(
+    ("vessel", "names", "message"),
+    [
+        ("wamv", ["maas"], "did you mean 'mass'"),
+        ("kvlcc2", ["scaling.length"], "no parameter 'scaling.length'"),
+        ("wamv", ["speed", "thrust"], "not both"),
+        ("mariner", ["thrust"], "no propulsion"),
+    ],
+)
+def test_names_that_cannot_be_swept_are_told(vessel, names, message):
+    with pytest.raises(UserError, match=message):
+        sweep.check_names(read_vessel(vessel).vessel, names)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "either --grid or --sample"),
+        (["--grid", "mass=1:2:3", "--sample", "3", "mass=1:2"], "either --grid or --sample"),
+        (["--grid", "mass=1:2"], "NAME=FROM:TO:COUNT"),
+        (["--grid", "mass=1:x:3"], "'x' is not a number"),
+        (["--grid", "mass=1:2:0"], "whole number above zero"),
+        (["--grid", "mass=1:2:3", "mass=1:2:3"], "given twice"),
+        (["--sample", "3"], "then NAME=FROM:TO"),
+        (["--sample", "mass=1:2", "3"], "NAME=FROM:TO"),
+        (["--grid", "speed=1:2:2", "--speed", "1"], "speed is swept"),
+    ],
+)
+def test_bad_usage_of_designs_is_told(tmp_path, capsys, words, message):
+    out = tmp_path / "out"
+    assert main(["sweep", "wamv", "--manoeuvre", "zigzag", *words, "-o", str(out)]) == 2
+    assert message in capsys.readouterr().err and not out.exists()
