@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from diffsea.diagnosis.experiment import next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
 from diffsea.diagnosis.search import Diagnosis, diagnose
-from diffsea.recordings import read_mapping, read_recording
-from diffsea.recordings.auditing import audit
+from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.conditioning import cut
 from diffsea.report.comparison import with_held_out_errors
 from diffsea.report.diagnosis_page import diagnosis_report

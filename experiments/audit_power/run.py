@@ -24,8 +24,7 @@ from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
 from tests.oracle.simulator import load
 
-from diffsea.recordings import read_recording
-from diffsea.recordings.auditing import audit
+from diffsea.recordings import audit, read_recording
 
 
 DATA = ROOT.parent / "shared" / "data"

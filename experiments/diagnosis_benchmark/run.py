@@ -45,8 +45,7 @@ def one(vessel, document: dict, seed: int) -> dict:
     from diffsea.diagnosis.experiment import next_experiment
     from diffsea.diagnosis.record import summary
     from diffsea.diagnosis.search import diagnose
-    from diffsea.recordings import read_recording
-    from diffsea.recordings.auditing import audit
+    from diffsea.recordings import audit, read_recording
 
     with tempfile.TemporaryDirectory() as folder:
         make_recordings.produce(

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from tests.paths import ROOT
 
-from diffsea.recordings import KINDS, read_recording
-from diffsea.recordings.auditing import audit
+from diffsea.recordings import KINDS, audit, read_recording
 from diffsea.recordings.auditing.helm import zigzag_findings
 from diffsea.recordings.motion import motion_of
 from diffsea.trajectory import Trajectory

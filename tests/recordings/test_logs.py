@@ -10,8 +10,7 @@ from scipy.io import savemat
 
 from diffsea.cli import main
 from diffsea.errors import UserError
-from diffsea.recordings import read_mapping, read_recording
-from diffsea.recordings.auditing import audit
+from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
 from diffsea.recordings.logs.joining import Channel, joined

@@ -13,8 +13,7 @@ import pytest
 from test_audit import earth_axes, edited, motion, recording, sampled
 
 from diffsea.cli import main
-from diffsea.recordings import read_mapping, read_recording, write_recording
-from diffsea.recordings.auditing import audit
+from diffsea.recordings import audit, read_mapping, read_recording, write_recording
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.repair import mapping_text, repair
 from diffsea.recordings.mappings import Column, Mapping

@@ -18,7 +18,7 @@ from diffsea.errors import UserError
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-_MODULES = ("trial", "recordings", "fit", "identify", "design", "segments")
+_MODULES = ("trial", "recordings", "fit", "diagnose", "studies", "segments")
 # The first is worth eight times on a single run, the second compiles a fit in three quarters of
 # the time, the third a trial's derivatives in two thirds; none makes programs slower. Measured on
 # the jaxlib named here; another one's XLA might end the process over an option that it lacks.

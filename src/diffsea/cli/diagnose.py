@@ -122,7 +122,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.diagnosis.experiment import next_experiment
         from diffsea.diagnosis.record import nominal_document, summary, vessel_document
         from diffsea.diagnosis.search import diagnose
-        from diffsea.recordings.auditing import audit
+        from diffsea.recordings import audit
         from diffsea.report.comparison import with_held_out_errors
         from diffsea.report.diagnosis_page import diagnosis_report
         from diffsea.report.words import verdict_text

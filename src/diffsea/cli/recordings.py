@@ -119,7 +119,7 @@ def _metrics(args: argparse.Namespace) -> None:
 
 
 def _audit(args: argparse.Namespace) -> None:
-    from diffsea.recordings.auditing import audit
+    from diffsea.recordings import audit
 
     if args.repair:
         _repair(args)
