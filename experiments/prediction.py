@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 prepare_jax()

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 prepare_jax()

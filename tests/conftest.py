@@ -2,7 +2,7 @@
 
 import pytest
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 prepare_jax()  # before jax is imported, or its XLA flags would come too late

@@ -73,7 +73,7 @@ def main() -> None:
     """Pin the process to one core, diagnose twice, print and write the times."""
     os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[-1]})
     sys.path.insert(0, str(ROOT))
-    from diffsea.cli import set_xla_flags
+    from diffsea.runtime import set_xla_flags
 
     set_xla_flags()
     import jax

@@ -9,7 +9,7 @@ import numpy as np
 from data import CHANNELS, NAMES, SIGMA, VESSEL, Data
 from outcome import Outcome
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 os.environ["XDG_CACHE_HOME"] = os.devnull  # so that no compiled program outlives its process

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 prepare_jax()

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from diffsea.cli import prepare_jax
+from diffsea.runtime import prepare_jax
 
 
 prepare_jax()

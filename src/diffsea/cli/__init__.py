@@ -5,7 +5,6 @@ set before JAX starts.
 """
 
 import argparse
-import gc
 import importlib
 import importlib.metadata
 import os
@@ -15,19 +14,11 @@ import traceback
 from collections.abc import Sequence
 
 from diffsea.errors import UserError
+from diffsea.runtime import prepare_jax
 
 
 # Modules with a `register(commands)`; the order is that of the help.
 _MODULES = ("trial", "recordings", "fit", "diagnose", "studies", "segments")
-# The first is worth eight times on a single run, the second compiles a fit in three quarters of
-# the time, the third a trial's derivatives in two thirds; none makes programs slower. Measured on
-# the jaxlib named here; another one's XLA might end the process over an option that it lacks.
-MEASURED_WITH = "0.10."
-XLA_FLAGS = (
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000,"
-    "xla_cpu_disable_new_fusion_emitters,xla_cpu_flatten_after_fusion "
-    "--xla_cpu_prefer_vector_width=512"
-)
 _DESCRIPTION = """\
 Differentiable simulation, identification and diagnosis of surface vessels.
 
@@ -102,35 +93,3 @@ def _parser() -> argparse.ArgumentParser:
     for name in _MODULES:
         importlib.import_module(f"diffsea.cli.{name}").register(commands)
     return parser
-
-
-def set_xla_flags() -> None:
-    """The XLA flags above, before JAX starts; not over the user's own, nor for another jaxlib."""
-    if importlib.metadata.version("jaxlib").startswith(MEASURED_WITH):
-        os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
-
-
-def prepare_jax() -> None:
-    """XLA flags, 64-bit numbers, rarer garbage collection, a cache that outlives the command."""
-    if "jax" not in sys.modules:
-        set_xla_flags()
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on slow compiling
-    import jax
-
-    # Tracing a program makes many objects that stay: looking through them took a third of its time.
-    gc.set_threshold(100_000, 20, 100)
-    jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is None and (cache := _cache_folder()):
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
-
-
-def _cache_folder() -> pathlib.Path | None:
-    """The user's cache folder, None where it cannot be written."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    try:
-        folder = (pathlib.Path(base) if base else pathlib.Path.home() / ".cache") / "diffsea"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # no home, or one that cannot be written
-        return None
-    return folder if os.access(folder, os.W_OK) else None
