@@ -13,7 +13,7 @@ import numpy as np
 from tests.oracle import sensors
 from tests.oracle.simulator import simulate
 
-from diffsea.simulation.control import Helm
+from diffsea.simulation.control import ControlAllocation
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
@@ -64,7 +64,7 @@ def state_of(x=0.0, y=0.0, psi=0.0, u=0.0, v=0.0, r=0.0):
 def settled(vessel, state, throttle, step, longest=None):
     """A motion whose actuators have settled to a throttle, straight ahead."""
     lengths = {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
-    return begin(vessel, state, Helm(vessel).orders(throttle, 0.0), lengths)
+    return begin(vessel, state, ControlAllocation(vessel).orders(throttle, 0.0), lengths)
 
 
 def executed(vessel, stages, state, throttle, environment, step, seconds, longest=None):

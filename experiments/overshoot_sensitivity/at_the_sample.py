@@ -14,7 +14,7 @@ from factors import Factor, scaled
 from jaxtyping import Array, Float
 from trial_lanes import LANES, Bench
 
-from diffsea.simulation.control import Helm, throttle_for
+from diffsea.simulation.control import ControlAllocation, throttle_for
 from diffsea.simulation.integrate import advance, begin, history_length
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -24,16 +24,16 @@ def first_overshoot(
     vessel: Vessel, speed: float, angle: float, step: float, seconds: float
 ) -> Scalar:
     """First overshoot (rad) of an `angle`/`angle` zig-zag (rad) from samples every `step` s."""
-    zero, helm = jnp.zeros(()), Helm(vessel)
+    zero, allocation = jnp.zeros(()), ControlAllocation(vessel)
     throttle = throttle_for(vessel, speed)
     lengths = {c: history_length(s, step) for c, s in vessel.servos.items()}
     start = State(zero, zero, zero, jnp.asarray(speed, float), zero, zero)
-    motion = begin(vessel, start, helm.orders(throttle, zero), lengths)
+    motion = begin(vessel, start, allocation.orders(throttle, zero), lengths)
 
     def body(carry: tuple, k: Array) -> tuple:
         motion, flips = carry
         side = 1.0 - 2.0 * (flips % 2)
-        orders = helm.orders(throttle, side * angle)
+        orders = allocation.orders(throttle, side * angle)
         motion = advance(vessel, motion, orders, Environment(), k * step, step)
         past = side * motion.state.psi >= angle
         return (motion, flips + past), (motion.state.psi, flips + past)

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from campaign import NOISE
-from paths import Path, off_path
 from plant import Plant
 
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control.dynamic_pd import DynamicPD, Pursued
 from diffsea.types import State
 from diffsea.vessel.base import Vessel
+from paths import Path, off_path
 
 
 PERIOD = 0.1  # s, of the controller

@@ -3,12 +3,13 @@
 import numpy as np
 from closed import Driven
 from matplotlib.figure import Figure
-from paths import KEPT_BACK, PATHS, Path
 from plant import NEW, speed_for
 from procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
 from reporting import panels
 from stages import Identified
 from tuning import Tuned
+
+from paths import KEPT_BACK, PATHS, Path
 
 
 PLANT, PAPER, OURS, GREY = "#30363d", "#d1720f", "#1f5fa8", "#9aa4ae"

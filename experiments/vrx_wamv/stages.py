@@ -17,7 +17,6 @@ from closed import (
 )
 from joint import Joint, fit_linear, fit_whole
 from models import errors_on, truth, vessel_of
-from paths import KEPT_BACK, PATHS, WIDE
 from plant import NEW, OLD, driven, speed_for
 from procedure import (
     PUBLISHED,
@@ -33,6 +32,7 @@ from procedure import (
 from tuning import NAMES, SMOOTHING, Tuned, by_hand, problem, slope_check, tune
 
 from diffsea.vessel.base import Vessel
+from paths import KEPT_BACK, PATHS, WIDE
 
 
 SEED = 1

@@ -16,11 +16,11 @@ from diffsea.simulation import standard
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control import (
     Autopilot,
+    ControlAllocation,
     Course,
     FilteredPD,
     FixedThrottle,
     HeadingHold,
-    Helm,
     LineOfSight,
     Pursuit,
     SpeedHold,
@@ -138,7 +138,7 @@ def test_the_integral_of_line_of_sight_meets_a_current():
     across = Environment(current_east=jnp.asarray(0.3))
     steering = Steering(course, HeadingHold(LENGTH / SPEED), speed_hold(boat(), SPEED))
     run = run_controlled(
-        boat(), Autopilot(steering, Helm(boat())), state_of(u=SPEED), 800.0, 0.5, 0.25, across
+        boat(), Autopilot(steering, ControlAllocation(boat())), state_of(u=SPEED), 800.0, 0.5, 0.25, across
     ).trajectory  # fmt: skip
     assert abs(float(run.y[-1])) < 0.05
     velocity = np.arctan2(float(run.v[-1]), float(run.u[-1]))  # over ground, body axes
@@ -233,7 +233,7 @@ def test_a_closed_loop_agrees_with_scipy():
     """A heading step under a sampled PD law, the linear boat integrated by DOP853."""
     law = HeadingHold(1.0, gain=0.8, rate_gain=1.2, integral_gain=0.0)
     thrust = throttle_for(boat(), SPEED)
-    pilot = Autopilot(Steering(Course(0.5), law, FixedThrottle(thrust)), Helm(boat()))
+    pilot = Autopilot(Steering(Course(0.5), law, FixedThrottle(thrust)), ControlAllocation(boat()))
     run = run_controlled(boat(), pilot, state_of(u=SPEED), 20.0, 0.5, 0.05).trajectory
     hull = SHIP["hull"]
     m11, m22 = hull["mass"] - hull["X_udot"], hull["mass"] - hull["Y_vdot"]
@@ -269,7 +269,8 @@ def test_a_closed_loop_is_differentiated():
         law = HeadingHold(LENGTH / SPEED, gain=gain)
         hold = speed_hold(vessel, SPEED)
         pilot = Autopilot(
-            Steering(LineOfSight(WAYPOINTS, 10.0 * scale, 5.0), law, hold), Helm(vessel)
+            Steering(LineOfSight(WAYPOINTS, 10.0 * scale, 5.0), law, hold),
+            ControlAllocation(vessel),
         )
         run = run_controlled(vessel, pilot, state_of(y=3.0, u=SPEED), 30.0, 0.5).trajectory
         return jnp.mean(run.y**2)
@@ -289,7 +290,7 @@ def test_a_closed_loop_is_differentiated():
 
 def test_a_run_that_diverges_says_so_and_stops():
     pilot = autopilot(build(SHIP | {"hull": SHIP["hull"] | {"X_u": 300.0, "X_uu": 0.0}}), SPEED)
-    run = run_controlled(pilot.helm.vessel, pilot, state_of(u=SPEED), 200.0, 0.5).trajectory
+    run = run_controlled(pilot.allocation.vessel, pilot, state_of(u=SPEED), 200.0, 0.5).trajectory
     assert Outcome(int(run.outcome)) is Outcome.DIVERGED
     assert np.all(np.isfinite(np.asarray(run.u)))
 

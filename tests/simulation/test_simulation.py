@@ -27,7 +27,7 @@ from tests.runs import (
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.parameters import named, replace
-from diffsea.simulation.control import Helm, speed_for, throttle_for
+from diffsea.simulation.control import ControlAllocation, speed_for, throttle_for
 from diffsea.simulation.integrate import advance
 from diffsea.simulation.manoeuvres import turning_circle, zigzag
 from diffsea.simulation.trials import Settings, run_trial
@@ -263,12 +263,12 @@ def test_derivatives_are_right_where_no_event_comes():
 
 def flipped_at_the_sample(vessel, step, seconds):
     """First overshoot of a zig-zag whose order changes at the first sample past the angle."""
-    helm = Helm(vessel)
+    allocation = ControlAllocation(vessel)
     motion = settled(vessel, state_of(u=SPEED), THRUST, step)
 
     def body(carry, _):
         motion, side = carry
-        motion = advance(vessel, motion, helm.orders(THRUST, side * ANGLE), CALM, 0.0, step)
+        motion = advance(vessel, motion, allocation.orders(THRUST, side * ANGLE), CALM, 0.0, step)
         psi = motion.state.psi
         side = jnp.where(side * psi >= ANGLE, -side, side)
         return (motion, side), psi
@@ -443,7 +443,7 @@ def test_a_given_throttle_is_left_alone_in_a_current():
 def glide(vessel, state, environment, steps, step):
     """States of a vessel under zero orders; `environment` holds throughout."""
     motion = settled(vessel, state, 0.0, step)
-    orders = Helm(vessel).orders(0.0, 0.0)
+    orders = ControlAllocation(vessel).orders(0.0, 0.0)
 
     def body(motion, _):
         motion = advance(vessel, motion, orders, environment, 0.0, step)

@@ -32,9 +32,9 @@ from diffsea.metrics.crossings import known
 from diffsea.simulation import manoeuvres
 from diffsea.simulation import standard as kinds
 from diffsea.simulation.control import (
-    Helm,
+    ControlAllocation,
     full_throttle,
-    require_helm,
+    require_steering,
     speed_for,
     speed_hold,
     throttle_for_thrust,
@@ -203,10 +203,10 @@ def plan(
     kind = standard(manoeuvre)
     if executes > _MOST_EXECUTES:
         raise UserError(f"{executes} executes are too many; at most {_MOST_EXECUTES} are run")
-    helm = Helm(vessel)
+    allocation = ControlAllocation(vessel)
     if kind.angle:
-        require_helm(vessel, manoeuvre)
-    if not helm.propelled and (kind.propelled or thrust is not None):
+        require_steering(vessel, manoeuvre)
+    if not allocation.propelled and (kind.propelled or thrust is not None):
         raise UserError(
             f"{vessel.name!r} has no propulsion to command, so "
             + ("a thrust cannot be set" if thrust is not None else f"it cannot run {manoeuvre}")
@@ -227,7 +227,7 @@ def plan(
         )
     if keep_speed and throttle is not None:
         raise UserError("a thrust that is left alone cannot keep the speed: give a speed instead")
-    if not helm.propelled:
+    if not allocation.propelled:
         throttle = 0.0
     length = float(vessel.rigid_body.length)
     lengths = length / speed
@@ -278,7 +278,7 @@ def run(
     """Run a plan; `speed` (m/s) or `throttle` in place of the plan's may be traced."""
     if speed is None and throttle is None:
         speed, throttle = plan.speed, plan.throttle
-    elif throttle is None and not Helm(vessel).propelled:
+    elif throttle is None and not ControlAllocation(vessel).propelled:
         throttle = 0.0
     return run_trial(
         vessel, STANDARDS[plan.manoeuvre].stages(plan), speed, throttle, plan.settings,

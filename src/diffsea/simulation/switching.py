@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.simulation.control import AbstractSpeedLaw, FixedThrottle, Helm
+from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
 from diffsea.simulation.integrate import Motion, advance
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.types import Environment, Scalar, State
@@ -66,7 +66,7 @@ class _Run(eqx.Module):
         """Orders in the stage; those of the last one after the end."""
         at = jnp.minimum(carry.stage, self.stages.count - 1)
         throttle = carry.throttle * self.stages.throttle[at]
-        return Helm(self.vessel).orders(throttle, self.stages.angle[at])
+        return ControlAllocation(self.vessel).orders(throttle, self.stages.angle[at])
 
     def advanced(self, carry: Carry, dt: Scalar) -> Motion:
         """The motion `dt` s on, in the stage's orders."""

@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control import (
     AbstractSpeedLaw,
+    ControlAllocation,
     Course,
     FixedThrottle,
     HeadingHold,
-    Helm,
     SpeedHold,
     Steering,
     speed_for,
@@ -69,9 +69,9 @@ def approach(
     depends on it.
     """
     zero = jnp.zeros(())
-    helm = Helm(vessel)
+    allocation = ControlAllocation(vessel)
     still = State(zero, zero, zero, speed, zero, zero)
-    motion = begin(vessel, still, helm.orders(throttle, zero), _memories(vessel, settings))
+    motion = begin(vessel, still, allocation.orders(throttle, zero), _memories(vessel, settings))
     scale = vessel.rigid_body.length / jnp.maximum(speed, 1e-6)
     fixed = FixedThrottle(throttle)
     pushing = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
@@ -82,7 +82,7 @@ def approach(
         motion, memory, t, calm, last, diverged = carry
         done = (calm >= needed) | diverged
         memory, (pushed, angle) = hold.step(memory, motion.state, settings.step)
-        orders = helm.orders(pushed, angle)
+        orders = allocation.orders(pushed, angle)
         # Orders hold from their time stamp on, so they stand beside the state before the step.
         row = Row(
             t, motion.state, orders, executed_now(vessel, motion, orders), -1 + 0 * calm, ~done
@@ -160,7 +160,9 @@ def run_trial(
             speed = speed_for(vessel, throttle)
     if settings.from_rest:
         rest = State(*(jnp.zeros(()) for _ in range(6)))
-        motion = begin(vessel, rest, Helm(vessel).orders(0.0, 0.0), _memories(vessel, settings))
+        motion = begin(
+            vessel, rest, ControlAllocation(vessel).orders(0.0, 0.0), _memories(vessel, settings)
+        )
         began, steady, before = jnp.zeros(()), jnp.ones((), bool), None
         wild = ~steady
     else:
@@ -185,7 +187,7 @@ def run_trial(
 def _first_row(
     vessel: Vessel, motion: Motion, began: Scalar, stages: Stages, throttle: Scalar
 ) -> Row:
-    orders = Helm(vessel).orders(throttle * stages.throttle[0], stages.angle[0])
+    orders = ControlAllocation(vessel).orders(throttle * stages.throttle[0], stages.angle[0])
     row = Row(
         began, motion.state, orders, executed_now(vessel, motion, orders), jnp.zeros((), int),
         jnp.ones((), bool),

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import designed, replace, spread
 from diffsea.simulation import standard
-from diffsea.simulation.control import Helm, throttle_for_thrust
+from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, Plan
 from diffsea.trajectory import Outcome
 from diffsea.types import Scalar
@@ -129,7 +129,7 @@ def check_names(vessel: Vessel, names: Sequence[str]) -> None:
             )
     if set(OF_THE_TRIAL) <= set(names):
         raise UserError("sweep the approach speed or the thrust, not both")
-    if "thrust" in names and not Helm(vessel).propelled:
+    if "thrust" in names and not ControlAllocation(vessel).propelled:
         raise UserError(f"{vessel.name!r} has no propulsion to command")
 
 

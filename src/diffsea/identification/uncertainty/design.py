@@ -12,7 +12,7 @@ from diffsea.identification.coordinates import equipped
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, jacobian, make_problem, selection, traced
-from diffsea.simulation.control import Helm, full_throttle, throttle_for
+from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
 from diffsea.simulation.replay import replay
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -154,8 +154,8 @@ def ordered(vessel: Vessel, schedule: Schedule, seconds: float) -> tuple[Times, 
     time = _time(vessel)
     t = np.linspace(0.0, seconds, round(SAMPLES * seconds / (SECONDS * time)))
     share, angle = schedule(t / time)
-    helm, full = Helm(vessel), _full(vessel)
-    given = jax.vmap(helm.orders)(jnp.asarray(full * share), jnp.asarray(angle))
+    allocation, full = ControlAllocation(vessel), _full(vessel)
+    given = jax.vmap(allocation.orders)(jnp.asarray(full * share), jnp.asarray(angle))
     limits = {c: (servo.lower, servo.upper) for c, servo in vessel.servos.items()}
     return t, {c: np.clip(np.asarray(given[c]), *_numbers(limits[c])) for c in vessel.channels}
 

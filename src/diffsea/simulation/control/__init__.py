@@ -1,8 +1,8 @@
-"""Control: helm, laws, guidance and controllers, each with `init` and `step`."""
+"""Control: allocation, laws, guidance and controllers, each with `init` and `step`."""
 
 from diffsea.simulation.control.allocation import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
-from diffsea.simulation.control.allocation import Helm as Helm
-from diffsea.simulation.control.allocation import require_helm as require_helm
+from diffsea.simulation.control.allocation import ControlAllocation as ControlAllocation
+from diffsea.simulation.control.allocation import require_steering as require_steering
 from diffsea.simulation.control.autopilot import AbstractController as AbstractController
 from diffsea.simulation.control.autopilot import Autopilot as Autopilot
 from diffsea.simulation.control.autopilot import Steering as Steering

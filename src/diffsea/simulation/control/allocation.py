@@ -23,7 +23,7 @@ from diffsea.vessel.base import Vessel
 RUDDER_EQUIVALENT = 0.6108652381980153  # rad, 35 deg: all thrust on one side
 
 
-class Helm(eqx.Module):
+class ControlAllocation(eqx.Module):
     """Allocation of throttle and rudder angle to a vessel's channels.
 
     Twin thrusters take rudder-equivalent angles: angle / 35 deg is the difference of port
@@ -71,9 +71,9 @@ class Helm(eqx.Module):
         return any(map(self.count, (FixedThruster, Propeller, AzimuthThruster)))
 
 
-def require_helm(vessel: Vessel, manoeuvre: str) -> None:
+def require_steering(vessel: Vessel, manoeuvre: str) -> None:
     """Raise `UserError` if a vessel cannot be steered through a manoeuvre."""
-    if not Helm(vessel).steerable:
+    if not ControlAllocation(vessel).steerable:
         raise UserError(
             f"{vessel.name!r} cannot be steered, so it cannot run a {manoeuvre}: it has no rudder, "
             "no azimuth thruster and no thruster off the centreline"

@@ -1,6 +1,6 @@
 """Controllers: from a vessel's state to the orders of its actuators.
 
-An autopilot is assembled from guidance, a heading law, a speed law and a helm. Anything with
+An autopilot is assembled from guidance, a heading law, a speed law and an allocation. Anything with
 `init`, `step` and `finished` is a controller and runs in `simulation.closed_loop`.
 """
 
@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from diffsea.simulation.control.allocation import Helm, require_helm
+from diffsea.simulation.control.allocation import ControlAllocation, require_steering
 from diffsea.simulation.control.guidance import AbstractGuidance, Course
 from diffsea.simulation.control.laws import (
     AbstractHeadingLaw,
@@ -68,7 +68,7 @@ class Autopilot(AbstractController[tuple]):
     """
 
     steering: Steering
-    helm: Helm
+    allocation: ControlAllocation
     stop: bool = eqx.field(static=True, default=True)
 
     def init(self) -> tuple:
@@ -79,7 +79,9 @@ class Autopilot(AbstractController[tuple]):
     ) -> tuple[tuple, dict[str, Scalar]]:
         memory, (throttle, angle) = self.steering.step(memory, state, dt)
         over = self.finished(memory) & self.stop
-        return memory, self.helm.orders(jnp.where(over, 0.0, throttle), jnp.where(over, 0.0, angle))
+        return memory, self.allocation.orders(
+            jnp.where(over, 0.0, throttle), jnp.where(over, 0.0, angle)
+        )
 
     def finished(self, memory: tuple) -> Bool[Array, ""]:
         return self.steering.guidance.finished(memory[0])
@@ -95,7 +97,7 @@ def autopilot(
 
     Raises `UserError` for a vessel that cannot be steered.
     """
-    require_helm(vessel, "path under an autopilot")
+    require_steering(vessel, "path under an autopilot")
     law = heading_hold(vessel, speed) if heading is None else heading
     steering = Steering(guidance or Course(), law, speed_hold(vessel, speed))
-    return Autopilot(steering, Helm(vessel))
+    return Autopilot(steering, ControlAllocation(vessel))

@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from diffsea.simulation.control.allocation import Helm
+from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller
 from diffsea.vessel.base import Vessel
@@ -15,7 +15,7 @@ def straight_balance(vessel: Vessel, speed: Scalar, throttle: Scalar) -> Scalar:
     """Surge acceleration (m/s^2) of a straight run through still water at `speed` m/s."""
     zero = jnp.zeros(())
     state = State(zero, zero, zero, speed, zero, zero)
-    orders = Helm(vessel).orders(throttle, zero)
+    orders = ControlAllocation(vessel).orders(throttle, zero)
     executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
     return vessel.acceleration(state, executed, Environment(), zero)[0]
 
@@ -25,7 +25,7 @@ def throttle_for(vessel: Vessel, speed: Scalar) -> Scalar:
 
     Differentiable in the vessel and the speed by the implicit-function theorem.
     """
-    if not Helm(vessel).propelled:
+    if not ControlAllocation(vessel).propelled:
         return jnp.zeros(())
     return _root(lambda throttle, at: straight_balance(at[0], at[1], throttle),
                  _first_throttle(vessel, speed), (vessel, speed))  # fmt: skip
@@ -65,14 +65,14 @@ def _hull_drag(vessel: Vessel, speed: Scalar) -> Scalar:
 
 def full_throttle(vessel: Vessel) -> Scalar:
     """Throttle at which the first propulsor reaches its limit; infinite without limits."""
-    helm = Helm(vessel)
+    allocation = ControlAllocation(vessel)
     limits = []
     for part in vessel.actuators.values():
         if isinstance(part, FixedThruster | Propeller | AzimuthThruster):
             thrust = getattr(part, "force_channel", next(iter(part.servos)))
             upper = part.servos[thrust].upper
             in_newton = not isinstance(part, Propeller) and getattr(part, "curve", None) is None
-            share = helm.count(type(part)) if in_newton else 1
+            share = allocation.count(type(part)) if in_newton else 1
             limits += [] if upper is None else [share * jnp.asarray(upper, float)]
     return jnp.min(jnp.stack(limits)) if limits else math.inf
 

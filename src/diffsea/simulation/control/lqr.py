@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.simulation.control.allocation import Helm, require_helm
+from diffsea.simulation.control.allocation import ControlAllocation, require_steering
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.balance import throttle_for
 from diffsea.simulation.control.guidance import LineOfSight
@@ -75,11 +75,11 @@ def steering_model(
     **Arguments:** the vessel, and its speed in m/s. Actuators answer at once here.
     """
     zero = jnp.zeros(())
-    helm, throttle = Helm(vessel), throttle_for(vessel, speed)
+    allocation, throttle = ControlAllocation(vessel), throttle_for(vessel, speed)
 
     def rates(motion: Float[Array, "2"], angle: Float[Array, "1"]) -> Float[Array, "2"]:
         state = State(zero, zero, zero, jnp.asarray(speed, float), motion[0], motion[1])
-        orders = helm.orders(throttle, angle[0])
+        orders = allocation.orders(throttle, angle[0])
         executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
         return jnp.stack(vessel.acceleration(state, executed, Environment(), zero)[1:])
 
@@ -97,7 +97,7 @@ class TrackKeeper(AbstractController[tuple]):
     gain: Float[Array, "4"]
     path: LineOfSight
     speed: SpeedHold
-    helm: Helm
+    allocation: ControlAllocation
     largest_angle: Scalar = 0.6  # rad
     largest_cross: Scalar = 10.0  # m, beyond which an error is met no harder
 
@@ -113,7 +113,7 @@ class TrackKeeper(AbstractController[tuple]):
         fed_back = jnp.stack([state.v, state.r, wrapped(state.psi - leg.course), cross])
         angle = jnp.clip(-self.gain @ fed_back, -self.largest_angle, self.largest_angle)
         speed, throttle = self.speed.step(memory[1], state, 1.0, dt)
-        return (path, speed), self.helm.orders(throttle, angle)
+        return (path, speed), self.allocation.orders(throttle, angle)
 
     def finished(self, memory: tuple) -> Bool[Array, ""]:
         return self.path.finished(memory[0])
@@ -133,7 +133,7 @@ def track_keeper(
 
     Raises `UserError` for a vessel that cannot be steered or stabilised.
     """
-    require_helm(vessel, "path under a track keeper")
+    require_steering(vessel, "path under a track keeper")
     length = float(vessel.rigid_body.length)
     A, B = steering_model(vessel, speed)
     whole = jnp.zeros((4, 4)).at[:2, :2].set(A).at[2, 1].set(1.0)
@@ -145,4 +145,4 @@ def track_keeper(
         raise UserError(f"no rudder law steadies {vessel.name!r} at {speed:g} m/s")
     path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)
     hold = speed_hold(vessel, jnp.asarray(speed, float))
-    return TrackKeeper(gain[0], path, hold, Helm(vessel), largest_angle, 2 * length)
+    return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), largest_angle, 2 * length)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from diffsea.errors import UserError
-from diffsea.simulation.control.allocation import Helm
+from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.guidance import Pursuit, Waypoints
 from diffsea.simulation.control.laws import wrapped
@@ -24,7 +24,7 @@ class Allocation(Protocol):
     """Turns a thrust (N) and an angle (rad, positive to starboard) into orders by channel."""
 
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        """Orders of all the vessel's channels. `Helm` is one."""
+        """Orders of all the vessel's channels. `ControlAllocation` is one."""
         ...
 
 
@@ -122,4 +122,4 @@ def waypoint_logic(
             "they are the logic's full thrust and angle"
         )
     points = jnp.atleast_2d(jnp.asarray(waypoints, float))
-    return WaypointLogic(Pursuit(points, tolerance), Helm(vessel), **(limits | fields))
+    return WaypointLogic(Pursuit(points, tolerance), ControlAllocation(vessel), **(limits | fields))
