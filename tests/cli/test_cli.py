@@ -86,7 +86,8 @@ def test_names_written_out_for_the_help_are_the_librarys():
 
 def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
     code = (
-        "import os, diffsea.runtime as runtime; runtime.MEASURED_WITH = ''; runtime.prepare_jax(); import jax\n"
+        "import os, diffsea.runtime as runtime; runtime.MEASURED_WITH = ''\n"
+        "runtime.prepare_jax(); import jax\n"
         "print(os.environ['XLA_FLAGS'], jax.config.jax_enable_x64)"
     )
     env = {"PATH": "", "XDG_CACHE_HOME": "/proc/none"}  # a cache that cannot be written
@@ -99,7 +100,8 @@ def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
 
 def test_a_jaxlib_whose_options_are_not_known_keeps_its_own():
     code = (
-        "import os, diffsea.runtime as runtime; runtime.MEASURED_WITH = '0.1.'; runtime.prepare_jax()\n"
+        "import os, diffsea.runtime as runtime; runtime.MEASURED_WITH = '0.1.'\n"
+        "runtime.prepare_jax()\n"
         "print(os.environ.get('XLA_FLAGS'))"
     )
     env = {"PATH": "", "XDG_CACHE_HOME": "/proc/none"}

@@ -137,9 +137,8 @@ def test_the_integral_of_line_of_sight_meets_a_current():
     course = LineOfSight(jnp.array([[0.0, 0.0], [5000.0, 0.0]]), 12.0, 2.0, integral_gain=1.0)
     across = Environment(current_east=jnp.asarray(0.3))
     steering = Steering(course, HeadingHold(LENGTH / SPEED), speed_hold(boat(), SPEED))
-    run = run_controlled(
-        boat(), Autopilot(steering, ControlAllocation(boat())), state_of(u=SPEED), 800.0, 0.5, 0.25, across
-    ).trajectory  # fmt: skip
+    pilot = Autopilot(steering, ControlAllocation(boat()))
+    run = run_controlled(boat(), pilot, state_of(u=SPEED), 800.0, 0.5, 0.25, across).trajectory
     assert abs(float(run.y[-1])) < 0.05
     velocity = np.arctan2(float(run.v[-1]), float(run.u[-1]))  # over ground, body axes
     assert float(run.psi[-1]) == pytest.approx(-velocity, abs=1e-3)
