@@ -34,7 +34,7 @@ from prediction import (
 from scipy.stats import spearmanr
 
 from diffsea.identification.data.dataset import Shape
-from diffsea.identification.effect_records import reported
+from diffsea.identification.effect_records import parameter_records
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, row_deviance, split, transferred
@@ -151,11 +151,11 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
     nominal = estimate(data.train, free)
     informed = estimate(data.train, free, _given(data.train, train))
     blind = estimate(data.train, (*free, "wind"))
-    found = dict(zip(TRAIN, reported(data.train, blind, "wind"), strict=False))
+    found = dict(zip(TRAIN, parameter_records(data.train, blind, "wind"), strict=False))
     for part in (HELD_OUT, REST):
         # On a tape of the same shape, for which the programs are compiled.
         others = problem_of([seen[name] for name in part], data.train.tape.shape)
-        wind = reported(others, _wind_of(others, blind, len(free)), "wind")
+        wind = parameter_records(others, _wind_of(others, blind, len(free)), "wind")
         found |= dict(zip(part, wind, strict=False))
     record = {"wind": scored(found, runs)}
     record["gain"] = _gains(data, nominal, informed, blind, test)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
-from diffsea.identification.coordinates import equipped
+from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
@@ -89,7 +89,7 @@ def one_shot(data: Data) -> Outcome:
 def _misfits(at: tuple, given: tuple, layout: Static) -> jax.Array:
     """(measured - simulated) / sigma, (row, channel), from coordinates and first states."""
     base, tape, _ = given
-    vessel, flows = equipped(base, layout.value, at[0])
+    vessel, flows = vessel_at(base, layout.value, at[0])
 
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs

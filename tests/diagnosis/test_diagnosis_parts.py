@@ -32,9 +32,9 @@ from diffsea.diagnosis.screening import (
     short_list,
 )
 from diffsea.diagnosis.search import stalled
-from diffsea.identification.coordinates import Layout
+from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import made
-from diffsea.identification.expansion_points import Look, looks, merged
+from diffsea.identification.expansion_points import ExpansionPoint, expansion_points, merge_spans
 from diffsea.identification.holdout import Gain
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import read_vessel
@@ -88,7 +88,7 @@ def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
         - stats.multivariate_normal(cov=narrow).logpdf(y)
     )
     volume = np.linalg.slogdet(more.precision)[1] - np.linalg.slogdet(less.precision)[1]
-    seen = Seen(Look("current", (0.0, 0.0), (0, 1)), None, None, 0.0)
+    seen = Seen(ExpansionPoint("current", (0.0, 0.0), (0, 1)), None, None, 0.0)
     occam = float(volume + 2 * np.log(spreads[2:]).sum())
     one = Fitted("current", more, less.deviance - more.deviance, occam, None, seen, True)
     assert one.evidence(1.0) == pytest.approx(exact, abs=1e-6)
@@ -107,7 +107,7 @@ class _Run:
 
 def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat):
     effect = EFFECTS["drag-change"]
-    tried = looks(effect, boat, merged([(120.0, 220.0), (100.0, 160.0)]))
+    tried = expansion_points(effect, boat, merge_spans([(120.0, 220.0), (100.0, 160.0)]))
     size = effect.sizes(boat)[1]
     times = np.array([look.at[1] for look in tried]) * size
     assert np.all((times > 100.0) & (times < 220.0)) and np.ptp(times) == pytest.approx(100.0)
@@ -122,12 +122,12 @@ def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat
 
 def test_a_wind_is_looked_for_with_several_superstructures(boat):
     effect = EFFECTS["wind:coefficients"]
-    tried = looks(effect, boat, [(0.0, 100.0)])
+    tried = expansion_points(effect, boat, [(0.0, 100.0)])
     assert [look.moved for look in tried] == [(0, 1)] * 3
     added = [look.at[2] * effect.sizes(boat)[2] for look in tried]
     assert added == pytest.approx([0.0, -0.1, -0.2])
     sizes = (effect.sizes(boat),)
-    layout = Layout((), (effect,), sizes, 1, False)
+    layout = CoordinateLayout((), (effect,), sizes, 1, False)
     assert layout.spreads() == pytest.approx([3.0, 3.0, 1.0, 1.0, 1.0])
     strains = np.asarray(layout.strains(np.array([0, 0, 4.0, -5.0, 6.0]), layout.spreads()))
     assert strains == pytest.approx([0, 0, 4.0, -5.0, 6.0])  # no heavy tail
@@ -148,7 +148,7 @@ def test_heel_is_a_candidate_only_where_it_was_recorded(boat):
 
 def _seen(name, columns, expected=0.0, step=(0.0,)):
     moved = tuple(range(columns.shape[1]))
-    look = Look(name, (0.0,) * columns.shape[1], moved)
+    look = ExpansionPoint(name, (0.0,) * columns.shape[1], moved)
     return Seen(look, Score(0.0, 1.0, np.array(step), 1.0), columns, expected)
 
 
@@ -381,16 +381,16 @@ def test_a_detection_limit_is_of_the_parameter_that_it_names(boat):
 def test_a_change_late_in_a_long_record_has_room_in_its_prior(boat):
     effect = EFFECTS["thrust-change"]
     size = effect.sizes(boat)[1]
-    layout = Layout((), (effect,), (effect.sizes(boat),), 1, False, latest=100 * size)
+    layout = CoordinateLayout((), (effect,), (effect.sizes(boat),), 1, False, latest=100 * size)
     assert layout.spreads().tolist() == [3.0, 100.0]
     assert dataclasses.replace(layout, latest=0.0).spreads().tolist() == [3.0, 3.0]
 
 
 def test_onsets_are_looked_at_where_something_was_recorded(boat):
-    spans = merged((start, start + 50.0) for start in (0.0, 3000.0, 3040.0))
+    spans = merge_spans((start, start + 50.0) for start in (0.0, 3000.0, 3040.0))
     assert spans == [(0.0, 50.0), (3000.0, 3090.0)]
     effect = EFFECTS["thrust-change"]
-    tried = looks(effect, boat, spans)
+    tried = expansion_points(effect, boat, spans)
     at = np.array([look.at[1] for look in tried]) * effect.sizes(boat)[1]
     assert len(at) == 11
     assert (((at > 0) & (at < 50)) | ((at > 3000) & (at < 3090))).all()
@@ -400,12 +400,13 @@ def test_onsets_are_looked_at_where_something_was_recorded(boat):
 
 
 def test_what_answers_late_is_looked_at_from_afar_too(boat):
-    seen = lambda name: looks(EFFECTS[f"{name}:propulsion"], boat, [(0.0, 9.0)])
+    seen = lambda name: expansion_points(EFFECTS[f"{name}:propulsion"], boat, [(0.0, 9.0)])
     for name in ("thrust-lag", "thrust-delay", "rate-limit", "backlash"):
         tried = seen(name)
         assert [look.finite for look in tried] == [False, True, True, True], name
     assert all(
-        look.finite for look in looks(EFFECTS["thrust-saturation:propulsion"], boat, [(0.0, 9.0)])
+        look.finite
+        for look in expansion_points(EFFECTS["thrust-saturation:propulsion"], boat, [(0.0, 9.0)])
     )
 
 
@@ -469,7 +470,7 @@ def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
 
 def test_waves_beside_an_environment_for_each_run_have_no_room(boat):
     effects = (EFFECTS["wave-force"], EFFECTS["current"])
-    layout = Layout((), effects, tuple(e.sizes(boat) for e in effects), 3, True)
+    layout = CoordinateLayout((), effects, tuple(e.sizes(boat) for e in effects), 3, True)
     room = SimpleNamespace(layout=layout, width=8 * 3, seeds=8)
     current = SimpleNamespace(free=("wave-force",))
     assert not refit.has_room(room, current, "current")  # 7 + 2 kinds for 8 seeds
@@ -583,7 +584,7 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in():
 )
 def test_a_change_happens_while_something_is_recorded(time, possible):
     effect, size = EFFECTS["drag-change"], 7.0
-    layout = Layout((), (effect,), ((0.2, size),), 1, False, 100.0)
+    layout = CoordinateLayout((), (effect,), ((0.2, size),), 1, False, 100.0)
     known = np.zeros((101, 6), bool)
     known[:100] = True  # the last row has no value
     tape = SimpleNamespace(run_time=np.arange(101.0), known=known)

@@ -11,9 +11,9 @@ import pytest
 from diffsea.diagnosis import refit
 from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.screening import Seen
-from diffsea.identification.coordinates import TAIL, Layout
+from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import made
-from diffsea.identification.expansion_points import Look
+from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.parameters import Parameter
 from diffsea.vessel.effects import EFFECTS
 
@@ -27,7 +27,7 @@ PROBLEMS, VALUES = 1500, 40
 def problem():
     effects = tuple(EFFECTS[name] for name in NAMES)
     sizes = tuple((1.0,) * len(effect.coordinate_names or effect.units) for effect in effects)
-    layout = Layout(PARAMETERS, effects, sizes, 1, False)
+    layout = CoordinateLayout(PARAMETERS, effects, sizes, 1, False)
     return SimpleNamespace(base=None, layout=layout)
 
 
@@ -57,14 +57,14 @@ def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, s
     at = np.zeros(len(spreads))
     at[index] = rng.normal(size=len(index)) * spreads[index]
     effect = problem.layout.indices((truth,))
-    heavy = (TAIL + len(effect)) / rng.chisquare(TAIL)
+    heavy = (TAIL_DEGREES + len(effect)) / rng.chisquare(TAIL_DEGREES)
     at[effect] *= np.sqrt(heavy)
     y = X @ at + rng.normal(size=VALUES)
     current = fitted(problem, X, y, own)
     tried = []
     for name in NAMES:
         count = len(problem.layout.indices((name,)))
-        seen = Seen(Look(name, (0.0,) * count, tuple(range(count))), None, None, 0.0)
+        seen = Seen(ExpansionPoint(name, (0.0,) * count, tuple(range(count))), None, None, 0.0)
         more = fitted(problem, X, y, (*own, name))
         tried.append(refit._made(problem, current, more, EFFECTS[name], seen, None))
     tried = refit.ranked(tried)

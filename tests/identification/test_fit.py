@@ -15,7 +15,7 @@ from tests.oracle.simulator import load, simulate
 from diffsea.diagnosis.jacobians import columns_of, gains_at, residual_at
 from diffsea.errors import UserError
 from diffsea.identification import fit, problem, study
-from diffsea.identification.coordinates import equipped, negative
+from diffsea.identification.coordinates import negative_effects, vessel_at
 from diffsea.identification.estimates import physical_table
 from diffsea.identification.filter.noise_fit import _rerun
 from diffsea.identification.filter.process_noise import Noise, gust_model, updated
@@ -310,7 +310,9 @@ def test_starts_of_effects_are_their_sizes_and_times(document, recordings):
     assert not any(layout.physical("current", row).any() for row in starts)
     row = starts[-1].copy()
     row[layout.indices(("rate-limit:propulsion",))] = -1.0
-    assert negative(layout, row) == ["rate-limit:propulsion"] and not negative(layout, starts[-1])
+    assert negative_effects(layout, row) == ["rate-limit:propulsion"] and not negative_effects(
+        layout, starts[-1]
+    )
 
 
 def test_colour_inflates_the_variance_of_a_mean_as_theory_says():
@@ -348,7 +350,7 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
     place = problem.layout.indices((effect.name,))
     for size, possible in ((1.0, True), (60.0, False)):
         start[place] = size
-        vessel, _ = equipped(problem.base, problem.layout, start)
+        vessel, _ = vessel_at(problem.base, problem.layout, start)
         changed = effect.apply(problem.base, np.array([size * problem.layout.sizes[0][0]]))
         mass = np.asarray(changed.mass_matrix())
         assert (np.linalg.eigvalsh(0.5 * (mass + mass.T)).min() > 0) == possible
@@ -357,7 +359,7 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
         assert np.isfinite(posterior(problem, start, noise)) == possible
     start[place] = 3.0
     fitted = estimate(problem, (*HULL, effect.name), start)
-    vessel, _ = equipped(problem.base, problem.layout, fitted.coordinates)
+    vessel, _ = vessel_at(problem.base, problem.layout, fitted.coordinates)
     assert bool(vessel.has_inertia())
 
 

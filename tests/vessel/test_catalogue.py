@@ -11,7 +11,7 @@ from tests.paths import ORACLE
 
 from diffsea.errors import UserError
 from diffsea.identification import effect_records
-from diffsea.identification.coordinates import Layout
+from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
 from diffsea.vessel.effects import EFFECTS, default_wind
@@ -717,13 +717,13 @@ def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
     boat = read_vessel(ORACLE / "usv.toml").vessel
     for value in (0.0, -0.5):
         found = effect_records._unseen(boat, EFFECTS[name], np.array([value]), np.eye(1))
-        assert not effect_records.is_seen(found)
+        assert not effect_records.is_known(found)
         assert found[parameter]["beyond"] == pytest.approx(beyond)
         assert effect_records._unseen(boat, EFFECTS[name], np.array([2.0]), np.eye(1)) is None
     effect, fitted = EFFECTS[name], SimpleNamespace(coordinates=np.zeros(1), index=np.arange(1))
-    layout = Layout((), (effect,), ((1.0,),), 1, False)
+    layout = CoordinateLayout((), (effect,), ((1.0,),), 1, False)
     fitted.covariance = np.eye(1)
-    told = effect_records.reported(SimpleNamespace(layout=layout, base=boat), fitted, name)
+    told = effect_records.parameter_records(SimpleNamespace(layout=layout, base=boat), fitted, name)
     assert [entry[parameter]["value"] for entry in told] == [None]
     of_lag = EFFECTS["thrust-lag:propulsion"]
     assert effect_records._unseen(boat, of_lag, np.array([0.0]), np.eye(1)) is None

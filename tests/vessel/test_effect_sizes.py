@@ -6,7 +6,7 @@ from scipy import stats
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
-from diffsea.identification.coordinates import SPREAD, TAIL, Layout
+from diffsea.identification.coordinates import PRIOR_SPREAD, TAIL_DEGREES, CoordinateLayout
 from diffsea.parameters import Parameter
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -20,12 +20,16 @@ def layout():
     vessel = build(load(ORACLE / "usv.toml"))
     effects = tuple(EFFECTS[name] for name in NAMES)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
-    return Layout((Parameter("X_u", -50.0, 25.0),), effects, sizes, 3, True, 100.0)
+    return CoordinateLayout((Parameter("X_u", -50.0, 25.0),), effects, sizes, 3, True, 100.0)
 
 
 def student(d):
     """Of the same curvature at its centre as a normal one of `SPREAD`."""
-    return stats.multivariate_t(np.zeros(d), SPREAD**2 * (TAIL + d) / TAIL * np.eye(d), df=TAIL)
+    return stats.multivariate_t(
+        np.zeros(d),
+        PRIOR_SPREAD**2 * (TAIL_DEGREES + d) / TAIL_DEGREES * np.eye(d),
+        df=TAIL_DEGREES,
+    )
 
 
 def cost(layout, x):
@@ -46,7 +50,7 @@ def test_sizes_have_the_tail_of_a_student_t(layout, scale):
 
 
 def test_the_centre_of_a_student_t_is_lower_than_that_of_a_normal(layout):
-    normal = lambda d: stats.multivariate_normal(np.zeros(d), SPREAD**2 * np.eye(d))
+    normal = lambda d: stats.multivariate_normal(np.zeros(d), PRIOR_SPREAD**2 * np.eye(d))
     for effect, copies, d in zip(layout.effects, (1, 3, 1), (1, 2, 1), strict=True):
         centre = np.zeros(d)
         lower = 2 * copies * (normal(d).logpdf(centre) - student(d).logpdf(centre))
@@ -62,5 +66,5 @@ def test_local_spreads_have_the_slope_of_the_prior(layout):
 
 def test_a_size_far_out_in_the_tail_hardly_counts(layout):
     x = np.zeros(layout.size)
-    x[layout.slices()["gyro-bias"]] = 100 * SPREAD
+    x[layout.slices()["gyro-bias"]] = 100 * PRIOR_SPREAD
     assert cost(layout, x) < 35  # of 10 000 of a normal one

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.expansion_points import Look
+from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.filter.kalman import Gains
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, innovations, jacobian, traced
@@ -74,7 +74,7 @@ def push_columns(
 
 
 def look_columns(
-    problem: Problem, gains: Gains, fitted: Estimate, looks: list[Look]
+    problem: Problem, gains: Gains, fitted: Estimate, looks: list[ExpansionPoint]
 ) -> list[Columns]:
     """Columns of each look, several looks to one run of the compiled program.
 
@@ -115,13 +115,13 @@ def _places(problem: Problem, effect: str) -> list[int]:
     return problem.layout.indices((effect,))
 
 
-def _moved(problem: Problem, look: Look) -> list[int]:
+def _moved(problem: Problem, look: ExpansionPoint) -> list[int]:
     """Coordinates that a look differentiates by, in every copy of its effect."""
     places, size = _places(problem, look.effect), len(look.at)
     return [k for position, k in enumerate(places) if position % size in look.moved]
 
 
-def _batches(problem: Problem, looks: list[Look]) -> list[list[int]]:
+def _batches(problem: Problem, looks: list[ExpansionPoint]) -> list[list[int]]:
     """Looks packed into runs of the compiled program, no effect twice in one."""
     batches: list[tuple[list[int], set[str], int]] = []
     for number, look in enumerate(looks):

@@ -16,7 +16,12 @@ from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.screening import Screening, Seen
 from diffsea.diagnosis.search import ALPHA, Diagnosis
 from diffsea.diagnosis.unexplained import latent_force
-from diffsea.identification.effect_records import effect_table, is_seen, place_of, reported
+from diffsea.identification.effect_records import (
+    effect_table,
+    is_known,
+    parameter_records,
+    place_of,
+)
 from diffsea.identification.estimates import Estimate, physical_table
 from diffsea.identification.holdout import transferred
 from diffsea.identification.problem import Problem
@@ -221,7 +226,7 @@ def _unexplained(diagnosis: Diagnosis) -> dict:
 
 def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
     problem, final = diagnosis.split.train, diagnosis.final
-    copies = reported(problem, final, accepted.name)
+    copies = parameter_records(problem, final, accepted.name)
     fitted, inflation = accepted.fitted, accepted.fitted.inflation
     evidence = {
         "score": fitted.seen.score.statistic,
@@ -244,7 +249,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
             if number >= len(diagnosis.split.recordings):
                 break
             record["recording"] = diagnosis.split.recordings[number].name
-        if is_seen(parameters) or len(copies) == 1:
+        if is_known(parameters) or len(copies) == 1:
             records.append(record)
     return records
 
@@ -252,7 +257,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
 def _with_intervals(parameters: dict[str, dict], constancy: Constancy | None) -> dict[str, dict]:
     """Each number with its central 90 % interval, errors as wide as parts of the data scatter."""
     widen, out = 1.0 if constancy is None else constancy.scatter, {}
-    if not is_seen(parameters):
+    if not is_known(parameters):
         return parameters
     for name, entry in parameters.items():
         std = widen * entry["std"]
@@ -287,7 +292,7 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
             row["reason"] = "a first look found it too weak to be worth a fit"
         else:
             row["log10_odds"] = one.evidence(inflation) * LOG10_OF_HALF
-            row["parameters"] = reported(problem, one.estimate, name)[0]
+            row["parameters"] = parameter_records(problem, one.estimate, name)[0]
             row |= _gain(one) | {"status": "rejected", "reason": _reason(problem, one, inflation)}
         if name in accepted:
             row |= {"status": "accepted", "reason": "evidence and held-out data both speak for it"}
@@ -377,8 +382,8 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     values = {row["name"]: row["value"] for row in physical_table(problem.layout.parameters, final)}
     tables = []
     for accepted in diagnosis.effects:
-        copies = reported(problem, final, accepted.name)
-        if len(copies) == 1 and is_seen(copies[0]):
+        copies = parameter_records(problem, final, accepted.name)
+        if len(copies) == 1 and is_known(copies[0]):
             tables.append(effect_table(diagnosis.split.train.base, accepted.name, copies[0]))
     return updated_document(document, values, tables)
 

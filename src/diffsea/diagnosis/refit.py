@@ -13,7 +13,7 @@ import numpy as np
 from diffsea.diagnosis.constancy import Constancy, constancy
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.expansion_points import Look
+from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Gain, Split, gain
 from diffsea.identification.problem import Problem
@@ -45,7 +45,7 @@ def possible(problem: Problem, effect: Effect, fitted: Estimate, seen: Seen) -> 
 def _sizes(problem: Problem, effect: Effect, fitted: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Its coordinates in prior sizes and their standard errors, a row for each recorded copy."""
     places = np.array(problem.layout.indices((effect.name,)))
-    places = places.reshape(problem.layout.copies(effect), -1)[recorded_copies(problem, effect)]
+    places = places.reshape(problem.layout.instances(effect), -1)[recorded_copies(problem, effect)]
     order = [list(fitted.index).index(k) for k in places.ravel()]
     stds = np.sqrt(np.diag(np.linalg.inv(fitted.precision))[order])
     return fitted.coordinates[places], stds.reshape(places.shape)
@@ -67,7 +67,7 @@ def _while_recorded(problem: Problem, effect: Effect, shape: float) -> bool:
 
 def recorded_copies(problem: Problem, effect: Effect) -> list[int]:
     """Copies of an effect's coordinates that belong to recorded runs: a tape has spare ones."""
-    if problem.layout.copies(effect) == 1:
+    if problem.layout.instances(effect) == 1:
         return [0]
     return np.unique(np.asarray(problem.tape.run)[np.asarray(problem.tape.known).any(1)]).tolist()
 
@@ -278,7 +278,7 @@ def _starts(problem: Problem, current: Estimate, effect: Effect, seen: Seen) -> 
 
 def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
     """Coordinates of the effect, in every copy, from its one-step estimate."""
-    look: Look = seen.look
+    look: ExpansionPoint = seen.look
     step = np.clip(seen.score.step, -3.0, 3.0).reshape(-1, len(look.moved))
     out = np.tile(np.array(look.at, float), (len(step), 1))
     out[:, list(look.moved)] = step

@@ -10,9 +10,9 @@ import numpy as np
 from diffsea.diagnosis.jacobians import columns_at, gains_at, look_columns, peaks
 from diffsea.diagnosis.localisation import Cell, bin_columns, cells
 from diffsea.diagnosis.score import Null, Projection, Score, joint_null
-from diffsea.identification.coordinates import SPREAD
+from diffsea.identification.coordinates import PRIOR_SPREAD
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.expansion_points import Look, looks
+from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.trajectory import Trajectory
@@ -45,7 +45,7 @@ def candidates(
 
 
 def shape_spacings(
-    effects: tuple[Effect, ...], vessel: Vessel, tried: list[Look], resolution: float
+    effects: tuple[Effect, ...], vessel: Vessel, tried: list[ExpansionPoint], resolution: float
 ) -> dict[str, float]:
     """Distance between neighbouring shapes to look at for each effect, in prior sizes.
 
@@ -63,7 +63,7 @@ def shape_spacings(
     return out
 
 
-def nearby(effect: Effect, look: Look, spacing: float) -> list[Look]:
+def nearby(effect: Effect, look: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
     """Looks at shapes around one, three to each side."""
     if effect.shape is None or spacing == 0:
         return []
@@ -86,7 +86,7 @@ DECLARED = 0.2  # share of the best first guess from which a declared confusable
 class Seen:
     """The best look at one candidate."""
 
-    look: Look
+    look: ExpansionPoint
     score: Score
     columns: np.ndarray  # efficient, by the moved coordinates
     expected: float  # first guess of twice the log evidence that a refit would give
@@ -146,7 +146,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         look
         for effect in problem.layout.effects
         if effect.name not in fitted.free
-        for look in looks(effect, problem.base, problem.tape.spans, frequencies)
+        for look in expansion_points(effect, problem.base, problem.tape.spans, frequencies)
     ]
     spacing = shape_spacings(problem.layout.effects, problem.base, tried, resolution)
     parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, tried)]
@@ -174,7 +174,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
 
 
 def _best(
-    tried: list[Look],
+    tried: list[ExpansionPoint],
     parts: list[np.ndarray],
     projection: Projection,
     before: dict[str, Seen],
@@ -192,8 +192,10 @@ def _best(
 
 def _expected(score: Score, columns: np.ndarray) -> float:
     """Twice the log evidence that a refit would give were the model linear."""
-    precision = columns.T @ columns - np.eye(columns.shape[1]) / SPREAD**2  # without the prior's
-    information = SPREAD**2 * precision / score.inflation
+    precision = (
+        columns.T @ columns - np.eye(columns.shape[1]) / PRIOR_SPREAD**2
+    )  # without the prior's
+    information = PRIOR_SPREAD**2 * precision / score.inflation
     room = float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
     return score.statistic - room
 

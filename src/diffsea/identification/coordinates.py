@@ -14,12 +14,12 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
-SPREAD = 3.0  # prior scale of an effect's coordinates, in prior sizes
-TAIL = 3.0  # degrees of freedom of that prior, a Student t: an effect may be far larger
+PRIOR_SPREAD = 3.0  # prior scale of an effect's coordinates, in prior sizes
+TAIL_DEGREES = 3.0  # degrees of freedom of that prior, a Student t: an effect may be far larger
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class CoordinateLayout:
     """Which coordinates there are: first the parameters, then each effect's.
 
     Environment effects have one set per run where `per_run`, all others one set. `latest` (s) is
@@ -33,7 +33,7 @@ class Layout:
     per_run: bool
     latest: float = dataclasses.field(default=0.0, compare=False)
 
-    def copies(self, effect: Effect) -> int:
+    def instances(self, effect: Effect) -> int:
         """How many sets of coordinates an effect has."""
         return self.runs if self.per_run and effect.own else 1
 
@@ -41,7 +41,7 @@ class Layout:
         """Where each effect's coordinates stand."""
         out, start = {}, len(self.parameters)
         for effect, sizes in zip(self.effects, self.sizes, strict=True):
-            stop = start + self.copies(effect) * len(sizes)
+            stop = start + self.instances(effect) * len(sizes)
             out[effect.name] = slice(start, stop)
             start = stop
         return out
@@ -49,14 +49,14 @@ class Layout:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        counts = [self.copies(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)]
+        counts = [self.instances(e) * len(s) for e, s in zip(self.effects, self.sizes, strict=True)]
         return len(self.parameters) + sum(counts)
 
     def kinds(self) -> tuple[np.ndarray, np.ndarray]:
         """What each coordinate is, the same number for its copies, and its run or -1."""
         kind, run = list(range(len(self.parameters))), [-1] * len(self.parameters)
         for effect, sizes in zip(self.effects, self.sizes, strict=True):
-            copies, first = self.copies(effect), len(kind)
+            copies, first = self.instances(effect), len(kind)
             for copy in range(copies):
                 kind += range(first, first + len(sizes))
                 run += [copy if copies > 1 else -1] * len(sizes)
@@ -66,12 +66,12 @@ class Layout:
         """Prior standard deviation of every coordinate, of an effect's the one at its centre."""
         out = [p.spread for p in self.parameters]
         for effect, sizes in zip(self.effects, self.sizes, strict=True):
-            own = [SPREAD] * len(sizes)
+            own = [PRIOR_SPREAD] * len(sizes)
             if effect.shape is not None and not effect.periodic:
-                own[effect.shape] = max(SPREAD, self.latest / sizes[effect.shape])
+                own[effect.shape] = max(PRIOR_SPREAD, self.latest / sizes[effect.shape])
             for k in effect.idle:
                 own[k] = 1.0
-            out += own * self.copies(effect)
+            out += own * self.instances(effect)
         return np.array(out)
 
     def _tails(self) -> tuple[np.ndarray, np.ndarray]:
@@ -80,10 +80,10 @@ class Layout:
         heavy = np.full(self.size, np.inf)
         for effect in self.effects:
             places = np.arange(self.size)[self.slices()[effect.name]]
-            for copy in places.reshape(self.copies(effect), -1):
+            for copy in places.reshape(self.instances(effect), -1):
                 amounts = copy[_amounts(effect, len(copy))]
                 together[np.ix_(amounts, amounts)] = 1.0
-                heavy[amounts] = TAIL + len(amounts)
+                heavy[amounts] = TAIL_DEGREES + len(amounts)
         return together, heavy
 
     def strains(
@@ -111,8 +111,8 @@ class Layout:
     def tail_cost(self, effect: Effect, copies: int) -> float:
         """-2 log of the prior's density at its centre over that of a normal one."""
         d = int(_amounts(effect, len(self.sizes[self.effects.index(effect)])).sum())
-        peak = math.lgamma((TAIL + d) / 2) - math.lgamma(TAIL / 2)
-        return -2.0 * copies * (peak + d / 2 * math.log(2 / (TAIL + d)))
+        peak = math.lgamma((TAIL_DEGREES + d) / 2) - math.lgamma(TAIL_DEGREES / 2)
+        return -2.0 * copies * (peak + d / 2 * math.log(2 / (TAIL_DEGREES + d)))
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
         """Positions of the coordinates of parameters and effects by name."""
@@ -131,7 +131,7 @@ class Layout:
         return scaled.reshape(-1, len(self.sizes[index])) * np.array(self.sizes[index])
 
 
-def negative(layout: Layout, coordinates: np.ndarray) -> list[str]:
+def negative_effects(layout: CoordinateLayout, coordinates: np.ndarray) -> list[str]:
     """Effects that cannot be negative, and are, in every copy."""
     return [
         effect.name
@@ -145,8 +145,8 @@ def _amounts(effect: Effect, count: int) -> np.ndarray:
     return ~np.isin(np.arange(count), [*effect.idle, -1 if effect.shape is None else effect.shape])
 
 
-def equipped(
-    base: Vessel, layout: Layout, coordinates: Float[Array, "coordinate"]
+def vessel_at(
+    base: Vessel, layout: CoordinateLayout, coordinates: Float[Array, "coordinate"]
 ) -> tuple[Vessel, Environment]:
     """The vessel at these coordinates, and the environment of each run (leaves of shape run).
 

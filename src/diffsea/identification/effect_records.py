@@ -20,7 +20,7 @@ NINETY_FIVE = float(norm.ppf(0.95))  # standard errors that one of twenty draws 
 Entry = dict[str, Any]  # value, std, unit
 
 
-def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, Entry]]:
+def parameter_records(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, Entry]]:
     """An effect's parameters with standard errors, one dictionary for each copy.
 
     Standard errors by linear propagation from coordinates to parameters. What is endless while
@@ -42,7 +42,7 @@ def reported(problem: Problem, fitted: Estimate, name: str) -> list[dict[str, En
     return out
 
 
-def is_seen(parameters: Mapping[str, Entry]) -> bool:
+def is_known(parameters: Mapping[str, Entry]) -> bool:
     """Whether the numbers of a reported effect are known: not those of one that is not seen."""
     return all(entry["value"] is not None for entry in parameters.values())
 

@@ -13,7 +13,7 @@ Span = tuple[float, float]  # s, on the runs' clocks: start and end
 
 
 @dataclasses.dataclass(frozen=True)
-class Look:
+class ExpansionPoint:
     """One way in which an effect may first be seen.
 
     `at` are its coordinates in prior sizes: zero but for a shape, which does nothing while the
@@ -26,9 +26,9 @@ class Look:
     finite: bool = False
 
 
-def looks(
+def expansion_points(
     effect: Effect, vessel: Vessel, spans: list[Span], frequencies: np.ndarray | None = None
-) -> list[Look]:
+) -> list[ExpansionPoint]:
     """All ways to look at one effect in what was recorded during these spans.
 
     `frequencies` (Hz) are those at which a periodic effect is looked at.
@@ -36,11 +36,11 @@ def looks(
     sizes = effect.sizes(vessel)
     zero = [0.0] * len(sizes)
     moved = tuple(k for k in range(len(sizes)) if k not in (effect.shape, *effect.idle))
-    secants = [Look(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
+    secants = [ExpansionPoint(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
     if effect.flat:
         return secants
     if effect.shape is None or effect.grid is None:
-        return [Look(effect.name, at, moved) for at in _at_rest(effect, zero)] + secants
+        return [ExpansionPoint(effect.name, at, moved) for at in _at_rest(effect, zero)] + secants
     values = effect.grid(vessel, 0.0, sum(end - start for start, end in spans))
     if effect.periodic:
         values = tuple(() if frequencies is None else np.asarray(frequencies) - values[0])
@@ -50,7 +50,7 @@ def looks(
     for value in values:
         at = list(zero)
         at[effect.shape] = value / sizes[effect.shape]
-        out.append(Look(effect.name, tuple(at), moved))
+        out.append(ExpansionPoint(effect.name, tuple(at), moved))
     return out
 
 
@@ -65,7 +65,7 @@ def _at_rest(effect: Effect, zero: list[float]) -> list[tuple[float, ...]]:
     return out
 
 
-def merged(spans: Iterable[Span]) -> list[Span]:
+def merge_spans(spans: Iterable[Span]) -> list[Span]:
     """Spans in the order of time, those that overlap made one."""
     out: list[Span] = []
     for start, end in sorted(spans):

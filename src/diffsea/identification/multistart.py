@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate, Progress, silent
-from diffsea.identification.expansion_points import looks
+from diffsea.identification.expansion_points import expansion_points
 from diffsea.identification.objectives.base import Objective, Starts
 from diffsea.identification.problem import Problem
 
@@ -42,12 +42,12 @@ def effect_starts(problem: Problem) -> Starts:
     layout, spans = problem.layout, problem.tape.spans
     rows = [np.zeros(layout.size)]
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        places = [look.at for look in looks(effect, problem.base, spans)]
+        places = [look.at for look in expansion_points(effect, problem.base, spans)]
         if effect.positive and not effect.finite:
             places.append((1.0, *(0.0 for _ in sizes[1:])))
         for place in filter(any, places):
             row = np.zeros(layout.size)
-            row[layout.indices((effect.name,))] = np.tile(place, layout.copies(effect))
+            row[layout.indices((effect.name,))] = np.tile(place, layout.instances(effect))
             rows.append(row)
     return np.array(rows)
 

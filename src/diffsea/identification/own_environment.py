@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.effect_records import reported
+from diffsea.identification.effect_records import parameter_records
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import equipped_vessel
@@ -39,6 +39,6 @@ def environment_from(
     problem = make_problem(vessel, [cut(recording, float(t[0]), split)], (), effects, room=room)
     found = estimate(problem, names)
     there = equipped_vessel(problem, found.coordinates)
-    said = {name: reported(problem, found, name)[0] for name in names}
+    said = {name: parameter_records(problem, found, name)[0] for name in names}
     there = dataclasses.replace(there, name=vessel.name, source=vessel.source)
     return there, cut(recording, split, float(t[-1])), said

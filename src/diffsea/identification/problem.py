@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diffsea.identification.coordinates import Layout
+from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.data.dataset import ANY, Shape, Tape, make_tape
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.kalman import Gains, Tuned
@@ -32,7 +32,7 @@ class Problem:
     """A base vessel, what may be estimated in it, and the recordings."""
 
     base: Vessel
-    layout: Layout
+    layout: CoordinateLayout
     tape: Tape
     prior: Prior
     width: int  # free coordinates the compiled program has room for
@@ -50,7 +50,7 @@ class Problem:
 class Static:
     """A hashable wrapper by identity of the value's own equality, for jit."""
 
-    def __init__(self, value: Layout):
+    def __init__(self, value: CoordinateLayout):
         self.value = value
 
     def __hash__(self) -> int:
@@ -116,7 +116,7 @@ def make_problem(
     tape = make_tape(vessel, recordings, least)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
     latest = float(np.abs(tape.run_time).max())
-    layout = Layout(parameters, effects, sizes, tape.runs, per_run, latest)
+    layout = CoordinateLayout(parameters, effects, sizes, tape.runs, per_run, latest)
     tape = jax.tree.map(jnp.asarray, tape)
     width = len(free) + room * (tape.runs if per_run else 1)
     return Problem(vessel, layout, tape, noise_prior(vessel, tape), width, len(free) + room)
@@ -242,7 +242,9 @@ def _padded(inputs: Inputs, start: np.ndarray) -> Array:
     return jnp.asarray(whole)
 
 
-def selection(layout: Layout, free: tuple[str, ...], width: int) -> tuple[np.ndarray, np.ndarray]:
+def selection(
+    layout: CoordinateLayout, free: tuple[str, ...], width: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Indices of the free coordinates and the matrix that spreads them over the layout."""
     index = np.array(layout.indices(free), int)
     matrix = np.zeros((layout.size, width))

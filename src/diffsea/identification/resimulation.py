@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.identification.coordinates import Layout, equipped
+from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import scan
 from diffsea.identification.data.dataset import Tape
 from diffsea.identification.estimates import Estimate
@@ -62,8 +62,8 @@ def _measured(
     begin: Array, shocks: Array,
 ) -> Float[Array, "row 6"]:  # fmt: skip
     """What sensors without noise show along a tape that gusts have shaken."""
-    shape: Layout = layout.value
-    vessel, flows = equipped(base, shape, coordinates)
+    shape: CoordinateLayout = layout.value
+    vessel, flows = vessel_at(base, shape, coordinates)
     vessel, tape = on_order_clock(vessel, tape)
     gusts, _ = gust_model(noise, tape.dt)
 

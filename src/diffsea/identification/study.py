@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.coordinates import equipped, negative
-from diffsea.identification.effect_records import effect_table, is_seen, reported
+from diffsea.identification.coordinates import negative_effects, vessel_at
+from diffsea.identification.effect_records import effect_table, is_known, parameter_records
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
@@ -94,7 +94,7 @@ class Study:
         """Parameters of each effect with standard errors, one dictionary for each copy."""
         problem = self.problem
         named = () if problem is None else problem.layout.effects
-        return {e.name: reported(problem, self.estimate, e.name) for e in named}
+        return {e.name: parameter_records(problem, self.estimate, e.name) for e in named}
 
     @property
     def effect_tables(self) -> list[dict]:
@@ -102,7 +102,7 @@ class Study:
         shared = {
             name: copies[0]
             for name, copies in self.effects.items()
-            if len(copies) == 1 and is_seen(copies[0])
+            if len(copies) == 1 and is_known(copies[0])
         }
         if self.problem is None:
             return []
@@ -162,7 +162,7 @@ class Study:
         """
         data = self.split(test)
         fitted = dataclasses.replace(self.estimate, noise=self.noise)
-        vessel, flow = equipped(
+        vessel, flow = vessel_at(
             data.test.base, data.test.layout, jnp.asarray(transferred(data, fitted))
         )
         flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
@@ -206,7 +206,7 @@ def identify(
             "the model diverges on these data and no step of the fit mends it; check units and "
             "signs with `diffsea audit`, or start nearer (vessel file, --priors)"
         )
-    if problem is not None and (absent := negative(problem.layout, fitted.coordinates)):
+    if problem is not None and (absent := negative_effects(problem.layout, fitted.coordinates)):
         raise UserError(
             f"the data do not show {' or '.join(absent)}: the best fit makes it negative, which it "
             "cannot be; leave it out of --effects"

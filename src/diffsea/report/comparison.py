@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import jax
 import numpy as np
 
-from diffsea.identification.coordinates import equipped
+from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split, transferred
 from diffsea.simulation.replay import horizon_errors, replay
@@ -87,7 +87,7 @@ def _in_own_environment(diagnosis: Outcome, diagnosed: Vessel) -> list[Vessel]:
     if not own_environment(diagnosis):
         return [diagnosed] * len(data.held_out)
     coordinates = jax.numpy.asarray(transferred(data, diagnosis.final))
-    vessel, flow = equipped(data.test.base, data.test.layout, coordinates)
+    vessel, flow = vessel_at(data.test.base, data.test.layout, coordinates)
     flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(data.held_out))]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 

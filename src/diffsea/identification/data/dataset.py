@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.data.batching import Lanes, in_lanes
 from diffsea.identification.data.heel import predicted_heel
-from diffsea.identification.expansion_points import Span, merged
+from diffsea.identification.expansion_points import Span, merge_spans
 from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -53,7 +53,9 @@ class Tape(eqx.Module):
         """When anything was recorded, on the runs' clocks."""
         known = np.asarray(self.known).any(1)
         run, time = np.asarray(self.run)[known], np.asarray(self.run_time)[known]
-        return merged((float(time[run == k].min()), float(time[run == k].max())) for k in set(run))
+        return merge_spans(
+            (float(time[run == k].min()), float(time[run == k].max())) for k in set(run)
+        )
 
     @property
     def shape(self) -> "Shape":

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.coordinates import Layout, equipped
+from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import scan
 from diffsea.identification.data.dataset import Tape
 from diffsea.identification.filter.latency import (
@@ -179,7 +179,7 @@ def rows(vessel: Vessel, flows: Environment, tape: Tape) -> dict:
 
 def innovations(
     base: Vessel,
-    layout: Layout,
+    layout: CoordinateLayout,
     tape: Tape,
     gains: Gains,
     coordinates: Float[Array, "coordinate"],
@@ -190,7 +190,7 @@ def innovations(
     `push` adds accelerations (m/s^2, m/s^2, rad/s^2), the generic candidate of
     `diagnosis.locate`.
     """
-    vessel, flows = equipped(base, layout, coordinates)
+    vessel, flows = vessel_at(base, layout, coordinates)
     vessel, tape = on_order_clock(vessel, tape)
     late = lateness(vessel)
 
@@ -234,7 +234,7 @@ def faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
 
 def tune(
     base: Vessel,
-    layout: Layout,
+    layout: CoordinateLayout,
     tape: Tape,
     noise: Noise,
     coordinates: Float[Array, "coordinate"],
@@ -245,7 +245,7 @@ def tune(
     Missing channels have zero innovation and unit variance, so that they add nothing to
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
-    vessel, flows = equipped(base, layout, coordinates)
+    vessel, flows = vessel_at(base, layout, coordinates)
     vessel, tape = on_order_clock(vessel, tape)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.coordinates import negative
+from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import Estimate, Progress, silent
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.process_noise import Noise
@@ -110,7 +110,9 @@ class Innovations:
             ends = _explored(inputs, layout, noise, ends)
         ends = np.asarray(ends)
         costs = [
-            np.inf if negative(self.problem.layout, end) else posterior(self.problem, end, noise)
+            np.inf
+            if negative_effects(self.problem.layout, end)
+            else posterior(self.problem, end, noise)
             for end in ends
         ]
         return ends, np.array(costs)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.identification.coordinates import Layout, equipped
+from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.dataset import Tape
 from diffsea.identification.filter import kalman
 from diffsea.identification.problem import Static
@@ -112,13 +112,13 @@ def slopes(
 
 def _shoot(
     base: Vessel,
-    layout: Layout,
+    layout: CoordinateLayout,
     tape: Tape,
     cut: tuple[Array, Array, Array],
     coordinates: Float[Array, "coordinate"],
     states: Float[Array, "window 6"],
 ) -> Shot:
-    vessel, flows = equipped(base, layout, coordinates)
+    vessel, flows = vessel_at(base, layout, coordinates)
     vessel, tape = kalman.on_order_clock(vessel, tape)
     number, begins, joins = cut
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.coordinates import equipped
+from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, jacobian, make_problem, selection, traced
@@ -129,7 +129,7 @@ def first_copies(problem: Problem, coordinates: np.ndarray) -> np.ndarray:
 def equipped_vessel(problem: Problem, coordinates: np.ndarray) -> Vessel:
     """The vessel at coordinates with one set per effect, its environment in place."""
     layout = dataclasses.replace(problem.layout, runs=1, per_run=False)
-    vessel, flows = equipped(problem.base, layout, np.asarray(coordinates))
+    vessel, flows = vessel_at(problem.base, layout, np.asarray(coordinates))
     environment = type(flows)(*(float(np.asarray(leaf)[0]) for leaf in vars(flows).values()))
     vessel = dataclasses.replace(vessel, environment=environment)
     return jax.tree.map(float, vessel)
