@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from tests.paths import ORACLE
 
 from diffsea.diagnosis import decision, jacobians, localisation, refit, search, unexplained
 from diffsea.diagnosis.constancy import Constancy
@@ -96,8 +97,8 @@ def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
 
 
 @pytest.fixture(scope="module")
-def boat(request):
-    return read_vessel(request.path.parent / "oracle" / "usv.toml").vessel
+def boat():
+    return read_vessel(ORACLE / "usv.toml").vessel
 
 
 class _Run:
@@ -426,7 +427,8 @@ def test_a_refit_starts_without_what_is_not_in_the_model_any_more():
 def _copied(amounts, stds, recorded):
     """A fit of a shallowness for each run, of which some were recorded."""
     count = len(amounts)
-    layout = SimpleNamespace(copies=lambda effect: count, indices=lambda names: list(range(count)))
+    every = lambda _: list(range(count))
+    layout = SimpleNamespace(instances=lambda effect: count, indices=every)
     run, known = np.arange(count), np.zeros((count, 6), bool)
     known[recorded] = True
     problem = SimpleNamespace(layout=layout, tape=SimpleNamespace(run=run, known=known))
