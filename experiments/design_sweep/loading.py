@@ -8,7 +8,7 @@ import numpy as np
 from diffsea.parameters import named
 from diffsea.simulation import standard
 from diffsea.simulation.control import speed_for, throttle_for_thrust
-from diffsea.simulation.standard import Plan
+from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Designs
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
@@ -64,11 +64,11 @@ def axes(thrusts: int, masses: int) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(*THRUST, thrusts), np.linspace(*MASS, masses)
 
 
-def plan(vessel: Vessel, kind: Kind) -> Plan:
+def plan(vessel: Vessel, kind: Kind) -> TrialPlan:
     """The trial with a time limit that every design of the ranges keeps."""
     lowest = float(speed_for(vessel, throttle_for_thrust(vessel, THRUST[0])))
     passing = float(vessel.rigid_body.length) / lowest  # s
-    settled = standard.plan(
+    settled = standard.plan_trial(
         vessel, kind.manoeuvre, math.radians(kind.angle), math.radians(kind.heading) or None,
         thrust=THRUST[0], step=STEP, executes=_EXECUTES,
         seconds=standard.rounded_up(kind.lengths * passing),

@@ -16,7 +16,7 @@ from diffsea.parameters import designed, replace, spread
 from diffsea.simulation import manoeuvres
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.manoeuvres import Stages
-from diffsea.simulation.standard import Plan
+from diffsea.simulation.standard import TrialPlan
 from diffsea.simulation.trials import run_trial
 from diffsea.vessel.base import Vessel
 
@@ -44,7 +44,7 @@ Places = tuple[tuple[str, tuple[str, ...]], ...]
 
 
 def quantities(
-    vessel: Vessel, trial: Plan, places: Places, x: Float[Array, "2"]
+    vessel: Vessel, trial: TrialPlan, places: Places, x: Float[Array, "2"]
 ) -> Float[Array, "quantity"]:
     """`QUANTITIES` of the design x = (ln thrust, ln mass); `trial` has times and step.
 
@@ -71,7 +71,9 @@ def quantities(
 
 
 @eqx.filter_jit
-def _with_slopes(vessel: Vessel, x: Float[Array, "lane 2"], kind: tuple[Plan, Places]) -> tuple:
+def _with_slopes(
+    vessel: Vessel, x: Float[Array, "lane 2"], kind: tuple[TrialPlan, Places]
+) -> tuple:
     def one(at: Float[Array, "2"]) -> tuple:
         def along(direction: Float[Array, "2"]) -> tuple:
             return jax.jvp(lambda z: quantities(vessel, *kind, z), (at,), (direction,))

@@ -185,7 +185,7 @@ def circles(case: Set, before: Vessel, after: Vessel) -> list[dict]:
     rows = []
     for side in (1.0, -1.0) if case.circles else ():
         for label, vessel in (("file", before), ("fit", after)):
-            plan = standard.plan(
+            plan = standard.plan_trial(
                 vessel, "turning-circle", angle=math.radians(35), side=side, speed=case.circles
             )
             values = standard.measured(vessel, plan)[1]

@@ -59,7 +59,7 @@ def circles(coordinates: Float[np.ndarray, "draw coordinate"]) -> dict[str, np.n
 
 
 @eqx.filter_jit
-def _circles(vessel, coordinates: Array, plan: standard.Plan) -> dict[str, Array]:
+def _circles(vessel, coordinates: Array, plan: standard.TrialPlan) -> dict[str, Array]:
     parameters = marus_vessel.parameters()
 
     def one(at: Array) -> dict[str, Array]:

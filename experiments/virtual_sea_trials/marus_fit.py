@@ -18,7 +18,7 @@ from diffsea.identification.estimates import Estimate, interval
 from diffsea.identification.objectives.trial_numbers import Sheet, TrialNumbers
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.simulation import standard
-from diffsea.simulation.standard import Plan
+from diffsea.simulation.standard import TrialPlan
 from diffsea.vessel.base import Vessel
 
 
@@ -31,9 +31,9 @@ BLURS = (5.0, 2.5, 1.5, 1.0, 1.0)  # factors on the misfits in the fits from a s
 SEED = 0
 
 
-def plan_of(run: published.Run, vessel: Vessel) -> Plan:
+def plan_of(run: published.Run, vessel: Vessel) -> TrialPlan:
     """The trial as the paper ran it, from its mean approach speed."""
-    plan = standard.plan(
+    plan = standard.plan_trial(
         vessel, run.manoeuvre, math.radians(run.angle), math.radians(run.heading) or None,
         float(run.side), run.speed, seconds=SECONDS[run.manoeuvre], step=STEP, executes=3,
     )  # fmt: skip

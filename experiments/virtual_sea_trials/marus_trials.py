@@ -18,7 +18,7 @@ import numpy as np
 
 from diffsea.metrics.recorded import recording_metrics
 from diffsea.recordings import resample
-from diffsea.segments import Segment, segments, traceability
+from diffsea.segments import Segment, find_segments, traceability
 from diffsea.simulation import standard
 from diffsea.simulation.control import RUDDER_EQUIVALENT
 from diffsea.trajectory import Trajectory
@@ -114,7 +114,7 @@ def _orders(runs: list[published.Run]) -> dict[str, jax.Array]:
 
 
 @eqx.filter_jit
-def _all(vessels: Vessel, orders: dict[str, jax.Array], plan: standard.Plan):
+def _all(vessels: Vessel, orders: dict[str, jax.Array], plan: standard.TrialPlan):
     def one(vessel: Vessel, order: dict[str, jax.Array]):
         return standard.run(vessel, dataclasses.replace(plan, **order))
 
@@ -144,7 +144,7 @@ def processed(clean: Trajectory, seed: int, run: published.Run, vessel: Vessel) 
     """
     log = with_noise(clean, seed)
     kind = "turning" if run.manoeuvre == "turning-circle" else "zigzag"
-    found = segments(log, vessel)
+    found = find_segments(log, vessel)
     chosen = [segment for segment in found if segment.kind == kind]
     if not chosen:
         raise SystemExit(f"{run.name}: no {kind} in the log, only {[s.kind for s in found]}")

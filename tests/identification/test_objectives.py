@@ -183,7 +183,7 @@ def test_an_effect_comes_out_of_trial_numbers_run_side_by_side(document, tmp_pat
     orders = [(35.0, "port", 1.0), (35.0, "starboard", 1.1), (20.0, "starboard", 1.0)]
     texts, expected = ["format = 1"], []
     for angle, side, speed in orders:
-        plan = standard.plan(
+        plan = standard.plan_trial(
             uneven, "turning-circle", np.deg2rad(angle), side=1.0 if side == "starboard" else -1.0,
             speed=speed, seconds=150.0, step=0.2,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from tests.paths import DATA, EXPERIMENTS, ORACLE
 from diffsea.cli import main
 from diffsea.errors import UserError
 from diffsea.recordings import read_mapping, read_recording
-from diffsea.recordings.mapping_proposal import is_foreign, propose, suggestion
+from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping, suggestion
 from diffsea.recordings.mapping_proposal.wording import SURE
 
 
@@ -47,7 +47,7 @@ def recovered(native, how, folder, seed=0):
     """What a proposal makes of a run in disguise: channels right or wrong, and how sure."""
     path, written = folder / "foreign.csv", folder / "foreign.mapping.toml"
     disguise(native, how, np.random.default_rng(seed), path)
-    proposal = propose(path)
+    proposal = propose_mapping(path)
     written.write_text(proposal.text, encoding="utf-8")
     alias = {"latitude": "x", "longitude": "y"}
     sure = {
@@ -121,7 +121,7 @@ def test_contradicting_names_give_way_to_kinematics(runs, tmp_path):
     native = runs["random-fast"]
     table = native.rename(columns={"x": "y", "y": "x", "psi": "r", "r": "psi", "t": "time"})
     table.to_csv(tmp_path / "a.csv", index=False)
-    (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+    (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
     mapping = read_mapping(tmp_path / "a.toml")
     assert mapping.channels["psi"].column == "r" and mapping.channels["r"].column == "psi"
     right = judged(native, tmp_path / "a.csv", mapping)
@@ -134,7 +134,7 @@ def test_orders_are_told_from_what_was_realised(runs, tmp_path):
     table = table.rename(columns={"cmd_port": "left", "cmd_starboard": "right"})
     table["left"] = smooth
     table.to_csv(tmp_path / "a.csv", index=False)
-    sure = propose(tmp_path / "a.csv").sure
+    sure = propose_mapping(tmp_path / "a.csv").sure
     assert "exec_port" in sure and "cmd_starboard" in sure
 
 
@@ -144,7 +144,7 @@ def test_a_rudder_that_turns_to_port_is_given_a_sign(tmp_path):
         table = native.assign(cmd_rudder=sign * np.degrees(native["cmd_rudder"]))
         table = table.rename(columns={"t": "time", "psi": "heading", "cmd_rudder": "helm"})
         table.to_csv(tmp_path / "a.csv", index=False)
-        (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+        (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
         rudder = read_mapping(tmp_path / "a.toml").channels["cmd_rudder"]
         assert (rudder.column, rudder.unit, rudder.sign) == ("helm", "deg", sign)
 
@@ -167,12 +167,12 @@ def test_a_file_without_time_gets_its_step_from_kinematics_or_is_asked(runs, tmp
     native = runs["random-fast"]
     table = native.drop(columns="t").rename(columns={"psi": "yaw", "r": "yaw_rate [rad/s]"})
     table.to_csv(tmp_path / "a.csv", index=False)
-    proposal = propose(tmp_path / "a.csv")
+    proposal = propose_mapping(tmp_path / "a.csv")
     (tmp_path / "a.toml").write_text(proposal.text)
     assert proposal.timed and "time_step" in proposal.checks[0]
     assert read_mapping(tmp_path / "a.toml").time_step == pytest.approx(0.25, rel=0.06)
     table[["yaw", "cmd_port"]].to_csv(tmp_path / "b.csv", index=False)
-    proposal = propose(tmp_path / "b.csv")
+    proposal = propose_mapping(tmp_path / "b.csv")
     (tmp_path / "b.toml").write_text(proposal.text)
     assert not proposal.timed and "ASK" in proposal.text and "unknown" in proposal.checks[0]
     assert read_mapping(tmp_path / "b.toml").time_step == 1.0
@@ -183,7 +183,7 @@ def test_stamps_of_date_and_time_give_the_step(runs, tmp_path):
     stamps = pd.Timestamp("2024-05-01T10:00:00Z") + pd.to_timedelta(native["t"], unit="s")
     table = native.drop(columns="t").assign(stamp=stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
     table.rename(columns={"psi": "yaw"}).to_csv(tmp_path / "a.csv", index=False)
-    (tmp_path / "a.toml").write_text(propose(tmp_path / "a.csv").text)
+    (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
     assert read_mapping(tmp_path / "a.toml").time_step == pytest.approx(0.25)
     assert "'stamp'" in (tmp_path / "a.toml").read_text()
 
@@ -254,10 +254,10 @@ def test_files_of_two_layouts_are_refused(runs, tmp_path):
     other = dataclasses.replace(PLAIN, style="snake")
     disguise(runs["random-fast"], other, np.random.default_rng(0), tmp_path / "b.csv")
     with pytest.raises(UserError, match="b.csv has other columns"):
-        propose([tmp_path / "a.csv", tmp_path / "b.csv"])
+        propose_mapping([tmp_path / "a.csv", tmp_path / "b.csv"])
     (tmp_path / "c.csv").write_text("time,a\n0,1\n1,1\n2,1\n")
     with pytest.raises(UserError, match="too few rows"):
-        propose(tmp_path / "c.csv")
+        propose_mapping(tmp_path / "c.csv")
 
 
 REAL = {
@@ -277,7 +277,7 @@ def test_real_recordings(name, tmp_path):
     files = sorted(DATA.glob(pattern))
     if not files:
         pytest.skip(f"no {DATA / pattern}")
-    (tmp_path / "proposed.toml").write_text(propose(files).text, encoding="utf-8")
+    (tmp_path / "proposed.toml").write_text(propose_mapping(files).text, encoding="utf-8")
     known = read_mapping(EXPERIMENTS / name / reference)
     found = read_mapping(tmp_path / "proposed.toml")
     assert found.velocity_axes == known.velocity_axes

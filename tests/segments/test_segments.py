@@ -18,7 +18,7 @@ from diffsea.cli import main
 from diffsea.cli import segments as command
 from diffsea.errors import UserError
 from diffsea.recordings import read_recording, write_recording
-from diffsea.segments import SEGMENT_KINDS, Settings, cut_out, grouped, segments, traceability
+from diffsea.segments import SEGMENT_KINDS, Settings, cut_out, find_segments, grouped, traceability
 from diffsea.segments.signals import executed_by, signals_of
 from diffsea.segments.unordered import own_window
 from diffsea.trajectory import Trajectory
@@ -202,7 +202,7 @@ def days():
 def test_every_trial_of_a_day_is_found_and_nothing_else(days, ship, actuation, twin, noise):
     log = days[ship]
     run = log.run(noise, twin, measured=actuation != "no exec", ordered=actuation != "no cmd")
-    found, truth = trials(segments(run)), wanted(log)
+    found, truth = trials(find_segments(run)), wanted(log)
     assert [s.kind for s in found] == [item["kind"] for item in truth]
     for segment, item in zip(found, truth, strict=True):
         step = log.ship.step
@@ -222,7 +222,7 @@ def test_every_trial_of_a_day_is_found_and_nothing_else(days, ship, actuation, t
 
 def test_switchings_of_a_zigzag_are_those_executed(days):
     log = days["lag"]
-    (first, *_) = [s for s in segments(log.run()) if s.kind == "zigzag"]
+    (first, *_) = [s for s in find_segments(log.run()) if s.kind == "zigzag"]
     assert first.switches[0] == first.onset
     later = np.array(first.switches) - np.array(log.truth[1]["switches"])
     assert np.all(later >= 0) and np.all(later <= 3 * log.ship.step)
@@ -231,7 +231,7 @@ def test_switchings_of_a_zigzag_are_those_executed(days):
 
 def test_segments_do_not_overlap_and_are_in_order(days):
     for log in days.values():
-        found = segments(log.run(1.0))
+        found = find_segments(log.run(1.0))
         assert all(a.end < b.start for a, b in zip(found[:-1], found[1:], strict=True))
         assert {s.kind for s in found} <= set(SEGMENT_KINDS)
 
@@ -240,7 +240,9 @@ def test_a_transit_turn_is_turning_motion_but_no_trial(days):
     log = days["at once"]
     transit = next(item for item in log.truth if item["kind"] == "transit")
     inside = [
-        s for s in segments(log.run()) if transit["start"] - 1 <= s.onset < transit["start"] + 10
+        s
+        for s in find_segments(log.run())
+        if transit["start"] - 1 <= s.onset < transit["start"] + 10
     ]
     assert [(s.kind, s.manoeuvre) for s in inside] == [("turning", "unknown")]
     assert math.degrees(inside[0].heading_change) == pytest.approx(100, abs=15)
@@ -249,7 +251,7 @@ def test_a_transit_turn_is_turning_motion_but_no_trial(days):
 def test_a_straight_run_begins_when_the_turning_is_over(days):
     run = days["lag"].run()
     fastest = np.max(np.abs(run.r))
-    found = segments(run)
+    found = find_segments(run)
     assert any(s.kind == "straight" for s in found)
     for s in found:
         rows = (run.t >= s.start) & (run.t <= s.end)
@@ -259,7 +261,7 @@ def test_a_straight_run_begins_when_the_turning_is_over(days):
 def test_a_vessel_that_has_stopped_is_on_station(days):
     log = days["at once"]
     stop = next(item for item in log.truth if item["kind"] == "station")
-    resting = [s for s in segments(log.run(1.0)) if s.kind == "station"]
+    resting = [s for s in find_segments(log.run(1.0)) if s.kind == "station"]
     assert len(resting) == 1
     assert resting[0].start == pytest.approx(stop["start"], abs=2) and resting[
         0
@@ -269,7 +271,7 @@ def test_a_vessel_that_has_stopped_is_on_station(days):
 def test_without_any_actuator_turning_is_found_in_the_yaw_rate(days):
     log = days["at once"]
     run = log.run(1.0, measured=False, ordered=False)
-    found = [s for s in segments(run) if s.kind == "turning"]
+    found = [s for s in find_segments(run) if s.kind == "turning"]
     circles = [item for item in log.truth if item["kind"] == "turning"]
     for item in circles:
         assert any(abs(s.onset - item["start"]) < 3 and s.actuation == "none" for s in found)
@@ -282,7 +284,7 @@ def test_hand_steering_before_the_order_is_no_onset():
     wander = np.cumsum(rng.standard_normal(2000)) * 0.1
     log._run("hand", lambda s: None if s >= 90 else 8 * DEG * math.sin(0.2 * s + 0.1 * wander[0]))
     log.circle(20, 400)
-    (circle,) = trials(segments(log.run()))
+    (circle,) = trials(find_segments(log.run()))
     assert circle.onset == pytest.approx(log.truth[1]["start"], abs=0.11)
     assert not circle.steady and "wanders" in circle.approach.why
 
@@ -292,14 +294,17 @@ def test_the_approach_is_judged():
     speeding = Log(Ship(surge=30.0))
     speeding.u = 0.5
     speeding.straight(25).circle(20)
-    (steady,), (unsteady,) = trials(segments(calm.run())), trials(segments(speeding.run()))
+    (steady,), (unsteady,) = (
+        trials(find_segments(calm.run())),
+        trials(find_segments(speeding.run())),
+    )
     assert steady.steady and steady.approach.speed == pytest.approx(2.0, rel=1e-3)
     assert not unsteady.steady and "speed rises" in unsteady.approach.why
     assert unsteady.approach.trend > 0
 
 
 def test_a_trial_at_the_very_start_has_no_approach_to_judge():
-    (circle,) = trials(segments(Log(Ship()).circle(20, 500).straight(30).run()))
+    (circle,) = trials(find_segments(Log(Ship()).circle(20, 500).straight(30).run()))
     assert circle.approach.verdict == "unknown" and math.isnan(circle.approach.speed)
 
 
@@ -307,13 +312,13 @@ def test_a_rudder_that_turns_to_port_is_told():
     run = Log(Ship()).straight(60).circle(20).run()
     turned = {name: -series for name, series in run.commanded.items() if name == "rudder"}
     run = dataclasses.replace(run, commanded=turned, executed={})
-    (circle,) = trials(segments(run))
+    (circle,) = trials(find_segments(run))
     assert circle.side == "starboard" and "turns to port" in circle.why
 
 
 def test_a_hole_in_the_recording_ends_a_segment():
     run = Log(Ship()).straight(200).run()
-    found = segments(without(run, (run.t >= 80) & (run.t <= 120)))
+    found = find_segments(without(run, (run.t >= 80) & (run.t <= 120)))
     assert [s.kind for s in found] == ["straight", "straight"]
     assert found[0].end < 80.05 and found[1].start > 119.95
 
@@ -331,9 +336,9 @@ def without(run, lost):
 def test_an_approach_does_not_reach_across_a_hole():
     log = Log(Ship()).straight(60).circle(20)
     run = log.run()
-    (whole,) = trials(segments(run))
+    (whole,) = trials(find_segments(run))
     assert whole.start < 55
-    (circle,) = trials(segments(without(run, (run.t > 50) & (run.t < 58))))
+    (circle,) = trials(find_segments(without(run, (run.t > 50) & (run.t < 58))))
     assert circle.onset == pytest.approx(whole.onset) and circle.start >= 58
 
 
@@ -341,7 +346,7 @@ def test_a_flicker_of_the_steering_does_not_part_a_trial():
     log = Log(Ship()).straight(60).circle(20, 180)
     log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0)
     log.circle(20, 180).straight(30)
-    (circle,) = trials(segments(log.run()))
+    (circle,) = trials(find_segments(log.run()))
     assert circle.onset == pytest.approx(log.truth[1]["start"], abs=0.11)
     assert circle.end == pytest.approx(log.truth[2]["end"], abs=0.3)
     assert len(circle.switches) == 1
@@ -354,7 +359,7 @@ def test_the_window_is_the_time_of_a_quarter_turn():
 
 
 def test_repeats_share_a_group_and_others_do_not(days):
-    found = grouped(segments(days["at once"].run()))
+    found = grouped(find_segments(days["at once"].run()))
     labels = {(s.onset, s.kind): s.group for s in trials(found)}
     zigzags = [label for (_, kind), label in sorted(labels.items()) if kind == "zigzag"]
     circles = [label for (_, kind), label in sorted(labels.items()) if kind == "turning"]
@@ -364,7 +369,7 @@ def test_repeats_share_a_group_and_others_do_not(days):
 
 def test_members_of_a_group_are_all_alike():
     run = Log(Ship()).straight(60).circle(20).run()
-    (one,) = trials(segments(run))
+    (one,) = trials(find_segments(run))
     speeds = [1.0, 1.1, 1.2, 1.3]
     chain = [
         dataclasses.replace(one, approach=dataclasses.replace(one.approach, speed=s))
@@ -382,38 +387,38 @@ def checks(run, segment, vessel=None):
 def test_executed_steering_is_compared_with_the_order(days):
     log = days["at once"]
     run = log.run(1.0)
-    found = checks(run, trials(segments(run))[1])
+    found = checks(run, trials(find_segments(run))[1])
     assert found["actuation"].verdict == "sound"
     assert found["actuation"].numbers["ratio"] == pytest.approx(1.0, abs=0.01)
     weak = dataclasses.replace(
         run, executed=run.executed | {"rudder": 0.7 * run.executed["rudder"]}
     )
-    found = checks(weak, trials(segments(weak))[1])
+    found = checks(weak, trials(find_segments(weak))[1])
     assert found["actuation"].verdict == "doubtful"
     assert found["actuation"].numbers["ratio"] == pytest.approx(0.7, abs=0.02)
 
 
 def test_a_lag_shows_in_the_scatter_and_the_delay(days):
     run = days["lag"].run()
-    found = checks(run, trials(segments(run))[0])["actuation"]
+    found = checks(run, trials(find_segments(run))[0])["actuation"]
     assert found.numbers["ratio_spread"] > 0.1 and found.verdict == "doubtful"
     assert 0 < found.numbers["delay"] < 0.5
 
 
 def test_what_was_not_measured_is_never_called_sound(days):
     run = days["at once"].run(measured=False)
-    found = checks(run, trials(segments(run))[0])
+    found = checks(run, trials(find_segments(run))[0])
     assert found["actuation"].verdict == "not checked"
     assert "not measured" in found["actuation"].why
     silent = days["at once"].run(ordered=False, measured=False)
-    assert checks(silent, segments(silent)[0])["actuation"].verdict == "not checked"
+    assert checks(silent, find_segments(silent)[0])["actuation"].verdict == "not checked"
     blind = dataclasses.replace(run, r=run.r * np.nan)
-    assert checks(blind, trials(segments(blind))[0])["yaw-rate"].verdict == "not checked"
+    assert checks(blind, trials(find_segments(blind))[0])["yaw-rate"].verdict == "not checked"
 
 
 def test_yaw_rate_is_compared_with_the_heading(days):
     run = days["at once"].run(1.0)
-    circle = trials(segments(run))[1]
+    circle = trials(find_segments(run))[1]
     sound = checks(run, circle)["yaw-rate"]
     assert sound.verdict == "sound" and sound.numbers["correlation"] > 0.98
     wrong = dataclasses.replace(run, r=-run.r)
@@ -425,7 +430,7 @@ def test_yaw_rate_is_compared_with_the_heading(days):
 
 def test_time_steps_that_are_off_are_told(days):
     run = days["at once"].run()
-    circle = trials(segments(run))[1]
+    circle = trials(find_segments(run))[1]
     assert checks(run, circle)["time-step"].verdict == "sound"
     late = np.where(run.t > circle.onset + 5, run.t + 0.35, run.t)
     doubtful = checks(dataclasses.replace(run, t=late), circle)["time-step"]
@@ -442,7 +447,7 @@ def test_saturation_is_measured_against_the_vessels_limits():
     names = {"port": port, "starboard": starboard}
     scaled = {names[n]: s * upper / np.max(s) for n, s in run.commanded.items()}
     run = dataclasses.replace(run, commanded=scaled, executed=scaled)
-    (circle,) = trials(segments(run, vessel))
+    (circle,) = trials(find_segments(run, vessel))
     found = checks(run, circle, vessel)
     assert found[f"duty-cycle of {port}"].numbers["saturated"] > 0.95
     assert found[f"duty-cycle of {port}"].verdict == "doubtful"
@@ -466,7 +471,7 @@ def test_a_vessel_makes_the_onset_that_of_its_servos():
     renamed = dict(zip(vessel.channels, run.commanded.values(), strict=True))
     speeds = {n: np.sign(s) * np.sqrt(np.abs(s)) for n, s in renamed.items()}
     run = dataclasses.replace(run, commanded=speeds)
-    (circle,) = trials(segments(run, vessel))
+    (circle,) = trials(find_segments(run, vessel))
     assert circle.actuation == "reconstructed" and "not measured" in circle.why
     assert log.truth[1]["start"] == circle.ordered < circle.onset
     assert math.degrees(circle.order) == pytest.approx(20, abs=0.5)
@@ -474,7 +479,7 @@ def test_a_vessel_makes_the_onset_that_of_its_servos():
 
 def test_an_exported_segment_is_read_again_with_time_from_the_onset(tmp_path, days):
     run = days["lag"].run()
-    segment = trials(segments(run))[0]
+    segment = trials(find_segments(run))[0]
     piece = cut_out(run, segment)
     write_recording(piece, tmp_path / "piece.csv")
     again = read_recording(tmp_path / "piece.csv")
@@ -490,7 +495,7 @@ def test_an_exported_segment_is_read_again_with_time_from_the_onset(tmp_path, da
 
 def test_reconstructed_actuation_is_not_exported(days):
     run = days["lag"].run(measured=False)
-    assert not cut_out(run, trials(segments(run))[0]).executed
+    assert not cut_out(run, trials(find_segments(run))[0]).executed
 
 
 @pytest.fixture
@@ -576,9 +581,9 @@ def test_two_recordings_of_one_name_are_refused(tmp_path, log_file, capsys):
 def test_a_recording_without_yaw_is_refused():
     run = Log(Ship()).straight(30).run()
     with pytest.raises(UserError, match="neither heading"):
-        segments(dataclasses.replace(run, psi=run.psi * np.nan, r=run.r * np.nan))
+        find_segments(dataclasses.replace(run, psi=run.psi * np.nan, r=run.r * np.nan))
     with pytest.raises(UserError, match="rows"):
-        segments(dataclasses.replace(run, valid=run.t < 1))
+        find_segments(dataclasses.replace(run, valid=run.t < 1))
     with pytest.raises(UserError, match="window"):
         Settings(window=-1.0)
 
@@ -598,7 +603,7 @@ def needs(folder, mapping):
 def test_a_turn_after_two_minutes_of_hand_steering(file):
     mapping = needs("esso_osaka/recordings", "esso_osaka/mapping.toml")
     run = read_recording(DATA / f"esso_osaka/recordings/{file}.csv", mapping)
-    (circle,) = trials(segments(run))
+    (circle,) = trials(find_segments(run))
     assert circle.manoeuvre == "turning-circle"
     assert circle.onset == pytest.approx(120.0, abs=0.2)
     assert math.degrees(circle.order) == pytest.approx(35, abs=0.5)
@@ -609,7 +614,7 @@ def test_a_towing_tanks_zigzags_are_one_trial_each(folder):
     name = "mapping_repaired.toml" if folder == "kvlcc2_hsva" else "mapping.toml"
     mapping = needs(folder, f"{folder}/{name}")
     for path in sorted([*(DATA / folder).glob("*.dat"), *(DATA / folder).glob("*FS.txt")]):
-        (zigzag,) = segments(read_recording(path, mapping))
+        (zigzag,) = find_segments(read_recording(path, mapping))
         assert zigzag.kind == "zigzag" and zigzag.actuation == "measured"
         assert len(zigzag.switches) >= 3
 

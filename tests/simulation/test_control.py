@@ -309,7 +309,7 @@ def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
     vessel, wanted = build(read_vessel("esso_osaka").document), 0.25
     slow, kept = (
         standard.measured(
-            vessel, standard.plan(vessel, "turning-circle", speed=wanted, keep_speed=keep)
+            vessel, standard.plan_trial(vessel, "turning-circle", speed=wanted, keep_speed=keep)
         )[0]
         for keep in (False, True)
     )
@@ -317,4 +317,4 @@ def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
               for run in (slow, kept)]  # fmt: skip
     assert speeds[1] > 0.9 * wanted and speeds[0] < 0.6 * wanted
     with pytest.raises(UserError, match="keep the speed"):
-        standard.plan(vessel, "zigzag", thrust=3.0, keep_speed=True)
+        standard.plan_trial(vessel, "zigzag", thrust=3.0, keep_speed=True)

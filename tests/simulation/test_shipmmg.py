@@ -21,10 +21,10 @@ from tests.runs import CALM, run, staged_turn, state_of, trajectory
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.simulation.control import throttle_for
 from diffsea.simulation.manoeuvres import zigzag
-from diffsea.vessel.files import build, shipped
+from diffsea.vessel.files import build, shipped_vessels
 
 
-DOCUMENT = tomllib.loads(shipped()["kvlcc2"].read_text())
+DOCUMENT = tomllib.loads(shipped_vessels()["kvlcc2"].read_text())
 DOCUMENT["hull"]["x_G"] = 0.0
 HULL, PROPELLER, RUDDER = DOCUMENT["hull"], DOCUMENT["propeller"][0], DOCUMENT["rudder"][0]
 LENGTH, SPEED = HULL["length"], 1.179  # m, m/s

@@ -9,7 +9,7 @@ from diffsea.errors import UserError
 from diffsea.simulation import standard
 from diffsea.simulation.control import full_throttle, speed_for, throttle_for, throttle_for_thrust
 from diffsea.trajectory import Outcome
-from diffsea.vessel.files import build, read_vessel, shipped
+from diffsea.vessel.files import build, read_vessel, shipped_vessels
 
 
 DRAG, LAG = 20.0, 5.0  # N s/m, and s of mass over drag
@@ -25,7 +25,7 @@ def boat():
 
 
 def measured(boat, manoeuvre, **options):
-    plan = standard.plan(boat, manoeuvre, speed=2.0, step=0.1, **options)
+    plan = standard.plan_trial(boat, manoeuvre, speed=2.0, step=0.1, **options)
     trial, numbers = standard.measured(boat, plan)
     assert int(trial.trajectory.outcome) == Outcome.COMPLETED
     return standard.summary(boat, plan, trial, numbers)
@@ -95,7 +95,7 @@ def test_the_default_step_is_round_and_follows_the_length(length, step):
 
 
 def test_the_default_speed_is_within_reach_of_every_shipped_vessel():
-    for name in shipped():
+    for name in shipped_vessels():
         vessel = read_vessel(name).vessel
         froude = 0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length))
         speed = standard.default_speed(vessel)
@@ -127,10 +127,10 @@ def test_a_thrust_sets_the_speed_at_which_drag_takes_it_up(boat):
 
 def test_plans_that_make_no_sense_are_told(boat):
     with pytest.raises(UserError, match="no manoeuvre 'zigzagg'; did you mean 'zigzag'"):
-        standard.plan(boat, "zigzagg")
+        standard.plan_trial(boat, "zigzagg")
     mariner = read_vessel("mariner").vessel
     with pytest.raises(UserError, match="no propulsion to command, so it cannot run stopping"):
-        standard.plan(mariner, "stopping")
+        standard.plan_trial(mariner, "stopping")
     with pytest.raises(UserError, match="a thrust cannot be set"):
-        standard.plan(mariner, "zigzag", thrust=10.0)
-    assert standard.plan(mariner, "zigzag").throttle == 0.0
+        standard.plan_trial(mariner, "zigzag", thrust=10.0)
+    assert standard.plan_trial(mariner, "zigzag").throttle == 0.0

@@ -53,7 +53,7 @@ def derivatives(tmp_path_factory):
 @pytest.fixture(scope="module")
 def numbers():
     """The numbers of the same trial of a document, by the code of `diffsea trial`."""
-    plan = standard.plan(build(DOCUMENT), "zigzag", np.radians(15), np.radians(10), speed=1.3)
+    plan = standard.plan_trial(build(DOCUMENT), "zigzag", np.radians(15), np.radians(10), speed=1.3)
 
     def measured(document):
         found = standard.measured(build(document), plan)[1]

@@ -45,7 +45,7 @@ def single(speed, **hull):
     document = tomllib.loads(BOAT)
     document["hull"] |= hull
     vessel = build(document)
-    plan = standard.plan(vessel, "zigzag", speed=speed, executes=2, step=0.1)
+    plan = standard.plan_trial(vessel, "zigzag", speed=speed, executes=2, step=0.1)
     trial, numbers = standard.measured(vessel, plan)
     return standard.summary(vessel, plan, trial, numbers)
 

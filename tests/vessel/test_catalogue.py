@@ -15,7 +15,7 @@ from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
 from diffsea.vessel.effects import EFFECTS, default_wind
-from diffsea.vessel.files import build, dump, read_vessel, shipped, updated_document
+from diffsea.vessel.files import build, dump, read_vessel, shipped_vessels, updated_document
 
 
 NAMES = (
@@ -66,7 +66,7 @@ def steady_speed(vessel, executed, low=0.01, high=20.0):
 
 
 def test_these_vessels_ship():
-    assert tuple(shipped()) == NAMES
+    assert tuple(shipped_vessels()) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -22,13 +22,13 @@ def read_recordings(
     The mapping is written to `out`. Besides the recordings come, by name, findings that stand
     in for files that could not be read for want of a time, and what to tell.
     """
-    from diffsea.recordings.mapping_proposal import is_foreign, propose
+    from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping
 
     paths = args.recordings
     if args.mapping is not None or not any(is_foreign(path) for path in paths):
         return options.read_recordings(paths, args.mapping), [], ""
     try:
-        proposal = propose(paths)
+        proposal = propose_mapping(paths)
     except UserError as error:
         raise UserError(f"{_refusal(args)}; no mapping could be proposed: {error}") from error
     name = f"{paths[0].stem}.mapping.toml"

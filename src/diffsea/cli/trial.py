@@ -9,7 +9,7 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.simulation.standard import Plan
+    from diffsea.simulation.standard import TrialPlan
     from diffsea.vessel.base import Vessel
 
 
@@ -90,11 +90,11 @@ def add_trial_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "Plan":
+def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
     """The trial that the options describe; tells the defaults that were taken."""
     from diffsea.simulation import standard
 
-    plan = standard.plan(
+    plan = standard.plan_trial(
         vessel,
         args.manoeuvre,
         angle=None if args.angle is None else math.radians(args.angle),
@@ -117,7 +117,7 @@ def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "Plan":
     return plan
 
 
-def require_run(trial, plan: "Plan", vessel: "Vessel") -> None:
+def require_run(trial, plan: "TrialPlan", vessel: "Vessel") -> None:
     """Raise `UserError` where a trial has no result: it diverged or was never executed."""
     from diffsea.trajectory import Outcome
 

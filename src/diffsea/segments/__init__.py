@@ -7,7 +7,7 @@ from diffsea.segments.groups import grouped as grouped
 from diffsea.segments.places import by_place as by_place
 from diffsea.segments.segments import SEGMENT_KINDS as SEGMENT_KINDS
 from diffsea.segments.segments import Segment as Segment
-from diffsea.segments.segments import segments as segments
+from diffsea.segments.segments import find_segments as find_segments
 from diffsea.segments.settings import Settings as Settings
 from diffsea.segments.traceability import Check as Check
 from diffsea.segments.traceability import traceability as traceability

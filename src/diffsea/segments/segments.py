@@ -61,7 +61,7 @@ class Segment:
         return self.approach.verdict == "steady"
 
 
-def segments(
+def find_segments(
     run: Trajectory, vessel: Vessel | None = None, settings: Settings | None = None
 ) -> list[Segment]:
     """Every trial, turning motion, straight run, coasting and rest in a recording, in order.

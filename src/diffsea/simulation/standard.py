@@ -142,7 +142,7 @@ _LENGTHS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class TrialPlan:
     """A standard trial with every number settled."""
 
     manoeuvre: str
@@ -160,12 +160,12 @@ class Plan:
 
 
 @dataclasses.dataclass(frozen=True)
-class Standard:
+class StandardTrial:
     """One standard trial. Durations are in ship lengths run at the approach speed."""
 
-    stages: Callable[[Plan], Stages]
+    stages: Callable[[TrialPlan], Stages]
     numbers: Callable[[float, Trial], Numbers]  # of the side
-    limit: Callable[[Plan], float]  # lengths after which it is given up
+    limit: Callable[[TrialPlan], float]  # lengths after which it is given up
     angle: float = 0.0  # deg, by default; zero where nothing is steered
     heading: float = 0.0  # deg
     timed: float = 0.0  # lengths, default of the timed stages
@@ -173,7 +173,7 @@ class Standard:
     propelled: bool = False  # whether it needs a throttle
 
 
-def plan(
+def plan_trial(
     vessel: Vessel,
     manoeuvre: str,
     angle: float | None = None,
@@ -185,7 +185,7 @@ def plan(
     step: float | None = None,
     executes: int = 4,
     keep_speed: bool = False,
-) -> Plan:
+) -> TrialPlan:
     """Settle a trial of a vessel. Angles in rad; `None` takes the default.
 
     Arguments:
@@ -232,7 +232,7 @@ def plan(
     length = float(vessel.rigid_body.length)
     lengths = length / speed
     timed = seconds if kind.timed and seconds is not None else kind.timed * lengths
-    settled = Plan(
+    settled = TrialPlan(
         manoeuvre,
         math.radians(kind.angle) if angle is None else angle,
         math.radians(kind.heading) if heading is None else heading,
@@ -262,7 +262,7 @@ def plan(
     )
 
 
-def standard(name: str) -> Standard:
+def standard(name: str) -> StandardTrial:
     """A standard trial by name. Raises `UserError` for an unknown one."""
     if name not in STANDARDS:
         raise UserError(
@@ -273,7 +273,7 @@ def standard(name: str) -> Standard:
 
 
 def run(
-    vessel: Vessel, plan: Plan, speed: Scalar | None = None, throttle: Scalar | None = None
+    vessel: Vessel, plan: TrialPlan, speed: Scalar | None = None, throttle: Scalar | None = None
 ) -> Trial:
     """Run a plan; `speed` (m/s) or `throttle` in place of the plan's may be traced."""
     if speed is None and throttle is None:
@@ -287,7 +287,7 @@ def run(
     )  # fmt: skip
 
 
-def measured(vessel: Vessel, plan: Plan) -> tuple[Trial, Numbers]:
+def measured(vessel: Vessel, plan: TrialPlan) -> tuple[Trial, Numbers]:
     """Run a plan, compiled, with its numbers."""
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
     start = [None if v is None else jnp.asarray(v, float) for v in (plan.speed, plan.throttle)]
@@ -320,12 +320,12 @@ def _compiled_numbers(trial: Trial, kind: tuple[str, float]) -> Numbers:
     return STANDARDS[kind[0]].numbers(kind[1], trial)
 
 
-def numbers(plan: Plan, trial: Trial) -> Numbers:
+def numbers(plan: TrialPlan, trial: Trial) -> Numbers:
     """The trial's numbers in SI units; NaN for one that it does not contain."""
     return STANDARDS[plan.manoeuvre].numbers(plan.side, trial)
 
 
-def summary(vessel: Vessel, plan: Plan, trial: Trial, values: Numbers | None = None) -> dict:
+def summary(vessel: Vessel, plan: TrialPlan, trial: Trial, values: Numbers | None = None) -> dict:
     """What stands in metrics.json: numbers, the same over L, orders, outcome and IMO verdicts."""
     values = numbers(plan, trial) if values is None else values
     found = {name: float(value) for name, value in values.items() if np.isfinite(value)}
@@ -345,7 +345,7 @@ def summary(vessel: Vessel, plan: Plan, trial: Trial, values: Numbers | None = N
     return {**result, "imo": verdicts(plan, found, length), "notes": _notes(plan, outcome, values)}
 
 
-def verdicts(plan: Plan, found: dict[str, float], length: float) -> dict:
+def verdicts(plan: TrialPlan, found: dict[str, float], length: float) -> dict:
     """IMO verdicts on the numbers of a trial of a vessel of `length` m."""
     speed = found.get("approach_speed", 0.0)
     if not speed > 0:
@@ -404,7 +404,7 @@ def _longest_delay(vessel: Vessel) -> float | None:
     return 1.5 * max(delays) if delays else None
 
 
-def _ordered(plan: Plan) -> dict:
+def _ordered(plan: TrialPlan) -> dict:
     kind = STANDARDS[plan.manoeuvre]
     if not kind.angle:
         return {}
@@ -418,50 +418,50 @@ def _orders_given(trial: Trial) -> list[float]:
     return [float(trial.execute_time), *(float(t) for t in ends if np.isfinite(t))]
 
 
-def _notes(plan: Plan, outcome: Outcome, values: Numbers) -> list[str]:
+def _notes(plan: TrialPlan, outcome: Outcome, values: Numbers) -> list[str]:
     missing = [name for name, value in values.items() if not np.isfinite(value)]
     notes = [] if outcome is Outcome.COMPLETED else [outcome.sentence]
     return notes + ([f"the run does not contain {', '.join(missing)}"] if missing else [])
 
 
-def _small_angles(plan: Plan) -> float:
+def _small_angles(plan: TrialPlan) -> float:
     """Factor on the duration of a turn by its angle: small ones turn slowly."""
     return max(1.0, math.radians(20) / max(plan.angle, math.radians(1)))
 
 
-def _zigzag_limit(plan: Plan) -> float:
+def _zigzag_limit(plan: TrialPlan) -> float:
     return 40.0 * plan.executes * max(1.0, plan.heading / max(plan.angle, math.radians(1)))
 
 
-def _zigzag_stages(plan: Plan) -> Stages:
+def _zigzag_stages(plan: TrialPlan) -> Stages:
     return manoeuvres.zigzag(plan.side * plan.angle, plan.heading, plan.executes)
 
 
-STANDARDS: dict[str, Standard] = {
-    "turning-circle": Standard(
+STANDARDS: dict[str, StandardTrial] = {
+    "turning-circle": StandardTrial(
         lambda p: manoeuvres.turning_circle(p.side * p.angle, FULL_CIRCLES),
         kinds.turning, lambda p: 120.0 * _small_angles(p), angle=35.0,
     ),
-    "zigzag": Standard(_zigzag_stages, kinds.zigzag, _zigzag_limit, angle=20.0, heading=20.0),
-    "modified-zigzag": Standard(
+    "zigzag": StandardTrial(_zigzag_stages, kinds.zigzag, _zigzag_limit, angle=20.0, heading=20.0),
+    "modified-zigzag": StandardTrial(
         _zigzag_stages, kinds.zigzag, _zigzag_limit, angle=10.0, heading=1.0
     ),
-    "acceleration": Standard(
+    "acceleration": StandardTrial(
         lambda p: manoeuvres.acceleration(p.seconds), kinds.acceleration, lambda p: 1.0, timed=40.0,
         from_rest=True, propelled=True,
     ),
-    "stopping": Standard(
+    "stopping": StandardTrial(
         lambda p: manoeuvres.stopping(), kinds.stopping, lambda p: 200.0, propelled=True
     ),
-    "coasting": Standard(
+    "coasting": StandardTrial(
         lambda p: manoeuvres.coasting(p.seconds), kinds.coasting, lambda p: 1.0, timed=60.0,
         propelled=True,
     ),
-    "pull-out": Standard(
+    "pull-out": StandardTrial(
         lambda p: manoeuvres.pull_out(p.side * p.angle, PULL_OUT_TURN, p.seconds),
         kinds.pull_out, lambda p: 100.0 * _small_angles(p), angle=20.0, timed=30.0,
     ),
-    "spiral": Standard(
+    "spiral": StandardTrial(
         lambda p: manoeuvres.spiral(p.side * p.angle, p.seconds), kinds.spiral, lambda p: 1.0,
         angle=20.0, timed=25.0,
     ),

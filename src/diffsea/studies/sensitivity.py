@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import designed, named, replace, spread
 from diffsea.simulation import standard
-from diffsea.simulation.standard import Plan
+from diffsea.simulation.standard import TrialPlan
 from diffsea.vessel.base import Vessel
 
 
@@ -25,7 +25,7 @@ _TOGETHER = 16  # tangents that are carried through the run at once
 
 
 def sensitivities(
-    vessel: Vessel, plan: Plan, parameters: Iterable[str] | None = None
+    vessel: Vessel, plan: TrialPlan, parameters: Iterable[str] | None = None
 ) -> tuple[dict[str, float], Derivatives]:
     """The numbers of a trial, and d number / d parameter in the SI units of both.
 
@@ -78,7 +78,7 @@ def _tangents(
     vessel: Vessel,
     at: Float[Array, "parameter"],
     tangents: Float[Array, "tangent parameter"],
-    trial: tuple[Plan, tuple[tuple[str, tuple[str, ...]], ...]],
+    trial: tuple[TrialPlan, tuple[tuple[str, tuple[str, ...]], ...]],
 ) -> tuple[dict[str, Array], dict[str, Float[Array, "tangent"]]]:
     plan, places = trial
 

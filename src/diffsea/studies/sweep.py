@@ -23,7 +23,7 @@ from diffsea.errors import UserError, nearest
 from diffsea.parameters import designed, replace, spread
 from diffsea.simulation import standard
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
-from diffsea.simulation.standard import Numbers, Plan
+from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.trajectory import Outcome
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
@@ -69,7 +69,7 @@ def _check_count(count: int) -> None:
 
 def sweep(
     vessel: Vessel,
-    plan: Plan,
+    plan: TrialPlan,
     designs: Designs,
     progress: Callable[[str], None] = lambda message: None,
 ) -> tuple[pd.DataFrame, float]:
@@ -140,7 +140,7 @@ def _places(vessel: Vessel, names: Sequence[str]) -> Places:
     return tuple((name, known.get(name, ())) for name in names)
 
 
-def _shortened(vessel: Vessel, plan: Plan) -> list[Plan]:
+def _shortened(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     """The plan with time limits of twice and of eight times what the vessel itself needs.
 
     A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
@@ -168,7 +168,7 @@ def _shortened(vessel: Vessel, plan: Plan) -> list[Plan]:
 
 def _run_all(
     vessel: Vessel,
-    plan: Plan,
+    plan: TrialPlan,
     places: Places,
     values: Float[np.ndarray, "design name"],
     progress: Callable[[str], None],
@@ -204,7 +204,9 @@ def _run_all(
 
 
 @eqx.filter_jit
-def _block(vessel: Vessel, values: Float[Array, "lane name"], trial: tuple[Plan, Places]) -> _Found:
+def _block(
+    vessel: Vessel, values: Float[Array, "lane name"], trial: tuple[TrialPlan, Places]
+) -> _Found:
     plan, places = trial
 
     def one(row: Float[Array, "name"]) -> _Found:
@@ -243,7 +245,7 @@ def _put(rows: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return put
 
 
-def _table(vessel: Vessel, plan: Plan, designs: Designs, found: _Found) -> pd.DataFrame:
+def _table(vessel: Vessel, plan: TrialPlan, designs: Designs, found: _Found) -> pd.DataFrame:
     """Parameters, numbers, verdicts and outcome of every design; nulls where it failed."""
     outcome = np.array([standard.label(Outcome(int(o))) for o in found.outcome], dtype=object)
     outcome[~found.possible] = IMPOSSIBLE
@@ -267,6 +269,6 @@ def _table(vessel: Vessel, plan: Plan, designs: Designs, found: _Found) -> pd.Da
     )
 
 
-def _verdicts(plan: Plan, numbers: dict[str, float], length: float) -> dict[str, str]:
+def _verdicts(plan: TrialPlan, numbers: dict[str, float], length: float) -> dict[str, str]:
     found = {name: value for name, value in numbers.items() if math.isfinite(value)}
     return {name: v["verdict"] for name, v in standard.verdicts(plan, found, length).items()}

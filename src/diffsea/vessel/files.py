@@ -38,7 +38,7 @@ class VesselFile:
     path: str
 
 
-def shipped() -> dict[str, pathlib.Path]:
+def shipped_vessels() -> dict[str, pathlib.Path]:
     """The vessels that come with the package, by name."""
     folder = importlib.resources.files("diffsea.vessel") / "data"
     paths = sorted(pathlib.Path(str(folder)).glob("*.toml"))
@@ -53,8 +53,8 @@ def read_vessel(source: str | pathlib.Path) -> VesselFile:
             number or impossible; with the nearest known name or the repair.
     """
     path = pathlib.Path(source)
-    if not path.exists() and str(source) in shipped():
-        path = shipped()[str(source)]
+    if not path.exists() and str(source) in shipped_vessels():
+        path = shipped_vessels()[str(source)]
     document = _parse(path)
     try:
         return VesselFile(build(document), document, str(source))
@@ -66,9 +66,9 @@ def _parse(path: pathlib.Path) -> Table:
     if path.is_dir():
         raise UserError(f"{path} is a folder; name the vessel's TOML file")
     if not path.exists():
-        names = ", ".join(shipped())
+        names = ", ".join(shipped_vessels())
         raise UserError(
-            f"{path}: no such vessel file{nearest(path.stem, shipped())}; "
+            f"{path}: no such vessel file{nearest(path.stem, shipped_vessels())}; "
             f"give the path of a TOML file or one of the shipped vessels: {names}"
         )
     try:

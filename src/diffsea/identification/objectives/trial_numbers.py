@@ -46,7 +46,7 @@ from diffsea.identification.least_squares import (
 )
 from diffsea.parameters import Parameter, designed, replace
 from diffsea.simulation import standard
-from diffsea.simulation.standard import Plan
+from diffsea.simulation.standard import TrialPlan
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
@@ -62,7 +62,7 @@ _UNITS = {"m": 1.0, "s": 1.0, "rad": 1.0, "rad/s": 1.0, "m/s": 1.0, "deg": math.
 class Sheet:
     """One trial and what was read off it, in SI units."""
 
-    plan: Plan
+    plan: TrialPlan
     names: tuple[str, ...]
     values: Float[np.ndarray, "number"]
     stds: Float[np.ndarray, "number"]
@@ -115,7 +115,7 @@ def _sheet(where: str, entry: dict, relative: float, vessel: Vessel) -> Sheet:
     orders = {key: _number(entry[key], f"{where}: {key}") for key in _ORDERS if key in entry}
     for key in ("angle", "heading"):
         orders |= {key: math.radians(orders[key])} if key in orders else {}
-    plan = standard.plan(
+    plan = standard.plan_trial(
         vessel, entry["manoeuvre"], side=1.0 if side == "starboard" else -1.0,
         executes=int(entry.get("executes", _executes(entry["numbers"]))), **orders,
     )  # fmt: skip
@@ -277,7 +277,7 @@ class _Static(eqx.Module):
     value: tuple = eqx.field(static=True)
 
 
-def _kind(plan: Plan) -> Plan:
+def _kind(plan: TrialPlan) -> TrialPlan:
     """What of a plan decides the compiled program: everything but the orders' numbers."""
     speed, throttle = (None if one is None else 0.0 for one in (plan.speed, plan.throttle))
     return dataclasses.replace(
@@ -286,7 +286,7 @@ def _kind(plan: Plan) -> Plan:
     )  # fmt: skip
 
 
-def _orders(plan: Plan) -> dict[str, float]:
+def _orders(plan: TrialPlan) -> dict[str, float]:
     """The numbers of a plan that may differ between trials of one kind."""
     names = ("angle", "heading", "side", "seconds", "speed", "throttle")
     return {name: getattr(plan, name) for name in names if getattr(plan, name) is not None}
@@ -309,7 +309,7 @@ def _numbers(coordinates: Array, given: tuple) -> Array:
     found: dict[int, Array] = {}
     for (kind, rows), ordered in zip(kinds, orders, strict=True):
 
-        def one(order: dict[str, Array], kind: Plan = kind) -> standard.Numbers:
+        def one(order: dict[str, Array], kind: TrialPlan = kind) -> standard.Numbers:
             plan = dataclasses.replace(kind, **order)
             return standard.numbers(plan, standard.run(changed, plan))
 
@@ -320,7 +320,7 @@ def _numbers(coordinates: Array, given: tuple) -> Array:
     return jnp.concatenate([found[row] for row in range(len(names))])
 
 
-def _picked(plan: Plan, found: standard.Numbers, wanted: tuple[str, ...]) -> Array:
+def _picked(plan: TrialPlan, found: standard.Numbers, wanted: tuple[str, ...]) -> Array:
     for name in wanted:
         if name not in found:
             raise UserError(

@@ -40,7 +40,7 @@ class Proposal:
 
 
 @one_blas_thread
-def propose(paths: str | Path | Sequence[str | Path]) -> Proposal:
+def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
     """Propose one mapping for a file, or for several files of one layout.
 
     Raises `UserError` for what is no table of numbers, and for files of different columns.
