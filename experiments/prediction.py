@@ -20,7 +20,7 @@ from diffsea.diagnosis.record import nominal_document, summary, vessel_document
 from diffsea.diagnosis.search import Diagnosis, diagnose
 from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.conditioning import cut
-from diffsea.report.comparison import with_held_out_errors
+from diffsea.report.comparison import compare, horizon_table
 from diffsea.report.diagnosis_page import diagnosis_report
 from diffsea.report.words import verdict_text
 from diffsea.trajectory import Trajectory
@@ -114,12 +114,13 @@ def _record(case: Case, diagnosis: Diagnosis) -> dict:
     after = vessel_document(case.document, diagnosis)
     before = nominal_document(case.document, diagnosis)
     findings = audited(case.recordings) if case.findings is None else case.findings
-    record = summary(diagnosis, findings)
     experiment = next_experiment(diagnosis)
-    record["next_experiment"] = None if experiment is None else experiment.as_dict()
-    record = with_held_out_errors(record, diagnosis, build(before), build(after))
+    proposal = None if experiment is None else experiment.as_dict()
+    split, names = diagnosis.split, diagnosis.names
+    runs = compare(split, diagnosis.final, names, build(before), build(after))
+    record = summary(diagnosis, findings, horizon_table(runs), proposal)
     source = {"vessel": str(case.document["name"]), "held_out": list(case.held_out)}
-    page = diagnosis_report(record, diagnosis, build(before), build(after), source)
+    page = diagnosis_report(record, str(case.document["name"]), split, runs, source)
     out = out_folder(case.name)
     (out / "report.html").write_text(page, encoding="utf-8")
     (out / "vessel.toml").write_text(dump(after), encoding="utf-8")

@@ -1,10 +1,12 @@
 """The bar of a long command, on a terminal and in a file."""
 
 import io
+import re
 
 import pytest
 
-from diffsea.cli.progress import Stages
+from diffsea.cli.progress import StagedProgress
+from diffsea.identification.estimates import PartialProgress
 
 
 class Terminal(io.StringIO):
@@ -14,58 +16,67 @@ class Terminal(io.StringIO):
         return True
 
     def shown(self) -> str:
-        """What the line says last."""
-        return self.getvalue().rsplit("\x1b[K", 1)[-1]
+        """What has been drawn, without escape codes."""
+        return re.sub(r"\x1b\[[?\d;]*[A-Za-z]", "", self.getvalue())
 
 
-def test_a_file_gets_a_line_for_each_stage():
+def test_a_file_gets_a_line_for_each_stage_without_escape_codes(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
     stream = io.StringIO()
-    stages = Stages(2, stream)
-    for share in (0.0, 0.4, 1.0):
-        stages.tell("fitting", share)
-    stages.tell("writing")
-    stages.done()
+    with StagedProgress(2, stream) as tell:
+        tell("fitting")
+        for share in (0.4, 1.0):
+            tell(PartialProgress(f"round {share}", share))
+        tell("writing")
     lines = stream.getvalue().splitlines()
     assert [line.split("] ")[1] for line in lines] == ["fitting", "writing"]
     assert "\r" not in stream.getvalue() and "\x1b" not in stream.getvalue()
 
 
 def test_the_bar_is_the_share_of_all_stages():
-    stream = Terminal()
-    stages = Stages(4, stream)
-    shown = []
-    for stage, share in (("fitting", 0.0), ("fitting", 1.0), ("locating", 0.0), ("locating", 1.0)):
-        stages.tell(stage, share)
-        shown.append(stream.shown())
-    assert [line.count("#") for line in shown] == [0, 6, 6, 12]
-    assert [line.split("]")[1].split("%")[0].strip() for line in shown] == ["0", "25", "25", "50"]
-    assert "\n" not in stream.getvalue() and shown[-1].endswith("locating")
-    stages.done()
-    assert stream.shown() == ""
+    shares = []
+    with StagedProgress(4, Terminal()) as tell:
+        for message in (
+            "fitting",
+            PartialProgress("the last round", 1.0),
+            PartialProgress("1 of 2", 0.5, "locating"),
+            "writing",
+        ):
+            tell(message)
+            shares.append(tell.share)
+    assert shares == [0.0, 0.25, 0.375, 0.5]
 
 
-def test_the_bar_never_goes_back_nor_beyond_its_end(monkeypatch):
-    monkeypatch.setattr("diffsea.cli.progress._PAUSE", 0.0)
-    stream = Terminal()
-    stages = Stages(1, stream)
-    for share, filled in ((1.0, 24), (0.3, 24), (7.0, 24)):
-        stages.tell("fitting", share)
-        assert stream.shown().count("#") == filled
-    stages.tell("one stage too many", 1.0)
-    assert stream.shown().count("#") == 24
+def test_the_bar_never_goes_back_nor_beyond_its_end():
+    with StagedProgress(1, Terminal()) as tell:
+        tell("fitting")
+        for share in (1.0, 0.3, 7.0):
+            tell(PartialProgress("", share))
+            assert tell.share == 1.0
+        tell("one stage too many")
+        assert tell.share == 1.0
 
 
-def test_many_small_steps_are_few_drawings():
-    stream = Terminal()
-    stages = Stages(1, stream)
-    for k in range(1000):
-        stages.tell("fitting", k / 1001)
-    assert stream.getvalue().count("\r") < 50
+def test_a_stage_is_told_by_its_place_and_not_by_the_words_of_its_message():
+    stream = io.StringIO()
+    with StagedProgress(4, stream) as tell:
+        for number in range(3):
+            tell(PartialProgress(f"trying the {number}. of 7 whatever", number / 7, "trying 7"))
+        tell("round 3: a stage of this name")
+    assert [line.split("] ")[1] for line in stream.getvalue().splitlines()] == [
+        "trying 7", "round 3: a stage of this name",
+    ]  # fmt: skip
 
 
-@pytest.mark.parametrize("columns", [20, 200])
-def test_the_line_fits_the_terminal(monkeypatch, columns):
+@pytest.mark.parametrize("columns", [40, 200])
+def test_the_line_fits_the_terminal_and_is_taken_away_at_the_end(monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
     stream = Terminal()
-    Stages(3, stream).tell("a stage with quite a long name", 0.0)
-    assert len(stream.shown()) <= columns - 1
+    with pytest.raises(KeyboardInterrupt), StagedProgress(3, stream) as tell:
+        tell("a stage with quite a long name, [which] has brackets")
+        raise KeyboardInterrupt
+    lines = stream.shown().replace("\r", "\n").splitlines()
+    assert any("a stage" in line for line in lines)
+    assert all(len(line) <= columns for line in lines)
+    assert stream.getvalue().endswith("\x1b[2K") and "\x1b[?25h" in stream.getvalue()

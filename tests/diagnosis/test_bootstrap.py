@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffsea.cli.progress import Messages
+from diffsea.cli.progress import StagedProgress
 from diffsea.diagnosis import bootstrap as module
 from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
 from diffsea.diagnosis.search import diagnose
@@ -74,9 +74,7 @@ def test_too_few_draws_are_refused_before_anything_is_fitted():
         diagnose(None, [], draws=5)
 
 
-def test_data_sets_are_one_stage_of_the_progress():
+def test_data_sets_are_one_stage_of_the_progress(screened):
     said = io.StringIO()
-    tell = Messages(4, said)
-    for number in (1, 2, 3):
-        tell(f"simulating {number} of 100 data sets")
+    screened(100, StagedProgress(4, said))
     assert said.getvalue().count("\n") == 1 and "simulating 100 data sets" in said.getvalue()

@@ -6,20 +6,20 @@ import html.parser
 import itertools
 import json
 import math
-import types
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from tests.paths import ORACLE
 
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import Split
+from diffsea.identification.holdout import HeldOut, Split
 from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.base import Innovations
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.study import Study
 from diffsea.identification.uncertainty.identifiability import identifiability
-from diffsea.report.comparison import Comparison, compare, predict, with_held_out_errors
+from diffsea.report.comparison import Comparison, compare, horizon_table, predict
 from diffsea.report.comparison_plots import unwrapped
 from diffsea.report.diagnosis_page import diagnosis_report
 from diffsea.report.fit_page import fit_report, worse
@@ -167,7 +167,7 @@ def summary_of(verdict: str) -> dict:
             parameter("X_u", "linear damping in surge", -52.0, -63.91, 1.42, 0.98),
             parameter("N_rdot", "added moment of inertia in yaw", -240.0, -231.0, 80.0, 0.3),
         ],
-        "held_out": {"how": "whole recordings", "recordings": ["circle"]},
+        "held_out": {"kind": "recordings", "how": "whole recordings", "recordings": ["circle"]},
         "candidates": candidates,
         "detection_limits": limits,
         "map": maps(0.0 if verdict == "consistent" else 2.0),
@@ -224,7 +224,15 @@ def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estim
     )
 
 
-def outcome_of(verdict: str, currents: tuple[float, ...] = ()) -> types.SimpleNamespace:
+class Found(NamedTuple):
+    """What a page needs of a diagnosis besides its summary."""
+
+    split: Split
+    names: tuple[str, ...]
+    final: Estimate
+
+
+def outcome_of(verdict: str, currents: tuple[float, ...] = ()) -> Found:
     """What reports need of a diagnosis; with `currents` to the north, one for each run's own."""
     found = verdict in ("explained", "ambiguous")
     runs, held_out = recordings()
@@ -233,8 +241,9 @@ def outcome_of(verdict: str, currents: tuple[float, ...] = ()) -> types.SimpleNa
     problem = make_problem(usv(), list(runs), effects=effects, per_run=bool(currents))
     flow = sum(((speed, 0.0) for speed in currents), ()) or (0.109, 0.280)
     values = {"current": flow} if found else {}
-    return types.SimpleNamespace(
-        split=Split(problem, problem, None, runs, held_out, bool(currents)),
+    kind = HeldOut.LAST_PARTS if currents else HeldOut.RECORDINGS
+    return Found(
+        split=Split(problem, problem, None, runs, held_out, kind),
         names=("current",) if found else (),
         final=estimate_of(problem, values),
     )
@@ -308,9 +317,23 @@ class Reader(html.parser.HTMLParser):
 
 @functools.cache
 def page_of(verdict: str) -> str:
-    diagnosis = outcome_of(verdict)
-    diagnosed = usv(0.3) if diagnosis.names else usv()
-    return diagnosis_report(summary_of(verdict), diagnosis, usv(), diagnosed, SOURCE)
+    return page_from(summary_of(verdict), outcome_of(verdict))
+
+
+def page_from(result: dict, found: Found) -> str:
+    """A page with the errors of predictions in its summary, as the command makes it."""
+    runs = compared(found)
+    return diagnosis_report(with_errors(result, runs), "usv", found.split, runs, SOURCE)
+
+
+def compared(found: Found) -> list[Comparison]:
+    """The nominal vessel and the one with the current on every held-out run."""
+    return compare(found.split, found.final, found.names, usv(), usv(0.3 if found.names else 0.0))
+
+
+def with_errors(result: dict, runs: list[Comparison]) -> dict:
+    """The summary with the errors of predictions."""
+    return result | {"held_out": result["held_out"] | {"horizons": horizon_table(runs)}}
 
 
 def assert_sound(page: str) -> Reader:
@@ -367,7 +390,7 @@ def test_what_was_not_computed_is_said():
     result = {k: v for k, v in summary_of("explained").items() if k not in absent}
     for effect in result["effects"]:
         effect["evidence"] = {}
-    page = diagnosis_report(result, outcome_of("explained"), usv(), usv(0.3), SOURCE)
+    page = page_from(result, outcome_of("explained"))
     reader = assert_sound(page)
     assert tuple(reader.ids) == SECTIONS
     for section in ("where", "what", "unseen"):
@@ -433,8 +456,7 @@ def test_page_stays_small_with_long_recordings():
     result = summary_of("explained")
     cells = [c | {"recording": one.name} for one in runs for c in result["map"]["time"][:8]]
     result["map"]["time"] = result["map_after"]["time"] = cells
-    outcome = types.SimpleNamespace(split=split, names=outcome.names, final=outcome.final)
-    page = diagnosis_report(result, outcome, usv(), usv(0.3), SOURCE)
+    page = page_from(result, Found(split, outcome.names, outcome.final))
     reader = assert_sound(page)
     assert len(page) < 6.2e6
     # All runs are there, the weaker ones folded.
@@ -448,8 +470,7 @@ def test_page_carries_its_library_once_and_forbids_requests():
 
 
 def test_errors_on_the_page_are_those_of_the_models():
-    diagnosis = outcome_of("explained")
-    summary = with_held_out_errors(summary_of("explained"), diagnosis, usv(), usv(0.3))
+    summary = with_errors(summary_of("explained"), compared(outcome_of("explained")))
     rows = {row["seconds"]: row for row in summary["held_out"]["horizons"]}
     assert set(rows) == {5.0, 20.0, 60.0}
     # Two runs of 69.5 s, started every 10 s.
@@ -472,8 +493,8 @@ def test_names_from_files_are_escaped():
 
 
 def test_a_current_of_each_run_is_its_own():
-    diagnosis = outcome_of("explained", currents=(0.5, -0.5))
-    ahead, astern = compare(diagnosis, usv(), usv())
+    found = outcome_of("explained", currents=(0.5, -0.5))
+    ahead, astern = compare(found.split, found.final, found.names, usv(), usv())
     for run, sign in ((ahead, 1), (astern, -1)):
         drift = run.predictions["diagnosed"].run.x - run.predictions["nominal"].run.x
         assert drift[-1] == pytest.approx(sign * 0.5 * 69.5, rel=0.05)
@@ -625,3 +646,15 @@ def test_a_change_says_by_how_much_of_what_there_was_and_a_stage_which_actuators
     assert lighter == "a mass that is 13 kg smaller from 60 s on"
     slow = said("thrust-lag", sizes={"time_constant": (0.6, 0.02, "s")}, actuators=["rudder"])
     assert slow == "a lag with a time constant of 0.60 s in the rudder"
+
+
+def test_what_was_held_out_is_told_by_its_kind_and_not_by_the_words_for_it():
+    found = outcome_of("explained")
+    split = dataclasses.replace(found.split, kind=HeldOut.LAST_PARTS)
+    held_out = {"kind": "last parts", "how": "other words", "recordings": ["circle"]}
+    result = summary_of("explained") | {"held_out": held_out}
+    page = page_from(result, found._replace(split=split))
+    assert "the last part of each held out" in Reader(page).text("")
+    assert "On the last part of each run, kept back" in Reader(page).text("verdict")
+    result["held_out"] = held_out | {"kind": "recordings", "how": "the last part of each run"}
+    assert "on runs kept back as a test" in verdict_text(result).lower()

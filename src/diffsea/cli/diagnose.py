@@ -16,7 +16,6 @@ from diffsea.cli.options import (
     read_recordings,
     read_vessel,
 )
-from diffsea.cli.progress import Messages
 
 
 if TYPE_CHECKING:
@@ -119,38 +118,38 @@ def source(
 
 def _diagnose(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
+        from diffsea.cli.progress import StagedProgress
         from diffsea.diagnosis.experiment import next_experiment
         from diffsea.diagnosis.record import nominal_document, summary, vessel_document
         from diffsea.diagnosis.search import diagnose
         from diffsea.recordings import audit
-        from diffsea.report.comparison import with_held_out_errors
+        from diffsea.report.comparison import compare, horizon_table
         from diffsea.report.diagnosis_page import diagnosis_report
         from diffsea.report.words import verdict_text
         from diffsea.vessel.files import build, dump
 
         next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
-        tell = Messages(STAGES)
-        file = read_vessel(args)
-        runs, test = read_all(args)
-        tell(f"auditing {len(runs) + len(test)} recordings")
-        findings = [f.as_dict() for run in [*runs, *test] for f in audit(run)]
-        per_run = args.environment == "per-recording"
-        diagnosis = diagnose(file.vessel, runs, test, per_run, args.free, tell, args.bootstrap)
-        result = summary(diagnosis, findings)
-        tell("looking for the manoeuvre that would tell more")
-        experiment = next_experiment(diagnosis)
-        result["next_experiment"] = None if experiment is None else experiment.as_dict()
-        if next_csv is not None:
-            _write_manoeuvre(next_csv, diagnosis, experiment, tell)
-        result["source"] = source(args, file.vessel, runs, test)
-        tell("writing the report")
-        document = vessel_document(file.document, diagnosis)
-        nominal = build(nominal_document(file.document, diagnosis))
-        diagnosed = build(document)
-        result = with_held_out_errors(result, diagnosis, nominal, diagnosed)
-        page = diagnosis_report(result, diagnosis, nominal, diagnosed, result["source"])
-        out.json("diagnosis.json", result)
-        out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
-        out.path("report.html").write_text(page, encoding="utf-8")
-        tell.done()
+        with StagedProgress(STAGES) as tell:
+            file = read_vessel(args)
+            runs, test = read_all(args)
+            tell(f"auditing {len(runs) + len(test)} recordings")
+            findings = [f.as_dict() for run in [*runs, *test] for f in audit(run)]
+            per_run = args.environment == "per-recording"
+            diagnosis = diagnose(file.vessel, runs, test, per_run, args.free, tell, args.bootstrap)
+            tell("looking for the manoeuvre that would tell more")
+            experiment = next_experiment(diagnosis)
+            if next_csv is not None:
+                _write_manoeuvre(next_csv, diagnosis, experiment, tell)
+            tell("writing the report")
+            document = vessel_document(file.document, diagnosis)
+            nominal = nominal_document(file.document, diagnosis)
+            split, names = diagnosis.split, diagnosis.names
+            predicted = compare(split, diagnosis.final, names, build(nominal), build(document))
+            proposal = None if experiment is None else experiment.as_dict()
+            told = source(args, file.vessel, runs, test)
+            result = summary(diagnosis, findings, horizon_table(predicted), proposal, told)
+            page = diagnosis_report(result, file.vessel.name, split, predicted, told)
+            out.json("diagnosis.json", result)
+            out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
+            out.path("report.html").write_text(page, encoding="utf-8")
     out.present(args, verdict_text(result))

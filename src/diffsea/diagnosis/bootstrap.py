@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.screening import screen
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, PartialProgress
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.resimulation import simulated
@@ -77,7 +77,9 @@ def bootstrap(
     found: list[tuple[float, float]] = []
     failed = 0
     while len(found) < draws:
-        progress(f"simulating {len(found) + 1} of {draws} data sets")
+        message = f"simulating {len(found) + 1} of {draws} data sets"
+        stage = f"simulating {draws} data sets"
+        progress(PartialProgress(message, len(found) / draws, stage))
         made = simulated(problem, nominal, rng)
         if not np.isfinite(np.asarray(made.tape.measured)).all():
             failed += 1

@@ -23,7 +23,7 @@ from diffsea.identification.effect_records import (
     place_of,
 )
 from diffsea.identification.estimates import Estimate, physical_table
-from diffsea.identification.holdout import transferred
+from diffsea.identification.holdout import HeldOut, transferred
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import Effect, catalogue_name
 from diffsea.vessel.files import Table, updated_document
@@ -94,9 +94,30 @@ def _shown(problem: Problem, effect: Effect, seen: Seen, V: np.ndarray) -> float
 LOG10_OF_HALF = 0.5 / math.log(10)  # from twice a natural logarithm to a decimal one
 
 
-def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
-    """The content of diagnosis.json, all but the next experiment."""
-    return {
+HOLDING_OUT = {
+    HeldOut.RECORDINGS: "whole recordings",
+    HeldOut.LAST_PARTS: "the last part of each recording",
+    HeldOut.AFTER_HEAD: "recordings, after a first part that shows their own environment",
+}
+
+
+def summary(
+    diagnosis: Diagnosis,
+    audit: list[dict],
+    horizons: list[dict] | None = None,
+    next_experiment: dict | None = None,
+    source: dict | None = None,
+) -> dict[str, Any]:
+    """The content of diagnosis.json.
+
+    Arguments:
+        audit: findings about the recordings.
+        horizons: errors of open-loop predictions of what was held out, a row for each horizon.
+        next_experiment: the manoeuvre that would tell most; None where none is needed.
+        source: what was run on what; left out where it is None.
+    """
+    held_out = _held_out(diagnosis) | ({} if horizons is None else {"horizons": horizons})
+    out = {
         "format": 1,
         "verdict": diagnosis.verdict,
         "audit": audit,
@@ -104,7 +125,7 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
         "effects": _effects(diagnosis),
         "fit": _fit(diagnosis),
         "parameters": physical_table(diagnosis.split.train.layout.parameters, diagnosis.final),
-        "held_out": _held_out(diagnosis),
+        "held_out": held_out,
         "screening": _screening(diagnosis),
         "candidates": candidate_table(diagnosis),
         "dropped": [catalogue_name(name) for name in diagnosis.dropped],
@@ -123,7 +144,9 @@ def summary(diagnosis: Diagnosis, audit: list[dict]) -> dict[str, Any]:
         "map_after": _map(diagnosis, diagnosis.after),
         "null": _null(diagnosis),
         "remainder_p_value": diagnosis.left,
+        "next_experiment": next_experiment,
     }
+    return out if source is None else out | {"source": source}
 
 
 def _null(diagnosis: Diagnosis) -> dict:
@@ -140,10 +163,9 @@ def _null(diagnosis: Diagnosis) -> dict:
 
 
 def _held_out(diagnosis: Diagnosis) -> dict:
-    how = "the last part of each recording" if diagnosis.split.by_time else "whole recordings"
-    if diagnosis.split.head is not None:
-        how = "recordings, after a first part that shows their own environment"
-    return {"how": how, "recordings": [run.name for run in diagnosis.split.held_out]}
+    kind = diagnosis.split.kind
+    recordings = [run.name for run in diagnosis.split.held_out]
+    return {"kind": str(kind), "how": HOLDING_OUT[kind], "recordings": recordings}
 
 
 def _where(diagnosis: Diagnosis) -> list[dict]:

@@ -5,14 +5,13 @@ Refits of hypotheses and the evidence for each.
 
 import dataclasses
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from diffsea.diagnosis.constancy import Constancy, constancy
 from diffsea.diagnosis.screening import Seen
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Gain, Split, gain
@@ -71,8 +70,6 @@ def recorded_copies(problem: Problem, effect: Effect) -> list[int]:
         return [0]
     return np.unique(np.asarray(problem.tape.run)[np.asarray(problem.tape.known).any(1)]).tolist()
 
-
-Progress = Callable[[str], None]
 
 NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
 FULL = 4  # at most so many, and what the evidence does not tell from the best
@@ -133,7 +130,9 @@ def refitted(
     """
 
     def first(name: str) -> Fitted:
-        progress(f"refitting {names.index(name) + 1} of {len(names)}: {name}")
+        number, stage = names.index(name), f"refitting {len(names)} hypotheses"
+        message = f"refitting {number + 1} of {len(names)}: {name}"
+        progress(PartialProgress(message, number / len(names), stage))
         return _first(data.train, current, seen[name])
 
     # A compiled program runs on one core and lets other threads run meanwhile.

@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.identification.estimates import Estimate, Progress, made, silent
+from diffsea.identification.estimates import Estimate, PartialProgress, Progress, made, silent
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.kalman import Tuned, deviance
 from diffsea.identification.filter.noise_fit import Clock, Path, excerpt, refine
@@ -62,7 +62,8 @@ def estimate(
         target = _target(problem, coordinates, tuned, index, matrix)
         coordinates, tuned, now = _walk(problem, coordinates, target, noise, tuned, now)
         path.append(now)
-        progress(f"round {number + 1}: -2 log posterior {now:.1f}")
+        message = f"round {number + 1}: -2 log posterior {now:.1f}"
+        progress(PartialProgress(message, (number + 1) / rounds))
         if abs(last - now) < 0.05 + 1e-6 * abs(now):
             break
     else:

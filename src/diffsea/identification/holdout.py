@@ -1,6 +1,7 @@
 """Judging a model on runs that it did not see."""
 
 import dataclasses
+import enum
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -42,6 +43,14 @@ class Gain(NamedTuple):
         return Gain(self.total + other.total, float(np.hypot(self.std, other.std)))
 
 
+class HeldOut(enum.StrEnum):
+    """What a split keeps back as a test."""
+
+    RECORDINGS = "recordings"  # whole ones
+    LAST_PARTS = "last parts"  # the end of every recording
+    AFTER_HEAD = "after a first part"  # recordings but their `head`, which shows their environment
+
+
 @dataclasses.dataclass(frozen=True)
 class Split:
     """Training and held-out data as problems of one kind.
@@ -55,7 +64,7 @@ class Split:
     head: Problem | None
     recordings: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...]
-    by_time: bool  # held out the end of each recording rather than whole ones
+    kind: HeldOut = HeldOut.RECORDINGS
 
 
 def split(
@@ -73,11 +82,11 @@ def split(
     Raises:
         UserError: too little is held out to judge anything on.
     """
-    train, held_out, heads, by_time = recordings, test, None, not test
-    if by_time:
-        train, held_out = cut_all(recordings, TRAIN_SHARE)
+    train, held_out, heads, kind = recordings, test, None, HeldOut.RECORDINGS
+    if not test:
+        (train, held_out), kind = cut_all(recordings, TRAIN_SHARE), HeldOut.LAST_PARTS
     elif per_run:
-        heads, held_out = cut_all(test, HEAD_SHARE)
+        (heads, held_out), kind = cut_all(test, HEAD_SHARE), HeldOut.AFTER_HEAD
     shape = ANY
     for _ in range(2):  # the number of lanes, then that of their steps
         least = shape._replace(steps=0)
@@ -86,7 +95,7 @@ def split(
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
     _check_length(test_problem)
     head = None if heads is None else problem_of(heads, shape)
-    return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), by_time)
+    return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), kind)
 
 
 def _check_length(held_out: Problem) -> None:

@@ -13,7 +13,7 @@ from diffsea.identification.effect_records import effect_table, is_known, parame
 from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
-from diffsea.identification.holdout import HEAD_SHARE, Split, cut_all, transferred
+from diffsea.identification.holdout import HEAD_SHARE, HeldOut, Split, cut_all, transferred
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
 from diffsea.identification.objectives.base import Innovations, Objective
 from diffsea.identification.objectives.output_error import FreeRun
@@ -152,7 +152,8 @@ class Study:
 
         heads, tails = cut_all(list(test), HEAD_SHARE) if own else ([], list(test))
         head = problem_of(heads) if own else None
-        return Split(problem, problem_of(tails), head, (), tuple(tails), False)
+        kind = HeldOut.AFTER_HEAD if own else HeldOut.RECORDINGS
+        return Split(problem, problem_of(tails), head, (), tuple(tails), kind)
 
     def held_out(self, test: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Vessel]]:
         """Runs to judge predictions by, and the fitted vessel in the environment of each.

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -34,61 +34,45 @@ class Comparison:
     predictions: dict[str, Prediction]
 
 
-class Outcome(Protocol):
-    """What reports need of a diagnosis."""
-
-    @property
-    def split(self) -> Split:
-        """Recordings that were fitted and those held out."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Effects that were added to the model."""
-        ...
-
-    @property
-    def final(self) -> Estimate:
-        """The fit with them."""
-        ...
-
-
 def predict(vessel: Vessel, run: Trajectory) -> Prediction:
     """One model on one run."""
     return Prediction(replay(vessel, run), horizon_errors(vessel, run))
 
 
-def compare(diagnosis: Outcome, nominal: Vessel, diagnosed: Vessel) -> list[Comparison]:
-    """The models `nominal` and `diagnosed` on every held-out run."""
-    runs = diagnosis.split.held_out
-    vessels = _in_own_environment(diagnosis, diagnosed)
+def compare(
+    split: Split, final: Estimate, effects: Sequence[str], nominal: Vessel, diagnosed: Vessel
+) -> list[Comparison]:
+    """The models `nominal` and `diagnosed` on every held-out run.
+
+    Arguments:
+        final: the fit of the diagnosed model.
+        effects: names of those that were added to it; without any both models are one.
+    """
+    runs = split.held_out
+    vessels = _in_own_environment(split, final, effects, diagnosed)
     out = []
     for run, vessel in zip(runs, vessels, strict=True):
         before = predict(nominal, run)
-        after = predict(vessel, run) if diagnosis.names else before
+        after = predict(vessel, run) if effects else before
         out.append(Comparison(run, {"nominal": before, "diagnosed": after}))
     return out
 
 
-def own_environment(diagnosis: Outcome) -> bool:
-    """Whether an accepted effect has its own size in each recording."""
-    layout = diagnosis.split.train.layout
-    own = {effect.name: effect.own for effect in layout.effects}
-    return layout.per_run and any(own[name] for name in diagnosis.names)
-
-
-def _in_own_environment(diagnosis: Outcome, diagnosed: Vessel) -> list[Vessel]:
+def _in_own_environment(
+    split: Split, final: Estimate, effects: Sequence[str], diagnosed: Vessel
+) -> list[Vessel]:
     """The diagnosed vessel for each held-out run.
 
     Wind and current of one run say nothing about another's: there they are estimated on
     the held-out run itself, everything else as it was.
     """
-    data = diagnosis.split
-    if not own_environment(diagnosis):
-        return [diagnosed] * len(data.held_out)
-    coordinates = jax.numpy.asarray(transferred(data, diagnosis.final))
-    vessel, flow = vessel_at(data.test.base, data.test.layout, coordinates)
-    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(data.held_out))]
+    layout, count = split.train.layout, len(split.held_out)
+    own = {effect.name: effect.own for effect in layout.effects}
+    if not layout.per_run or not any(own[name] for name in effects):
+        return [diagnosed] * count
+    coordinates = jax.numpy.asarray(transferred(split, final))
+    vessel, flow = vessel_at(split.test.base, split.test.layout, coordinates)
+    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(count)]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 
 
@@ -120,16 +104,3 @@ def _pooled(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
         squares = [one[name] ** 2 for one in given]
         pooled[name] = math.sqrt(np.average(squares, weights=[one["starts"] for one in given]))
     return pooled
-
-
-def with_held_out_errors(
-    summary: dict, diagnosis: Outcome, nominal: Vessel, diagnosed: Vessel
-) -> dict:
-    """The summary with prediction errors at several horizons among what was held out."""
-    return with_errors(summary, compare(diagnosis, nominal, diagnosed))
-
-
-def with_errors(summary: dict, comparisons: Sequence[Comparison]) -> dict:
-    """The summary with the errors of these comparisons."""
-    held_out = summary.get("held_out", {}) | {"horizons": horizon_table(comparisons)}
-    return summary | {"held_out": held_out}

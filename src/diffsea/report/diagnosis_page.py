@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
+from diffsea.identification.holdout import HeldOut, Split
 from diffsea.report import words as words
-from diffsea.report.comparison import Comparison, Outcome, compare, with_errors
+from diffsea.report.comparison import Comparison
 from diffsea.report.comparison_plots import curves, has_history, histories, tracks
 from diffsea.report.interactive import HEAD, plot, scripts
 from diffsea.report.page import (
@@ -24,7 +25,6 @@ from diffsea.report.records import parameter_table, provenance
 from diffsea.report.what_sections import next_section, unseen_section, what_section
 from diffsea.report.where_section import where_section
 from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
 
 
 _MEANING = {
@@ -40,19 +40,17 @@ _OPEN_RUNS = 4
 
 
 def diagnosis_report(
-    result: dict, diagnosis: Outcome, nominal: Vessel, diagnosed: Vessel, source: dict
+    result: dict, vessel_name: str, split: Split, runs: Sequence[Comparison], source: dict
 ) -> str:
     """The page.
 
     Arguments:
         result: the content of diagnosis.json; what it lacks is said not to have been computed.
-        nominal: the nominal model with its own fitted derivatives.
-        diagnosed: the model with the effects found.
+        split: recordings that were fitted and those held out.
+        runs: those held out and what both models predict of them.
         source: what was run on what: file names, hashes, settings; shown as it is.
     """
-    recordings, held_out = diagnosis.split.recordings, diagnosis.split.held_out
-    runs = compare(diagnosis, nominal, diagnosed)
-    result = with_errors(result, runs)
+    recordings, held_out = split.recordings, split.held_out
     most = _rows_of_a_run(len(recordings), len(held_out))
     sections = [
         _verdict(result),
@@ -65,7 +63,7 @@ def diagnosis_report(
         _data(result),
         provenance(source | _method(result), _used(result, recordings, held_out)),
     ]
-    title = f"Diagnosis of {nominal.name}"
+    title = f"Diagnosis of {vessel_name}"
     return page(title, _subtitle(result, recordings, held_out), sections, HEAD, scripts())
 
 
@@ -75,7 +73,7 @@ def _rows_of_a_run(recordings: int, held_out: int) -> int:
 
 
 def _by_time(result: dict) -> bool:
-    return "last part" in result.get("held_out", {}).get("how", "")
+    return result.get("held_out", {}).get("kind") == HeldOut.LAST_PARTS
 
 
 def _subtitle(result: dict, recordings: Sequence[Trajectory], held_out: Sequence) -> str:

@@ -6,6 +6,7 @@ A diagnosis in plain words, for the terminal and the head of the report.
 import textwrap
 from collections.abc import Callable, Sequence
 
+from diffsea.identification.holdout import HeldOut
 from diffsea.report.quantities import (
     duration,
     known,
@@ -245,8 +246,8 @@ def held_out_change(summary: Record) -> str:
 
 def held_out_place(summary: Record) -> str:
     """Where predictions were judged: `on runs kept back as a test`."""
-    how = summary.get("held_out", {}).get("how", "")
-    what = "the last part of each run," if "last part" in how else "runs"
+    parts = summary.get("held_out", {}).get("kind") == HeldOut.LAST_PARTS
+    what = "the last part of each run," if parts else "runs"
     return f"on {what} kept back as a test"
 
 
