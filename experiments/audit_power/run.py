@@ -242,7 +242,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few recordings, three minutes")
     parser.add_argument("--level", type=float, help="significance instead of the audit's own")
     arguments = parser.parse_args()
-    from diffsea.statistics import SIGNIFICANCE
+    from diffsea.recordings.auditing.causes import SIGNIFICANCE
 
     level = arguments.level or SIGNIFICANCE
     started = time.process_time()

@@ -1,32 +1,56 @@
-"""Least squares of whitened columns, with errors that allow for what correlation is left.
+"""Robust scales, sums over blocks, and variances that allow for correlation in time.
 
-Autocorrelation of innovations: how much less dependent values say than independent ones.
-
-Where gusts have colour, whitened innovations stay correlated in time. The variance of a
-score or of an estimate is then `E' C E` instead of `E' E`, with C the correlation of the
-innovations (the long-run variance of Newey and West 1987, with correlations pooled over
-time, so that an effect seen in a few bursts does not pass for noise).
+Where disturbances are slow, whitened residuals stay correlated. The variance of a score or of
+an estimate is then `E' C E` instead of `E' E`, with C the correlation of the residuals: the
+long-run variance of Newey and West (1987), either from the scores themselves (`newey_west`) or
+with the correlation pooled over time (`long_run_covariance`), so that an effect seen in a few
+bursts does not pass for noise.
 """
+
+import math
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
 
-# One estimate in a hundred thousand is wrong by chance if the residual is as assumed; it never
-# quite is, hence the margin over the usual levels. experiments/audit_power measures the rate of
-# false alarms that comes of it.
-SIGNIFICANCE = 1e-5
+_QUARTILE = 0.6745  # upper quartile of the standard normal: the median of its magnitude
+_LAGS = 40  # rows over which correlation is looked for
 _TINY = 1e-12
 
 
-def solve(
-    columns: np.ndarray, target: np.ndarray, doubt: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def robust_scale(deviations: Float[np.ndarray, "..."]) -> float:
+    """Standard deviation of normal deviations from zero by the median of their magnitude."""
+    return float(1.4826 * np.median(np.abs(deviations)))
+
+
+def noise_scale(values: Float[np.ndarray, "time"], differences: int = 3) -> float:
+    """Standard deviation of white noise in a series that otherwise changes smoothly.
+
+    From the median magnitude of its k-th differences, whose variance is (2k choose k) times that
+    of the noise. Zero where the series is too short for them.
+    """
+    rest = np.abs(np.diff(values, differences))
+    variance = math.comb(2 * differences, differences)
+    return float(np.median(rest) / _QUARTILE / math.sqrt(variance)) if rest.size else 0.0
+
+
+def block_sums(scores: Float[np.ndarray, "row score"], length: int) -> Float[np.ndarray, "b s"]:
+    """Sums over consecutive blocks of `length` rows; the last block may be short."""
+    spare = -len(scores) % length
+    padded = np.concatenate([scores, np.zeros((spare, scores.shape[1]))])
+    return padded.reshape(-1, length, scores.shape[1]).sum(1)
+
+
+def robust_regression(
+    columns: Float[np.ndarray, "p series time"],
+    target: Float[np.ndarray, "series time"],
+    doubt: float | None = None,
+) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p p"]]:
     """Least squares of whitened columns, with a covariance robust to autocorrelation.
 
-    With `doubt`, the first column is a nuisance known to be zero within that. A direction
-    that the data say nothing about gets an estimate near zero and a very large variance.
+    With `doubt`, the first column is a nuisance known to be zero within that deviation. A
+    direction that the data say nothing about gets an estimate near zero, of very large variance.
     """
     count, series, length = columns.shape
     norms = np.linalg.norm(columns.reshape(count, -1), axis=1)
@@ -40,7 +64,7 @@ def solve(
     estimate = inverse @ (flat @ target.ravel())
     rest = target - np.tensordot(estimate, scaled, 1)
     freedom = series * length / max(series * length - count, 1)
-    scores = _long_run(np.einsum("pst,st->tp", scaled, rest))
+    scores = newey_west(np.einsum("pst,st->tp", scaled, rest))
     if doubt is not None:
         scores[0, 0] += known[0] * np.mean(target**2)
     robust = inverse @ scores @ inverse * freedom
@@ -53,15 +77,17 @@ def solve(
     return estimate / norms, cov / np.outer(norms, norms)
 
 
-def significant(estimate: np.ndarray, cov: np.ndarray, freedom: float, level: float) -> bool:
-    """Whether the estimate is beyond chance; short runs make for heavier tails."""
+def is_significant(
+    estimate: Float[np.ndarray, "p"], cov: Float[np.ndarray, "p p"], freedom: float, level: float
+) -> bool:
+    """Whether the F test rejects zero at a level; few degrees of freedom make heavier tails."""
     wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
     return bool(stats.f.sf(wald, estimate.size, freedom) < level)
 
 
-def _long_run(scores: np.ndarray) -> np.ndarray:
-    """Newey-West sum of autocovariances with 1.3 sqrt(n) lags."""
-    length = scores.shape[0]
+def newey_west(scores: Float[np.ndarray, "time p"]) -> Float[np.ndarray, "p p"]:
+    """Covariance of the sum of scores: autocovariances, tapered over 1.3 sqrt(n) lags."""
+    length = len(scores)
     lags = int(np.ceil(1.3 * np.sqrt(length)))
     total = scores.T @ scores
     for lag in range(1, min(lags, length - 1) + 1):
@@ -70,11 +96,8 @@ def _long_run(scores: np.ndarray) -> np.ndarray:
     return total
 
 
-LAGS = 40  # rows
-
-
 def autocorrelation(
-    white: Float[np.ndarray, "row 6"], run: Int[np.ndarray, "row"], lags: int = LAGS
+    white: Float[np.ndarray, "row 6"], run: Int[np.ndarray, "row"], lags: int = _LAGS
 ) -> Float[np.ndarray, "lag 6"]:
     """Tapered correlation of each channel's innovations at lags 1, 2, ... within runs."""
     lags = min(lags, len(white) // 4)
@@ -87,24 +110,24 @@ def autocorrelation(
     return out
 
 
-def long_run(
+def long_run_covariance(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> Float[np.ndarray, "coordinate coordinate"]:
     """`E' C E` for columns with six values to a row."""
-    E, CE = _coloured(columns, correlation)
+    E, CE = _with_correlated(columns, correlation)
     return sum(own @ other.T for own, other in zip(E, CE, strict=True))
 
 
-def inflation(
+def variance_inflation(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> Float[np.ndarray, "coordinate"]:
-    """Factor on the variance of each column's score, at least one."""
-    E, CE = _coloured(columns, correlation)
+    """Factor on the variance of each column's score, `E' C E` over `E' E`, at least one."""
+    E, CE = _with_correlated(columns, correlation)
     plain = (columns**2).sum(0)
     return np.maximum((E * CE).sum((0, 2)) / np.maximum(plain, 1e-300), 1.0)
 
 
-def _coloured(
+def _with_correlated(
     columns: Float[np.ndarray, "value coordinate"], correlation: Float[np.ndarray, "lag 6"]
 ) -> tuple[Float[np.ndarray, "6 coordinate row"], Float[np.ndarray, "6 coordinate row"]]:
     """Columns `E` by channels, and `C E`: products with symmetric Toeplitz matrices by FFT."""

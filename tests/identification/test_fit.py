@@ -25,7 +25,7 @@ from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import _prior, _white, jacobian, make_problem, selection, traced
 from diffsea.identification.study import Settings
 from diffsea.parameters import hull_prior
-from diffsea.statistics import autocorrelation, inflation, long_run
+from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -320,11 +320,15 @@ def test_colour_inflates_the_variance_of_a_mean_as_theory_says():
     noise = np.zeros((20000, 6))
     for k in range(1, len(noise)):
         noise[k] = 0.5 * noise[k - 1] + rng.normal(size=6)
-    found = inflation(np.ones((noise.size, 1)), autocorrelation(noise, np.zeros(len(noise), int)))
+    found = variance_inflation(
+        np.ones((noise.size, 1)), autocorrelation(noise, np.zeros(len(noise), int))
+    )
     # Long-run over instantaneous variance of a first-order process: (1 + a) / (1 - a).
     assert found[0] == pytest.approx(3.0, rel=0.1)
     white = rng.normal(size=(20000, 6))
-    plain = inflation(np.ones((white.size, 1)), autocorrelation(white, np.zeros(20000, int)))
+    plain = variance_inflation(
+        np.ones((white.size, 1)), autocorrelation(white, np.zeros(20000, int))
+    )
     assert plain[0] == pytest.approx(1.0, abs=0.15)
 
 
@@ -337,9 +341,9 @@ def test_products_with_correlations_are_those_of_their_matrix():
         band = toeplitz(np.concatenate([[1.0], correlation[:, channel], np.zeros(42)]))
         C[channel::6, channel::6] = band
     expected = columns.T @ C @ columns
-    np.testing.assert_allclose(long_run(columns, correlation), expected, atol=1e-10)
+    np.testing.assert_allclose(long_run_covariance(columns, correlation), expected, atol=1e-10)
     ratio = np.diag(expected) / (columns**2).sum(0)
-    np.testing.assert_allclose(inflation(columns, correlation), np.maximum(ratio, 1.0))
+    np.testing.assert_allclose(variance_inflation(columns, correlation), np.maximum(ratio, 1.0))
 
 
 def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):

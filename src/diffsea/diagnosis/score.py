@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from diffsea.statistics import autocorrelation, inflation, long_run
+from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
 
 
 DRAWS = 1999
@@ -120,7 +120,7 @@ class Projection:
         E = E[:, told]
         s = E.T @ self.residual
         inverse = np.linalg.pinv(E.T @ E, rcond=1e-10, hermitian=True)
-        coloured = long_run(E[: self.rows], self.correlation)
+        coloured = long_run_covariance(E[: self.rows], self.correlation)
         ratio = max(1.0, float(np.trace(coloured @ inverse)) / k)
         statistic = float(s @ inverse @ s) / ratio
         step[told] = -(inverse @ s)
@@ -134,7 +134,7 @@ class Projection:
         information = (E**2).sum(0)
         informed = information > 1e-12
         V = np.where(informed, information, 1.0)
-        ratio = inflation(E[: self.rows], self.correlation)
+        ratio = variance_inflation(E[: self.rows], self.correlation)
         step = -(E.T @ self.residual) / V
         std = np.where(informed, np.sqrt(ratio / V), np.inf)
         p = np.where(informed, stats.chi2.sf((step / std) ** 2, 1), 1.0)

@@ -13,9 +13,9 @@ from diffsea.diagnosis.jacobians import columns_at, gains_at, latent_acceleratio
 from diffsea.diagnosis.localisation import DEGREES, Classes, regime_classes
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.fit import block_sums
 from diffsea.identification.holdout import Gain, Split, transferred
 from diffsea.identification.problem import Problem
+from diffsea.statistics import block_sums
 
 
 HALVES = 100  # random halves of the data on which the choice is repeated

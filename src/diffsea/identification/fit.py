@@ -21,7 +21,7 @@ from diffsea.identification.problem import (
     selection,
     traced,
 )
-from diffsea.statistics import autocorrelation, long_run
+from diffsea.statistics import autocorrelation, long_run_covariance
 
 
 ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
@@ -141,15 +141,8 @@ def _judged(
     correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.tape.run))
     return made(
         free, coordinates, deviance, index, problem.layout.local_spreads(coordinates), J.T @ J,
-        long_run(J, correlation), noise,
+        long_run_covariance(J, correlation), noise,
     )  # fmt: skip
-
-
-def block_sums(scores: np.ndarray, length: int) -> np.ndarray:
-    """Sums over consecutive blocks of rows."""
-    spare = -len(scores) % length
-    padded = np.concatenate([scores, np.zeros((spare, scores.shape[1]))])
-    return padded.reshape(-1, length, scores.shape[1]).sum(1)
 
 
 def normalised_rms(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:

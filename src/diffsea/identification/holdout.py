@@ -11,9 +11,10 @@ from diffsea.errors import UserError
 from diffsea.identification.data.dataset import ANY, Shape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.kalman import Tuned
-from diffsea.identification.fit import block_sums, estimate
+from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.recordings.conditioning import cut
+from diffsea.statistics import block_sums
 from diffsea.trajectory import Trajectory
 
 

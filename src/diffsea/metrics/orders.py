@@ -16,6 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.statistics import noise_scale
 from diffsea.trajectory import Trajectory
 
 
@@ -268,7 +269,7 @@ def _plateau(t: Samples, angle: Samples) -> float:
 
 def _held_runs(angle: Samples, plateau: float) -> list[tuple[int, int, int]]:
     """First row, last row and sign of every stretch at the plateau, small gaps closed."""
-    noise = np.median(np.abs(np.diff(angle))) / 0.6745 / math.sqrt(2)
+    noise = noise_scale(angle, 1)
     band = max(_BAND * plateau, 3 * noise)
     state = np.where(np.abs(np.abs(angle) - plateau) <= band, np.sign(angle), 0).astype(int)
     starts = np.flatnonzero(np.diff(state, prepend=0) * (state != 0))

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from diffsea.errors import UserError
 from diffsea.kinematics import to_body
 from diffsea.metrics.crossings import slopes
+from diffsea.statistics import noise_scale
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
@@ -153,8 +154,7 @@ def _noisy(values: Samples) -> bool:
     """
     if not _measures(values) or len(values) < 8:
         return False
-    noise = np.median(np.abs(np.diff(values, 3))) / 0.6745 / math.sqrt(20)
-    return bool(noise > _NOISE * np.ptp(values))
+    return noise_scale(values) > _NOISE * np.ptp(values)
 
 
 def _window_rows(t: Samples, psi: Samples) -> int:

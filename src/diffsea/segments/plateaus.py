@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
+from diffsea.statistics import noise_scale
+
 
 _FLICKER = 5  # rows of the median that removes outliers
 _BAND = 0.08  # of the level: closer than this to it counts as being on it
@@ -29,16 +31,10 @@ class Hold:
     level: float
 
 
-def white_noise(values: Samples) -> float:
-    """Standard deviation of the white noise in a signal that mostly changes slowly."""
-    third = np.abs(np.diff(values, 3))
-    return float(np.median(third) / 0.6745 / math.sqrt(20)) if third.size else 0.0
-
-
 def find_holds(angle: Samples, count: int, breaks: tuple[int, ...] = ()) -> list[Hold]:
     """Every stretch of at least `count` rows in which the angle (rad) stays, zero included."""
     edges = [0, *breaks, len(angle)]
-    noise = white_noise(angle)
+    noise = noise_scale(angle)
     return [
         hold
         for start, end in zip(edges[:-1], edges[1:], strict=True)

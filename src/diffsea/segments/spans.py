@@ -7,6 +7,7 @@ import numpy as np
 from diffsea.segments.plateaus import Hold
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import Signals
+from diffsea.statistics import noise_scale
 
 
 NOISE = 3.0  # standard deviations of the steering before, which an onset exceeds
@@ -40,7 +41,7 @@ def scatter_of(angle: np.ndarray) -> float:
     """Robust standard deviation (rad) of the steering, zero of fewer than three rows."""
     if angle.size < 3:
         return 0.0
-    return float(np.median(np.abs(angle - np.median(angle))) / 0.6745)
+    return noise_scale(angle - np.median(angle), 0)
 
 
 def approach_row(signals: Signals, settings: Settings, row: int) -> int:

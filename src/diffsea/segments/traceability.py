@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
-from diffsea.segments.plateaus import white_noise
 from diffsea.segments.segments import Segment
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import MEASURED, Signals, signals_of
+from diffsea.statistics import noise_scale
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -111,8 +111,8 @@ def _yaw_rate(signals: Signals, rows: slice) -> Check:
     rebuilt = (psi[span:] - psi[:-span]) / duration
     difference = recorded - rebuilt
     noise = math.hypot(
-        white_noise(r) / math.sqrt(span),
-        math.sqrt(2) * white_noise(psi) / float(np.median(duration)),
+        noise_scale(r) / math.sqrt(span),
+        math.sqrt(2) * noise_scale(psi) / float(np.median(duration)),
     )
     size = float(np.std(rebuilt))
     alike = float(np.corrcoef(recorded, rebuilt)[0, 1]) if min(size, np.std(recorded)) > 0 else 0.0
@@ -132,7 +132,7 @@ def _yaw_rate(signals: Signals, rows: slice) -> Check:
 def _span(psi: np.ndarray, r: np.ndarray, interval: float) -> int:
     """Time steps over which the noise of heading is no more than a twentieth of the yaw rate."""
     size = max(float(np.std(r)), 1e-12)
-    needed = math.sqrt(2) * white_noise(psi) / (0.05 * size * interval)
+    needed = math.sqrt(2) * noise_scale(psi) / (0.05 * size * interval)
     return int(np.clip(math.ceil(needed), 2, max(2, len(psi) // 20)))
 
 

@@ -17,7 +17,6 @@ from diffsea.segments.plateaus import (
     find_holds,
     find_lobes,
     foot,
-    white_noise,
 )
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import Samples, Signals
@@ -30,6 +29,7 @@ from diffsea.segments.spans import (
     scatter_of,
     window_of,
 )
+from diffsea.statistics import noise_scale
 from diffsea.trajectory import Trajectory
 
 
@@ -38,7 +38,7 @@ def trials_in(signals: Signals, settings: Settings) -> list[Span]:
     angle = signals.orders
     if angle is None or signals.steer is None:
         return []
-    least = max(settings.order, NOISE * white_noise(angle))
+    least = max(settings.order, NOISE * noise_scale(angle))
     holds = find_holds(angle, hold_rows(signals, settings), signals.breaks)
     found = _named(signals, settings, chains(holds, signals.t, least))
     if signals.commanded is not None:
@@ -138,7 +138,7 @@ def _before(
     earliest = approach_row(signals, settings, hold.first)
     last = angle[max(earliest, row + 1 - hold_rows(signals, settings)) : row + 1]
     before = float(np.median(last)) if last.size else 0.0
-    scatter = scatter_of(angle[earliest : row + 1]) if first else white_noise(angle)
+    scatter = scatter_of(angle[earliest : row + 1]) if first else noise_scale(angle)
     step = abs(hold.level - before)
     return before, min(max(NOISE * scatter, ONSET * step), 0.5 * step)
 
@@ -147,6 +147,6 @@ def given(signals: Signals, settings: Settings, hold: Hold) -> tuple[int, int]:
     """Row in which the order of a hold was given, and the last row before it moved at all."""
     angle, count = np.asarray(signals.orders), hold_rows(signals, settings)
     earliest = approach_row(signals, settings, hold.first)
-    began = foot(angle, hold, count, white_noise(angle), earliest)
+    began = foot(angle, hold, count, noise_scale(angle), earliest)
     before, threshold = _before(signals, settings, hold, angle, began, True)
     return departure(angle, before, threshold, hold.first, max(earliest, began - count)), began

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from diffsea.segments.plateaus import white_noise
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import Signals
 from diffsea.segments.spans import Span, hold_rows, window_of
+from diffsea.statistics import noise_scale
 
 
 _FASTEST = 0.995  # quantile of the averaged yaw rate that stands for the fastest turn
@@ -71,7 +71,7 @@ def turning_rows(
 ) -> Bool[np.ndarray, "time"]:
     """Where yaw rate, averaged over a part of the window, is that of turning."""
     count = max(1, round(settings.averaging * window / float(np.median(np.diff(t)))))
-    noise = white_noise(r) / math.sqrt(count)
+    noise = noise_scale(r) / math.sqrt(count)
     return np.abs(_average(r, count)) > max(turning_rate(window, settings), _SIGNIFICANT * noise)
 
 
@@ -195,7 +195,7 @@ def _codes(signals: Signals, settings: Settings) -> np.ndarray:
         count = 2 * hold_rows(signals, settings) + 1
         drive = ndimage.median_filter(signals.drive, count, mode="nearest")
     if drive is not None:
-        idle = max(settings.idle, _NOISE * white_noise(drive))
+        idle = max(settings.idle, _NOISE * noise_scale(drive))
         code[np.abs(drive) <= idle] = 2
         code[(drive < -idle) & signals.ahead] = 3
     code[~_moving(signals, settings)] = 1
@@ -207,7 +207,7 @@ def _moving(signals: Signals, settings: Settings) -> np.ndarray:
     if signals.speed is None:
         return np.ones(signals.t.shape, bool)
     limit = settings.still * float(np.quantile(signals.speed, 0.98))
-    limit = max(limit, 3 * white_noise(signals.speed))
+    limit = max(limit, 3 * noise_scale(signals.speed))
     stretches, number = ndimage.label(signals.speed > limit)
     clear = np.unique(stretches[signals.speed > 1.5 * limit])
     return np.isin(stretches, clear[clear > 0])

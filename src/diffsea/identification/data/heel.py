@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from diffsea.simulation.actuation import held
+from diffsea.statistics import robust_scale
 from diffsea.trajectory import Trajectory
 
 
@@ -90,7 +91,7 @@ def _swing(heel: _Row, inputs: list[_Row]) -> _Swing:
 
     start = _first_guess(heel, past, forced)
     first = errors(start)
-    spread = max(1.4826 * float(np.median(np.abs(first))), 1e-6)
+    spread = max(robust_scale(first), 1e-6)
     found = least_squares(errors, start, loss="soft_l1", f_scale=_TAIL * spread, max_nfev=50).x
     if not _stable(found[ORDER : 2 * ORDER]):
         found = start

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from diffsea.identification.data.dataset import Tape, natural_time
 from diffsea.identification.filter.process_noise import Noise, gust_model, predicted, updated
 from diffsea.identification.least_squares import value_and_jacobian
+from diffsea.statistics import robust_scale
 from diffsea.vessel.base import Vessel
 
 
@@ -77,7 +78,7 @@ def _sensor_scales(tape: Tape, length: float) -> np.ndarray:
         if len(series) < 5:
             continue
         second = np.diff(series, 2)[runs[2:] == runs[:-2]]
-        robust = 1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6)
+        robust = robust_scale(second - np.median(second)) / np.sqrt(6)
         scales[k] = max(robust, 0.3 * np.std(second) / np.sqrt(6), floor[k])
     return scales
 

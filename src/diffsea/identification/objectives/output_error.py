@@ -19,7 +19,7 @@ from diffsea.identification.objectives.base import Innovations
 from diffsea.identification.objectives.shooting import Shot, Slopes, Windows, windows
 from diffsea.identification.problem import Problem, Static
 from diffsea.parameters import Parameter
-from diffsea.statistics import autocorrelation, long_run
+from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 
 
 WINDOW = 20.0  # sqrt(L / g)
@@ -232,7 +232,7 @@ class FreeRun:
         t = np.asarray(self.problem.tape.dt)
         lags = int(WINDOW * natural_time(self.problem.base) / np.median(t[t > 0])) + 1
         correlation = autocorrelation(r, np.asarray(self.problem.tape.run), lags)
-        coloured = long_run(E.reshape(-1, n), correlation)
+        coloured = long_run_covariance(E.reshape(-1, n), correlation)
         return made(
             free, point.coordinates, self._cost(point), index, spreads, information, coloured, point
         )
@@ -240,7 +240,7 @@ class FreeRun:
 
 def _scale(values: np.ndarray) -> float:
     """Standard deviation of the bulk of some misfits: each counts for nine variances at most."""
-    scale = max(1.4826 * float(np.median(np.abs(values))), 1e-9)
+    scale = max(robust_scale(values), 1e-9)
     grid = np.linspace(-8, 8, 2001)
     normal = np.exp(-(grid**2) / 2) / np.exp(-(grid**2) / 2).sum()
     usual = float(normal @ (grid * _weight(grid)) ** 2)

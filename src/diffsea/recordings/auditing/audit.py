@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from diffsea.recordings.auditing.actuators import actuation_findings, response_findings
-from diffsea.recordings.auditing.causes import Explanation, explain
+from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, explain
 from diffsea.recordings.auditing.channels import frozen, order_findings, outliers, rounding_findings
 from diffsea.recordings.auditing.clocks import clock_findings
 from diffsea.recordings.auditing.edits import Affine
@@ -21,7 +21,6 @@ from diffsea.recordings.auditing.kinematics import heading_comparison, velocity_
 from diffsea.recordings.auditing.wording import disagreement_findings
 from diffsea.recordings.motion import Motion, integral, motion_of
 from diffsea.runtime import one_blas_thread
-from diffsea.statistics import SIGNIFICANCE
 from diffsea.trajectory import Trajectory
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from diffsea.recordings.auditing.edits import Blank, Order
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.motion import Motion, integral
+from diffsea.statistics import robust_scale
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
@@ -117,7 +118,7 @@ def _wild(motion: Motion, channel: str) -> np.ndarray:
     lively = np.median(_neighbourhood(changes, 12), axis=1)
     # The mean keeps a coarsely rounded channel, whose median change is zero, from looking calm.
     calm = np.sort(departure[known])[: int(0.97 * np.sum(known))]
-    usual = max(1.4826 * np.median(calm), 1.5 * np.mean(calm))
+    usual = max(robust_scale(calm), 1.5 * np.mean(calm))
     rounding = np.min(changes[changes > 1e-9 * np.ptp(series)], initial=np.ptp(series))
     floor = max(10 * usual, 5 * rounding, 0.02 * _range(series[known]))
     limit = np.maximum(10 * lively, floor)
