@@ -1,9 +1,95 @@
-"""Angles in recordings: made continuous without hiding that one is in degrees."""
+"""Time series of recordings: held, interpolated, integrated, and their clocks and angles.
+
+Measured series have missing samples (NaN), gaps and repeated stamps, and motion and actuation
+mean different things between two stamps: motion goes on in between, an order holds until the
+next. These functions say once what is done about it. They take plain NumPy arrays of the rows
+that count, see `Trajectory.counted`.
+"""
 
 import numpy as np
+from jaxtyping import Bool, Float
+
+from diffsea.trajectory import Samples
 
 
-def unwrap(angle: np.ndarray) -> np.ndarray:
+def median_interval(t: Samples) -> float:
+    """Median time step (s) of time stamps, repeated ones included."""
+    return float(np.median(np.diff(t)))
+
+
+def strictly_later(t: Samples) -> Bool[np.ndarray, "time"]:
+    """The rows whose time stamp (s) is later than all before: what is left increases strictly."""
+    later = np.ones(t.shape, dtype=bool)
+    later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    return later
+
+
+def hold_last(values: Samples, leading: str = "first") -> Samples:
+    """Missing values (NaN) as the last one before.
+
+    Those before the first value are as that one, or, where `leading` is "missing", stay NaN.
+    All are NaN where no value is known.
+    """
+    finite = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    if leading == "missing":
+        return np.where(last < 0, np.nan, values[last])
+    return values[np.where(last < 0, np.argmax(finite), last)]
+
+
+def hold_at(
+    t: Samples, values: Samples, times: Float[np.ndarray, "new"]
+) -> Float[np.ndarray, "new"]:
+    """At other times (s), the value whose stamp is the last until then; NaN before the first."""
+    if not t.size:
+        return np.full(times.shape, np.nan)
+    last = np.searchsorted(t, times, side="right") - 1
+    return np.where(last < 0, np.nan, values[last.clip(0)])
+
+
+def interpolate_missing(t: Samples, values: Samples) -> Samples:
+    """Missing values (NaN) on straight lines between neighbours, however far; beyond, as the end.
+
+    All are NaN where no value is known.
+    """
+    finite = np.isfinite(values)
+    return np.interp(t, t[finite], values[finite]) if finite.any() else values
+
+
+def between_samples(
+    t: Samples, times: Float[np.ndarray, "new"], longest: float, tolerance: float = 0.0
+) -> Bool[np.ndarray, "new"]:
+    """Which times (s) are stamps, or lie between two that are at most `longest` s apart.
+
+    `t` increases and is not empty. A time within `tolerance` (s) of a stamp counts as being there.
+    """
+    after = np.searchsorted(t, times - tolerance, side="left").clip(0, t.size - 1)
+    before = (np.searchsorted(t, times + tolerance, side="right") - 1).clip(0, t.size - 1)
+    inside = (times >= t[0] - tolerance) & (times <= t[-1] + tolerance)
+    return inside & (t[after] - t[before] <= longest)
+
+
+def bridge_gaps(
+    t: Samples, values: Samples, longest: float
+) -> tuple[Samples, Bool[np.ndarray, "time"]]:
+    """The values with all gaps interpolated, and which lie in no gap above `longest` s.
+
+    Fewer than two known values give zeros, all of them unknown.
+    """
+    finite = np.isfinite(values)
+    if np.sum(finite) < 2:
+        return np.zeros_like(t), np.zeros(t.shape, dtype=bool)
+    known = between_samples(t[finite], t, longest)
+    return np.interp(t, t[finite], values[finite]), known
+
+
+def integrate(t: Samples, values: Float[np.ndarray, "*any time"]) -> Float[np.ndarray, "*any time"]:
+    """Cumulative trapezoidal integral over time along the last axis, zero in the first row."""
+    steps = 0.5 * (values[..., 1:] + values[..., :-1]) * np.diff(t)
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, axis=-1)], -1)
+
+
+def unwrap(angle: Samples) -> Samples:
     """The angle (rad) without jumps of a turn, continued through missing samples.
 
     An angle that is really in degrees is unwrapped as such: by turns of 2 pi it would be
@@ -11,13 +97,13 @@ def unwrap(angle: np.ndarray) -> np.ndarray:
     """
     finite = np.isfinite(angle)
     continuous = np.array(angle, dtype=float)
-    period = _period(continuous[finite])
+    period = _wrapping_period(continuous[finite])
     if period > 0:
         continuous[finite] = np.unwrap(continuous[finite], period=period)
     return continuous
 
 
-def _period(angle: np.ndarray) -> float:
+def _wrapping_period(angle: Samples) -> float:
     """The jump that a wrapped angle makes: 2 pi, or 360; zero where it is not wrapped."""
     if angle.size < 2 or np.max(np.abs(angle)) <= 4 * np.pi:
         return 2 * np.pi

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 
 Series = Float[Any, "time"]  # of NumPy or JAX
+Samples = Float[np.ndarray, "time"]  # of NumPy, as recordings have them
 
 MOTION_CHANNELS = ("x", "y", "psi", "u", "v", "r")
 
@@ -42,6 +43,23 @@ _SENTENCES = {
 }
 
 
+@dataclasses.dataclass(frozen=True)
+class RowsLeftOut:
+    """Rows of a file that reading left out."""
+
+    count: int
+    note: str  # the sentence of the provenance on them
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadReport:
+    """What reading found and changed in a file, for programs; `provenance` tells people."""
+
+    empty_rows: RowsLeftOut | None = None  # without any value, not even a time stamp
+    # Merged into one of the same time stamp; of logs, in each topic that has such.
+    repeated_times: tuple[RowsLeftOut, ...] = ()
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trajectory:
     """One run, simulated or measured: motion, commands and executed actuation.
@@ -64,8 +82,34 @@ class Trajectory:
     valid: Bool[Any, "time"]
     outcome: Int[Any, ""] | int = int(Outcome.COMPLETED)
     name: str = "run"
-    provenance: tuple[str, ...] = ()
+    provenance: tuple[str, ...] = ()  # what was done to it, in words for people
+    read: ReadReport = ReadReport()
 
     def has(self, channel: str) -> bool:
         """Whether a motion channel (`x`, `y`, `psi`, `u`, `v`, `r`) has any sample."""
         return bool(np.any(np.isfinite(np.asarray(getattr(self, channel)))))
+
+    @property
+    def motion(self) -> dict[str, Series]:
+        """The motion channels by their names, `x`, `y`, `psi`, `u`, `v`, `r`."""
+        return {name: getattr(self, name) for name in MOTION_CHANNELS}
+
+    def counted(self) -> "Trajectory":
+        """The rows that count, as plain NumPy arrays of floats: the run made ready to use."""
+        return self.rows(np.asarray(self.valid, dtype=bool))
+
+    def rows(self, chosen: Bool[np.ndarray, "time"] | Int[np.ndarray, "row"]) -> "Trajectory":
+        """The run in the chosen rows (a mask, or their numbers), as plain NumPy arrays."""
+
+        def in_rows(group: dict[str, Series]) -> dict[str, Samples]:
+            return {name: np.asarray(series, float)[chosen] for name, series in group.items()}
+
+        return dataclasses.replace(
+            self,
+            t=np.asarray(self.t, float)[chosen],
+            **in_rows(self.motion),
+            commanded=in_rows(self.commanded),
+            executed=in_rows(self.executed),
+            extra=in_rows(self.extra),
+            valid=np.asarray(self.valid, bool)[chosen],
+        )

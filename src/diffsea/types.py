@@ -16,7 +16,7 @@ from diffsea.trajectory import Trajectory
 
 Scalar = Float[Array, ""] | Float[np.ndarray, ""] | float
 
-_LABELS = ("name", "provenance")  # of a trajectory: no arrays, the same in all of a batch
+_LABELS = ("name", "provenance", "read")  # of a trajectory: no arrays, the same in all of a batch
 jax.tree_util.register_dataclass(
     Trajectory,
     [field.name for field in dataclasses.fields(Trajectory) if field.name not in _LABELS],

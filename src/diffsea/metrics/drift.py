@@ -45,8 +45,9 @@ def circle_drift(run: Trajectory, start: float) -> Drift:
     Raises `UserError` where the run turns by less than 1.05 laps after `start`, or has no
     positions or heading.
     """
-    rows = np.asarray(run.valid, bool) & (np.asarray(run.t, float) >= start)
-    t, x, y, psi = (np.asarray(getattr(run, c), float)[rows] for c in ("t", "x", "y", "psi"))
+    run = run.counted()
+    run = run.rows(run.t >= start)
+    t, x, y, psi = run.t, run.x, run.y, run.psi
     at, turned = _turned(t, psi)
     laps = turned[-1] / LAP if len(turned) else 0.0
     if laps < 1 + LEAST or not (np.isfinite(x).any() and np.isfinite(y).any()):

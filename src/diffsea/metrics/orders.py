@@ -14,10 +14,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float
 
+from diffsea.series import hold_last
 from diffsea.statistics import noise_scale
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 EQUIVALENT_ANGLE = math.radians(35)
@@ -30,8 +30,6 @@ _LONG_LEG = math.radians(150)  # as much of one order among several: no zig-zag 
 _LARGEST_REVERSAL = math.radians(60)
 _PULL_OUT = math.radians(20)
 _STRAIGHT = math.radians(15)
-
-Samples = Float[np.ndarray, "time"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +57,7 @@ def steering(trajectory: Trajectory) -> tuple[Samples, str] | None:
         ("executed", trajectory.executed),
     ):
         usable = {
-            name: _held(np.asarray(values, float))
+            name: hold_last(np.asarray(values, float))
             for name, values in channels.items()
             if np.isfinite(np.asarray(values, float)).any()
         }
@@ -87,7 +85,7 @@ def propulsion(trajectory: Trajectory) -> Samples | None:
     """Sum of the driving channels, each over its largest value; none if not recorded."""
     for channels in (trajectory.commanded, trajectory.executed):
         driving = [
-            _held(np.asarray(values, float))
+            hold_last(np.asarray(values, float))
             for name, values in channels.items()
             if not _steers(name) and np.isfinite(np.asarray(values, float)).any()
         ]
@@ -211,13 +209,6 @@ def _stopped(trajectory: Trajectory) -> bool:
     at_order = np.interp(start, trajectory.t, trajectory.u)
     after = np.asarray(trajectory.u)[trajectory.t >= start]
     return bool(at_order > 0.8 * np.max(trajectory.u) and np.min(after) <= 0)
-
-
-def _held(values: Samples) -> Samples:
-    """The values with every gap holding the sample before it."""
-    finite = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
-    return values[np.where(last < 0, np.argmax(finite), last)]
 
 
 def _steers(name: str) -> bool:

@@ -6,17 +6,17 @@ not measured is derived from what was, and each such step is told in a note.
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from diffsea.errors import UserError
 from diffsea.kinematics import to_body
 from diffsea.metrics.crossings import slopes
+from diffsea.series import integrate, interpolate_missing
 from diffsea.statistics import noise_scale
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 # White noise is smoothed where its deviation exceeds this part of the channel's range.
@@ -27,11 +27,16 @@ _WINDOW_ROWS = 201
 _BLOCK = 10_000  # rows whose windows are held in memory at once
 _RATE_ROWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97)  # of which one suits the noise
 
-Samples = Float[np.ndarray, "time"]
+
+class Derivation(NamedTuple):
+    """One step that a measured run was made complete by: missing motion derived, or smoothed."""
+
+    kind: Literal["derived", "smoothed"]
+    note: str
 
 
-def prepared(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
-    """The valid rows of a run with all motion filled in, and notes on what was derived.
+def prepared(trajectory: Trajectory) -> tuple[Trajectory, list[Derivation]]:
+    """The valid rows of a run with all motion filled in, and what that took.
 
     Missing samples are interpolated; heading is unwrapped, or the integral of the yaw rate
     where it was not measured; yaw rate and velocities come from differences where they
@@ -40,29 +45,22 @@ def prepared(trajectory: Trajectory) -> tuple[Trajectory, list[str]]:
 
     Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
     """
-    t, motion, rows = _measured(trajectory)
-    notes: list[str] = []
+    run = _measured_rows(trajectory)
+    t, motion = run.t, dict(run.motion)
+    notes: list[Derivation] = []
     _complete_heading(t, motion, notes)
     count = _window_rows(t, motion["psi"])
     _smooth(t, motion, [n for n in motion if _noisy(motion[n])], count, notes)
     if not _measures(motion["r"]):
         motion["r"] = _rate(t, motion["psi"])
-        notes.append("yaw rate was not recorded: it is the derivative of the heading")
+        note = "yaw rate was not recorded: it is the derivative of the heading"
+        notes.append(Derivation("derived", note))
     _complete_velocity(t, motion, notes)
-    series = {
-        field: {name: np.asarray(values, float)[rows] for name, values in channels.items()}
-        for field, channels in (
-            ("commanded", trajectory.commanded),
-            ("executed", trajectory.executed),
-            ("extra", trajectory.extra),
-        )
-    }
-    valid = np.ones(len(t), bool)
-    return dataclasses.replace(trajectory, t=t, **motion, **series, valid=valid), notes
+    return dataclasses.replace(run, t=t, **motion), notes
 
 
-def _measured(trajectory: Trajectory) -> tuple[Samples, dict[str, Samples], np.ndarray]:
-    """Times and motion between the first and last heading, and the rows they came from."""
+def _measured_rows(trajectory: Trajectory) -> Trajectory:
+    """The rows between the first and last heading, gaps in their motion interpolated."""
     if not (trajectory.has("psi") or trajectory.has("r")):
         raise UserError(
             f"{trajectory.name} has neither heading (psi) nor yaw rate (r): no number of a "
@@ -76,36 +74,28 @@ def _measured(trajectory: Trajectory) -> tuple[Samples, dict[str, Samples], np.n
     rows = rows[measured[0] : measured[-1] + 1] if measured.size else rows[:0]
     if rows.size < 4 or t[rows[-1]] <= t[rows[0]]:
         raise UserError(f"{trajectory.name} has fewer than four rows with a heading or yaw rate")
-    motion = {}
-    for name in MOTION_CHANNELS:
-        values = np.asarray(getattr(trajectory, name), float)[rows]
-        motion[name] = _bridged(t[rows], values, angle=name == "psi")
-    return t[rows], motion, rows
-
-
-def _bridged(t: Samples, values: Samples, angle: bool = False) -> Samples:
-    finite = np.isfinite(values)
-    if not finite.any():
-        return values
-    there = np.unwrap(values[finite]) if angle else values[finite]
-    return np.interp(t, t[finite], there)
+    run = trajectory.rows(rows)
+    finite = np.isfinite(run.psi)
+    run.psi[finite] = np.unwrap(run.psi[finite])
+    motion = {name: interpolate_missing(run.t, values) for name, values in run.motion.items()}
+    return dataclasses.replace(run, **motion)
 
 
 def _measures(values: Samples) -> bool:
     return bool(np.isfinite(values).any())
 
 
-def _complete_heading(t: Samples, motion: dict[str, Samples], notes: list[str]) -> None:
+def _complete_heading(t: Samples, motion: dict[str, Samples], notes: list[Derivation]) -> None:
     if _measures(motion["psi"]):
         return
-    mean = (motion["r"][1:] + motion["r"][:-1]) / 2
-    turned = np.append(0.0, np.cumsum(mean * np.diff(t)))
-    notes.append("heading was not recorded: it is the integral of the yaw rate")
+    turned = integrate(t, motion["r"])
+    note = "heading was not recorded: it is the integral of the yaw rate"
+    notes.append(Derivation("derived", note))
     motion["psi"] = turned + _first_heading(t, turned, motion, notes)
 
 
 def _first_heading(
-    t: Samples, turned: Samples, motion: dict[str, Samples], notes: list[str]
+    t: Samples, turned: Samples, motion: dict[str, Samples], notes: list[Derivation]
 ) -> float:
     """Heading (rad) at the start that makes velocities and positions agree best."""
     if not (_measures(motion["x"]) and _measures(motion["y"])):
@@ -115,21 +105,22 @@ def _first_heading(
     if _measures(motion["u"]) and _measures(motion["v"]):
         body = motion["u"] + 1j * motion["v"]
     else:
-        notes.append("its start is the course: drift is neglected")
+        notes.append(Derivation("derived", "its start is the course: drift is neglected"))
     return float(np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned)))))
 
 
-def _complete_velocity(t: Samples, motion: dict[str, Samples], notes: list[str]) -> None:
+def _complete_velocity(t: Samples, motion: dict[str, Samples], notes: list[Derivation]) -> None:
     missing = [name for name in ("u", "v") if not _measures(motion[name])]
     if not missing:
         return
     if _measures(motion["x"]) and _measures(motion["y"]):
         north, east = _rate(t, motion["x"]), _rate(t, motion["y"])
         derived = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
-        notes.append(f"{' and '.join(missing)} not recorded: derived from the positions")
+        note = f"{' and '.join(missing)} not recorded: derived from the positions"
     else:
         derived = {"u": motion["u"], "v": np.zeros_like(t)}
-        notes.append(f"{' and '.join(missing)} not recorded, nor positions to derive them from")
+        note = f"{' and '.join(missing)} not recorded, nor positions to derive them from"
+    notes.append(Derivation("derived", note))
     motion.update({name: np.asarray(derived[name]) for name in missing})
 
 
@@ -148,10 +139,7 @@ def _rate(t: Samples, values: Samples) -> Samples:
 
 
 def _noisy(values: Samples) -> bool:
-    """Whether there is white noise worth smoothing, judged by third differences.
-
-    They remove any smooth motion; their deviation is sqrt(20) times that of white noise.
-    """
+    """Whether there is white noise worth smoothing."""
     if not _measures(values) or len(values) < 8:
         return False
     return noise_scale(values) > _NOISE * np.ptp(values)
@@ -167,14 +155,15 @@ def _window_rows(t: Samples, psi: Samples) -> int:
 
 
 def _smooth(
-    t: Samples, motion: dict[str, Samples], names: list[str], count: int, notes: list[str]
+    t: Samples, motion: dict[str, Samples], names: list[str], count: int, notes: list[Derivation]
 ) -> None:
     if count < 5 or count > len(t) or not names:
         return
     for name in names:
         motion[name] = _parabolas(t, motion[name], count).value
     seconds = count * (t[-1] - t[0]) / (len(t) - 1)
-    notes.append(f"noise in {', '.join(names)} smoothed by parabolas over {seconds:.3g} s")
+    note = f"noise in {', '.join(names)} smoothed by parabolas over {seconds:.3g} s"
+    notes.append(Derivation("smoothed", note))
 
 
 class _Parabolas(NamedTuple):

@@ -19,7 +19,7 @@ from diffsea.metrics.manoeuvres import (
 )
 from diffsea.metrics.orders import MANOEUVRES, Orders, find_orders, identify, stop_order, the_turn
 from diffsea.metrics.preparation import prepared
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, ReadReport, Trajectory
 
 
 # The heading may wander by this in the approach that defines the original heading.
@@ -65,7 +65,8 @@ def recording_metrics(
     a recording without heading and yaw rate.
     """
     _check(length, manoeuvre, scale)
-    run, notes = prepared(trajectory)
+    run, derivations = prepared(trajectory)
+    notes = [derivation.note for derivation in derivations]
     orders = find_orders(run) if orders is None else orders
     if not orders.times and manoeuvre in ("turning-circle", "zigzag", "pull-out"):
         raise UserError(
@@ -161,7 +162,7 @@ def _padded(run: Trajectory, end: float) -> Trajectory:
     valid = jnp.asarray(np.pad(run.t <= end, spare))
     return dataclasses.replace(
         run, **motion, commanded={}, executed={}, extra={}, valid=valid,
-        outcome=jnp.asarray(run.outcome), name="", provenance=(),
+        outcome=jnp.asarray(run.outcome), name="", provenance=(), read=ReadReport(),
     )  # fmt: skip
 
 

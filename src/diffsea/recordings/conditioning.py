@@ -7,12 +7,15 @@ provenance.
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 
 from diffsea.errors import UserError
-from diffsea.trajectory import MOTION_CHANNELS, Series, Trajectory
+from diffsea.series import between_samples, hold_at, median_interval
+from diffsea.trajectory import Samples, Series, Trajectory
 
 
 _ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle
+_BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 
 
 def typical_interval(t: np.ndarray) -> float:
@@ -29,7 +32,7 @@ def cut(trajectory: Trajectory, start: float, end: float) -> Trajectory:
 
     Raises `UserError` where fewer than two rows are left.
     """
-    t = np.asarray(trajectory.t, dtype=float)
+    t = np.asarray(trajectory.t, float)
     rows = (t >= start) & (t <= end)
     if np.sum(rows) < 2:
         raise UserError(
@@ -37,7 +40,7 @@ def cut(trajectory: Trajectory, start: float, end: float) -> Trajectory:
             f"runs from {t[0]:g} s to {t[-1]:g} s"
         )
     note = f"cut to t = {start:g} s ... {end:g} s"
-    return _rows(trajectory, rows, note)
+    return _with_note(trajectory.rows(rows), note)
 
 
 def split(trajectory: Trajectory, times: list[float]) -> list[Trajectory]:
@@ -52,24 +55,13 @@ def split(trajectory: Trajectory, times: list[float]) -> list[Trajectory]:
                 f"{trajectory.name} has {np.sum(rows)} samples between the split times "
                 f"{start:g} s and {end:g} s; it runs from {t[0]:g} s to {t[-1]:g} s"
             )
-        pieces.append(_rows(trajectory, rows, f"split at {start:g} s and {end:g} s"))
+        note = f"split at {start:g} s and {end:g} s"
+        pieces.append(_with_note(trajectory.rows(rows), note))
     return pieces
 
 
-def _rows(trajectory: Trajectory, rows: np.ndarray, note: str) -> Trajectory:
-    def kept(group: dict) -> dict:
-        return {name: np.asarray(series)[rows] for name, series in group.items()}
-
-    return dataclasses.replace(
-        trajectory,
-        t=np.asarray(trajectory.t)[rows],
-        **kept({name: getattr(trajectory, name) for name in MOTION_CHANNELS}),
-        commanded=kept(trajectory.commanded),
-        executed=kept(trajectory.executed),
-        extra=kept(trajectory.extra),
-        valid=np.asarray(trajectory.valid, dtype=bool)[rows],
-        provenance=(*trajectory.provenance, note),
-    )
+def _with_note(trajectory: Trajectory, note: str) -> Trajectory:
+    return dataclasses.replace(trajectory, provenance=(*trajectory.provenance, note))
 
 
 def resample(trajectory: Trajectory, interval: float, max_gap: float | None = None) -> Trajectory:
@@ -88,62 +80,65 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
     """
     if not np.isfinite(interval) or interval <= 0:
         raise UserError(f"the interval must be above zero seconds, got {interval:g}")
-    valid = np.asarray(trajectory.valid, dtype=bool)
-    old = np.asarray(trajectory.t, dtype=float)[valid]
+    run = trajectory.counted()
+    old = run.t
     # The last sample may fall short of a whole interval by rounding only.
     new = old[0] + interval * np.arange(int((old[-1] - old[0]) / interval + 1e-6) + 1)
     if new.size < 2:
         raise UserError(
-            f"{trajectory.name} lasts {old[-1] - old[0]:g} s, too short for an interval of "
-            f"{interval:g} s"
+            f"{run.name} lasts {old[-1] - old[0]:g} s, too short for an interval of {interval:g} s"
         )
 
-    def motion(name: str, series: Series) -> np.ndarray:
-        values = np.asarray(series, dtype=float)[valid]
-        if name in _ANGLES:
-            circle = _resampled(old, np.exp(1j * values), new, interval, max_gap)
-            return np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
-        return _resampled(old, values, new, interval, max_gap)
+    def averaged(group: dict[str, Series]) -> dict[str, Samples]:
+        return {name: _averaged(name, old, group[name], new, interval, max_gap) for name in group}
 
-    def held(series: Series) -> np.ndarray:
-        row = np.searchsorted(old, new + 1e-6 * interval, side="right") - 1
-        return np.asarray(series, dtype=float)[valid][row.clip(0)]
+    def holding(group: dict[str, Series]) -> dict[str, Samples]:
+        return {name: hold_at(old, group[name], new + 1e-6 * interval) for name in group}
 
-    channels = {name: getattr(trajectory, name) for name in MOTION_CHANNELS}
-    return dataclasses.replace(
-        trajectory,
+    even = dataclasses.replace(
+        run,
         t=new,
-        **{name: motion(name, series) for name, series in channels.items()},
-        commanded={name: held(series) for name, series in trajectory.commanded.items()},
-        executed={name: held(series) for name, series in trajectory.executed.items()},
-        extra={name: motion(name, series) for name, series in trajectory.extra.items()},
+        **averaged(run.motion),
+        commanded=holding(run.commanded),
+        executed=holding(run.executed),
+        extra=averaged(run.extra),
         valid=np.ones(new.shape, dtype=bool),
-        provenance=(*trajectory.provenance, f"resampled to {interval:g} s"),
     )
+    return _with_note(even, f"resampled to {interval:g} s")
 
 
-def _resampled(
-    old: np.ndarray, values: np.ndarray, new: np.ndarray, interval: float, max_gap: float | None
+def _averaged(
+    name: str,
+    old: Samples,
+    values: Samples,
+    new: Float[np.ndarray, "new"],
+    interval: float,
+    max_gap: float | None,
+) -> Float[np.ndarray, "new"]:
+    """One channel on the new clock, angles that wrap on the circle."""
+    if name in _ANGLES:
+        circle = _local_lines(old, np.exp(1j * values), new, interval, max_gap)
+        return np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
+    return _local_lines(old, values, new, interval, max_gap)
+
+
+def _local_lines(
+    old: Samples,
+    values: np.ndarray,
+    new: Float[np.ndarray, "new"],
+    interval: float,
+    max_gap: float | None,
 ) -> np.ndarray:
+    """Values, perhaps complex, of lines through half an interval either side; NaN in gaps."""
     finite = np.isfinite(values)
     times, values = old[finite], values[finite]
     if times.size < 2:
         return np.full(new.shape, np.nan, dtype=values.dtype)
-    longest = 3.0 * float(np.median(np.diff(times))) if max_gap is None else max_gap
-    between = _interpolated(times, values, new, longest)
+    longest = _BRIDGED_INTERVALS * median_interval(times) if max_gap is None else max_gap
+    inside = between_samples(times, new, longest * (1 + 1e-9), tolerance=1e-9)
+    between = np.where(inside, np.interp(new, times, values), np.nan)
     line = _local_line(times, values, new, 0.5 * interval)
     return np.where(np.isfinite(line) & np.isfinite(between), line, between)
-
-
-def _interpolated(
-    times: np.ndarray, values: np.ndarray, new: np.ndarray, longest: float
-) -> np.ndarray:
-    """Linear interpolation between neighbours at most `longest` s apart, else NaN."""
-    after = np.searchsorted(times, new - 1e-9, side="left").clip(0, times.size - 1)
-    before = (np.searchsorted(times, new + 1e-9, side="right") - 1).clip(0, times.size - 1)
-    inside = (new >= times[0] - 1e-9) & (new <= times[-1] + 1e-9)
-    near = inside & (times[after] - times[before] <= longest * (1 + 1e-9))
-    return np.where(near, np.interp(new, times, values), np.nan)
 
 
 def _local_line(times: np.ndarray, values: np.ndarray, new: np.ndarray, half: float) -> np.ndarray:

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from scipy import signal
 
-from diffsea.recordings.motion import Motion
+from diffsea.recordings.motion import MeasuredMotion
 
 
 _EXPLAINED = 0.3  # share of the response's variance that the actuation must explain
@@ -19,7 +19,7 @@ _CERTAIN = 4.0  # standard errors
 
 
 @dataclasses.dataclass(frozen=True)
-class Effect:
+class LaggedResponse:
     """Response per unit of each actuation, how well it fits and how certain its sign is."""
 
     gains: np.ndarray
@@ -33,10 +33,12 @@ class Effect:
         return self.explained > _EXPLAINED and self.certainty > _CERTAIN
 
 
-NONE = Effect(np.zeros(2), np.full(2, np.inf), 0.0, 0.0)
+NO_RESPONSE = LaggedResponse(np.zeros(2), np.full(2, np.inf), 0.0, 0.0)
 
 
-def response_to(motion: Motion, channel: str, actuation: np.ndarray, signs: bool = True) -> Effect:
+def response_to(
+    motion: MeasuredMotion, channel: str, actuation: np.ndarray, signs: bool = True
+) -> LaggedResponse:
     """Response of a channel to lagged actuation, with the time constant that fits best.
 
     `actuation` has the shape (actuators, time). What cannot be believed is `NONE`; without
@@ -46,7 +48,7 @@ def response_to(motion: Motion, channel: str, actuation: np.ndarray, signs: bool
     response = motion.values[channel]
     dt = motion.interval
     if np.sum(known) < 40 or np.var(response[known]) <= 0 or np.any(np.ptp(actuation, 1) <= 0):
-        return NONE
+        return NO_RESPONSE
     constants = np.geomspace(2 * dt, motion.t[-1] - motion.t[0], 14)
     fits = [
         _lagged_fit(response, _lagged(actuation, dt / constant), known) for constant in constants
@@ -56,14 +58,14 @@ def response_to(motion: Motion, channel: str, actuation: np.ndarray, signs: bool
     # At the shortest lag the actuator follows the motion rather than the motion the actuator.
     agree = not signs or _increments_agree(motion, channel, actuation, gains)
     if best == 0 or not agree:
-        return NONE
+        return NO_RESPONSE
     freedom = (motion.t[-1] - motion.t[0]) / (2 * _memory(rest) * dt)
     certainty = np.sqrt(max(explained, 0.0) / max(1 - explained, 1e-6) * freedom)
     errors = _errors(_lagged(actuation, dt / constants[best])[:, known], rest, freedom)
-    return Effect(gains, errors, float(explained), float(certainty))
+    return LaggedResponse(gains, errors, float(explained), float(certainty))
 
 
-def most_explained(motion: Motion, channel: str, actuation: np.ndarray) -> float:
+def largest_explained_share(motion: MeasuredMotion, channel: str, actuation: np.ndarray) -> float:
     """Largest share of a channel's variance that actuation explains behind any lag."""
     known, response, dt = motion.known[channel], motion.values[channel], motion.interval
     constants = np.geomspace(2 * dt, motion.t[-1] - motion.t[0], 14)
@@ -104,7 +106,7 @@ def _memory(rest: np.ndarray) -> float:
 
 
 def _increments_agree(
-    motion: Motion, channel: str, actuation: np.ndarray, gains: np.ndarray
+    motion: MeasuredMotion, channel: str, actuation: np.ndarray, gains: np.ndarray
 ) -> bool:
     """Whether increments over most spans confirm the signs, the motion itself allowed for."""
     response, dt = motion.values[channel], motion.interval

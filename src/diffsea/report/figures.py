@@ -141,7 +141,7 @@ def panels(lines: Sequence[Line], recording: Trajectory) -> list[Html]:
 
 
 def _rows(run: Trajectory, channel: str) -> np.ndarray:
-    return np.asarray(getattr(run, channel), float)[np.asarray(run.valid, bool)]
+    return getattr(run.counted(), channel)
 
 
 def span(series: Sequence[np.ndarray], room: float | None = None) -> tuple[float, float]:

@@ -182,7 +182,7 @@ def _sampled(series: Mapping, symbol: str, t: np.ndarray) -> np.ndarray:
 
 def rows(run: Trajectory, channel: str, most: int) -> np.ndarray:
     """A channel's valid rows, thinned evenly to at most so many."""
-    values = np.asarray(getattr(run, channel), float)[np.asarray(run.valid, bool)]
+    values = getattr(run.counted(), channel)
     return values[:: max(1, math.ceil(len(values) / most))]
 
 

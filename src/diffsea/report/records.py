@@ -5,8 +5,6 @@ import math
 import platform
 from collections.abc import Sequence
 
-import numpy as np
-
 from diffsea.report import words as words
 from diffsea.report.page import (
     Html,
@@ -83,7 +81,7 @@ def provenance(source: dict, runs: Sequence[tuple[Trajectory, str]]) -> Html:
 
 
 def _length(run: Trajectory) -> str:
-    t = np.asarray(run.t)[np.asarray(run.valid, bool)]
+    t = run.counted().t
     return f"{t[-1] - t[0]:.0f} s, {len(t)} samples"
 
 

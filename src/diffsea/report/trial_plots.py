@@ -20,7 +20,7 @@ _COLOURS = (BLUE, ORANGE, "#3a8f5c", "#8c4a9e", "#b03a48", "#5b6770")
 
 def save_track(trial: Trial, path: Path, title: str = "") -> None:
     """The track seen from above, with the heading at the execute upwards."""
-    run = _rows(trial.trajectory)
+    run = trial.trajectory.counted()
     start = int(np.searchsorted(run.t, float(trial.execute_time)))
     start = min(start, len(run.t) - 1)
     up, right = _turned(run, run.x[start], run.y[start], run.psi[start])
@@ -48,7 +48,7 @@ def save_series(
 
     `units` are those of the channels, as the vessel has them.
     """
-    run = _rows(trial.trajectory)
+    run = trial.trajectory.counted()
     t = run.t - float(trial.execute_time)
     figure, axes = _figure(4, (8.0, 9.0))
     axes[0].plot(t, np.degrees(run.psi), color=BLUE, label="heading")
@@ -72,7 +72,7 @@ def save_series(
 
 def save_prediction(predicted: Trajectory, recording: Trajectory, path: Path, title: str) -> None:
     """A recording and what the model makes of its orders."""
-    run = _rows(recording)
+    run = recording.counted()
     figure = Figure(figsize=(11.0, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(4, 2)
@@ -102,21 +102,6 @@ _MOTION = (
     ("v", 1.0, "v, m/s"),
     ("r", 180 / math.pi, "yaw rate, deg/s"),
 )
-
-
-def _rows(run: Trajectory) -> Trajectory:
-    """The rows that count, as numpy arrays."""
-    valid = np.asarray(run.valid, bool)
-
-    def kept(series) -> np.ndarray:
-        return np.asarray(series, float)[valid]
-
-    channels = {name: kept(getattr(run, name)) for name in ("t", "x", "y", "psi", "u", "v", "r")}
-    groups = {
-        group: {name: kept(series) for name, series in getattr(run, group).items()}
-        for group in ("commanded", "executed", "extra")
-    }
-    return Trajectory(**channels, **groups, valid=valid[valid], name=run.name)
 
 
 def _turned(run: Trajectory, x0: float, y0: float, psi0: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError
 from diffsea.metrics.orders import propulsion, steering
-from diffsea.recordings.motion import integral, motion_of
+from diffsea.recordings.motion import motion_of
+from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import recorded_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster
@@ -66,7 +67,7 @@ class Signals:
     @property
     def interval(self) -> float:
         """Median time step, s."""
-        return float(np.median(np.diff(self.t)))
+        return median_interval(self.t)
 
     def rows(self, start: float, end: float) -> slice:
         """Rows from `start` to `end` (s), both included."""
@@ -116,23 +117,13 @@ def signals_of(run: Trajectory, vessel: Vessel | None = None) -> Signals:
 
 def _counting(run: Trajectory) -> Trajectory:
     """The rows that count, at strictly increasing times."""
-    rows = np.flatnonzero(np.asarray(run.valid, bool))
-    time = np.asarray(run.t, float)[rows]
-    ahead = np.ones(time.shape, bool)
-    ahead[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
-    rows = rows[ahead]
-    if rows.size < 20:
-        raise UserError(f"{run.name} has {rows.size} rows; trials cannot be found in fewer than 20")
-
-    def kept(series) -> np.ndarray:
-        return np.asarray(series, float)[rows]
-
-    channels = {name: kept(getattr(run, name)) for name in ("t", "x", "y", "psi", "u", "v", "r")}
-    groups = {
-        group: {name: kept(series) for name, series in getattr(run, group).items()}
-        for group in ("commanded", "executed", "extra")
-    }
-    return dataclasses.replace(run, **channels, **groups, valid=np.ones(rows.shape, bool))
+    run = run.counted()
+    run = run.rows(strictly_later(run.t))
+    if run.t.size < 20:
+        raise UserError(
+            f"{run.name} has {run.t.size} rows; trials cannot be found in fewer than 20"
+        )
+    return run
 
 
 def _yaw(motion, name: str, notes: list[str]) -> tuple[Samples, Samples, np.ndarray]:
@@ -145,7 +136,7 @@ def _yaw(motion, name: str, notes: list[str]) -> tuple[Samples, Samples, np.ndar
         return values["psi"], np.gradient(values["psi"], motion.t), known["psi"]
     if motion.has("r"):
         notes.append("heading was not recorded: it is the integral of the yaw rate, from zero")
-        return integral(motion.t, values["r"]), values["r"], known["r"]
+        return integrate(motion.t, values["r"]), values["r"], known["r"]
     raise UserError(
         f"{name} has neither heading (psi) nor yaw rate (r), at least 20 samples of it: no trial "
         "can be found; map one of them"

@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from diffsea.errors import UserError
-from diffsea.trajectory import Trajectory
+from diffsea.series import hold_last, interpolate_missing
+from diffsea.trajectory import Samples, Trajectory
 from diffsea.vessel.base import Vessel
 
 
 MOVING = 0.3  # correlation of an actuator's next step with its last: above, it is on its way
 AT_ONCE = 0.5  # share of its steps that orders of the same instant explain: above, it holds them
 _LOST = 5.0  # sampling intervals of an actuator's own: without a value for longer, it is lost
-
-Samples = Float[np.ndarray, "time"]
 
 
 def recorded_actuation(
@@ -28,24 +26,22 @@ def recorded_actuation(
     Raises:
         UserError: a channel of the vessel has neither.
     """
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
+    run = recording.counted()
     orders, executed = {}, {}
     for channel in vessel.channels:
-        done = recording.executed.get(channel)
-        order = recording.commanded.get(channel, done)
+        done = run.executed.get(channel)
+        order = run.commanded.get(channel, done)
         if order is None:
-            have = ", ".join([*recording.commanded, *recording.executed]) or "none"
+            have = ", ".join([*run.commanded, *run.executed]) or "none"
             raise UserError(
-                f"{recording.name}: the vessel's actuator channel {channel!r} has neither a "
+                f"{run.name}: the vessel's actuator channel {channel!r} has neither a "
                 f"cmd_{channel} nor an exec_{channel} column (it has: {have}); add it, or map "
                 "the file's own column to it with --mapping"
             )
-        values = np.asarray(order, float)[valid]
-        if not np.isfinite(values).any():
-            raise UserError(f"{recording.name}: cmd_{channel} has no value at all")
-        orders[channel] = held(values)
-        found = None if done is None else _measured(t, np.asarray(done, float)[valid])
+        if not np.isfinite(order).any():
+            raise UserError(f"{run.name}: cmd_{channel} has no value at all")
+        orders[channel] = hold_last(order)
+        found = None if done is None else _measured(run.t, done)
         if found is not None:
             executed[channel] = found
     return orders, executed
@@ -58,17 +54,16 @@ def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, 
     (a rudder that slews, a thruster that spools up) has been sampled: held, it would act half a
     sampling interval late, so its mean over the row is taken, by straight lines.
     """
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
+    run = recording.counted()
     out = {}
     for channel, values in executed.items():
-        sampled = np.asarray(recording.executed[channel], float)[valid]
+        sampled = run.executed[channel]
         known = np.isfinite(sampled)
-        order = recording.commanded.get(channel)
-        order = None if order is None else held(np.asarray(order, float)[valid])[known]
+        order = run.commanded.get(channel)
+        order = None if order is None else hold_last(order)[known]
         out[channel] = values
         if _on_its_way(sampled[known], order):
-            line = np.interp(t, t[known], sampled[known])
+            line = interpolate_missing(run.t, sampled)
             out[channel] = 0.5 * (line + np.append(line[1:], line[-1]))
     return out
 
@@ -94,15 +89,10 @@ def _on_its_way(values: Samples, orders: Samples | None) -> bool:
 
 def recorded_heel(recording: Trajectory) -> Samples:
     """Recorded heel (rad) of the rows that count, missing samples interpolated; zero without."""
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
-    if "phi" not in recording.extra:
-        return np.zeros(len(t))
-    phi = np.asarray(recording.extra["phi"], float)[valid]
-    known = np.isfinite(phi)
-    if not known.any():
-        return np.zeros(len(t))
-    phi = np.interp(t, t[known], phi[known])
+    run = recording.counted()
+    if "phi" not in run.extra or not np.isfinite(run.extra["phi"]).any():
+        return np.zeros(len(run.t))
+    phi = interpolate_missing(run.t, run.extra["phi"])
     return 0.5 * (phi + np.append(phi[1:], phi[-1]))  # it is held over a row: the mean there
 
 
@@ -129,10 +119,4 @@ def _measured(t: Samples, values: Samples) -> Samples | None:
         return None
     usual = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     longest = np.diff([t[0], *known, t[-1]]).max()
-    return held(values) if longest <= _LOST * usual * (1 + 1e-9) else None
-
-
-def held(values: Samples) -> Samples:
-    """Missing values as the one before, leading ones as the first; all missing where none is."""
-    index = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    return values[np.where(index < 0, np.argmax(np.isfinite(values)), index)]
+    return hold_last(values) if longest <= _LOST * usual * (1 + 1e-9) else None

@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
-from diffsea.simulation.actuation import Samples, over_rows, recorded_actuation, recorded_heel
+from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
 from diffsea.simulation.integrate import rk4
-from diffsea.trajectory import MOTION_CHANNELS, Outcome, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.sensors import Clock, Sensors
@@ -93,11 +93,11 @@ def replay_errors(predicted: Trajectory, recording: Trajectory) -> dict[str, flo
     `position` (m), `heading` (rad), `u`, `v` (m/s) and `r` (rad/s); a channel that was not
     measured is absent.
     """
-    t, measured = _rows(recording)
-    if not np.array_equal(t, np.asarray(predicted.t)):
+    measured = recording.counted()
+    if not np.array_equal(measured.t, np.asarray(predicted.t)):
         raise ValueError("a replay is compared with the recording that it was made from")
     shown = {c: np.asarray(getattr(predicted, c)) for c in MOTION_CHANNELS}
-    return _rms({c: shown[c] - measured[c] for c in MOTION_CHANNELS})
+    return _rms({c: shown[c] - measured.motion[c] for c in MOTION_CHANNELS})
 
 
 def horizon_errors(
@@ -152,15 +152,7 @@ def _inputs(
     notes = [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
-    t, _ = _rows(recording)
-    return t, orders, executed, tuple(notes)
-
-
-def _rows(recording: Trajectory) -> tuple[Samples, dict[str, Samples]]:
-    """Times and motion channels of the rows that count."""
-    valid = np.asarray(recording.valid, bool)
-    motion = {c: np.asarray(getattr(recording, c), float)[valid] for c in MOTION_CHANNELS}
-    return np.asarray(recording.t, float)[valid], motion
+    return recording.counted().t, orders, executed, tuple(notes)
 
 
 def _steps(
@@ -286,13 +278,14 @@ def _true_motion(
     sensors: Sensors, recording: Trajectory, t: Samples
 ) -> tuple[dict[str, Samples], tuple[str, ...]]:
     """Motion in every row as the sensors' errors leave it, and notes on what was derived."""
-    own_t, motion = _rows(recording)
+    run = recording.counted()
+    own_t, motion = run.t, run.motion
     notes: tuple[str, ...] = ()
     unmeasured = [c for c in MOTION_CHANNELS if not np.isfinite(motion[c]).any()]
     derivable = [c for c in unmeasured if c not in ("x", "y")]
     if derivable:
         whole, derivations = prepared(recording)
-        notes = tuple(f"initial state: {note}" for note in derivations if "smoothed" not in note)
+        notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
     true = {}
     for channel in MOTION_CHANNELS:
         times, values = own_t, motion[channel]
@@ -333,8 +326,8 @@ def _supported(
     sensors: Sensors, recording: Trajectory, t: Samples, channel: str
 ) -> Bool[np.ndarray, "time"]:
     """Rows of the true motion that have a sample of the channel near them."""
-    own_t, motion = _rows(recording)
-    sampled = own_t[np.isfinite(motion[channel])]
+    run = recording.counted()
+    sampled = run.t[np.isfinite(run.motion[channel])]
     if sampled.size < 2:
         return np.zeros(t.shape, bool)
     wanted = _shown_at(sensors, t, channel)

@@ -11,8 +11,9 @@ from diffsea.errors import UserError
 from diffsea.identification.data.batching import Lanes, in_lanes
 from diffsea.identification.data.heel import predicted_heel
 from diffsea.identification.expansion_points import Span, merge_spans
+from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 
@@ -149,16 +150,14 @@ def _padded(column: np.ndarray, spare: int) -> np.ndarray:
 
 
 def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
+    run = recording.counted()
+    t, motion = run.t, np.stack([*run.motion.values()], -1)
     if len(t) < 10:
         raise UserError(
             f"{recording.name}: {len(t)} samples are too few to estimate anything; record at "
             "least ten, better a whole manoeuvre"
         )
-    motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
-    motion = motion[valid]
-    keep = _kept(np.isfinite(motion), thinning(vessel, float(np.median(np.diff(t)))))
+    keep = _kept(np.isfinite(motion), thinning(vessel, median_interval(t)))
     if len(keep) < 10:
         raise UserError(
             f"{recording.name}: {t[-1] - t[0]:.3g} s are too short to estimate anything, "

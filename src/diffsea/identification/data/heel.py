@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from diffsea.simulation.actuation import held
+from diffsea.series import hold_last
 from diffsea.statistics import robust_scale
 from diffsea.trajectory import Trajectory
 
@@ -34,17 +34,15 @@ def predicted_heel(recording: Trajectory) -> _Row:
     swings at its own frequency about what the inputs would hold it at. Zero without a recording;
     with few values the heel is held.
     """
-    valid = np.asarray(recording.valid, bool)
-    t = np.asarray(recording.t, float)[valid]
-    phi = np.asarray(recording.extra.get("phi", np.full(len(valid), np.nan)), float)[valid]
+    run = recording.counted()
+    t, phi = run.t, run.extra.get("phi", np.full(len(run.t), np.nan))
     rows = np.flatnonzero(np.isfinite(phi))
     if not len(rows):
         return np.zeros(len(t))
     heel, scale = phi[rows], float(phi[rows].std())
     if len(rows) < FEWEST or scale == 0.0:
-        return held(phi)
-    motion = (np.asarray(getattr(recording, c), float)[valid] for c in ("u", "v", "r"))
-    u, v, r = (np.nan_to_num(held(one)) for one in motion)  # zero where none is measured
+        return hold_last(phi)
+    u, v, r = (np.nan_to_num(hold_last(one)) for one in (run.u, run.v, run.r))  # zero if unmeasured
     inputs = [_unit(one[rows]) for one in (u * r, v) if one.any()]
     swing = _swing(heel / scale, inputs)
     step = np.append(np.diff(t[rows]), 1.0)

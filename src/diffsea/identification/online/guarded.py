@@ -24,6 +24,7 @@ from diffsea.identification.online.choice import Choice
 from diffsea.identification.online.gate import Gate, Passage, passed, shut
 from diffsea.identification.online.trust import Evidence, Limits, Memory, Trust
 from diffsea.parameters import Parameter
+from diffsea.series import median_interval
 from diffsea.simulation.actuation import recorded_actuation
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.types import Scalar, State
@@ -226,13 +227,11 @@ class _Rows(NamedTuple):
 
     @staticmethod
     def of(vessel: Vessel, recording: Trajectory) -> "_Rows":
-        valid = np.asarray(recording.valid, bool)
-        t = np.asarray(recording.t, float)[valid]
-        motion = np.stack([np.asarray(getattr(recording, c), float) for c in MOTION_CHANNELS], -1)
-        motion = motion[valid]
+        run = recording.counted()
+        t, motion = run.t, np.stack([*run.motion.values()], -1)
         orders, executed = recorded_actuation(vessel, recording)
         held = {c: executed.get(c, orders[c]) for c in vessel.channels}
-        interval = 5 * float(np.median(np.diff(t)))
+        interval = 5 * median_interval(t)
         parts = np.maximum(1, np.ceil(np.diff(t) / interval - 1e-9)).astype(int)
         row = np.append(0, np.repeat(np.arange(1, len(t)), parts))
         kept = np.append(0, np.cumsum(parts))

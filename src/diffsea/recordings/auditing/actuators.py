@@ -19,8 +19,8 @@ import numpy as np
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.auditing.helm import MIRRORED, dead_rudder, dead_thruster, zigzag_findings
-from diffsea.recordings.lags import NONE, Effect, response_to
-from diffsea.recordings.motion import Motion
+from diffsea.recordings.lags import NO_RESPONSE, LaggedResponse, response_to
+from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Series, Trajectory
 
 
@@ -184,7 +184,7 @@ _ANGLES = ("angle", "azimuth")
 _TURNING = "rad/s per unit of actuation"
 
 
-def response_findings(trajectory: Trajectory, motion: Motion) -> list[Finding]:
+def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Finding]:
     """Actuators that push the wrong way or not at all, and port exchanged with starboard.
 
     `motion` is the trajectory's motion with its own faults already put right. Where yaw rate
@@ -193,7 +193,7 @@ def response_findings(trajectory: Trajectory, motion: Motion) -> list[Finding]:
     if motion.has("psi") and not motion.has("r"):
         rate = np.gradient(motion.values["psi"], motion.t)
         known = motion.known | {"r": motion.known["psi"]}
-        motion = dataclasses.replace(motion.replaced(r=rate), known=known)
+        motion = dataclasses.replace(motion.with_channels(r=rate), known=known)
     findings = []
     for prefix, group in (("cmd_", trajectory.commanded), ("exec_", trajectory.executed)):
         series = {name: _on_clock(trajectory, motion, values) for name, values in group.items()}
@@ -201,7 +201,7 @@ def response_findings(trajectory: Trajectory, motion: Motion) -> list[Finding]:
     return findings
 
 
-def _group(motion: Motion, prefix: str, series: dict[str, np.ndarray]) -> list[Finding]:
+def _group(motion: MeasuredMotion, prefix: str, series: dict[str, np.ndarray]) -> list[Finding]:
     """Findings on either the commanded or the executed actuators."""
     findings = []
     port = [name for name in series if _is(name, _PORT) and not _is(name, _STEERING)]
@@ -247,7 +247,7 @@ def _is(name: str, words: tuple[str, ...]) -> bool:
     return any(word in name.lower() for word in words)
 
 
-def _on_clock(trajectory: Trajectory, motion: Motion, series: Series) -> np.ndarray:
+def _on_clock(trajectory: Trajectory, motion: MeasuredMotion, series: Series) -> np.ndarray:
     """The actuation at the motion's instants, held; what came before the first is the first."""
     valid = np.asarray(trajectory.valid, dtype=bool) & np.isfinite(np.asarray(series, dtype=float))
     count = np.asarray(trajectory.t)[np.asarray(trajectory.valid, dtype=bool)].size
@@ -260,7 +260,7 @@ def _on_clock(trajectory: Trajectory, motion: Motion, series: Series) -> np.ndar
     return values[np.clip(place, 0, values.size - 1)]
 
 
-def _rudder(motion: Motion, channel: str, angle: np.ndarray, alone: bool) -> list[Finding]:
+def _rudder(motion: MeasuredMotion, channel: str, angle: np.ndarray, alone: bool) -> list[Finding]:
     if not motion.has("r") or np.ptp(angle) < np.radians(4.0):
         return []
     effect = response_to(motion, "r", angle[None])
@@ -275,7 +275,7 @@ def _rudder(motion: Motion, channel: str, angle: np.ndarray, alone: bool) -> lis
     )
 
 
-def _tunnel(motion: Motion, channel: str, force: np.ndarray, side: int) -> list[Finding]:
+def _tunnel(motion: MeasuredMotion, channel: str, force: np.ndarray, side: int) -> list[Finding]:
     """A tunnel thruster pushes to starboard: at the bow that turns the vessel to starboard."""
     if not motion.has("r") or np.ptp(force) <= 0:
         return []
@@ -286,7 +286,7 @@ def _tunnel(motion: Motion, channel: str, force: np.ndarray, side: int) -> list[
     return [_sign(channel, effect, f"positive {channel} turns the vessel to {way}")]
 
 
-def _propeller(motion: Motion, channel: str, speed: np.ndarray) -> list[Finding]:
+def _propeller(motion: MeasuredMotion, channel: str, speed: np.ndarray) -> list[Finding]:
     if not motion.has("u") or np.ptp(speed) < 0.2 * np.max(np.abs(speed)):
         return []
     effect = response_to(motion, "u", speed[None])
@@ -295,7 +295,7 @@ def _propeller(motion: Motion, channel: str, speed: np.ndarray) -> list[Finding]
     return [_sign(channel, effect, f"positive {channel} slows the vessel down")]
 
 
-def _sign(channel: str, effect: Effect, message: str) -> Finding:
+def _sign(channel: str, effect: LaggedResponse, message: str) -> Finding:
     gain = float(effect.gains[0])
     return Finding(
         "sign",
@@ -310,15 +310,15 @@ def _sign(channel: str, effect: Effect, message: str) -> Finding:
 
 
 def _pair_of_responses(
-    motion: Motion, names: tuple[str, str], port: np.ndarray, starboard: np.ndarray
+    motion: MeasuredMotion, names: tuple[str, str], port: np.ndarray, starboard: np.ndarray
 ) -> list[Finding]:
     """Exchanged or reversed thrusters either side of the centreline."""
     if not motion.has("r"):
         return []
     half, mean = 0.5 * (port - starboard), 0.5 * (port + starboard)
     # What is small beside the other may be no more than an error of a thrust table.
-    yaw = response_to(motion, "r", half[None]) if np.ptp(half) > 0.2 * np.ptp(mean) else NONE
-    surge = NONE
+    yaw = response_to(motion, "r", half[None]) if np.ptp(half) > 0.2 * np.ptp(mean) else NO_RESPONSE
+    surge = NO_RESPONSE
     if motion.has("u") and np.ptp(mean) > 0.2 * np.ptp(half):
         surge = response_to(motion, "u", mean[None])
     one = _reversed_one(motion, names, port, starboard, yaw) or dead_thruster(
@@ -332,7 +332,7 @@ def _pair_of_responses(
     return _swapped(names, yaw) if yaw.sound and yaw.gains[0] < 0 else []
 
 
-def _swapped(names: tuple[str, str], yaw: Effect) -> list[Finding]:
+def _swapped(names: tuple[str, str], yaw: LaggedResponse) -> list[Finding]:
     gain = float(yaw.gains[0])
     return [
         Finding(
@@ -350,11 +350,11 @@ def _swapped(names: tuple[str, str], yaw: Effect) -> list[Finding]:
 
 
 def _reversed_one(
-    motion: Motion,
+    motion: MeasuredMotion,
     names: tuple[str, str],
     port: np.ndarray,
     starboard: np.ndarray,
-    yaw: Effect,
+    yaw: LaggedResponse,
 ) -> list[Finding]:
     """One of two thrusters reversed: the sum then turns and the difference speeds up."""
     both = np.stack([port, starboard])
@@ -372,5 +372,5 @@ def _reversed_one(
     return [_sign(names[wrong], surge, f"positive {names[wrong]} pushes astern")]
 
 
-def _share(effect: Effect) -> str:
+def _share(effect: LaggedResponse) -> str:
     return f"it explains {100 * effect.explained:.0f} %"

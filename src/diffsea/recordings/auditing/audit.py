@@ -19,8 +19,9 @@ from diffsea.recordings.auditing.finding import KINDS, Finding
 from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import heading_comparison, velocity_comparison
 from diffsea.recordings.auditing.wording import disagreement_findings
-from diffsea.recordings.motion import Motion, integral, motion_of
+from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
+from diffsea.series import integrate
 from diffsea.trajectory import Trajectory
 
 
@@ -50,7 +51,7 @@ def audit(trajectory: Trajectory, level: float = SIGNIFICANCE) -> list[Finding]:
     return [dataclasses.replace(finding, recording=trajectory.name) for finding in findings]
 
 
-def _disagreements(motion: Motion, level: float) -> tuple[Motion, list[Finding]]:
+def _disagreements(motion: MeasuredMotion, level: float) -> tuple[MeasuredMotion, list[Finding]]:
     """What parts heading from yaw rate and position from velocity."""
     heading = _explained(heading_comparison(motion, level)) if motion.has("psi", "r") else None
     turned = heading.causes if heading else ()
@@ -69,7 +70,7 @@ def _disagreements(motion: Motion, level: float) -> tuple[Motion, list[Finding]]
         motion, velocity, reversed_sway = _sway_sign(motion, velocity, options)
     findings = disagreement_findings(heading, velocity, swung) + reversed_sway
     if velocity and "angle" in velocity.causes:
-        motion = motion.replaced(psi=motion.values["psi"] - velocity.theta["angle"])
+        motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
     return motion, findings
 
 
@@ -77,29 +78,29 @@ def _explained(comparison) -> Explanation | None:
     return None if comparison is None else explain(comparison)
 
 
-def _clearer(motion: Motion, psi: np.ndarray) -> Motion:
+def _clearer(motion: MeasuredMotion, psi: np.ndarray) -> MeasuredMotion:
     """The motion with another heading, if position and velocity then agree better.
 
     Velocities that were turned into body axes by the faulty heading agree with that one.
     """
-    changed = motion.replaced(psi=psi)
+    changed = motion.with_channels(psi=psi)
     if not motion.has("x", "y", "psi", "u", "v"):
         return changed
     return changed if _misfit(changed) < _misfit(motion) else motion
 
 
-def _misfit(motion: Motion) -> float:
+def _misfit(motion: MeasuredMotion) -> float:
     """Mean-square difference of displacement and integrated velocity over about 5 s."""
     values = motion.values
     flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-    misfit = values["x"] + 1j * values["y"] - integral(motion.t, flow)
+    misfit = values["x"] + 1j * values["y"] - integrate(motion.t, flow)
     width = max(1, min(int(round(5.0 / motion.interval)), misfit.size // 4))
     return float(np.mean(np.abs(misfit[width:] - misfit[:-width]) ** 2))
 
 
 def _sway_sign(
-    motion: Motion, velocity: Explanation | None, options: dict
-) -> tuple[Motion, Explanation | None, list[Finding]]:
+    motion: MeasuredMotion, velocity: Explanation | None, options: dict
+) -> tuple[MeasuredMotion, Explanation | None, list[Finding]]:
     """Whether v is positive to port, where it goes with the turn and something is amiss.
 
     A vessel drifts outwards: v opposes r u. Sway is too small a part of the motion for its
@@ -109,7 +110,7 @@ def _sway_sign(
     inwards = np.gradient(values["psi"], motion.t) * values["u"]
     if velocity is None or not velocity.causes or np.mean(inwards * values["v"]) <= 0:
         return motion, velocity, []
-    turned = motion.replaced(v=-values["v"])
+    turned = motion.with_channels(v=-values["v"])
     other = _explained(velocity_comparison(turned, **options))
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []

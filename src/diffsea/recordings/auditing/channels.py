@@ -4,7 +4,8 @@ import numpy as np
 
 from diffsea.recordings.auditing.edits import Blank, Order
 from diffsea.recordings.auditing.finding import Finding
-from diffsea.recordings.motion import Motion, integral
+from diffsea.recordings.motion import MeasuredMotion
+from diffsea.series import integrate
 from diffsea.statistics import robust_scale
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
@@ -79,7 +80,7 @@ def _step_error(series: np.ndarray, step: float) -> float:
     return float(max(error, 1e-9 * step))
 
 
-def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
+def outliers(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     """Wild values: motion without them, and a finding per channel that has any.
 
     A wild value departs from the median of its neighbours by ten times what the channel does
@@ -105,10 +106,10 @@ def outliers(motion: Motion) -> tuple[Motion, list[Finding]]:
                 edits=(Blank((channel,), tuple(zip(at.tolist(), at.tolist(), strict=True))),),
             )
         )
-    return motion.replaced(**values), findings
+    return motion.with_channels(**values), findings
 
 
-def _wild(motion: Motion, channel: str) -> np.ndarray:
+def _wild(motion: MeasuredMotion, channel: str) -> np.ndarray:
     series, known = motion.values[channel], motion.known[channel]
     if np.sum(known) < 30:
         return np.zeros(series.shape, dtype=bool)
@@ -145,7 +146,7 @@ def _range(series: np.ndarray) -> float:
     return float(high - low)
 
 
-def frozen(motion: Motion) -> tuple[Motion, list[Finding]]:
+def frozen(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     """Channels that stand still while their partners move: motion without those stretches.
 
     A value that does not change at all is suspicious if its sensor's noise is seen everywhere
@@ -165,10 +166,10 @@ def frozen(motion: Motion) -> tuple[Motion, list[Finding]]:
     for (start, end), channels in found.items():
         for channel in channels:
             known[channel][start : end + 1] = False
-    return Motion(motion.t, motion.values, known), findings
+    return MeasuredMotion(motion.t, motion.values, known), findings
 
 
-def _stuck(motion: Motion, span: tuple[int, int], channels: list[str]) -> Finding:
+def _stuck(motion: MeasuredMotion, span: tuple[int, int], channels: list[str]) -> Finding:
     start, end = motion.t[span[0]], motion.t[span[1]]
     return Finding(
         "stuck",
@@ -183,7 +184,7 @@ def _stuck(motion: Motion, span: tuple[int, int], channels: list[str]) -> Findin
     )
 
 
-def _standstills(motion: Motion, channel: str) -> list[tuple[int, int]]:
+def _standstills(motion: MeasuredMotion, channel: str) -> list[tuple[int, int]]:
     """First and last index of the stretches of at least 2 s and 8 samples without change."""
     same = (np.diff(motion.values[channel]) == 0) & motion.known[channel][1:]
     edges = np.diff(np.concatenate([[0], same.astype(int), [0]]))
@@ -195,7 +196,7 @@ def _standstills(motion: Motion, channel: str) -> list[tuple[int, int]]:
     ]
 
 
-def _noisy_elsewhere(motion: Motion, channel: str, start: int, end: int) -> bool:
+def _noisy_elsewhere(motion: MeasuredMotion, channel: str, start: int, end: int) -> bool:
     """Whether the channel jitters from sample to sample outside the stretch, while others go on
     doing so in it. Zero is what many sensors say at rest."""
     if motion.values[channel][start] == 0:
@@ -210,7 +211,7 @@ def _noisy_elsewhere(motion: Motion, channel: str, start: int, end: int) -> bool
     return bool(goes_on and bends > 0.7 * np.median(np.abs(outside)))
 
 
-def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
+def _contradicted(motion: MeasuredMotion, channel: str, start: int, end: int) -> bool:
     turning = channel in _PAIRS
     needed = ("psi", "r") if turning else ("x", "y", "psi", "u", "v")
     if not motion.has(*needed):
@@ -229,14 +230,14 @@ def _contradicted(motion: Motion, channel: str, start: int, end: int) -> bool:
     return inside > max(6 * usual, floor)
 
 
-def _disagreement(motion: Motion, turning: bool) -> tuple[np.ndarray, np.ndarray]:
+def _disagreement(motion: MeasuredMotion, turning: bool) -> tuple[np.ndarray, np.ndarray]:
     """Measured less integrated heading or position, and the way made good."""
     values = motion.values
     if turning:
-        return values["psi"] - integral(motion.t, values["r"]), values["psi"]
+        return values["psi"] - integrate(motion.t, values["r"]), values["psi"]
     flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-    path = integral(motion.t, flow)
-    return values["x"] + 1j * values["y"] - path, integral(motion.t, np.abs(flow))
+    path = integrate(motion.t, flow)
+    return values["x"] + 1j * values["y"] - path, integrate(motion.t, np.abs(flow))
 
 
 def _excursion(misfit: np.ndarray, start: int, end: int) -> float:

@@ -19,7 +19,8 @@ import numpy as np
 
 from diffsea.recordings.auditing.edits import Affine, BodyAxes, Edit, Swap
 from diffsea.recordings.auditing.finding import Finding
-from diffsea.recordings.motion import Motion, integral, windows
+from diffsea.recordings.motion import MeasuredMotion, windows
+from diffsea.series import integrate
 
 
 _NEAR_UNIT = 0.05  # how close a ratio must be to that of two units
@@ -65,7 +66,9 @@ def _near(ratio: float, known: dict[float, tuple]) -> float | None:
     return close[0] if close else None
 
 
-def speed_unit(motion: Motion, scale: float, error: float) -> tuple[Motion, list[Finding]]:
+def speed_unit(
+    motion: MeasuredMotion, scale: float, error: float
+) -> tuple[MeasuredMotion, list[Finding]]:
     """Unit of velocities or positions: displacement is `scale` times the integrated velocity."""
     near = _near(scale, _SPEED_UNITS)
     if near is None:
@@ -73,7 +76,7 @@ def speed_unit(motion: Motion, scale: float, error: float) -> tuple[Motion, list
     channels, name, unit, gain = _SPEED_UNITS[near]
     # Velocities are what is rescaled either way: only the comparison matters from here on.
     values = motion.values
-    motion = motion.replaced(u=near * values["u"], v=near * values["v"])
+    motion = motion.with_channels(u=near * values["u"], v=near * values["v"])
     text = (
         f"{' and '.join(channels)} are in {name}: displacement is {scale:.4g} times the "
         "integrated velocity"
@@ -81,10 +84,10 @@ def speed_unit(motion: Motion, scale: float, error: float) -> tuple[Motion, list
     return motion, [_relabelled(gain, channels, text, unit, scale, error)]
 
 
-def rate_fit(motion: Motion) -> tuple[float, float, float]:
+def rate_fit(motion: MeasuredMotion) -> tuple[float, float, float]:
     """Correlation of heading increments with integrated yaw rate, their ratio and its error."""
     start, end = windows(motion, ("psi", "r"))
-    psi, turned = motion.values["psi"], integral(motion.t, motion.values["r"])
+    psi, turned = motion.values["psi"], integrate(motion.t, motion.values["r"])
     left, right = psi[end] - psi[start], turned[end] - turned[start]
     power = np.sqrt(np.sum(left**2) * np.sum(right**2))
     if left.size < 10 or power <= 0:
@@ -94,7 +97,7 @@ def rate_fit(motion: Motion) -> tuple[float, float, float]:
     return correlation, ratio, ratio * float(np.sqrt(max(1 - correlation**2, 0.0) / left.size))
 
 
-def yaw_rate(motion: Motion) -> tuple[Motion, list[Finding]]:
+def yaw_rate(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     """Sign and unit of yaw rate against heading."""
     correlation, ratio, error = rate_fit(motion)
     if abs(correlation) < 0.8:
@@ -108,7 +111,7 @@ def yaw_rate(motion: Motion) -> tuple[Motion, list[Finding]]:
             "rate says"
         )
         faults.append(_relabelled(gain, channels, text, unit, ratio, error))
-        motion = motion.replaced(r=near * motion.values["r"])
+        motion = motion.with_channels(r=near * motion.values["r"])
     if correlation < 0:
         finding = Finding(
             "sign",
@@ -121,11 +124,13 @@ def yaw_rate(motion: Motion) -> tuple[Motion, list[Finding]]:
             edits=(Affine(("r",), -1.0),),
         )
         faults.append(finding)
-        motion = motion.replaced(r=-motion.values["r"])
+        motion = motion.with_channels(r=-motion.values["r"])
     return motion, faults
 
 
-def clock_unit(motion: Motion, faults: list[Finding]) -> tuple[Motion, list[Finding]]:
+def clock_unit(
+    motion: MeasuredMotion, faults: list[Finding]
+) -> tuple[MeasuredMotion, list[Finding]]:
     """Where velocity and yaw rate are off by the same thousand, the clock is.
 
     Velocity alone will do where a sample would be taken every ten seconds or less often.
@@ -139,7 +144,7 @@ def clock_unit(motion: Motion, faults: list[Finding]) -> tuple[Motion, list[Find
     values = {name: 1e3 * motion.values[name] for names in scaled for name in names}
     channels, name, unit, gain = _RATE_UNITS[1e-3]
     fault = _relabelled(gain, channels, f"t is in {name}", unit, 1e-3, late[0].std)
-    return rescaled.replaced(**values), [f for f in faults if f not in late] + [fault]
+    return rescaled.with_channels(**values), [f for f in faults if f not in late] + [fault]
 
 
 _CLEARLY_WRONG = 0.03  # share of squared displacement that the labels leave unexplained
@@ -303,7 +308,7 @@ class _Choice:
         return tuple(r for r in (self.position, self.heading, self.velocity) if r.kind)
 
 
-def read_frames(motion: Motion) -> tuple[Motion, list[Finding]]:
+def read_frames(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     """Motion with its labels put right, and what was wrong with them."""
     faults: list[Finding] = []
     if motion.has("x", "y", "psi", "u", "v"):
@@ -319,7 +324,7 @@ def read_frames(motion: Motion) -> tuple[Motion, list[Finding]]:
     return clock_unit(motion, faults)
 
 
-def _choose(motion: Motion) -> _Choice:
+def _choose(motion: MeasuredMotion) -> _Choice:
     start, end = windows(motion, ("x", "y", "psi", "u", "v"))
     turning, ratio, _ = rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0, 0.0)
     values = motion.values
@@ -336,7 +341,7 @@ def _choose(motion: Motion) -> _Choice:
             if earth and heading.kind:
                 continue
             flow = _earth_velocity(velocity, earth, psi, values["u"], values["v"])
-            path = integral(motion.t, flow)
+            path = integrate(motion.t, flow)
             misfit, scale = _misfit(moved, path[end] - path[start])
             changes = sum(_WEIGHT.get(r.kind, 1.0) for r in (position, heading, velocity))
             changes += 1.1 * against
@@ -365,13 +370,13 @@ def _misfit(moved: np.ndarray, predicted: np.ndarray) -> tuple[float, float]:
 
 
 def _simplest(
-    motion: Motion, choices: list[_Choice], start: np.ndarray, end: np.ndarray
+    motion: MeasuredMotion, choices: list[_Choice], start: np.ndarray, end: np.ndarray
 ) -> _Choice:
     """The labels as they are, unless another reading is far better; then the least changed."""
     values = motion.values
     moved = (values["x"][end] - values["x"][start]) + 1j * (values["y"][end] - values["y"][start])
     flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-    path = integral(motion.t, flow)
+    path = integrate(motion.t, flow)
     predicted, seconds = path[end] - path[start], motion.t[end] - motion.t[start]
     labelled = dataclasses.replace(choices[0], error=_scale_error(choices[0], moved.size))
     own = _tolerant_misfit(moved, predicted, seconds)
@@ -426,7 +431,7 @@ def _tolerant_misfit(moved: np.ndarray, predicted: np.ndarray, seconds: np.ndarr
     return best
 
 
-def _applied(motion: Motion, choice: _Choice) -> Motion:
+def _applied(motion: MeasuredMotion, choice: _Choice) -> MeasuredMotion:
     values = motion.values
     x, y = choice.position.transform(values["x"], values["y"])
     (psi,) = choice.heading.transform(values["psi"])
@@ -434,7 +439,7 @@ def _applied(motion: Motion, choice: _Choice) -> Motion:
     if choice.earth:
         body = (u + 1j * v) * np.exp(-1j * psi)
         u, v = body.real, body.imag
-    return motion.replaced(x=x, y=y, psi=psi, u=u, v=v)
+    return motion.with_channels(x=x, y=y, psi=psi, u=u, v=v)
 
 
 def _fault(choice: _Choice, reading: Reading) -> Finding:

@@ -9,8 +9,8 @@ import numpy as np
 
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import Finding
-from diffsea.recordings.lags import most_explained, response_to
-from diffsea.recordings.motion import Motion
+from diffsea.recordings.lags import largest_explained_share, response_to
+from diffsea.recordings.motion import MeasuredMotion
 
 
 _CERTAIN = 4.0  # standard errors
@@ -22,7 +22,7 @@ MIRRORED = (
 )
 
 
-def zigzag_findings(motion: Motion, channel: str, angle: np.ndarray) -> list[Finding]:
+def zigzag_findings(motion: MeasuredMotion, channel: str, angle: np.ndarray) -> list[Finding]:
     """A zig-zag whose rudder goes with the heading instead of against it."""
     if not motion.has("psi"):
         return []
@@ -61,14 +61,14 @@ def reversals(angle: np.ndarray) -> np.ndarray:
     return np.flatnonzero(held[1:] * held[:-1] < 0) + 1
 
 
-def dead_rudder(motion: Motion, channel: str, angle: np.ndarray) -> list[Finding]:
+def dead_rudder(motion: MeasuredMotion, channel: str, angle: np.ndarray) -> list[Finding]:
     """A rudder that is put over again and again under way and explains nothing."""
     if not motion.has("u") or np.ptp(angle) < np.radians(16.0) or reversals(angle).size < 4:
         return []
     speed = np.abs(motion.values["u"])
     if np.median(speed) < 0.3 * np.max(speed):
         return []
-    share = most_explained(motion, "r", angle[None])
+    share = largest_explained_share(motion, "r", angle[None])
     if share > _NOTHING:
         return []
     return [
@@ -87,7 +87,7 @@ def dead_rudder(motion: Motion, channel: str, angle: np.ndarray) -> list[Finding
 
 
 def dead_thruster(
-    motion: Motion, names: tuple[str, str], port: np.ndarray, starboard: np.ndarray
+    motion: MeasuredMotion, names: tuple[str, str], port: np.ndarray, starboard: np.ndarray
 ) -> list[Finding]:
     """One of two thrusters without effect, while the other turns the vessel."""
     both = np.stack([port, starboard])

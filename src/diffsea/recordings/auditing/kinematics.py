@@ -12,7 +12,8 @@ import dataclasses
 import numpy as np
 
 from diffsea.recordings.auditing.causes import Cause, Comparison
-from diffsea.recordings.motion import Motion, integral, knots, refined
+from diffsea.recordings.motion import MeasuredMotion, knots, refine
+from diffsea.series import integrate
 
 
 MAX_DELAY = 6.0  # s, the longest latency looked for
@@ -25,12 +26,12 @@ _IRON_RANGE = 2.0
 _IRON_RANGE_BY_VELOCITY = 0.5
 
 
-def heading_comparison(motion: Motion, level: float) -> Comparison | None:
+def heading_comparison(motion: MeasuredMotion, level: float) -> Comparison | None:
     """Measured heading against integrated yaw rate; None where too little is known."""
     index, linked = knots(motion, ("psi", "r"), 2.0)
     if np.sum(linked) < _FEWEST:
         return None
-    fine = refined(motion, _TURN)
+    fine = refine(motion, _TURN)
     prediction = _Heading.of(fine, motion.t[index])
     delay, drift = _smallest(motion)
     causes = (
@@ -71,7 +72,7 @@ class _Heading:
     knots: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion, at: np.ndarray) -> "_Heading":
+    def of(cls, motion: MeasuredMotion, at: np.ndarray) -> "_Heading":
         turned = _turned(motion)
         # A heading without its own noise, which must not stand on both sides of the
         # comparison, or a compass error would explain it.
@@ -81,14 +82,14 @@ class _Heading:
     def __call__(self, theta: dict[str, float]) -> np.ndarray:
         t = self.t
         late = theta["delay"] + theta["rate"] * (t - t.mean())
-        psi = (1 + theta["gain"]) * integral(t, np.interp(t + late, t, self.r))
+        psi = (1 + theta["gain"]) * integrate(t, np.interp(t + late, t, self.r))
         psi = psi + theta["bias"] * t
         psi = psi + theta["sine"] * np.sin(self.course) + theta["cosine"] * np.cos(self.course)
         return np.interp(self.knots, t, psi)[None]
 
 
 def velocity_comparison(
-    motion: Motion, level: float, iron: bool = True, psi_late: bool = False
+    motion: MeasuredMotion, level: float, iron: bool = True, psi_late: bool = False
 ) -> Comparison | None:
     """Measured position against integrated velocity; None where too little is known.
 
@@ -99,7 +100,7 @@ def velocity_comparison(
     index, linked = knots(motion, ("x", "y", "psi", "u", "v"), 2.0)
     if np.sum(linked) < _FEWEST:
         return None
-    fine = refined(motion, _TURN)
+    fine = refine(motion, _TURN)
     measured = np.stack([motion.values["x"], motion.values["y"]])[:, index]
     shift = max(0.25, motion.interval)
     steps = dict.fromkeys(("gain", "angle", "north", "east", "sine", "cosine"), 1e-3)
@@ -142,7 +143,7 @@ class _Position:
         psi = psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi) - theta["angle"]
         turn = np.exp(1j * psi)
         velocity = (1 + theta["gain"]) * flow * turn + theta["north"] + 1j * theta["east"]
-        place = integral(t, velocity) + (theta["lever_x"] + 1j * theta["lever_y"]) * turn
+        place = integrate(t, velocity) + (theta["lever_x"] + 1j * theta["lever_y"]) * turn
         seen = self.knots - theta["p_delay"] - theta["p_rate"] * (self.knots - t.mean())
         place = np.interp(seen, t, place)
         return np.stack([place.real, place.imag])
@@ -153,7 +154,7 @@ def _advanced(t: np.ndarray, series: np.ndarray, late: np.ndarray) -> np.ndarray
     return np.interp(t + late, t, series) if np.any(late) else series
 
 
-def _velocity_causes(motion: Motion, iron: bool, psi_late: bool) -> tuple[Cause, ...]:
+def _velocity_causes(motion: MeasuredMotion, iron: bool, psi_late: bool) -> tuple[Cause, ...]:
     values = motion.values
     speed = float(np.sqrt(np.mean(values["u"] ** 2 + values["v"] ** 2)))
     turning = float(np.sqrt(np.mean(np.gradient(values["psi"], motion.t) ** 2))) + 1e-9
@@ -191,11 +192,11 @@ def _delay_causes(delay: float, drift: float, psi_late: bool) -> tuple[Cause, ..
     return tuple(causes)
 
 
-def _duration(motion: Motion) -> float:
+def _duration(motion: MeasuredMotion) -> float:
     return float(motion.t[-1] - motion.t[0])
 
 
-def _smallest(motion: Motion) -> tuple[float, float]:
+def _smallest(motion: MeasuredMotion) -> tuple[float, float]:
     """The delay (s) and drift (s/s) below which sampling and differencing do as much."""
     delay = max(0.1, 0.75 * motion.interval)
     return delay, max(1e-3, 2 * delay / _duration(motion))
@@ -210,23 +211,23 @@ def _smoothed(series: np.ndarray, width: int) -> np.ndarray:
     return (total[last] - total[first]) / (last - first)
 
 
-def _turned(motion: Motion) -> np.ndarray:
-    return integral(motion.t, motion.values["r"])
+def _turned(motion: MeasuredMotion) -> np.ndarray:
+    return integrate(motion.t, motion.values["r"])
 
 
-def _travelled(motion: Motion) -> np.ndarray:
+def _travelled(motion: MeasuredMotion) -> np.ndarray:
     values = motion.values
-    return integral(motion.t, (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"]))
+    return integrate(motion.t, (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"]))
 
 
-def _unresolved(motion: Motion, fine: Motion, integrated) -> float:
+def _unresolved(motion: MeasuredMotion, fine: MeasuredMotion, integrated) -> float:
     """How far (root mean square) an integral on the two clocks parts: what happens between
     the samples is known no better than that."""
     parting = integrated(motion) - np.interp(motion.t, fine.t, integrated(fine))
     return float(np.std(parting))
 
 
-def _walk(motion: Motion, channel: str) -> float:
+def _walk(motion: MeasuredMotion, channel: str) -> float:
     """Variance per second of the integral of a channel's white noise, from its second
     differences (their median, so that manoeuvres do not count)."""
     known = motion.known[channel]

@@ -10,7 +10,6 @@ import pandas as pd
 from diffsea.recordings.mapping_proposal.names import Suggestion
 from diffsea.recordings.mapping_proposal.table_layout import Layout
 from diffsea.recordings.mappings import UNITS
-from diffsea.recordings.motion import bridged
 from diffsea.recordings.tables import read_table
 
 
@@ -106,7 +105,7 @@ def record_of(columns: dict[str, np.ndarray], clock: Clock) -> Record:
             np.abs(series[finite])
         )
         if name != clock.column and varies and np.mean(finite) > 0.02:
-            kept[name] = bridged(t, series, np.inf)[0]
+            kept[name] = bridge_gaps(t, series, np.inf)[0]
     return Record(t, kept)
 
 

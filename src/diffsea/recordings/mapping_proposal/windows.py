@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from diffsea.recordings.mapping_proposal.clock import Record
-from diffsea.recordings.motion import integral
+from diffsea.series import integrate
 
 
 _WINDOWS = 60  # per file
@@ -87,7 +87,7 @@ class Windows:
     def _integrals(self, series) -> np.ndarray:
         parts = []
         for record, edge in zip(self.records, self.edges, strict=True):
-            parts.append(np.diff(integral(record.t, series(record))[edge]))
+            parts.append(np.diff(integrate(record.t, series(record))[edge]))
         return np.concatenate(parts)
 
 
