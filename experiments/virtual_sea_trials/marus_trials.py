@@ -19,8 +19,8 @@ import numpy as np
 from diffsea.metrics.recorded import recording_metrics
 from diffsea.recordings import resample
 from diffsea.segments import Segment, find_segments, traceability
+from diffsea.scales import HARD_OVER
 from diffsea.simulation import standard
-from diffsea.simulation.control import RUDDER_EQUIVALENT
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import Table, build
@@ -159,7 +159,7 @@ def rudder_equivalent(actuation: dict[str, np.ndarray]) -> np.ndarray:
     port, starboard = np.asarray(actuation["port"]), np.asarray(actuation["starboard"])
     total = port + starboard
     some = np.abs(total) > 1e-9
-    return np.where(some, RUDDER_EQUIVALENT * (port - starboard) / np.where(some, total, 1.0), 0.0)
+    return np.where(some, HARD_OVER * (port - starboard) / np.where(some, total, 1.0), 0.0)
 
 
 def onset(log: Trajectory, threshold: float = math.radians(1.0)) -> float:

@@ -16,11 +16,11 @@ from tests.runs import varied
 
 from diffsea.diagnosis import experiment
 from diffsea.diagnosis.experiment import DECISIVE, LONGEST, Experiment, _one_way, commands
-from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.estimates import made
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, imagined
+from diffsea.scales import time_scale
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -71,7 +71,7 @@ def test_no_order_is_beyond_what_the_actuators_can_do(slow, name):
 
 
 def test_rivals_that_act_alike_get_no_manoeuvre(slow, monkeypatch):
-    time = natural_time(slow)
+    time = time_scale(float(slow.rigid_body.length))
     enough = DECISIVE * SECONDS / LONGEST  # of a run of SECONDS sqrt(L / g)
     for level, exists in ((2 * enough, True), (0.5 * enough, False), (0.0, False)):
         monkeypatch.setattr(experiment, "_evidence", lambda *_, level=level: level)

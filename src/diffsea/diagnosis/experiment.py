@@ -15,7 +15,6 @@ from diffsea.diagnosis.jacobians import columns_at
 from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.search import Diagnosis
-from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import (
@@ -27,6 +26,7 @@ from diffsea.identification.uncertainty.design import (
     imagined,
     ordered,
 )
+from diffsea.scales import time_scale
 from diffsea.vessel.effects import catalogue_name
 
 
@@ -80,7 +80,7 @@ def _separating(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted) -> Expe
     evidence = {name: _evidence(diagnosis, accepted, rival, LIBRARY[name]) for name in LIBRARY}
     best = max(evidence, key=lambda name: evidence[name])
     base = diagnosis.split.train.base
-    time = natural_time(base)
+    time = time_scale(float(base.rigid_body.length))
     if evidence[best] <= DECISIVE * SECONDS / LONGEST:
         why = (
             f"{one} and {other} act alike in every manoeuvre that was weighed, for up to "

@@ -7,6 +7,8 @@ water; for a smaller vessel they are a comparison and not a requirement.
 import math
 from collections.abc import Mapping
 
+from diffsea.scales import HARD_OVER
+
 
 # An order or a heading counts as the one of the standard within this.
 _SAME_ANGLE = math.radians(1.5)
@@ -35,7 +37,7 @@ def imo_verdicts(
     angle = None if angle is None else abs(angle)
     heading = None if heading is None else abs(heading)
     if hard_over is None:
-        hard_over = angle is None or math.radians(35) - _SAME_ANGLE < angle < math.pi / 2
+        hard_over = angle is None or HARD_OVER - _SAME_ANGLE < angle < math.pi / 2
     ten = angle is not None and abs(angle - math.radians(10)) <= _SAME_ANGLE
     limits: dict[str, tuple[float, str]] = {}
     if manoeuvre == "turning-circle" and hard_over:

@@ -18,9 +18,9 @@ import numpy as np
 from diffsea.series import hold_last
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory
+from diffsea.scales import HARD_OVER
 
 
-EQUIVALENT_ANGLE = math.radians(35)
 MANOEUVRES = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
 
 _BAND = 0.08  # of the plateau: closer than this to it counts as being on it
@@ -243,7 +243,7 @@ def equivalent_angle(port: Samples, starboard: Samples) -> Samples:
     """
     largest = max(np.max(np.abs(port)), np.max(np.abs(starboard)), 1e-12)
     total = np.maximum(np.abs(port + starboard), 0.05 * largest)
-    return EQUIVALENT_ANGLE * (port - starboard) / total
+    return HARD_OVER * (port - starboard) / total
 
 
 def _plateau(t: Samples, angle: Samples) -> float:

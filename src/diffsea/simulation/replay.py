@@ -17,6 +17,7 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
 from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
+from diffsea.scales import plausible_motion, time_scale
 from diffsea.simulation.integrate import rk4
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
@@ -79,7 +80,7 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         executed={c: np.asarray(now)[rows] for c, now in actuation.now.items()} | executed,
         extra={},
         valid=np.ones(t.shape, bool),
-        outcome=int(Outcome.COMPLETED if plausible(vessel, true) else Outcome.DIVERGED),
+        outcome=int(Outcome.COMPLETED if _plausible(vessel, true) else Outcome.DIVERGED),
         name=recording.name,
         provenance=(
             f"predicted by {vessel.name!r} from the state at t = {t[0]:g} s", *notes, *derived,
@@ -163,7 +164,7 @@ def _steps(
     heel: Samples,
 ) -> tuple[_Steps, Int[np.ndarray, "time"]]:
     """Steps no longer than the vessel's own time scale allows, and the first of each row."""
-    longest = _LONGEST_STEP * math.sqrt(float(vessel.rigid_body.length) / 9.81)
+    longest = _LONGEST_STEP * time_scale(float(vessel.rigid_body.length))
     interval = np.diff(t)
     parts = np.maximum(1, np.ceil(interval / longest - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])
@@ -390,8 +391,8 @@ def _rms(difference: dict[str, Samples]) -> dict[str, float]:
     return {name: float(np.sqrt(np.mean(m**2))) for name, m in known.items() if m.size}
 
 
-def plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
-    """Whether motion is finite and slower than ten times the speed at Froude number one."""
-    fast = 10 * math.sqrt(9.81 * float(vessel.rigid_body.length))
+def _plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
+    """Whether all of a motion is finite and that of a craft of this length."""
+    length = float(vessel.rigid_body.length)
     finite = all(np.isfinite(values).all() for values in true.values())
-    return bool(finite and np.all(np.abs(true["u"]) < fast) and np.all(np.abs(true["v"]) < fast))
+    return bool(finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"])))

@@ -29,6 +29,7 @@ from diffsea.metrics import (
     zigzag_metrics,
 )
 from diffsea.metrics.crossings import known
+from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation import manoeuvres
 from diffsea.simulation import standard as kinds
 from diffsea.simulation.control import (
@@ -368,7 +369,7 @@ def default_speed(vessel: Vessel) -> float:
         scaling = getattr(part, "scaling", None)
         if scaling is not None and scaling.kind == "abkowitz":
             return float(scaling.reference_speed)
-    return min(0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length)), 0.8 * top_speed(vessel))
+    return min(froude_speed(float(vessel.rigid_body.length), 0.2), 0.8 * top_speed(vessel))
 
 
 def top_speed(vessel: Vessel) -> float:
@@ -380,7 +381,7 @@ def top_speed(vessel: Vessel) -> float:
 
 def default_step(length: float) -> float:
     """Time step (s) near 0.05 sqrt(L / g), one of 1, 2 and 5 times a power of ten."""
-    wanted = 0.05 * math.sqrt(length / 9.81)
+    wanted = 0.05 * time_scale(length)
     decade = 10.0 ** math.floor(math.log10(wanted))
     candidates = [m * decade for m in (1.0, 2.0, 5.0, 10.0)]
     return float(f"{min(candidates, key=lambda c: abs(math.log(c / wanted))):.1g}")

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
+from diffsea.scales import plausible_motion
 from diffsea.simulation.integrate import Motion, advance
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.types import Environment, Scalar, State
@@ -177,10 +178,8 @@ def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
 
 
 def plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
-    """Whether a state is finite and slower than ten times the speed at Froude number one."""
-    fast = 10 * jnp.sqrt(9.81 * vessel.rigid_body.length)
-    spinning = fast / vessel.rigid_body.length
-    within = (jnp.abs(state.u) < fast) & (jnp.abs(state.v) < fast) & (jnp.abs(state.r) < spinning)
+    """Whether a state is finite and its motion that of a craft of this length."""
+    within = plausible_motion(vessel.rigid_body.length, state.u, state.v, state.r)
     return within & jnp.isfinite(state.x + state.y + state.psi)
 
 

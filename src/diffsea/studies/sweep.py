@@ -226,12 +226,10 @@ def _block(
 
 def _possible(vessel: Vessel) -> Bool[Array, ""]:
     """Whether masses and dimensions are positive, as a vessel file's have to be."""
-    body, mass = vessel.rigid_body, vessel.mass_matrix()
+    body = vessel.rigid_body
     sizes = (body.mass, body.I_z, body.length, body.beam, body.draught, body.water_density)
     positive = jnp.all(jnp.stack([jnp.asarray(size, float) for size in sizes]) > 0)
-    coupling = 0.5 * (mass[1, 2] + mass[2, 1])
-    definite = (mass[0, 0] > 0) & (mass[1, 1] > 0) & (mass[1, 1] * mass[2, 2] > coupling**2)
-    return positive & definite
+    return positive & vessel.has_inertia()
 
 
 def _put(rows: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:

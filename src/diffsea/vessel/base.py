@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.kinematics import through_water, to_body, to_earth
+from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.sensors import Sensors
 
@@ -171,7 +172,7 @@ def step(t: Scalar, at: Scalar, length: Scalar) -> Scalar:
 
     Smooth, so that motion has a derivative by the time of the change.
     """
-    return jax.nn.sigmoid((t - at) / (0.1 * jnp.sqrt(length / 9.81)))
+    return jax.nn.sigmoid((t - at) / (0.1 * time_scale(length)))
 
 
 class Vessel(eqx.Module):
@@ -219,9 +220,7 @@ class Vessel(eqx.Module):
 
     def has_inertia(self) -> Bool[Array, ""]:
         """Whether the mass matrix is positive definite: else a vessel speeds up against a force."""
-        m11, m22, m23, m32, m33 = self._inertia(self.environment, 0.0)
-        beside = 0.5 * (m23 + m32)
-        return (m11 > 0) & (m22 > 0) & (m22 * m33 > beside**2)
+        return positive_inertia(self.mass_matrix())
 
     def if_possible(self) -> "Vessel":
         """This vessel; where its inertia is impossible, one that predicts nothing but NaN.

@@ -12,6 +12,7 @@ from diffsea.identification.data.batching import Lanes, in_lanes
 from diffsea.identification.data.heel import predicted_heel
 from diffsea.identification.expansion_points import Span, merge_spans
 from diffsea.series import median_interval
+from diffsea.scales import time_scale
 from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -64,14 +65,11 @@ class Tape(eqx.Module):
         return Shape(self.t.size, self.runs, *self.lanes.shape)
 
 
-def natural_time(vessel: Vessel) -> float:
-    """sqrt(L / g) in s, the time scale that ships of any size share."""
-    return math.sqrt(float(vessel.rigid_body.length) / 9.81)
-
-
 def thinning(vessel: Vessel, interval: float) -> int:
     """How many samples at `interval` s may be skipped without blurring the vessel's motion."""
-    return max(1, int(LONGEST_STEP * natural_time(vessel) / interval * (1 + 1e-9)))
+    return max(
+        1, int(LONGEST_STEP * time_scale(float(vessel.rigid_body.length)) / interval * (1 + 1e-9))
+    )
 
 
 class Shape(NamedTuple):
@@ -105,7 +103,9 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory], least: Shape = ANY) 
     for number, piece in enumerate(pieces, start=1):
         piece["t"] = piece["t"] + apart * number
     longest = max(float(np.median(piece["dt"][:-1])) for piece in pieces)
-    substeps = max(1, math.ceil(longest / (LONGEST_STEP * natural_time(vessel)) - 1e-9))
+    substeps = max(
+        1, math.ceil(longest / (LONGEST_STEP * time_scale(float(vessel.rigid_body.length))) - 1e-9)
+    )
     columns = {key: np.concatenate([piece[key] for piece in pieces]) for key in _ROWS}
     used = len(columns["t"])
     spare = max(least.rows, used + PADDING - used % PADDING) - used
@@ -138,7 +138,7 @@ _ROWS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first", "
 
 def _memory(vessel: Vessel, longest: float) -> int:
     """Rows within 1.5 sqrt(L / g): eight or sixteen, so that programs are shared."""
-    return 8 if 1.5 * natural_time(vessel) <= 8 * longest else 16
+    return 8 if 1.5 * time_scale(float(vessel.rigid_body.length)) <= 8 * longest else 16
 
 
 def _padded(column: np.ndarray, spare: int) -> np.ndarray:
@@ -167,7 +167,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
     known = np.isfinite(motion)
     if not known.any():
         raise UserError(f"{recording.name}: no motion channel has any value")
-    starts = _begins(t, natural_time(vessel))
+    starts = _begins(t, time_scale(float(vessel.rigid_body.length)))
     dt = np.where(np.append(starts[1:], True), 0.0, np.append(np.diff(t), 0.0))
     orders, executed = recorded_actuation(vessel, recording)
     executed = over_rows(recording, executed)

@@ -39,6 +39,7 @@ from diffsea.identification.filter.process_noise import (
 )
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap
+from diffsea.scales import froude_speed
 from diffsea.simulation.integrate import rk4_looped
 from diffsea.simulation.replay import heeled
 from diffsea.trajectory import MOTION_CHANNELS
@@ -305,7 +306,7 @@ def _shown_by(
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:
     """Broad covariance of a run's first state, from the size of the vessel."""
     length = vessel.rigid_body.length
-    speed = 0.5 * jnp.sqrt(9.81 * length)
+    speed = froude_speed(length, 0.5)
     spread = jnp.array([length, length, 0.5, speed, speed, speed / length])
     return spread**2
 

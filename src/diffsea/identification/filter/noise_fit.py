@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.identification.data.dataset import Tape, natural_time
+from diffsea.identification.data.dataset import Tape
 from diffsea.identification.filter.process_noise import Noise, gust_model, predicted, updated
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.statistics import robust_scale
+from diffsea.scales import froude_speed, time_scale
 from diffsea.vessel.base import Vessel
 
 
@@ -58,9 +59,9 @@ def noise_prior(vessel: Vessel, tape: Tape) -> Prior:
     as strong in the long run, each give or take a factor of e. Sensor noise from second
     differences, which white noise dominates: a rough guess, give or take a factor of e^2.
     """
-    time = natural_time(vessel)
+    time = time_scale(float(vessel.rigid_body.length))
     length = float(vessel.rigid_body.length)
-    gust = 0.01 * 0.3 * np.sqrt(9.81 * length) / np.sqrt(time)
+    gust = 0.01 * 0.3 * froude_speed(length) / np.sqrt(time)
     gusts = np.array([gust, gust, 2 * gust / length])
     memory = np.full(3, 5 * time)
     slow = gusts / np.sqrt(2 * memory)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.estimates import Estimate, Progress, made, silent
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.objectives import shooting
@@ -20,6 +19,7 @@ from diffsea.identification.objectives.shooting import Shot, Slopes, Windows, wi
 from diffsea.identification.problem import Problem, Static
 from diffsea.parameters import Parameter
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
+from diffsea.scales import time_scale
 
 
 WINDOW = 20.0  # sqrt(L / g)
@@ -43,7 +43,11 @@ class FreeRun:
 
     def __init__(self, problem: Problem, seconds: float | None = None):
         """Set up; windows of `seconds`, 20 sqrt(L / g) by default."""
-        seconds = WINDOW * natural_time(problem.base) if seconds is None else seconds
+        seconds = (
+            WINDOW * time_scale(float(problem.base.rigid_body.length))
+            if seconds is None
+            else seconds
+        )
         self.problem = problem
         self.windows: Windows = windows(problem.tape, seconds)
         cut = self.windows.number, self.windows.begins, self.windows.joins
@@ -230,7 +234,14 @@ class FreeRun:
         prior = np.diag(1 / spreads[index] ** 2)
         information = A[:n, :n] - A[:n, n:] @ shares.reshape(-1, n) - prior
         t = np.asarray(self.problem.tape.dt)
-        lags = int(WINDOW * natural_time(self.problem.base) / np.median(t[t > 0])) + 1
+        lags = (
+            int(
+                WINDOW
+                * time_scale(float(self.problem.base.rigid_body.length))
+                / np.median(t[t > 0])
+            )
+            + 1
+        )
         correlation = autocorrelation(r, np.asarray(self.problem.tape.run), lags)
         coloured = long_run_covariance(E.reshape(-1, n), correlation)
         return made(

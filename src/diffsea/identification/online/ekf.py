@@ -27,12 +27,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.process_noise import Noise, gust_model, product
 from diffsea.identification.online.choice import Choice, chosen
 from diffsea.kinematics import wrap
 from diffsea.parameters import Parameter, replace
+from diffsea.scales import time_scale
 from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
@@ -166,7 +166,7 @@ def init(
     held = with_direct(vessel, measured)
     held = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), held)
     lagging = tuple(c for c, servo in held.servos.items() if not servo.direct)
-    substeps = max(1, math.ceil(interval / (0.3 * natural_time(vessel))))
+    substeps = max(1, math.ceil(interval / (0.3 * time_scale(float(vessel.rigid_body.length)))))
     filter = Filter(held, noise, _drifts(parameters, drift), parameters, lagging, substeps)
     settled = {c: jnp.asarray(float((orders or {}).get(c, 0.0))) for c in vessel.channels}
     step = interval / substeps

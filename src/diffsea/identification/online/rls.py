@@ -34,10 +34,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.identification.data.dataset import natural_time
 from diffsea.identification.online.choice import Choice, chosen, linear
 from diffsea.kinematics import through_water
 from diffsea.parameters import Parameter, replace
+from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation.integrate import history_length
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Force, Vessel
@@ -149,7 +149,7 @@ def init(
         raise UserError("the memory of the forgetting must be a positive number of seconds")
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
     _check_linear(vessel, parameters)
-    scale, count = natural_time(vessel), len(parameters)
+    scale, count = time_scale(float(vessel.rigid_body.length)), len(parameters)
     bandwidth = 1 / scale if bandwidth is None else bandwidth
     lasting = 5 * scale if disturbance_memory is None else disturbance_memory
 
@@ -340,8 +340,9 @@ def _filtered(
 
 def _first_guess(vessel: Vessel) -> Float[Array, "3"]:
     """Force that changes the speed by 1 % of that at Froude number 0.3 within sqrt(L / g)."""
-    length, time = float(vessel.rigid_body.length), natural_time(vessel)
-    rate = 0.01 * 0.3 * math.sqrt(9.81 * length) / time
+    length = float(vessel.rigid_body.length)
+    time = time_scale(length)
+    rate = 0.01 * 0.3 * froude_speed(length) / time
     return jnp.diag(vessel.mass_matrix()) * rate * jnp.array([1.0, 1.0, 2 / length])
 
 
@@ -386,10 +387,12 @@ def _samples(vessel: Vessel, count: int = 16) -> tuple[Array, Array, dict[str, A
     """Random motions, accelerations and actuation of this vessel's size."""
     rng = np.random.default_rng(0)
     length = float(vessel.rigid_body.length)
-    speed = 0.3 * math.sqrt(9.81 * length)
+    speed = froude_speed(length, 0.3)
     sizes = np.array([length, length, 3.0, speed, 0.3 * speed, speed / length])
     motions = sizes * rng.uniform(-1, 1, (count, 6))
-    accelerations = sizes[3:] / natural_time(vessel) * rng.uniform(-1, 1, (count, 3))
+    accelerations = (
+        sizes[3:] / time_scale(float(vessel.rigid_body.length)) * rng.uniform(-1, 1, (count, 3))
+    )
     executed = {
         c: (1.0 if s.upper is None else float(s.upper)) * rng.uniform(-1, 1, count)
         for c, s in vessel.servos.items()

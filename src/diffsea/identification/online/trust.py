@@ -27,8 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.data.dataset import natural_time
 from diffsea.parameters import Parameter, replace
+from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Force, Vessel
 
@@ -174,7 +174,7 @@ def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tu
         limits.vessel,
         {p.name: p.decode(evidence.coordinates[k]) for k, p in enumerate(limits.parameters)},
     )
-    inertia, drag = _positive(vessel.mass_matrix()), _brakes(vessel, limits.motions)
+    inertia, drag = positive_inertia(vessel.mass_matrix()), _brakes(vessel, limits.motions)
     within = _answer(limits, far)
     # Innovations that are too small make an estimate slow, not wrong.
     both = jnp.concatenate([jnp.maximum(found.size, 0.0), found.bias])
@@ -269,12 +269,6 @@ def _answer(limits: Limits, scores: Float[Array, "test"]) -> Scalar:
     return jnp.where(jnp.isfinite(largest), trust, 0.0)
 
 
-def _positive(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
-    """Whether the symmetric part is positive definite, by its leading minors."""
-    m = 0.5 * (matrix + matrix.T)
-    return (m[0, 0] > 0) & (m[1, 1] > 0) & (m[1, 1] * m[2, 2] > m[1, 2] * m[2, 1])
-
-
 def _power(vessel: Vessel, motion: Float[Array, "3"]) -> Scalar:
     """Power (W) that the hull's resistance puts into a motion (u, v, r) through still water.
 
@@ -299,7 +293,7 @@ def _braked(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
     no fault of theirs; nothing is asked of an estimate there.
     """
     length = float(vessel.rigid_body.length)
-    speed = 0.3 * length / natural_time(vessel)
+    speed = 0.3 * length / time_scale(float(vessel.rigid_body.length))
     ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
     grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
     grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])

@@ -13,6 +13,7 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, jacobian, make_problem, selection, traced
 from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
+from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation.replay import replay
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -96,7 +97,10 @@ def next_manoeuvre(problem: Problem, fitted: Estimate, noise: Noise | None = Non
     best = max(gains, key=lambda name: gains[name])
     ratio = np.sqrt(np.diag(after[best]) / np.diag(covariance))
     return NextManoeuvre(
-        best, SECONDS * _time(vessel), gains, dict(zip(free, map(float, ratio), strict=True))
+        best,
+        SECONDS * time_scale(float(vessel.rigid_body.length)),
+        gains,
+        dict(zip(free, map(float, ratio), strict=True)),
     )
 
 
@@ -140,7 +144,7 @@ def imagined(vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = N
 
     `measured` says which motion channels are recorded; all of them by default.
     """
-    t, orders = ordered(vessel, schedule, SECONDS * _time(vessel))
+    t, orders = ordered(vessel, schedule, SECONDS * time_scale(float(vessel.rigid_body.length)))
     first = np.where(t == t[0], 0.0, np.nan)
     run = replay(vessel, Trajectory(t, *(first,) * 6, orders, {}, {}, np.ones(len(t), bool)))
     if measured is None:
@@ -151,7 +155,7 @@ def imagined(vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = N
 
 def ordered(vessel: Vessel, schedule: Schedule, seconds: float) -> tuple[Times, dict[str, Times]]:
     """Times (s) and orders of a manoeuvre by channel, within the limits of the vessel."""
-    time = _time(vessel)
+    time = time_scale(float(vessel.rigid_body.length))
     t = np.linspace(0.0, seconds, round(SAMPLES * seconds / (SECONDS * time)))
     share, angle = schedule(t / time)
     allocation, full = ControlAllocation(vessel), _full(vessel)
@@ -165,13 +169,9 @@ def _numbers(limits: tuple) -> tuple[float, float]:
     return -np.inf if low is None else float(low), np.inf if high is None else float(high)
 
 
-def _time(vessel: Vessel) -> float:
-    return float(np.sqrt(float(vessel.rigid_body.length) / 9.81))
-
-
 def _full(vessel: Vessel) -> float:
     """Full throttle; without a limit, the one for Froude number 0.3."""
     full = float(full_throttle(vessel))
     if np.isfinite(full):
         return full
-    return float(throttle_for(vessel, 0.3 * np.sqrt(9.81 * float(vessel.rigid_body.length))))
+    return float(throttle_for(vessel, froude_speed(float(vessel.rigid_body.length), 0.3)))

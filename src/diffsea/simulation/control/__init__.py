@@ -1,6 +1,5 @@
 """Control: allocation, laws, guidance and controllers, each with `init` and `step`."""
 
-from diffsea.simulation.control.allocation import RUDDER_EQUIVALENT as RUDDER_EQUIVALENT
 from diffsea.simulation.control.allocation import ControlAllocation as ControlAllocation
 from diffsea.simulation.control.allocation import require_steering as require_steering
 from diffsea.simulation.control.autopilot import AbstractController as AbstractController

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffsea.errors import UserError
+from diffsea.scales import HARD_OVER
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import (
     AzimuthThruster,
@@ -18,9 +19,6 @@ from diffsea.vessel.actuators import (
     Rudder,
 )
 from diffsea.vessel.base import Vessel
-
-
-RUDDER_EQUIVALENT = 0.6108652381980153  # rad, 35 deg: all thrust on one side
 
 
 class ControlAllocation(eqx.Module):
@@ -52,7 +50,7 @@ class ControlAllocation(eqx.Module):
         return sum(isinstance(part, kind) for part in self.vessel.actuators.values())
 
     def _thruster(self, part: FixedThruster, throttle: Scalar, angle: Scalar) -> Scalar:
-        turn = -jnp.sign(part.y) * angle / RUDDER_EQUIVALENT
+        turn = -jnp.sign(part.y) * angle / HARD_OVER
         if part.curve is None:
             return throttle / self.count(FixedThruster) * (1 + turn)
         # Thrust goes with |n| n, so a share of the thrust is a root of the speed.

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from diffsea.simulation.control.allocation import ControlAllocation
+from diffsea.scales import froude_speed
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller
 from diffsea.vessel.base import Vessel
@@ -33,7 +34,7 @@ def throttle_for(vessel: Vessel, speed: Scalar) -> Scalar:
 
 def speed_for(vessel: Vessel, throttle: Scalar) -> Scalar:
     """Speed (m/s) that a throttle keeps straight ahead in still water."""
-    guess = 0.6 * jnp.sqrt(9.81 * vessel.rigid_body.length) * 0.3
+    guess = froude_speed(vessel.rigid_body.length, 0.6) * 0.3
     return _root(lambda speed, at: straight_balance(at[0], speed, at[1]), guess,
                  (vessel, throttle))  # fmt: skip
 
@@ -52,7 +53,7 @@ def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
     def excess(speed: Scalar, at: tuple[Vessel, Scalar]) -> Scalar:
         return _hull_drag(at[0], speed) / at[1] - 1
 
-    guess = 0.2 * jnp.sqrt(9.81 * vessel.rigid_body.length)
+    guess = froude_speed(vessel.rigid_body.length, 0.2)
     return throttle_for(vessel, _root(excess, guess, (vessel, jnp.asarray(thrust, float))))
 
 

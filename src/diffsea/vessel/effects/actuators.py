@@ -9,6 +9,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import Propeller
 from diffsea.vessel.base import Vessel
@@ -51,8 +52,8 @@ def _plausible(vessel: Vessel, channels: tuple[str, ...]) -> Scalar:
     body = vessel.rigid_body
     for part in vessel.actuators.values():
         if isinstance(part, Propeller) and set(part.servos) & set(channels):
-            return 0.3 * (9.81 * body.length) ** 0.5 / (0.7 * part.diameter)
-    return 0.05 * 9.81 * body.mass
+            return froude_speed(body.length, 0.3) / (0.7 * part.diameter)
+    return 0.05 * GRAVITY * body.mass
 
 
 def on_channels(

@@ -15,6 +15,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import scales
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 
@@ -127,12 +128,12 @@ def fresh(name: str, taken: Iterable[str]) -> str:
 
 def time_scale(vessel: Vessel) -> Scalar:
     """The time gravity takes over a ship's length, s."""
-    return (vessel.rigid_body.length / 9.81) ** 0.5
+    return scales.time_scale(vessel.rigid_body.length)
 
 
 def speed_scale(vessel: Vessel) -> float:
     """A tenth of the speed at Froude number 0.3, m/s."""
-    return 0.03 * float(np.sqrt(9.81 * vessel.rigid_body.length))
+    return float(scales.froude_speed(vessel.rigid_body.length, 0.03))
 
 
 def onsets(vessel: Vessel, first: float, last: float) -> tuple[float, ...]:

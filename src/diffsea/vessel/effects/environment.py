@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.kinematics import components_towards, speed_and_direction
+from diffsea.scales import GRAVITY
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.dependent_forces import ShallowDamping
@@ -114,7 +115,7 @@ def _base_frequency(vessel: Vessel) -> Scalar:
 
 def _wave_sizes(vessel: Vessel) -> tuple[Scalar, ...]:
     """Accelerations of a thousandth of gravity."""
-    force = 1e-3 * 9.81 * float(vessel.rigid_body.mass)
+    force = 1e-3 * GRAVITY * float(vessel.rigid_body.mass)
     return (*(force,) * 6, _base_frequency(vessel))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 
+from diffsea.scales import GRAVITY, froude_speed
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.dependent_forces import Change, MunkMoment, RollCoupling
 from diffsea.vessel.effects.entry import (
@@ -58,7 +59,7 @@ def _derivative_sizes(*names: str) -> Callable[[Vessel], tuple[float, ...]]:
             return (0.05,) * len(names)
         body = vessel.rigid_body
         length, mass = float(body.length), float(body.mass)
-        speed = 0.2 * np.sqrt(9.81 * length)
+        speed = froude_speed(length, 0.2)
 
         def size(name: str) -> float:
             axis, letters = name.split("_")
@@ -175,7 +176,7 @@ def _roll(*names: str) -> Callable[[Vessel, Coordinates], Vessel]:
 
 def _roll_sizes(*names: str) -> Callable[[Vessel], tuple[float, ...]]:
     def sizes(vessel: Vessel) -> tuple[float, ...]:
-        weight, length = 9.81 * float(vessel.rigid_body.mass), float(vessel.rigid_body.length)
+        weight, length = GRAVITY * float(vessel.rigid_body.mass), float(vessel.rigid_body.length)
         known = {"Y_phi": 0.02 * weight, "N_phi": 0.01 * weight * length}
         return tuple(known[name] for name in names)
 
