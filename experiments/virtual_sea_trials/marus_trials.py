@@ -18,8 +18,8 @@ import numpy as np
 
 from diffsea.metrics.recorded import recording_metrics
 from diffsea.recordings import resample
-from diffsea.segments import Segment, find_segments, traceability
 from diffsea.scales import HARD_OVER
+from diffsea.segments import Segment, find_segments, traceability
 from diffsea.simulation import standard
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel

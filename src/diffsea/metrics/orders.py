@@ -15,10 +15,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from diffsea.scales import HARD_OVER
 from diffsea.series import hold_last
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory
-from diffsea.scales import HARD_OVER
 
 
 MANOEUVRES = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")

@@ -16,8 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepared
-from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
 from diffsea.scales import plausible_motion, time_scale
+from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
 from diffsea.simulation.integrate import rk4
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State

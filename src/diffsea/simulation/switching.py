@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
 from diffsea.scales import plausible_motion
+from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
 from diffsea.simulation.integrate import Motion, advance
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.types import Environment, Scalar, State

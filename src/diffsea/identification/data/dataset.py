@@ -11,8 +11,8 @@ from diffsea.errors import UserError
 from diffsea.identification.data.batching import Lanes, in_lanes
 from diffsea.identification.data.heel import predicted_heel
 from diffsea.identification.expansion_points import Span, merge_spans
-from diffsea.series import median_interval
 from diffsea.scales import time_scale
+from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel

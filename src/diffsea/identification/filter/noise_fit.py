@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from diffsea.identification.data.dataset import Tape
 from diffsea.identification.filter.process_noise import Noise, gust_model, predicted, updated
 from diffsea.identification.least_squares import value_and_jacobian
-from diffsea.statistics import robust_scale
 from diffsea.scales import froude_speed, time_scale
+from diffsea.statistics import robust_scale
 from diffsea.vessel.base import Vessel
 
 

@@ -18,8 +18,8 @@ from diffsea.identification.objectives.base import Innovations
 from diffsea.identification.objectives.shooting import Shot, Slopes, Windows, windows
 from diffsea.identification.problem import Problem, Static
 from diffsea.parameters import Parameter
-from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 from diffsea.scales import time_scale
+from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 
 
 WINDOW = 20.0  # sqrt(L / g)

@@ -12,8 +12,8 @@ from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, jacobian, make_problem, selection, traced
-from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
 from diffsea.scales import froude_speed, time_scale
+from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
 from diffsea.simulation.replay import replay
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel

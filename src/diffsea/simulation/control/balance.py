@@ -5,8 +5,8 @@ import math
 import jax
 import jax.numpy as jnp
 
-from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.scales import froude_speed
+from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller
 from diffsea.vessel.base import Vessel
