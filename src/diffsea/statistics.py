@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy import special
 
 
 _QUARTILE = 0.6745  # upper quartile of the standard normal: the median of its magnitude
@@ -82,7 +82,7 @@ def is_significant(
 ) -> bool:
     """Whether the F test rejects zero at a level; few degrees of freedom make heavier tails."""
     wald = float(estimate @ np.linalg.solve(cov, estimate)) / estimate.size
-    return bool(stats.f.sf(wald, estimate.size, freedom) < level)
+    return bool(special.fdtrc(estimate.size, freedom, wald) < level)
 
 
 def newey_west(scores: Float[np.ndarray, "time p"]) -> Float[np.ndarray, "p p"]:

@@ -13,7 +13,7 @@ from diffsea.errors import UserError
 from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
-from diffsea.recordings.logs.joining import Channel, joined
+from diffsea.recordings.logs.joining import LogChannel, join_channels
 from diffsea.recordings.logs.streams import euler_angles
 
 
@@ -808,16 +808,24 @@ def test_local_metres_agree_with_the_tangent_plane(zero, kilometres, limit):
     np.testing.assert_allclose(y, east @ offset, atol=limit)
 
 
-def test_angles_of_a_rotation_agree_with_scipy():
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.random(200, random_state=3)
-    x, y, z, w = 2.5 * turns.as_quat().T
+def test_angles_of_a_rotation_are_those_of_its_matrix():
+    """Fossen's handbook, (2.18): the elements of a rotation's matrix in its three angles."""
+    rng = np.random.default_rng(3)
+    w, x, y, z = 2.5 * rng.standard_normal((4, 200))
     angles = euler_angles(w, x, y, z)
-    expected = turns.as_euler("ZYX").T
-    for name, series in zip(("yaw", "pitch", "roll"), expected, strict=True):
-        np.testing.assert_allclose(angles[name], series, atol=1e-9)
-    assert np.isnan(euler_angles(0.0, 0.0, 0.0, 0.0)["yaw"])
+    square = w**2 + x**2 + y**2 + z**2
+    cosine = np.cos(angles["pitch"])
+    forward_north = 1 - 2 * (y**2 + z**2) / square
+    forward_east = 2 * (x * y + w * z) / square
+    forward_down = 2 * (x * z - w * y) / square
+    starboard_down, down_down = 2 * (y * z + w * x) / square, 1 - 2 * (x**2 + y**2) / square
+    np.testing.assert_allclose(cosine * np.cos(angles["yaw"]), forward_north, atol=1e-9)
+    np.testing.assert_allclose(cosine * np.sin(angles["yaw"]), forward_east, atol=1e-9)
+    np.testing.assert_allclose(-np.sin(angles["pitch"]), forward_down, atol=1e-9)
+    np.testing.assert_allclose(cosine * np.sin(angles["roll"]), starboard_down, atol=1e-9)
+    np.testing.assert_allclose(cosine * np.cos(angles["roll"]), down_down, atol=1e-9)
+    unknown = euler_angles(*(np.array([value, 0.0]) for value in (np.nan, 0.0, 0.0, 1.0)))
+    assert np.isnan(unknown["yaw"]).tolist() == [True, True]
 
 
 # The clocks
@@ -826,7 +834,7 @@ def test_angles_of_a_rotation_agree_with_scipy():
 def test_no_sample_counts_twice_and_none_is_invented():
     rows = np.arange(0, 10, 0.01)
     t = np.array([0.5, 1.5, 2.503, 3.497, 7.5, 8.5, 9.5])
-    values, notes = joined({"x": Channel("a", t, 2 * t)}, rows, False, "run")
+    values, notes = join_channels({"x": LogChannel("a", t, 2 * t)}, rows, False, "run")
     marked = np.flatnonzero(np.isfinite(values["x"]))
     np.testing.assert_array_equal(marked, [50, 150, 250, 349, 750, 850, 950])
     np.testing.assert_allclose(values["x"][marked], 2 * rows[marked])
@@ -836,13 +844,13 @@ def test_no_sample_counts_twice_and_none_is_invented():
 def test_a_sample_beside_a_gap_is_moved_only_where_there_is_a_line():
     rows = np.arange(0.0, 20.0)
     t = np.array([0.0, 1.0, 2.2, 9.4, 10.4, 11.4])
-    values, notes = joined({"x": Channel("a", t, t**2)}, rows, False, "run")
+    values, notes = join_channels({"x": LogChannel("a", t, t**2)}, rows, False, "run")
     marked = np.flatnonzero(np.isfinite(values["x"]))
     # 2.2 s has no line to row 2's far side but one to its near side; 9.4 s moves to row 10.
     np.testing.assert_array_equal(marked, [0, 1, 2, 10, 11])
     np.testing.assert_allclose(values["x"][2], 1 + (2.2**2 - 1) / 1.2)
     lone = np.array([0.0, 1.0, 2.0, 9.4, 17.0, 18.0])
-    values, notes = joined({"x": Channel("a", lone, lone)}, rows, False, "run")
+    values, notes = join_channels({"x": LogChannel("a", lone, lone)}, rows, False, "run")
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(values["x"])), [0, 1, 2, 17, 18])
     assert notes == ["x: 1 samples beside gaps of the clocks are left out"]
 
@@ -851,8 +859,8 @@ def test_faster_channels_on_a_slower_clock_and_angles_across_north():
     rows = np.array([0.05, 1.05, 2.05])
     t = np.arange(0, 2.0, 0.1)
     wrapped = np.angle(np.exp(1j * (3.0 + 0.3 * t)))
-    channels = {"psi": Channel("a", t, wrapped), "cmd_a": Channel("b", t, t)}
-    values, _ = joined(channels, rows, False, "run")
+    channels = {"psi": LogChannel("a", t, wrapped), "cmd_a": LogChannel("b", t, t)}
+    values, _ = join_channels(channels, rows, False, "run")
     np.testing.assert_allclose(values["psi"], [3.015, 3.315, np.nan])
     np.testing.assert_allclose(values["cmd_a"], [0, 1, 1.9])
 

@@ -1,6 +1,9 @@
 """Reading, writing and conditioning of recordings; messages for what cannot be read."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -14,6 +17,7 @@ from diffsea.recordings import (
     read_recording,
     resample,
     split,
+    to_frame,
     typical_interval,
     write_recording,
 )
@@ -208,6 +212,51 @@ def test_empty_rows_and_repeated_stamps_are_dropped_and_noted(place):
     assert any("repeats the row before: 1 of 4" in note for note in run.provenance)
 
 
+def test_what_was_dropped_is_known_whatever_the_notes_say(place, monkeypatch):
+    monkeypatch.setattr("diffsea.recordings.readers.EMPTY_ROWS", "nothing stood in")
+    monkeypatch.setattr("diffsea.recordings.readers.REPEATED_TIMES", "the clock stood still for")
+    read = read_recording(place("t,x\n0,1\n,\n1,2\n1,3\n1,4\n2,4\n")).read
+    assert read.empty_rows.count == 1 and "first in line 3" in read.empty_rows.note
+    assert [merged.count for merged in read.repeated_times] == [2]
+    clean = read_recording(place("t,x\n0,1\n1,2\n")).read
+    assert clean.empty_rows is None and clean.repeated_times == ()
+
+
+def test_a_data_frame_is_read_as_a_file_would_be(place):
+    path = place(NATIVE)
+    run, table = read_recording(path), pd.read_csv(path)
+    for frame in (table, table.set_index("t")):
+        again = read_recording(frame)
+        assert again.name == "<DataFrame>" and "<DataFrame>" in again.provenance[0]
+        pd.testing.assert_frame_equal(to_frame(again), to_frame(run))
+    foreign = pd.DataFrame({"time": [0, 500, 1000], "yaw": [10.0, 20.0, 30.0]})
+    run = read_recording(foreign, place(MAPPING, "map.toml"))
+    np.testing.assert_allclose(run.t, [0, 0.5, 1])
+    np.testing.assert_allclose(run.psi, np.radians([10, 20, 30]))
+
+
+def test_a_recording_is_a_data_frame_of_the_rows_that_count():
+    valid = np.array([True, True, True, False, True, False])
+    frame = to_frame(dataclasses.replace(some_run(x=np.arange(6.0)), valid=valid))
+    names = "t x cmd_rudder exec_rudder wind_speed wind_direction"
+    assert list(frame.columns) == names.split()
+    np.testing.assert_array_equal(frame["x"], [0, 1, 2, 4])
+
+
+@pytest.mark.parametrize(
+    "columns, message",
+    [
+        ({"time": [0, 1], "x": [1, 2]}, "<DataFrame> has no column 't'.*it has time, x"),
+        ({"t": [0, 1], "x": [1, "abc"]}, "<DataFrame>, line 2, column 'x': 'abc' is not"),
+        ({"t": [0, 2, 1], "x": [1, 2, 3]}, "<DataFrame>, line 3: time runs backwards"),
+        ({"t": [0, 1], "x": [None, None]}, "<DataFrame> has no finite value"),
+    ],
+)
+def test_a_data_frame_that_is_no_recording_is_refused(columns, message):
+    with pytest.raises(UserError, match=message):
+        read_recording(pd.DataFrame(columns))
+
+
 @pytest.mark.parametrize(
     "text, message",
     [
@@ -324,6 +373,20 @@ def test_published_recordings_are_read_through_their_mappings(tmp_path, folder, 
     assert np.max(np.abs(np.diff(run.psi))) < 0.5
     write_recording(run, tmp_path / "run.parquet")
     np.testing.assert_array_equal(read_recording(tmp_path / "run.parquet").v, run.v)
+
+
+def test_recordings_are_read_without_what_takes_long_to_start():
+    """A subprocess, for this one has imported all of it."""
+    code = """if True:
+        import sys, diffsea.recordings
+        slow = {"jax", "equinox", "matplotlib", "scipy.stats", "scipy.signal", "scipy.io"}
+        print(sorted(slow & set(sys.modules)))
+    """
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
 
 
 def test_typical_interval_ignores_gaps_and_repetitions():

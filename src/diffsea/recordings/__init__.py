@@ -1,4 +1,8 @@
-"""Recordings of real or simulated runs: reading, judging and preparing them."""
+"""Recordings of real or simulated runs: reading, judging and preparing them.
+
+May import the trajectory, its series, statistics and errors. Needs no JAX: a recording is read
+and audited before JAX has started.
+"""
 
 from diffsea.recordings.auditing.audit import audit as audit
 from diffsea.recordings.auditing.finding import KINDS as KINDS
@@ -11,4 +15,5 @@ from diffsea.recordings.mappings import Column as Column
 from diffsea.recordings.mappings import Mapping as Mapping
 from diffsea.recordings.mappings import read_mapping as read_mapping
 from diffsea.recordings.readers import read_recording as read_recording
+from diffsea.recordings.readers import to_frame as to_frame
 from diffsea.recordings.readers import write_recording as write_recording

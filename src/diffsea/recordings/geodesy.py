@@ -3,17 +3,18 @@
 import numpy as np
 
 from diffsea.errors import UserError
+from diffsea.trajectory import Samples
 
 
-# World Geodetic System 1984: semi-major axis (m) and flattening.
-_A = 6378137.0
-_F = 1 / 298.257223563
-_E2 = _F * (2 - _F)
+# World Geodetic System 1984: semi-major axis (m), flattening and square of the eccentricity.
+_SEMI_MAJOR_AXIS = 6378137.0
+_FLATTENING = 1 / 298.257223563
+_E2 = _FLATTENING * (2 - _FLATTENING)
 
 
 def local_position(
-    latitude: np.ndarray, longitude: np.ndarray, origin: tuple[float, float]
-) -> tuple[np.ndarray, np.ndarray]:
+    latitude: Samples, longitude: Samples, origin: tuple[float, float]
+) -> tuple[Samples, Samples]:
     """Metres north and east of `origin` (latitude, longitude) in its tangent plane.
 
     Angles in rad, geodetic, WGS84; longitudes may lie either side of the antimeridian. Taylor
@@ -31,17 +32,17 @@ def local_position(
     dlambda = np.remainder(longitude - zero + np.pi, 2 * np.pi) - np.pi
     sine, cosine = np.sin(phi), np.cos(phi)
     w2 = 1 - _E2 * sine**2
-    prime = _A / np.sqrt(w2)
-    meridian = _A * (1 - _E2) / w2**1.5
+    prime = _SEMI_MAJOR_AXIS / np.sqrt(w2)
+    meridian = _SEMI_MAJOR_AXIS * (1 - _E2) / w2**1.5
     bend = 3 * _E2 * sine * cosine * meridian / w2
     north = meridian * dphi + 0.5 * bend * dphi**2 + 0.5 * prime * sine * cosine * dlambda**2
     east = prime * cosine * dlambda - meridian * sine * dphi * dlambda
     return north, east
 
 
-def placed(
-    latitude: np.ndarray, longitude: np.ndarray, origin: tuple[float, float] | None, where: str
-) -> tuple[np.ndarray, np.ndarray, str]:
+def place_fixes(
+    latitude: Samples, longitude: Samples, origin: tuple[float, float] | None, where: str
+) -> tuple[Samples, Samples, str]:
     """North and east (m) of the origin, by default the first valid fix, and a note on it.
 
     Angles in rad. Raises `UserError`, beginning with `where`, for angles that are none or where

@@ -9,7 +9,6 @@ alone could be cause and effect exchanged.
 import dataclasses
 
 import numpy as np
-from scipy import signal
 
 from diffsea.recordings.motion import MeasuredMotion
 
@@ -82,6 +81,8 @@ def _errors(lagged: np.ndarray, rest: np.ndarray, freedom: float) -> np.ndarray:
 
 def _lagged(actuation: np.ndarray, ratio: float) -> np.ndarray:
     """First-order lag, by the sampling interval over the time constant."""
+    from scipy import signal  # slow to import, and for recordings with actuators alone
+
     share = 1 - np.exp(-ratio)
     start = actuation[:, :1]
     return start + signal.lfilter([share], [1, share - 1], actuation - start, axis=1)

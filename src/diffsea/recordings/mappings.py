@@ -125,6 +125,10 @@ class Mapping:
             for name, column in self.channels.items()
         }
 
+    def channel_of(self, column: str) -> str:
+        """The channel under which the mapping has a column, before a frame turned it."""
+        return next(name for name, entry in self.channels.items() if entry.column == column)
+
 
 def read_mapping(path: str | Path) -> Mapping:
     """Read a mapping file.

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Bool, Int
-from scipy import interpolate
 
 from diffsea.series import bridge_gaps, median_interval, strictly_later
 from diffsea.trajectory import Samples, Trajectory
@@ -80,6 +79,8 @@ def refine(motion: MeasuredMotion, turn: float) -> MeasuredMotion:
     Cubic between the samples: chords of a turn would pass for a lever arm, and cut corners
     for a late sensor.
     """
+    from scipy import interpolate  # slow to import, and not for every audit
+
     turns = np.abs(np.diff(motion.values["psi"]))
     parts = int(np.clip(np.ceil(np.percentile(turns, 95) / turn), 1, 10))
     if parts == 1:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Mapping
+from diffsea.trajectory import Samples
 
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
@@ -26,12 +27,16 @@ def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
             raise UserError(f"{path} cannot be read as Parquet: {error}") from error
         return table.rename(columns=str), 1
     mapping = Mapping(channels={}) if mapping is None else mapping
-    names, skipped = _header(path, mapping)
+    names, skipped = _find_header(path, mapping)
     return _read_csv(path, mapping, names, skipped), skipped + 1
 
 
-def numbers(table: pd.DataFrame, name: str, path: Path, first_line: int) -> np.ndarray:
-    """A column as floats, empty cells as NaN; raises on text and infinities."""
+def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) -> Samples:
+    """A column as floats, empty cells as NaN.
+
+    `first_line` is the number of the first row in the messages on the `place`. Raises `UserError`
+    for text and infinities.
+    """
     column = pd.Series(table[name])
     if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
         values = column.to_numpy(dtype=float, na_value=np.nan)
@@ -46,13 +51,13 @@ def numbers(table: pd.DataFrame, name: str, path: Path, first_line: int) -> np.n
                 else "; leave the cell empty where a sample is missing"
             )
             raise UserError(
-                f"{path}, line {bad[0] + first_line}, column {name!r}: {cell!r} is not "
+                f"{place}, line {bad[0] + first_line}, column {name!r}: {cell!r} is not "
                 f"a number ({bad.size} such cells){hint}"
             )
     infinite = np.flatnonzero(np.isinf(values))
     if infinite.size:
         raise UserError(
-            f"{path}, line {infinite[0] + first_line}, column {name!r}: the value is "
+            f"{place}, line {infinite[0] + first_line}, column {name!r}: the value is "
             "infinite; leave the cell empty where a sample is missing"
         )
     return values
@@ -78,7 +83,7 @@ def _check_file(path: Path) -> None:
         )
 
 
-def _header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
+def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     """Column names, and how many lines stand before the first row of numbers.
 
     Where the file names its columns, the line that holds most of the wanted names is
@@ -87,7 +92,7 @@ def _header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     if mapping.columns is not None:
         return list(mapping.columns), mapping.header_lines or 0
     count = 1 if mapping.header_lines is None else mapping.header_lines
-    lines = [_split(line, mapping) for line in _first_lines(path, mapping, count + 1)]
+    lines = [_cells(line, mapping) for line in _first_lines(path, mapping, count + 1)]
     wanted = {column.column for column in mapping.channels.values()} or CHANNEL_DIMENSIONS
     hits = [sum(name in wanted for name in names) for names in lines]
     best = max(range(len(lines)), key=lambda index: hits[index])
@@ -124,7 +129,7 @@ def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> 
     )
 
 
-def _split(line: str, mapping: Mapping) -> list[str]:
+def _cells(line: str, mapping: Mapping) -> list[str]:
     separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
     return [name.strip().strip('"').strip() for name in line.split(separator)]
 

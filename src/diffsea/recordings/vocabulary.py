@@ -53,6 +53,7 @@ CHANNEL_DIMENSIONS = {
     "phi": "angle",
     "p": "angular rate",
 }
+EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")  # beside motion and actuation
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
 
 # The first words of the provenance notes that the audit looks for.

@@ -6,34 +6,30 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import Stream, library, unreadable
+from diffsea.recordings.logs.streams import Stream, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
-_TIMES = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # of present and of old firmware
+_TIME_FIELDS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # of present and of old firmware
 _FORMATS_ID = 0x80  # the message that defines the others
 # A satellite fix below two dimensions (GPS.Status) measures nothing.
-_FIX = {"GPS": "Status", "GPS2": "Status"}
+_FIX_STATUS = {"GPS": "Status", "GPS2": "Status"}
 _TWO_DIMENSIONS = 2
 _NUMBERS = "bBhHiIqQfdgcCeELMa"  # characters of formats that are numbers; M is a mode
 
 
-def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message that has a time; instances have their number in []."""
-    del mapping
-    log, _ = _opened(path)
+    log, _ = _open_log(path)
     found = {}
     with unreadable(path, "an ArduPilot log"):
         for number in sorted(log.formats, key=lambda number: log.formats[number].name):
             form = log.formats[number]
-            if log.counts[number] and any(time in form.columns for time in _TIMES):
-                found[form.name] = _numeric(form)
-        for name in sorted(log.messages):
-            base = name.partition("[")[0]
-            if "[" in name and base in found:
-                found[name] = found[base]
-        for base in {name.partition("[")[0] for name in found if "[" in name}:
-            found.pop(base)
+            if log.counts[number] and any(time in form.columns for time in _TIME_FIELDS):
+                found[form.name] = _numeric_fields(form)
+        instances = {name: name.partition("[")[0] for name in log.messages if "[" in name}
+        found |= {name: found[base] for name, base in instances.items() if base in found}
+        found = {name: fields for name, fields in found.items() if name not in instances.values()}
     return dict(sorted(found.items()))
 
 
@@ -47,12 +43,12 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     Raises `UserError` for a file that is no such log, or has no data.
     """
     del mapping
-    log, notes = _opened(path)
+    log, notes = _open_log(path)
     bases = {topic.partition("[")[0] for topic in topics}
     messages: dict[str, list] = {}
     with unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=list(bases))) is not None:
-            messages.setdefault(_name(message), []).append(message)
+            messages.setdefault(_topic_name(message), []).append(message)
     streams = {}
     for topic in topics:
         found = messages.get(topic) or messages.get(f"{topic}[0]")
@@ -61,10 +57,12 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     return streams
 
 
-def _opened(path: Path) -> tuple[Any, tuple[str, ...]]:
-    reader = library("pymavlink.DFReader", "ardupilot", path)
+def _open_log(path: Path) -> tuple[Any, tuple[str, ...]]:
+    """The log, and a note where some of the file is damaged."""
+    from pymavlink import DFReader
+
     with unreadable(path, "an ArduPilot log"):
-        log = reader.DFReader_binary(str(path))
+        log = DFReader.DFReader_binary(str(path))
         if not log.counts[_FORMATS_ID]:
             raise ValueError("it defines no messages")
         known = [number for number in range(256) if log.counts[number] and number in log.formats]
@@ -77,30 +75,30 @@ def _opened(path: Path) -> tuple[Any, tuple[str, ...]]:
     return log, (f"{path.name}: {size - covered} of {size} bytes belong to no message",)
 
 
-def _numeric(form: Any) -> list[str]:
+def _numeric_fields(form: Any) -> list[str]:
     return [
         column
         for column, kind in zip(form.columns, form.format, strict=False)
-        if kind in _NUMBERS and kind != "a" and column not in _TIMES
+        if kind in _NUMBERS and kind != "a" and column not in _TIME_FIELDS
     ]
 
 
-def _name(message: Any) -> str:
+def _topic_name(message: Any) -> str:
     name, instance = message.get_type(), message.fmt.instance_field
     return name if instance is None else f"{name}[{getattr(message, instance)}]"
 
 
 def _stream(topic: str, messages: list, path: Path, notes: tuple[str, ...]) -> Stream:
     form = messages[0].fmt
-    time = next((name for name in _TIMES if name in form.columns), None)
+    time = next((name for name in _TIME_FIELDS if name in form.columns), None)
     if time is None:
         raise UserError(f"{path}: {topic} has no time (TimeUS), so it cannot be a channel")
     columns = {
         name: np.array([getattr(message, name) for message in messages], dtype=float)
-        for name in (time, *_numeric(form))
+        for name in (time, *_numeric_fields(form))
     }
-    t = columns.pop(time) * _TIMES[time]
-    status = columns.get(_FIX.get(form.name, ""))
+    t = columns.pop(time) * _TIME_FIELDS[time]
+    status = columns.get(_FIX_STATUS.get(form.name, ""))
     if status is not None:
         columns = {
             name: series if series is status else np.where(status < _TWO_DIMENSIONS, np.nan, series)

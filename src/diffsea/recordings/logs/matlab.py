@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import io
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, listing, unreadable
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, list_fields, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
@@ -20,9 +19,8 @@ class _Group:
     unread: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
-def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+def contents(path: Path) -> dict[str, list[str]]:
     """The arrays of every structure; those that stand in none are under the empty name."""
-    del mapping
     found = {}
     for name, group in _groups(path).items():
         found[name] = []
@@ -50,7 +48,7 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     elif mapping.time_step is None:
         raise UserError(
             f"{mapping.name}: {path} needs a channel t, or [file] time_step in seconds; it has\n"
-            + _listed(groups)
+            + _list_arrays(groups)
         )
     return {
         topic: _stream(topic, groups, mapping, path)
@@ -67,6 +65,8 @@ def _groups(path: Path) -> dict[str, _Group]:
             f"{path} is a MATLAB 7.3 file (HDF5), which this does not read; load it in MATLAB and "
             "save it with save(name, '-v7')"
         )
+    from scipy import io  # slow to import, and for such files alone
+
     with unreadable(path, "a MATLAB file"):
         variables = io.loadmat(path, simplify_cells=True)
     groups: dict[str, _Group] = {}
@@ -105,12 +105,12 @@ def _check_time(groups: dict[str, _Group], mapping: Mapping, path: Path) -> None
     if topic not in groups or field not in groups[topic].arrays:
         raise UserError(
             f"{path} has no {mapping.channels['t'].column!r}, which {mapping.name} maps to t. It "
-            f"has\n{_listed(groups)}"
+            f"has\n{_list_arrays(groups)}"
         )
 
 
-def _listed(groups: dict[str, _Group]) -> str:
-    return listing({name: list(group.arrays) for name, group in groups.items()})
+def _list_arrays(groups: dict[str, _Group]) -> str:
+    return list_fields({name: list(group.arrays) for name, group in groups.items()})
 
 
 def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping, path: Path) -> Stream:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsea.recordings.logs.streams import Stream, euler_angles, library, unreadable
+from diffsea.recordings.logs.streams import Stream, euler_angles, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
@@ -21,11 +21,10 @@ _SATELLITE = "fix_type"
 _TWO_DIMENSIONS = 2
 
 
-def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message; instances other than the first have their number in []."""
-    del mapping
-    log, _ = _read(path, None)
-    return {name: list(_fields(data)) for name, data in _named(log).items()}
+    log, _ = _open_log(path, None)
+    return {name: list(_fields(data)) for name, data in _data_by_topic(log).items()}
 
 
 def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
@@ -37,35 +36,34 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     Raises `UserError` for a file that is no ULog, or has no data.
     """
     del mapping
-    log, notes = _read(path, [_plain(topic)[0] for topic in topics])
-    named = {_plain(name): data for name, data in _named(log).items()}
-    return {
-        topic: Stream(
-            topic,
-            named[_plain(topic)].data["timestamp"] * 1e-6,
-            _fields(named[_plain(topic)]),
-            "the autopilot's time since boot",
-            notes,
-        )
-        for topic in topics
-        if _plain(topic) in named
-    }
+    log, notes = _open_log(path, [_name_and_instance(topic)[0] for topic in topics])
+    data = {(data.name, data.multi_id): data for data in log.data_list}
+    streams = {}
+    for topic in topics:
+        found = data.get(_name_and_instance(topic))
+        if found is not None:
+            t = found.data["timestamp"] * 1e-6
+            clock = "the autopilot's time since boot"
+            streams[topic] = Stream(topic, t, _fields(found), clock, notes)
+    return streams
 
 
-def _read(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]]:
-    pyulog = library("pyulog", "px4", path)
+def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]]:
+    """The messages of these names, all if None, and a note where the file is damaged."""
+    import pyulog
+
     with unreadable(path, "a PX4 log (ULog)"):
         log = pyulog.ULog(str(path), names)
         if not log.message_formats:
             raise ValueError("it ends before its definitions")
     if log.file_corruption:
         return log, (f"{path.name} is damaged; what could be read of it is used",)
-    if _cut_off(path):
+    if _ends_within_message(path):
         return log, (f"{path.name} ends within a message; what is before it is used",)
     return log, ()
 
 
-def _cut_off(path: Path) -> bool:
+def _ends_within_message(path: Path) -> bool:
     """Whether the last message is incomplete; each begins with its length and its kind."""
     log = path.read_bytes()
     at = 16  # bytes of the file's header
@@ -74,14 +72,14 @@ def _cut_off(path: Path) -> bool:
     return at != len(log)
 
 
-def _named(log: Any) -> dict[str, Any]:
+def _data_by_topic(log: Any) -> dict[str, Any]:
     sets = sorted(log.data_list, key=lambda data: (data.name, data.multi_id))
     return {
         data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]": data for data in sets
     }
 
 
-def _plain(topic: str) -> tuple[str, int]:
+def _name_and_instance(topic: str) -> tuple[str, int]:
     """Name and instance: `sensor_gps[1]` is the second, `sensor_gps` the first."""
     parts = re.fullmatch(r"(.+)\[(\d+)\]", topic)
     return (parts[1], int(parts[2])) if parts else (topic, 0)

@@ -14,13 +14,11 @@ from diffsea.recordings.logs.streams import (
     LONGEST_ARRAY,
     Stream,
     euler_angles,
-    library,
     unreadable,
 )
 from diffsea.recordings.mappings import Mapping
 
 
-SUFFIXES = (".bag", ".db3", ".mcap")
 _LOOKED_AT = 50  # messages of a topic in which its fields are looked for
 # A message overtaken on its way comes a few of its topic's intervals late; what falls back
 # further is a clock that was set, or a second publisher.
@@ -32,20 +30,17 @@ _UNKNOWN = {  # covariance whose first entry is -1 -> what the message then does
 }
 
 
-def is_bag(path: Path) -> bool:
-    """Whether `path` is named like a bag, or is the folder of a ROS 2 bag."""
-    if path.is_dir():
-        return (path / "metadata.yaml").exists() or any(
-            item.suffix in (".db3", ".mcap") for item in path.iterdir()
-        )
-    return path.suffix.lower() in SUFFIXES
+def is_folder(path: Path) -> bool:
+    """Whether a folder is that of a ROS 2 bag."""
+    return (path / "metadata.yaml").exists() or any(
+        item.suffix in (".db3", ".mcap") for item in path.iterdir()
+    )
 
 
-def contents(path: Path, mapping: Mapping | None) -> dict[str, list[str]]:
+def contents(path: Path) -> dict[str, list[str]]:
     """The numeric fields of every topic, from its first messages."""
-    del mapping
     found = {}
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         for topic in _topics(reader):
             try:
                 first = [message for *_, message in _messages(reader, [topic], path, _LOOKED_AT)]
@@ -66,7 +61,7 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
 
     Raises `UserError` for a broken bag, a type that is not defined, and stamps that jump back.
     """
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         there = [topic for topic in topics if topic in _topics(reader)]
         received: dict[str, list[int]] = {topic: [] for topic in there}
         messages: dict[str, list] = {topic: [] for topic in there}
@@ -93,10 +88,11 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    highlevel = library("rosbags.highlevel", "ros", path)
-    typesys = library("rosbags.typesys", "ros", path)
-    default = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+def _open_bag(path: Path) -> Iterator[Any]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    default = get_typestore(Stores.ROS2_HUMBLE)
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise UserError(
             f"{path} is a ROS 2 bag without metadata.yaml; restore it with `ros2 bag reindex`, or "
@@ -105,7 +101,7 @@ def _opened(path: Path) -> Iterator[Any]:
     tool = "rosbag reindex" if path.suffix.lower() == ".bag" else "ros2 bag reindex"
     hint = f"; if its recording was cut off, `{tool}` may restore it"
     with unreadable(path, "a ROS bag", hint):
-        reader = highlevel.AnyReader([path], default_typestore=default)
+        reader = AnyReader([path], default_typestore=default)
         reader.open()
     try:
         with unreadable(path, "a ROS bag", hint):

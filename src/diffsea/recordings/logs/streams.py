@@ -2,22 +2,24 @@
 
 import contextlib
 import dataclasses
-import importlib
 import io
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from diffsea.errors import UserError, nearest
+from diffsea.recordings.mappings import Mapping
 from diffsea.recordings.vocabulary import REPEATED_TIMES
+from diffsea.trajectory import RowsLeftOut, Samples
 
 
 # What an array may hold and still be numbers to choose from; images and point clouds are longer.
 LONGEST_ARRAY = 64
-_LISTED = 12  # fields of a topic that a message names
+_LISTED_FIELDS = 12  # of a topic, in a message: more would hide the other topics
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,13 +32,19 @@ class Stream:
     """
 
     topic: str
-    t: np.ndarray  # s
-    fields: dict[str, np.ndarray]
+    t: Samples  # s
+    fields: dict[str, Samples]
     clock: str
     notes: tuple[str, ...] = ()
     unfit: dict[str, str] = dataclasses.field(default_factory=dict)
+    repeated_times: RowsLeftOut | None = None
 
-    def field(self, name: str, where: str) -> tuple[str, np.ndarray]:
+    @property
+    def title(self) -> str:
+        """The topic as messages name it."""
+        return self.topic or "the top level"
+
+    def field(self, name: str, where: str) -> tuple[str, Samples]:
         """The full name and the series of a field, which may be named by the end of its name.
 
         Raises `UserError`, beginning with `where`, where there is none or more than one such.
@@ -58,12 +66,40 @@ class Stream:
         )
 
 
-def checked(stream: Stream, path: Path) -> Stream:
+@dataclasses.dataclass(frozen=True)
+class LogFormat:
+    """How logs of one kind are read.
+
+    `contents(path)` gives the names of the numeric fields of every topic. `streams(path, mapping,
+    topics)` gives those of the topics that the log has. Both import what packages they need when
+    they are called, and raise `UserError` for a file that is damaged or no such log.
+    """
+
+    suffixes: tuple[str, ...]  # of file names, in small letters
+    contents: Callable[[Path], dict[str, list[str]]]
+    streams: Callable[[Path, Mapping, list[str]], dict[str, Stream]]
+    extra: str | None = None  # what brings the packages: pip install 'diffsea[extra]'
+    time_is_mapped: bool = False  # the mapping names the time, as it stands among the fields
+    is_folder: Callable[[Path], bool] | None = None  # whether a folder is such a log
+
+    @contextlib.contextmanager
+    def packages(self, path: Path) -> Iterator[None]:
+        """Turns the lack of a package into a `UserError` that names the extra which brings it."""
+        try:
+            yield
+        except ImportError as error:
+            package = (error.name or "").partition(".")[0]
+            raise UserError(
+                f"reading {path} needs the package {package}: pip install 'diffsea[{self.extra}]'"
+            ) from error
+
+
+def merge_repeated_times(stream: Stream, path: Path) -> Stream:
     """The stream with rows of one time stamp made one, of the last value of each field.
 
     Raises `UserError` for fewer than two samples, and for time that is missing or runs backwards.
     """
-    where = f"{path}: {stream.topic or 'the top level'}"
+    where = f"{path}: {stream.title}"
     missing = np.sum(~np.isfinite(stream.t))
     if missing:
         raise UserError(f"{where} has {missing} samples without a time stamp")
@@ -74,7 +110,7 @@ def checked(stream: Stream, path: Path) -> Stream:
             f"{where}: time runs backwards at sample {at + 2}, from {stream.t[at]:.10g} s to "
             f"{stream.t[at + 1]:.10g} s; split the log if it holds two runs"
         )
-    samples = 1 + np.sum(steps > 0) if stream.t.size else 0
+    samples = 1 + int(np.sum(steps > 0)) if stream.t.size else 0
     if samples < 2:
         raise UserError(
             f"{where} has {samples} sample(s), and a channel needs at least two; leave it out of "
@@ -86,38 +122,36 @@ def checked(stream: Stream, path: Path) -> Stream:
     fields = {name: table[name].to_numpy(dtype=float) for name in stream.fields}
     note = (
         f"{REPEATED_TIMES}: {stream.t.size - samples} of {stream.t.size}, first at "
-        f"t = {stream.t[1:][steps == 0][0]:g} s in {stream.topic or 'the top level'}"
+        f"t = {stream.t[1:][steps == 0][0]:g} s in {stream.title}"
     )
     return dataclasses.replace(
-        stream, t=table.index.to_numpy(), fields=fields, notes=(*stream.notes, note)
+        stream,
+        t=table.index.to_numpy(),
+        fields=fields,
+        notes=(*stream.notes, note),
+        repeated_times=RowsLeftOut(stream.t.size - samples, note),
     )
 
 
-def euler_angles(w, x, y, z) -> dict[str, np.ndarray]:
-    """Roll, pitch and yaw (rad) of a rotation given by a quaternion of any length above zero.
+def euler_angles(
+    w: Samples, x: Samples, y: Samples, z: Samples
+) -> dict[str, Float[np.ndarray, "time"]]:
+    """Roll, pitch and yaw (rad) of rotations given by quaternions of any length above zero.
 
     The rotation is yaw about z, then pitch about the new y, then roll about the new x, as in
     Fossen's handbook, (2.58); frames are those of the message. NaN for a quaternion of zeros.
     """
-    w, x, y, z = (np.asarray(part, dtype=float) for part in (w, x, y, z))
-    square = w**2 + x**2 + y**2 + z**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = np.where(square > 0, 2 / square, np.nan)
-        roll = np.arctan2(scale * (w * x + y * z), 1 - scale * (x**2 + y**2))
-        pitch = np.arcsin(np.clip(scale * (w * y - z * x), -1, 1))
-        yaw = np.arctan2(scale * (w * z + x * y), 1 - scale * (y**2 + z**2))
-    return {"roll": roll, "pitch": pitch, "yaw": yaw}
+    from scipy.spatial.transform import Rotation  # a fifth of a second, for logs alone
 
-
-def library(module: str, extra: str, path: Path) -> ModuleType:
-    """An optional package; raises `UserError` with the extra that brings it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise UserError(
-            f"reading {path} needs the package {package}: pip install 'diffsea[{extra}]'"
-        ) from error
+    quaternions = np.stack([x, y, z, w], axis=-1).astype(float)
+    angles = np.full((len(quaternions), 3), np.nan)
+    length = np.linalg.norm(quaternions, axis=-1)
+    turned = (length > 0) & np.isfinite(length)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # bow straight up: roll is taken as zero
+        if turned.any():
+            angles[turned] = Rotation.from_quat(quaternions[turned]).as_euler("ZYX")
+    return dict(zip(("yaw", "pitch", "roll"), angles.T, strict=True))
 
 
 @contextlib.contextmanager
@@ -134,11 +168,12 @@ def unreadable(path: Path, what: str, hint: str = "") -> Iterator[None]:
         raise UserError(f"{path} cannot be read as {what}: {reason}{hint}") from error
 
 
-def listing(contents: Mapping[str, list[str]]) -> str:
+def list_fields(contents: dict[str, list[str]]) -> str:
     """Topics and their fields, a line each, long lists of fields cut short."""
     lines = []
     for topic, fields in contents.items():
-        rest = len(fields) - _LISTED
+        rest = len(fields) - _LISTED_FIELDS
         more = f" and {rest} more" if rest > 0 else ""
-        lines.append(f"  {topic or '(top level)'}: {', '.join(fields[:_LISTED]) or '-'}{more}")
+        shown = ", ".join(fields[:_LISTED_FIELDS]) or "-"
+        lines.append(f"  {topic or '(top level)'}: {shown}{more}")
     return "\n".join(lines)
