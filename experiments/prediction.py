@@ -21,7 +21,7 @@ from diffsea.diagnosis.search import Diagnosis, diagnose
 from diffsea.recordings import audit, read_mapping, read_recording
 from diffsea.recordings.conditioning import cut
 from diffsea.report.comparison import compare, horizon_table
-from diffsea.report.diagnosis_page import diagnosis_report
+from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.words import verdict_text
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import Table, build, dump, read_vessel

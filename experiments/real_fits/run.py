@@ -23,7 +23,7 @@ from diffsea.errors import UserError
 from diffsea.identification.study import Settings, Study, identify
 from diffsea.metrics import recording_metrics
 from diffsea.recordings import read_mapping, read_recording
-from diffsea.report.comparison import Comparison, horizon_table, predict
+from diffsea.report.comparison import ComparedRun, horizon_table, predict
 from diffsea.simulation import standard
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -152,7 +152,7 @@ def _mapping(case: Set) -> str:
 def errors(test: Sequence[Trajectory], before: Vessel, after: Sequence[Vessel]) -> list[dict]:
     """Free-run errors at 5, 20 and 60 s, of the vessel file and of the fit to each run."""
     runs = [
-        Comparison(run, {"file": predict(before, run), "fit": predict(fitted, run)})
+        ComparedRun(run, {"file": predict(before, run), "fit": predict(fitted, run)})
         for run, fitted in zip(test, after, strict=True)
     ]
     return horizon_table(runs)

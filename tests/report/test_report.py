@@ -19,18 +19,18 @@ from diffsea.identification.objectives.base import Innovations
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.study import Study
 from diffsea.identification.uncertainty.identifiability import identifiability
-from diffsea.report.comparison import Comparison, compare, horizon_table, predict
-from diffsea.report.comparison_plots import unwrapped
-from diffsea.report.diagnosis_page import diagnosis_report
-from diffsea.report.fit_page import fit_report, worse
-from diffsea.report.interactive import figure, plot
-from diffsea.report.page import markup
+from diffsea.report.comparison import ComparedRun, compare, horizon_table, predict
+from diffsea.report.diagnosis import diagnosis_report
+from diffsea.report.fit import fit_report, worse_warning
+from diffsea.report.page import TEMPLATES, Plot, Verbatim
+from diffsea.report.plots import figure
+from diffsea.report.predictions import on_one_turn
 from diffsea.report.quantities import (
     duration,
     interval,
     odds,
     probability,
-    rounded,
+    round_to_error,
     significant,
     typeset,
     with_error,
@@ -326,12 +326,12 @@ def page_from(result: dict, found: Found) -> str:
     return diagnosis_report(with_errors(result, runs), "usv", found.split, runs, SOURCE)
 
 
-def compared(found: Found) -> list[Comparison]:
+def compared(found: Found) -> list[ComparedRun]:
     """The nominal vessel and the one with the current on every held-out run."""
     return compare(found.split, found.final, found.names, usv(), usv(0.3 if found.names else 0.0))
 
 
-def with_errors(result: dict, runs: list[Comparison]) -> dict:
+def with_errors(result: dict, runs: list[ComparedRun]) -> dict:
     """The summary with the errors of predictions."""
     return result | {"held_out": result["held_out"] | {"horizons": horizon_table(runs)}}
 
@@ -342,8 +342,7 @@ def assert_sound(page: str) -> Reader:
     assert page.startswith("<!DOCTYPE html>") and "</html>" in page
     assert not reader.faults and not reader.open
     assert len(set(reader.ids)) == len(reader.ids)
-    assert all(link.startswith(("data:image/svg+xml;base64,", "#")) for link in reader.links)
-    assert all(len(image["alt"]) > 20 for image in reader.images)
+    assert all(link.startswith("#") for link in reader.links) and not reader.images
     assert all(len(plot["told"]) > 20 and plot["data"] for plot in reader.plots)
     assert "nan" not in " ".join(" ".join(words) for words in reader.words.values()).split()
     return reader
@@ -438,7 +437,7 @@ def test_held_out_runs_are_drawn_in_people_s_units():
 def test_headings_lie_on_one_turn():
     wrapped = np.array([170.0, 179.0, -172.0, np.nan, -160.0])
     later = np.array([530.0, 539.0, 548.0, 553.0, 560.0])
-    first, second = unwrapped([wrapped, later])
+    first, second = on_one_turn([wrapped, later])
     assert first[[0, 1, 2, 4]] == pytest.approx([170, 179, 188, 200])
     assert second == pytest.approx(later - 360)
 
@@ -487,9 +486,14 @@ def test_names_from_files_are_escaped():
     page = page_of("explained")
     assert "0.80 s <script>" not in page and "<b>file" not in page and "zig<zag>" not in page
     assert NASTY in Reader(page).text("where")
-    drawn = plot(figure(title={"text": "</script><b>"}), "a plot <of> nothing at all", 100)
+    parts = TEMPLATES.get_template("parts.html.j2").module
+    shown = Plot(figure(title={"text": "</script><b>"}), "a plot <of> nothing at all", 100)
+    drawn = parts.plot(shown)
     assert drawn.count("</script>") == 1 and "<of>" not in drawn and "<b>" not in drawn
-    assert markup('a <b> & "c"') == "a &lt;b&gt; &amp; &quot;c&quot;"
+    cell = TEMPLATES.from_string("{{ cell }}")
+    assert cell.render(cell='a <b> & "c"') == "a &lt;b&gt; &amp; &#34;c&#34;"
+    assert cell.render(cell="-1 +- 2") == "−1 ± 2"
+    assert cell.render(cell=Verbatim("run-1 -1 <c>")) == "run-1 -1 &lt;c&gt;"
 
 
 def test_a_current_of_each_run_is_its_own():
@@ -513,7 +517,7 @@ def test_fit_page(held_out):
     history = ["round 1: -2 log posterior -20.1", "round 2: <done>"]
     seen = list(test) if held_out else list(runs)
     shown = [
-        Comparison(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)}) for r in seen
+        ComparedRun(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)}) for r in seen
     ]
     page = fit_report(study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE)
     reader = assert_sound(page)
@@ -525,14 +529,14 @@ def test_fit_page(held_out):
     assert "7 of 8 starts" in reader.text("open") and "2 of x" in reader.text("open")
     assert "1.00 N_rdot (the data determine" in reader.text("open")
     assert ("1.31 times in what was held out" in reader.text("summary")) is held_out
-    assert ("worse than the vessel file" in reader.text("summary")) is (worse(shown) != "")
+    assert ("worse than the vessel file" in reader.text("summary")) is (worse_warning(shown) != "")
     swapped = [
-        Comparison(
+        ComparedRun(
             o.recording, {"start": o.predictions["fitted"], "fitted": o.predictions["start"]}
         )
         for o in shown
     ]
-    assert worse(shown) == "" and "predicts position" in worse(swapped)
+    assert worse_warning(shown) == "" and "predicts position" in worse_warning(swapped)
     assert ("none were held out" in reader.text("predictions")) is not held_out
     assert "round 2: <done>" in reader.text("convergence")
     assert ("circle" in reader.text("predictions")) is held_out
@@ -606,9 +610,10 @@ def test_rounding_with_error(value, std, unit, text):
 
 
 def test_rounding_alone():
-    assert rounded(0.3012, 0.0042, "m/s") == "0.30 m/s"
-    assert rounded(2.1, 0.01, "rad") == "120 deg" and rounded(2.15, 0.01, "rad") == "123 deg"
-    assert rounded(1234.0, 30.0, "kg") == "1230 kg"
+    assert round_to_error(0.3012, 0.0042, "m/s") == "0.30 m/s"
+    assert round_to_error(2.1, 0.01, "rad") == "120 deg"
+    assert round_to_error(2.15, 0.01, "rad") == "123 deg"
+    assert round_to_error(1234.0, 30.0, "kg") == "1230 kg"
     assert significant(0.0, 3) == "0" and significant(1.3e-9, 2) == "1.3e-9"
     assert significant(12345678.0, 3) == "1.23e7" and significant(999.6, 3) == "1000"
     assert probability(1.3e-9) == "1e-9" and probability(0.0312) == "0.031"

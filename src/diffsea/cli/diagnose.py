@@ -124,7 +124,7 @@ def _diagnose(args: argparse.Namespace) -> None:
         from diffsea.diagnosis.search import diagnose
         from diffsea.recordings import audit
         from diffsea.report.comparison import compare, horizon_table
-        from diffsea.report.diagnosis_page import diagnosis_report
+        from diffsea.report.diagnosis import diagnosis_report
         from diffsea.report.words import verdict_text
         from diffsea.vessel.files import build, dump
 

@@ -76,7 +76,7 @@ def _fit(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
         from diffsea.identification.study import identify
         from diffsea.report.comparison import horizon_table
-        from diffsea.report.fit_page import compared, fit_report, worse
+        from diffsea.report.fit import compare_fit, fit_report, worse_warning
         from diffsea.vessel.files import build, dump, updated_document
 
         tell = clock()
@@ -97,13 +97,13 @@ def _fit(args: argparse.Namespace) -> None:
         quality = study.quality(test)
         told = source(args, file.vessel, runs, test)
         tell("predicting and writing the report")
-        predicted = compared(study, file.vessel, vessel, (runs, test))
+        predicted = compare_fit(study, file.vessel, vessel, (runs, test))
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
         record = _record(study, settings, quality, told)
         out.json("fit.json", record | {"predictions": horizon_table(predicted)})
         page = fit_report(study, quality, history, predicted, (runs, test), told)
         out.path("report.html").write_text(page, encoding="utf-8")
-    out.present(args, _summary(study, quality, worse(predicted)))
+    out.present(args, _summary(study, quality, worse_warning(predicted)))
 
 
 def _from_sheet(args: argparse.Namespace) -> bool:

@@ -180,11 +180,11 @@ def _where(diagnosis: Diagnosis) -> list[dict]:
     for cell in found[:40]:
         same = [other.bin.regime for other in shared if other.bin.degree == cell.bin.degree]
         regime = cell.bin.regime or regime_within(diagnosis.split.train, cell.bin, same)
-        out.append(_cell_record(diagnosis, cell, regime or "no regime stands out"))
+        out.append(_cell_record(diagnosis, cell, regime))
     return out
 
 
-def _cell_record(diagnosis: Diagnosis, cell: Cell, regime: str) -> dict:
+def _cell_record(diagnosis: Diagnosis, cell: Cell, regime: str | None) -> dict:
     runs = diagnosis.split.recordings
     first, last = _span(diagnosis, cell)
     return {
@@ -192,7 +192,8 @@ def _cell_record(diagnosis: Diagnosis, cell: Cell, regime: str) -> dict:
         "recording": "all" if cell.bin.run is None else runs[cell.bin.run].name,
         "start": first,
         "end": last,
-        "regime": regime,
+        "regime": regime or "no regime stands out",
+        "in_regime": bool(regime),
         "force_rms": abs(cell.force),
         "unit": _unit(cell),
         "p_value": cell.p_value,

@@ -27,7 +27,7 @@ class Prediction(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
+class ComparedRun:
     """One run and the predictions of it by model."""
 
     recording: Trajectory
@@ -41,7 +41,7 @@ def predict(vessel: Vessel, run: Trajectory) -> Prediction:
 
 def compare(
     split: Split, final: Estimate, effects: Sequence[str], nominal: Vessel, diagnosed: Vessel
-) -> list[Comparison]:
+) -> list[ComparedRun]:
     """The models `nominal` and `diagnosed` on every held-out run.
 
     Arguments:
@@ -54,7 +54,7 @@ def compare(
     for run, vessel in zip(runs, vessels, strict=True):
         before = predict(nominal, run)
         after = predict(vessel, run) if effects else before
-        out.append(Comparison(run, {"nominal": before, "diagnosed": after}))
+        out.append(ComparedRun(run, {"nominal": before, "diagnosed": after}))
     return out
 
 
@@ -76,7 +76,7 @@ def _in_own_environment(
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 
 
-def horizon_table(comparisons: Sequence[Comparison]) -> list[dict]:
+def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict]:
     """Errors of every model at each horizon, root mean square over all starts of all runs."""
     models = list(comparisons[0].predictions) if comparisons else []
     horizons = {h for one in comparisons for p in one.predictions.values() for h in p.errors}

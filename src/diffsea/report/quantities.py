@@ -20,7 +20,7 @@ def for_people(value: float, unit: str) -> tuple[float, str]:
     return value, _PEOPLE.get(unit, unit)
 
 
-def known(value: float | None) -> TypeGuard[float]:
+def is_known(value: float | None) -> TypeGuard[float]:
     """Whether there is a finite number."""
     return value is not None and math.isfinite(value)
 
@@ -31,7 +31,7 @@ def significant(value: float, digits: int) -> str:
         return "0"
     if not 1e-4 <= abs(value) < 1e7:
         return f"{value:.{digits - 1}e}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
-    return _fixed(value, digits - 1 - _exponent(value, digits))
+    return _with_decimals(value, digits - 1 - _exponent(value, digits))
 
 
 def _exponent(value: float, digits: int) -> int:
@@ -39,7 +39,7 @@ def _exponent(value: float, digits: int) -> int:
     return int(f"{abs(value):.{digits - 1}e}".split("e")[1])
 
 
-def _fixed(value: float, decimals: int) -> str:
+def _with_decimals(value: float, decimals: int) -> str:
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
     return text.removeprefix("-") if float(text) == 0 else text
 
@@ -50,32 +50,32 @@ def _decimals(std: float) -> int:
     return digits - 1 - _exponent(std, digits)
 
 
-def rounded(value: float | None, std: float | None = None, unit: str = "") -> str:
+def round_to_error(value: float | None, std: float | None = None, unit: str = "") -> str:
     """A value alone, rounded as its error suggests: `0.30 m/s`."""
-    if not known(value):
+    if not is_known(value):
         return UNKNOWN
     value, name = for_people(value, unit)
-    if not known(std) or std <= 0:
+    if not is_known(std) or std <= 0:
         return f"{significant(value, 3)} {name}".strip()
     # In a sentence two digits are enough, or all those before the point.
     enough = max(1 - _exponent(value, 2), 0) if value else 0
     decimals = min(_decimals(for_people(std, unit)[0]), enough)
-    return f"{_fixed(value, decimals)} {name}".strip()
+    return f"{_with_decimals(value, decimals)} {name}".strip()
 
 
 def with_error(value: float | None, std: float | None, unit: str = "") -> str:
     """A value with its standard error: `0.301 +- 0.004 m/s`."""
-    if not known(value) or not known(std) or std <= 0:
-        return rounded(value, None, unit)
+    if not is_known(value) or not is_known(std) or std <= 0:
+        return round_to_error(value, None, unit)
     value, name = for_people(value, unit)
     std, _ = for_people(std, unit)
     decimals = _decimals(std)
-    return f"{_fixed(value, decimals)} +- {_fixed(std, decimals)} {name}".strip()
+    return f"{_with_decimals(value, decimals)} +- {_with_decimals(std, decimals)} {name}".strip()
 
 
 def probability(p: float | None) -> str:
     """A p-value: `0.03`, `2e-9`."""
-    if not known(p):
+    if not is_known(p):
         return UNKNOWN
     if p < 1e-99:
         return "< 1e-99"
@@ -84,18 +84,18 @@ def probability(p: float | None) -> str:
 
 def interval(bounds: Sequence[float | None], unit: str = "") -> str:
     """An interval in people's units: `0.294 to 0.308 m/s`; an end that is not finite is `open`."""
-    low, high = (for_people(end, unit)[0] if known(end) else None for end in bounds)
+    low, high = (for_people(end, unit)[0] if is_known(end) else None for end in bounds)
     if low is None or high is None or not high > low:
         ends = ["open" if end is None else significant(end, 3) for end in (low, high)]
     else:
         decimals = _decimals((high - low) / 3.29)
-        ends = [_fixed(end, decimals) for end in (low, high)]
+        ends = [_with_decimals(end, decimals) for end in (low, high)]
     return f"{' to '.join(ends)} {for_people(0.0, unit)[1]}".strip()
 
 
 def odds(log10: float | None) -> str:
     """Odds from their decimal logarithm: `850 : 1`, `1e23 : 1`, `1 : 30`."""
-    if not known(log10):
+    if not is_known(log10):
         return UNKNOWN
     size = abs(log10)
     number = f"{float(significant(10**size, 2)):g}" if size < 4 else f"1e{size:.0f}"

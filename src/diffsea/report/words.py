@@ -1,24 +1,25 @@
-"""Effects and their sizes as phrases of plain words.
+"""Results in plain words: effects and their sizes, and what a diagnosis says of a model.
 
-A diagnosis in plain words, for the terminal and the head of the report.
+The same sentences stand in the terminal and at the head of a page, so that they never differ.
 """
 
 import textwrap
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from diffsea.identification.holdout import HeldOut
 from diffsea.report.quantities import (
     duration,
-    known,
+    is_known,
     odds,
     probability,
-    rounded,
+    round_to_error,
     significant,
     with_error,
 )
 
 
-Record = dict
+Record = dict[str, Any]  # a part of diagnosis.json or fit.json
 
 _TEMPLATES = {
     "current": "a steady current of {speed} flowing to {direction}",
@@ -52,12 +53,12 @@ _CHANNELS = {
 _BUT_POSITION = frozenset(("psi", "u", "v", "r"))
 
 
-def title(name: str) -> str:
+def as_words(name: str) -> str:
     """A catalogue name as words: `thrust-lag` is `thrust lag`."""
     return name.replace("-", " ")
 
 
-def listed(items: list[str], last: str = "and") -> str:
+def enumeration(items: list[str], last: str = "and") -> str:
     """`a, b and c`."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
 
@@ -69,11 +70,11 @@ def _value(effect: Record, parameter: str) -> float:
 def _size(effect: Record, parameter: str, scale: float = 1.0, unit: str | None = None) -> str:
     """Absolute value of a parameter, rounded."""
     entry = effect["parameters"].get(parameter, {"value": None})
-    if not known(entry["value"]):
+    if not is_known(entry["value"]):
         return "an unknown amount"
     std = entry.get("std")
     unit = entry.get("unit", "") if unit is None else unit
-    return rounded(abs(entry["value"]) * scale, std * scale if known(std) else None, unit)
+    return round_to_error(abs(entry["value"]) * scale, std * scale if is_known(std) else None, unit)
 
 
 def _asymmetry(effect: Record) -> str:
@@ -140,14 +141,14 @@ def phrase(effect: Record) -> str:
     if name in _PHRASES:
         return _PHRASES[name](effect)
     values = {
-        key: rounded(entry["value"], entry.get("std"), entry.get("unit", ""))
+        key: round_to_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         for key, entry in effect["parameters"].items()
     }
-    values["actuators"] = f"the {listed(effect.get('actuators') or ['actuators'])}"
+    values["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
     try:
         return _TEMPLATES[name].format(**values)
     except KeyError:
-        return f"the effect {title(name)!r}"
+        return f"the effect {as_words(name)!r}"
 
 
 def group_phrase(group: list[Record]) -> str:
@@ -156,22 +157,27 @@ def group_phrase(group: list[Record]) -> str:
         return phrase(group[0])
     first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
     if first is None:
-        return f"a {title(group[0]['name'])} of its own in each recording"
+        return f"a {as_words(group[0]['name'])} of its own in each recording"
     values = [_value(effect, first) for effect in group]
-    low, high = (rounded(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
-    return f"a {title(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
+    low, high = (round_to_error(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
+    return f"a {as_words(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
 
 
 _QUANTITIES = {"position": "m", "heading": "rad"}
-_MODELS = ("nominal", "diagnosed")
+MODELS = ("nominal", "diagnosed")
+HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
+SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
+LINE_WIDTH = 88  # characters, of a terminal
+LABEL_WIDTH = 7  # characters, of the word before a line
+LISTED_FINDINGS = 5  # of the audit, on a terminal
 
 
-def accepted(summary: Record) -> list[Record]:
+def named_effects(summary: Record) -> list[Record]:
     """The effects that have a name."""
     return [effect for effect in summary["effects"] if effect["name"] != "unexplained"]
 
 
-def grouped(effects: list[Record]) -> list[list[Record]]:
+def effect_groups(effects: list[Record]) -> list[list[Record]]:
     """Effects with the records of one that has its own size in each recording together."""
     groups: dict[object, list[Record]] = {}
     for number, effect in enumerate(effects):
@@ -185,39 +191,36 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def alternatives(summary: Record) -> list[str]:
-    """Names that the same data support nearly as well as an accepted effect."""
-    names = [name for effect in accepted(summary) for name in effect.get("alternatives", [])]
-    return list(dict.fromkeys(names))
+def count_recordings(number: int) -> str:
+    """`1 recording`, `3 recordings`."""
+    return "1 recording" if number == 1 else f"{number} recordings"
 
 
-def finding(summary: Record) -> str:
+def verdict_sentence(summary: Record) -> str:
     """What is missing, in one sentence."""
-    groups = grouped(accepted(summary))
-    if not groups:
-        return _without_effects(summary)
-    what = listed([group_phrase(group).rstrip(",") for group in groups])
-    rivals = [title(name) for name in alternatives(summary)]
+    effects = named_effects(summary)
+    if not effects:
+        return _sentence_without_effects(summary)
+    what = enumeration([group_phrase(group).rstrip(",") for group in effect_groups(effects)])
+    names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
     if summary["verdict"] == "unexplained":
         return (
             f"The recordings show {what}, which the model leaves out, and something else that "
             "has no name here."
         )
-    if summary["verdict"] == "ambiguous" and rivals:
-        return (
-            f"The model leaves out {what}, or else {listed(rivals, 'or')}: these recordings "
-            "cannot tell which."
-        )
+    if summary["verdict"] == "ambiguous" and names:
+        rivals = enumeration([as_words(name) for name in names], "or")
+        return f"The model leaves out {what}, or else {rivals}: these recordings cannot tell which."
     return f"The recordings show {what}, which the model leaves out."
 
 
-def _without_effects(summary: Record) -> str:
+def _sentence_without_effects(summary: Record) -> str:
     if summary["verdict"] == "consistent":
         return (
             "The model agrees with the recordings: they show nothing that is missing from it "
             "beyond the values of its parameters."
         )
-    where = strongest(summary)
+    where = strongest_places(summary)
     place = f", strongest in {where[0]}" if where else ""
     return (
         "The recordings show something that the model leaves out and that no effect known here "
@@ -225,17 +228,19 @@ def _without_effects(summary: Record) -> str:
     )
 
 
-def held_out_change(summary: Record) -> str:
+def prediction_sentence(summary: Record) -> str:
     """What the diagnosis does to predictions of held-out runs, in one sentence."""
-    on = capital(held_out_place(summary))
-    row = headline_horizon(summary.get("held_out", {}).get("horizons", []), _MODELS)
+    held_out, found = summary.get("held_out", {}), named_effects(summary)
+    parts = held_out.get("kind") == HeldOut.LAST_PARTS
+    on = f"On {'the last part of each run,' if parts else 'runs'} kept back as a test"
+    row = headline_horizon(held_out.get("horizons", []), MODELS)
     if row is None:
-        return _fit_change(summary, on)
-    quantity = _headline_quantity(row, _MODELS)
-    old, new = (row[model][quantity] for model in _MODELS)
+        return _fit_sentence(summary, on)
+    quantity = _headline_quantity(row, MODELS)
+    old, new = (row[model][quantity] for model in MODELS)
     before, after = (two_digits(value, _QUANTITIES[quantity]) for value in (old, new))
     what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead is"
-    if not accepted(summary):
+    if not found:
         return f"{what} off by {after}."
     if before == after or abs(new - old) < 0.02 * old:
         return f"{what} off by {after} with or without it."
@@ -244,79 +249,76 @@ def held_out_change(summary: Record) -> str:
     return f"{what} then off by {after} instead of {before}."
 
 
-def held_out_place(summary: Record) -> str:
-    """Where predictions were judged: `on runs kept back as a test`."""
-    parts = summary.get("held_out", {}).get("kind") == HeldOut.LAST_PARTS
-    what = "the last part of each run," if parts else "runs"
-    return f"on {what} kept back as a test"
-
-
-def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
-    """The errors to quote: 20 s ahead, else the longest horizon that there is."""
-    rows = [row for row in rows if _headline_quantity(row, models)]
-    preferred = [row for row in rows if row["seconds"] == 20]
-    return (preferred or rows[-1:] or [None])[0]
-
-
-def _headline_quantity(row: Record, models: Sequence[str]) -> str:
-    for quantity in ("position", "heading"):
-        if all(known(row[model].get(quantity)) for model in models):
-            return quantity
-    return ""
-
-
-def two_digits(value: float, unit: str) -> str:
-    """An error with two significant digits."""
-    return rounded(value, 0.1 * abs(value), unit)
-
-
-def _fit_change(summary: Record, on: str) -> str:
-    old, new = (summary["fit"][model].get("test") for model in _MODELS)
-    if not known(old) or not known(new):
+def _fit_sentence(summary: Record, on: str) -> str:
+    """The change of the error of the next sample, where no run is long enough for horizons."""
+    old, new = (summary["fit"][model].get("test") for model in MODELS)
+    if not is_known(old) or not is_known(new):
         return "There was nothing held out to judge it by."
-    if not accepted(summary):
-        return f"{on}, the error of the next sample is {significant(new, 2)} times the noise."
-    return (
-        f"{on}, the error of the next sample goes from {significant(old, 2)} to "
-        f"{significant(new, 2)} times the noise."
-    )
+    after = f"{significant(new, 2)} times the noise"
+    if not named_effects(summary):
+        return f"{on}, the error of the next sample is {after}."
+    return f"{on}, the error of the next sample goes from {significant(old, 2)} to {after}."
 
 
-def strongest(summary: Record, count: int = 3) -> list[str]:
-    """Where the mismatch is, one line for each degree of freedom, strongest first."""
-    lines, seen = [], []
-    for cell in summary["where"]:
-        degree = cell["degree_of_freedom"]
-        if degree in seen:
-            continue
-        seen.append(degree)
-        windows = [c for c in summary["where"] if c["degree_of_freedom"] == degree]
-        windows = [c for c in windows if c["recording"] != "all"] or windows
-        lines.append(_place(windows[0]))
-    return lines[:count]
-
-
-def _place(cell: Record) -> str:
-    run = cell["recording"]
-    when = f"{cell['start']:.0f} to {cell['end']:.0f} s"
-    where = "all runs" if run == "all" else f"{run} from {when}"
-    regime = cell.get("regime", "")
-    regime = f", {regime}" if regime and regime != "no regime stands out" else ""
-    force = significant(cell["force_rms"], 2)
-    return f"{cell['degree_of_freedom']}, {where}{regime} (about {force} {cell['unit']})"
-
-
-def remaining(summary: Record) -> str:
+def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
     p = summary.get("remainder_p_value")
-    if not known(p):
+    if not is_known(p):
         return ""
-    if p < 0.01:
+    if p < SURE_REMAINDER:
         return (
             "Structure remains in the residuals that the model does not explain "
             f"(p = {probability(p)})."
         )
     return f"No significant structure remains in the residuals (p = {probability(p)})."
+
+
+def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
+    """The row of errors to quote: 20 s ahead, else the longest horizon that there is."""
+    rows = [row for row in rows if _headline_quantity(row, models)]
+    preferred = [row for row in rows if row["seconds"] == HEADLINE_SECONDS]
+    return (preferred or rows[-1:] or [None])[0]
+
+
+def _headline_quantity(row: Record, models: Sequence[str]) -> str:
+    for quantity in _QUANTITIES:
+        if all(is_known(row[model].get(quantity)) for model in models):
+            return quantity
+    return ""
+
+
+def horizon_line(row: Record, models: Sequence[str]) -> str:
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`."""
+    parts = []
+    for quantity, unit in _QUANTITIES.items():
+        values = [row[model].get(quantity) for model in models]
+        if all(is_known(value) for value in values):
+            parts.append(f"{quantity} {' -> '.join(two_digits(value, unit) for value in values)}")
+    return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
+
+
+def two_digits(value: float, unit: str) -> str:
+    """An error with two significant digits."""
+    return round_to_error(value, 0.1 * abs(value), unit)
+
+
+def strongest_places(summary: Record, count: int = 3) -> list[str]:
+    """Where the mismatch is, one line for each degree of freedom, strongest first.
+
+    A window of one recording is named before a regime of all of them.
+    """
+    by_degree: dict[str, list[Record]] = {}
+    for cell in summary["where"]:
+        by_degree.setdefault(cell["degree_of_freedom"], []).append(cell)
+    lines = []
+    for degree, cells in by_degree.items():
+        cell = next((c for c in cells if c["recording"] != "all"), cells[0])
+        where = f"{cell['recording']} from {cell['start']:.0f} to {cell['end']:.0f} s"
+        where = "all runs" if cell["recording"] == "all" else where
+        regime = f", {cell['regime']}" if cell.get("in_regime", True) else ""
+        force = f"{significant(cell['force_rms'], 2)} {cell['unit']}"
+        lines.append(f"{degree}, {where}{regime} (about {force})")
+    return lines[:count]
 
 
 def parameter_lines(effect: Record) -> list[str]:
@@ -325,18 +327,18 @@ def parameter_lines(effect: Record) -> list[str]:
     for name, entry in effect["parameters"].items():
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         if "beyond" in entry:
-            text = f"above {rounded(entry['beyond'], None, entry['unit'])}, if any"
+            text = f"above {round_to_error(entry['beyond'], None, entry['unit'])}, if any"
         lines.append(f"{name.replace('_', ' ')} {text}{direction_note(effect, name)}")
     return lines
 
 
-def effect_lines(name: str, copies: Sequence[Record]) -> list[str]:
+def effect_lines(name: str, runs: Sequence[Record]) -> list[str]:
     """A fitted effect in a line, or in one line for each recording."""
     lines = []
-    for number, parameters in enumerate(copies, start=1):
-        told = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
-        where = f", recording {number}" if len(copies) > 1 else ""
-        lines.append(f"{title(name).replace(':', ', ')}{where}: {told}")
+    for number, parameters in enumerate(runs, start=1):
+        sizes = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
+        where = f", recording {number}" if len(runs) > 1 else ""
+        lines.append(f"{as_words(name).replace(':', ', ')}{where}: {sizes}")
     return lines
 
 
@@ -347,63 +349,51 @@ def direction_note(effect: Record, parameter: str) -> str:
 
 
 def verdict_text(summary: Record) -> str:
-    """The diagnosis in a few lines for the terminal."""
-    lines = [*textwrap.wrap(finding(summary), 88), *textwrap.wrap(held_out_change(summary), 88), ""]
-    lines += _item("where", strongest(summary))
-    lines += _item("what", [_what(effect) for effect in accepted(summary)])
-    lines += _item("error", error_lines(summary))
-    lines += _item("left", [remaining(summary)])
-    lines += _item("data", [audit_line(record) for record in summary["audit"]][:5])
-    lines += _item("next", [next_line(summary)])
+    """The diagnosis in a few lines for the terminal.
+
+    Arguments:
+        summary: the content of diagnosis.json.
+    """
+    named = named_effects(summary)
+    rows = summary.get("held_out", {}).get("horizons", [])
+    audit = [
+        f"{as_words(one['kind'])} in {one['recording']}: {one['message']}"
+        for one in summary["audit"][:LISTED_FINDINGS]
+    ]
+    items = {
+        "where": strongest_places(summary),
+        "what": [_effect_line(effect) for effect in named],
+        "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
+        "left": [remainder_sentence(summary)],
+        "data": audit,
+        "next": [_next_line(summary.get("next_experiment"))],
+    }
+    head = [verdict_sentence(summary), prediction_sentence(summary)]
+    lines = [line for text in head for line in textwrap.wrap(text, LINE_WIDTH)] + [""]
+    for label, texts in items.items():
+        for text in filter(None, texts):
+            begin, further = f"{label:<{LABEL_WIDTH}}", " " * LABEL_WIDTH
+            lines += textwrap.wrap(
+                text, LINE_WIDTH, initial_indent=begin, subsequent_indent=further
+            )
+            label = ""
     return "\n".join(lines).rstrip()
 
 
-def _item(label: str, texts: list[str]) -> list[str]:
-    out = []
-    for text in filter(None, texts):
-        begin = f"{label:<7}"
-        out += textwrap.wrap(text, 88, initial_indent=begin, subsequent_indent=" " * 7)
-        label = ""
-    return out
-
-
-def _what(effect: Record) -> str:
+def _effect_line(effect: Record) -> str:
     place = f" in {effect['recording']}" if "recording" in effect else ""
     channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
     size = effect.get("evidence", {}).get("log10_odds")
-    sure = f"; odds {odds(size)}" if known(size) else ""
-    return f"{title(effect['name'])}{channels}{place}: {', '.join(parameter_lines(effect))}{sure}"
+    sure = f"; odds {odds(size)}" if is_known(size) else ""
+    sizes = ", ".join(parameter_lines(effect))
+    return f"{as_words(effect['name'])}{channels}{place}: {sizes}{sure}"
 
 
-def error_lines(summary: Record) -> list[str]:
-    """Errors of position and heading at each horizon, before and after."""
-    models = _MODELS if accepted(summary) else _MODELS[1:]
-    rows = summary.get("held_out", {}).get("horizons", [])
-    return [line for row in rows if (line := error_line(row, models))]
-
-
-def error_line(row: Record, models: Sequence[str]) -> str:
-    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`."""
-    parts = []
-    for quantity in ("position", "heading"):
-        values = [row[model].get(quantity) for model in models]
-        if all(known(value) for value in values):
-            texts = [two_digits(value, _QUANTITIES[quantity]) for value in values]
-            parts.append(f"{quantity} {' -> '.join(texts)}")
-    return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
-
-
-def audit_line(record: Record) -> str:
-    """One finding of the audit."""
-    return f"{title(record['kind'])} in {record['recording']}: {record['message']}"
-
-
-def next_line(summary: Record) -> str:
+def _next_line(proposal: Record | None) -> str:
     """The experiment that would help most."""
-    proposal = summary.get("next_experiment")
     if not proposal:
         return ""
     seconds = proposal.get("seconds")
-    if not known(seconds):
+    if not is_known(seconds):
         return f"no manoeuvre: {proposal['why']}"
-    return f"{title(proposal['manoeuvre'])} for {duration(seconds)}: {proposal['why']}"
+    return f"{as_words(proposal['manoeuvre'])} for {duration(seconds)}: {proposal['why']}"

@@ -1,0 +1,194 @@
+"""A fit as one page for people: parameters, what is not known, predictions beside the data."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from diffsea.identification.study import Study
+from diffsea.report.comparison import ComparedRun, horizon_table, predict
+from diffsea.report.page import Plot, Table, render
+from diffsea.report.plots import DIAGNOSED, figure
+from diffsea.report.predictions import PredictionSection, prediction_section
+from diffsea.report.provenance import Provenance, parameter_table, provenance
+from diffsea.report.quantities import round_to_error, significant, with_error
+from diffsea.report.words import (
+    Record,
+    capital,
+    count_recordings,
+    effect_lines,
+    enumeration,
+    headline_horizon,
+    horizon_line,
+)
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+
+
+MODELS = {"start": "vessel file", "fitted": "fitted"}
+WORSE = 1.1  # times the error of the vessel file, which chance alone hardly gives
+SHOWN_RUNS = 2  # the two that are predicted worst tell most
+DRAWN_ROWS = 1500  # of a run: more cannot be told apart
+
+
+@dataclasses.dataclass(frozen=True)
+class FitPage:
+    """What `fit.html.j2` shows.
+
+    Attributes:
+        errors: of predictions before and after, a sentence; empty where none could be made.
+        warning: why not to trust the fit; empty where nothing speaks against it.
+        anchor: what fixes the scale of forces, a sentence.
+        open_questions: what the data do not determine, and what to record next.
+        trial_numbers: given and fitted; None for recordings.
+        history: how the fit converged, a line for each step.
+    """
+
+    title: str
+    subtitle: str
+    lead: str
+    errors: str
+    misfit: str
+    misfit_held_out: str
+    warning: str
+    parameters: Table
+    anchor: str
+    effects: Sequence[str]
+    open_questions: Sequence[str]
+    trial_numbers: Table | None
+    held_out: bool
+    predictions: PredictionSection
+    convergence: Plot | None
+    history: Sequence[str]
+    provenance: Provenance
+
+
+def fit_report(
+    study: Study,
+    quality: dict[str, float],
+    history: Sequence[str],
+    runs: Sequence[ComparedRun],
+    data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
+    source: Record,
+) -> str:
+    """The page.
+
+    Arguments:
+        quality: normalised misfit of what was fitted and of what was held out.
+        history: how the fit converged, one line per step.
+        runs: predictions by the vessel file as it was and as fitted, of what was held out where
+            there is anything, see `compare_fit`.
+        data: recordings that were fitted, none for a sheet of trial numbers, and held out.
+        source: what was run on what; shown as it is.
+    """
+    recordings, test = data
+    row = headline_horizon(horizon_table(runs), tuple(MODELS))
+    judged = "On runs held out" if test else "On the runs it was fitted to"
+    errors = "" if row is None else horizon_line(row, tuple(MODELS))
+    counts = f"{count_recordings(len(recordings))} fitted, {count_recordings(len(test))} held out"
+    page = FitPage(
+        title=f"Fit of {study.vessel_name}",
+        subtitle=counts if recordings else "trial numbers fitted",
+        lead=_lead(study.rows),
+        errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
+        misfit=significant(quality["train"], 3),
+        misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
+        warning=f"{capital(text)}." if (text := worse_warning(runs)) else "",
+        parameters=parameter_table(study.rows),
+        anchor=capital(study.anchor) + ".",
+        effects=[line for item in study.effects.items() for line in effect_lines(*item)],
+        open_questions=_open_questions(study),
+        trial_numbers=None if study.problem is not None else _trial_number_table(study),
+        held_out=bool(test),
+        predictions=prediction_section(runs, MODELS, DRAWN_ROWS, SHOWN_RUNS),
+        convergence=_convergence_plot(study.estimate.path),
+        history=history,
+        provenance=provenance(
+            source, [(r, "fitted") for r in recordings] + [(r, "held out") for r in test]
+        ),
+    )
+    return render("fit.html.j2", page)
+
+
+def compare_fit(
+    study: Study, start: Vessel, fitted: Vessel, data: tuple[list[Trajectory], list[Trajectory]]
+) -> list[ComparedRun]:
+    """Predictions of what was held out, or else of what was fitted, before and after the fit.
+
+    Where wind and current are each recording's own, those of a run held out are estimated on
+    its first part, and the rest is predicted.
+    """
+    train, test = data
+    runs, vessels = study.held_out(test) if test else (train, [fitted] * len(train))
+    return [
+        ComparedRun(run, {"start": predict(start, run), "fitted": predict(vessel, run)})
+        for run, vessel in zip(runs, vessels, strict=True)
+    ]
+
+
+def worse_warning(runs: Sequence[ComparedRun]) -> str:
+    """A warning where the fit predicts worse than the vessel file did, else nothing."""
+    row = headline_horizon(horizon_table(runs), tuple(MODELS))
+    if row is None:
+        return ""
+    before, after = row["start"], row["fitted"]
+    worse = [n for n in ("position", "heading") if n in after and after[n] > WORSE * before[n]]
+    if not worse:
+        return ""
+    return (
+        f"{row['seconds']:g} s ahead the fit predicts {enumeration(worse)} worse than the vessel "
+        "file as it was: something is missing in the model or unsound in the data, and the fit "
+        "makes up for it with these parameters. See `diffsea audit` and `diffsea diagnose`"
+    )
+
+
+def _lead(rows: Sequence[Record]) -> str:
+    """How many parameters were fitted, and which of them the data do not determine."""
+    weak = [row["name"] for row in rows if row["determined"] < 0.5]
+    count = "1 parameter was" if len(rows) == 1 else f"{len(rows)} parameters were"
+    lead = f"{count} fitted; the data determine "
+    if not weak:
+        return lead + "all that was fitted."
+    rest = "rests" if len(weak) == 1 else "rest"
+    return lead + f"all but {len(weak)}: {enumeration(weak)} {rest} mostly on the vessel file."
+
+
+def _open_questions(study: Study) -> list[str]:
+    """What the data do not tell, and what to record next."""
+    sentences = [capital(sentence) + "." for sentence in study.identifiability.sentences]
+    if study.outliers:
+        lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
+        sentences.append(f"Lone outliers left out of the fit: {lost}.")
+    if study.agreement is not None:
+        sentences.append(capital(study.agreement.sentence) + ".")
+    if study.next is not None:
+        sentences.append(f"To record next: {study.next.sentence}.")
+    return sentences
+
+
+def _trial_number_table(study: Study) -> Table:
+    cells = []
+    for row in study.objective.residuals(study.estimate.coordinates):
+        given, fitted, std = row["given"], row["fitted"], row["std"]
+        misfit = significant((fitted - given) / std, 2)
+        name, estimate = row["number"].replace("_", " "), round_to_error(fitted, 0.3 * std)
+        cells.append([row["trial"], name, with_error(given, std), estimate, misfit])
+    columns = ["trial", "number", "given", "fitted", "difference / std"]
+    return Table(columns, cells, "Trial numbers in SI units", numeric=(2, 3, 4))
+
+
+def _convergence_plot(path: Sequence[float]) -> Plot | None:
+    """The cost above its minimum after each round, by its logarithm beyond one."""
+    if len(path) < 2:
+        return None
+    above = np.array(path) - min(path)
+    marks = [0.0, *(10.0**k for k in range(1 + math.ceil(math.log10(1 + above.max()))))]
+    line = go.Scatter(x=list(range(len(path))), y=list(np.log10(1 + above)), customdata=list(above))
+    line.update(mode="lines+markers", line={"color": DIAGNOSED})
+    line.update(hovertemplate="round %{x}: %{customdata:.4g}<extra></extra>")
+    costs = {"tickvals": list(np.log10(1 + np.array(marks))), "ticktext": [f"{m:g}" for m in marks]}
+    costs |= {"title": {"text": "cost above its minimum"}}
+    drawn = figure(line, xaxis={"title": {"text": "round"}}, yaxis=costs)
+    return Plot(drawn, "The cost of the fit falling from round to round", 320)
