@@ -26,7 +26,7 @@ from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import physical_table
+from diffsea.identification.estimates import parameter_estimates
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
@@ -83,7 +83,7 @@ def case(document: dict, seed: int, gusts: bool) -> list[dict]:
     runs = [run(truth, rng, gusts) for _ in range(2)]
     problem = make_problem(nominal, runs, free_by_default(nominal))
     free = tuple(p.name for p in problem.layout.parameters)
-    table = physical_table(problem.layout.parameters, estimate(problem, free))
+    table = parameter_estimates(problem.layout.parameters, estimate(problem, free))
     for row in table:
         low, high = row["interval"]
         row["truth"] = hull[row["name"]]

@@ -33,11 +33,11 @@ from prediction import (
 )
 from scipy.stats import spearmanr
 
-from diffsea.identification.data.dataset import Shape
+from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.effect_records import parameter_records
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import Split, row_deviance, split, transferred
+from diffsea.identification.holdout import Split, held_out_coordinates, row_deviance, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
@@ -144,17 +144,17 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
     seen = {name: _without(run, dropped) for name, run in runs.items()}
     train, test = ([seen[name] for name in part] for part in (TRAIN, HELD_OUT))
 
-    def problem_of(some: list[Trajectory], least: Shape) -> Problem:
+    def problem_of(some: list[Trajectory], least: DatasetShape) -> Problem:
         return make_problem(vessel, some, free, (EFFECTS["wind"],), True, 2, least=least)
 
-    data = split(problem_of, train, test, True)
+    data = split_data(problem_of, train, test, True)
     nominal = estimate(data.train, free)
     informed = estimate(data.train, free, _given(data.train, train))
     blind = estimate(data.train, (*free, "wind"))
     found = dict(zip(TRAIN, parameter_records(data.train, blind, "wind"), strict=False))
     for part in (HELD_OUT, REST):
-        # On a tape of the same shape, for which the programs are compiled.
-        others = problem_of([seen[name] for name in part], data.train.tape.shape)
+        # On a dataset of the same shape, for which the programs are compiled.
+        others = problem_of([seen[name] for name in part], data.train.dataset.shape)
         wind = parameter_records(others, _wind_of(others, blind, len(free)), "wind")
         found |= dict(zip(part, wind, strict=False))
     record = {"wind": scored(found, runs)}
@@ -196,7 +196,7 @@ def _gains(
     The informed model is given the measured wind of the held-out runs; the blind one estimates
     it on their first part.
     """
-    known = np.asarray(data.test.tape.known).any(1)
+    known = np.asarray(data.test.dataset.known).any(1)
     at = _given(data.test, [*data.held_out])
     hull = len(data.train.layout.parameters)
     at[:hull] = informed.coordinates[:hull]
@@ -204,9 +204,9 @@ def _gains(
     def deviance(coordinates: np.ndarray, fitted: Estimate) -> float:
         return float(row_deviance(data.test, coordinates, fitted)[known].sum())
 
-    calm = deviance(transferred(data, nominal), nominal)
+    calm = deviance(held_out_coordinates(data, nominal), nominal)
     told = calm - deviance(at, informed)
-    found = calm - deviance(transferred(data, blind), blind)
+    found = calm - deviance(held_out_coordinates(data, blind), blind)
     share = found / told if told > 0 else float("nan")
     return {"informed": told, "blind": found, "share": share}
 

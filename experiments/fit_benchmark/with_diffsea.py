@@ -50,12 +50,12 @@ def problem_of(data: Data) -> Problem:
 
 
 def free_run(data: Data) -> Outcome:
-    """`FreeRun` as the library offers it: windows, soft loss, estimated scales, priors."""
+    """`OutputError` as the library offers it: windows, soft loss, estimated scales, priors."""
     problem = problem_of(data)
     with Counter() as counter:
-        fit = objective.FreeRun(problem)
+        fit = objective.OutputError(problem)
         fitted = fit.fit(NAMES)
-    firsts = fit.windows.number[np.flatnonzero(np.asarray(problem.tape.starts))]
+    firsts = fit.windows.number[np.flatnonzero(np.asarray(problem.dataset.starts))]
     return Outcome(
         decoded(problem, fitted.coordinates), fitted.noise.states[firsts], counter.shots,
         counter.slopes, away(problem, fitted, data.truth),
@@ -78,7 +78,7 @@ def one_shot(data: Data) -> Outcome:
     The library's own misfits take heading modulo a turn; here it counts turns, as for the others.
     """
     problem = problem_of(data)
-    given = problem.base, problem.tape, jnp.asarray(data.measured[:, 0])
+    given = problem.base, problem.dataset, jnp.asarray(data.measured[:, 0])
     begin = jnp.zeros(len(NAMES) + data.measured[:, 0].size)
     z, steps = _descended(begin, given, Static(problem.layout))
     z = np.asarray(z)
@@ -88,24 +88,24 @@ def one_shot(data: Data) -> Outcome:
 
 def _misfits(at: tuple, given: tuple, layout: Static) -> jax.Array:
     """(measured - simulated) / sigma, (row, channel), from coordinates and first states."""
-    base, tape, _ = given
+    base, dataset, _ = given
     vessel, flows = vessel_at(base, layout.value, at[0])
 
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs
         x = jnp.where(row["starts"], first, x)
-        shown = kalman.expected(vessel, x, row, row["flow"])
+        shown = kalman.expected_measurements(vessel, x, row, row["flow"])
         misfit = jnp.where(row["known"], (row["measured"] - shown) / SIGMA, 0.0)
-        return kalman.propagate(vessel, x, row, row["flow"], tape.substeps), misfit
+        return kalman.propagate(vessel, x, row, row["flow"], dataset.substeps), misfit
 
-    inputs = kalman.rows(vessel, flows, tape), at[1][tape.run]
+    inputs = kalman.filter_rows(vessel, flows, dataset), at[1][dataset.run]
     return jax.lax.scan(body, jnp.zeros(6), inputs)[1]
 
 
 def _white(z: jax.Array, args: tuple) -> tuple[jax.Array, jax.Array]:
     """Misfits and their Jacobian; a first state moves its own run only."""
     given, layout = args
-    n, tape, start = len(NAMES), given[1], given[2]
+    n, dataset, start = len(NAMES), given[1], given[2]
     at = z[:n], start + SIGMA * z[n:].reshape(-1, 6)
     still = jnp.zeros(n), jnp.zeros_like(start)
 
@@ -114,7 +114,7 @@ def _white(z: jax.Array, args: tuple) -> tuple[jax.Array, jax.Array]:
 
     by_parameter = jax.vmap(lambda d: along((d, still[1])))(jnp.eye(n))
     by_state = jax.vmap(lambda d: along((still[0], still[1] + d)))(jnp.diag(jnp.asarray(SIGMA)))
-    own = tape.run[:, None] == jnp.arange(len(start))  # row, run
+    own = dataset.run[:, None] == jnp.arange(len(start))  # row, run
     spread = jnp.where(own[:, None, :, None], jnp.moveaxis(by_state, 0, -1)[:, :, None], 0.0)
     J = jnp.concatenate(
         [jnp.moveaxis(by_parameter, 0, -1), spread.reshape(*spread.shape[:2], -1)], -1
@@ -153,12 +153,12 @@ class Counter:
 
     def __enter__(self) -> "Counter":
         self.shots = self.slopes = 0
-        self._kept = shooting.shoot, shooting.slopes
-        shooting.shoot, shooting.slopes = self._shoot, self._slopes
+        self._kept = shooting.shoot, shooting.shoot_with_slopes
+        shooting.shoot, shooting.shoot_with_slopes = self._shoot, self._slopes
         return self
 
     def __exit__(self, *_: object) -> None:
-        shooting.shoot, shooting.slopes = self._kept
+        shooting.shoot, shooting.shoot_with_slopes = self._kept
 
     def _shoot(self, *args):
         self.shots += 1

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from ship import SPEED
 from zigzags import ideal
 
-from diffsea.identification.data.dataset import Shape
+from diffsea.identification.data.dataset import DatasetShape
 from diffsea.metamodels.fit import COMMON, OWN
 from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin
@@ -22,7 +22,9 @@ from diffsea.metamodels.norrbin import Norrbin
 
 LENGTH = 160.93  # m
 TRIALS = 6  # of each set
-LEAST = Shape(runs=CHOSEN, rows=1024)  # of a tape of service: all sets share compiled programs
+LEAST = DatasetShape(
+    runs=CHOSEN, rows=1024
+)  # of a dataset of service: all sets share compiled programs
 NAMES = ("a0", "a1", "a2", "a3", "b")
 PUBLISHED, TRIALWISE, NUISANCE, LIKELY = (
     "least squares, white errors", "least squares, errors by trial",

@@ -20,7 +20,7 @@ prepare_jax()
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.study import Settings, Study, identify
+from diffsea.identification.study import FitSettings, Study, identify
 from diffsea.metrics import recording_metrics
 from diffsea.recordings import read_mapping, read_recording
 from diffsea.report.comparison import ComparedRun, horizon_table, predict
@@ -46,7 +46,7 @@ class Set:
     pattern: str
     held_out: tuple[str, ...]
     train: tuple[str, ...] = ()  # all others if empty
-    settings: Settings = Settings(profiles=())
+    settings: FitSettings = FitSettings(profiles=())
     left_out: tuple[str, ...] = ()  # channels that are not measurements of their own
     circles: float | None = None  # approach speed (m/s) of 35 deg circles to predict
 
@@ -71,7 +71,7 @@ SETS = {
         ("zigzag_31-Jul-2020_13_42_53.csv", "turn_14-Oct-2020_14_56_07.csv"),
         ("zigzag_31-Jul-2020_13_04_24.csv", "zigzag_31-Jul-2020_13_22_52.csv",
          "zigzag_31-Jul-2020_14_03_39.csv", "turn_14-Sep-2020_13_51_45.csv"),
-        Settings(profiles=(), effects=("current", "wind"), per_recording=True),
+        FitSettings(profiles=(), effects=("current", "wind"), per_recording=True),
         ("u", "v"),  # low-passed: smoother and later than positions and yaw rate allow
     ),
 }  # fmt: skip

@@ -14,8 +14,8 @@ import marus_published as published
 import marus_vessel
 import numpy as np
 
-from diffsea.identification.estimates import Estimate, interval
-from diffsea.identification.objectives.trial_numbers import Sheet, TrialNumbers
+from diffsea.identification.estimates import Estimate, normal_interval
+from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.simulation import standard
 from diffsea.simulation.standard import TrialPlan
@@ -40,13 +40,13 @@ def plan_of(run: published.Run, vessel: Vessel) -> TrialPlan:
     return dataclasses.replace(plan, approach_seconds=APPROACH)
 
 
-def sheet_of(run: published.Run, vessel: Vessel, misfit: dict[str, float]) -> Sheet:
+def sheet_of(run: published.Run, vessel: Vessel, misfit: dict[str, float]) -> MeasuredTrial:
     """A trial's figures in SI with their standard deviations."""
     names = tuple(run.numbers)
     factors = np.array([published.in_si(name) for name in names])
     stds = [math.hypot(misfit[published.unit(n)], published.rounding(n)) for n in names]
     values = np.array([run.numbers[name] for name in names])
-    return Sheet(plan_of(run, vessel), names, values * factors, np.array(stds) * factors)
+    return MeasuredTrial(plan_of(run, vessel), names, values * factors, np.array(stds) * factors)
 
 
 def objective_of(
@@ -116,7 +116,7 @@ def derivative_rows(objective: TrialNumbers, fitted: Estimate) -> list[dict]:
     for number, parameter in enumerate(objective.parameters):
         place = list(fitted.index).index(number)
         at, std = float(fitted.coordinates[number]), float(fitted.stds[place])
-        low, high = interval(parameter, at, std)
+        low, high = normal_interval(parameter, at, std)
         rows.append(
             {
                 "name": parameter.name, "unit": parameter.unit, "start": parameter.value,

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from campaign import Run
 from models import document, vessel_of
 
-from diffsea.identification.estimates import physical_table
-from diffsea.identification.objectives.base import Innovations, Objective
-from diffsea.identification.objectives.output_error import FreeRun
+from diffsea.identification.estimates import parameter_estimates
+from diffsea.identification.objectives.base import AbstractObjective, Innovations
+from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.parameters import Parameter, hull_prior, named
 from diffsea.vessel.base import Vessel
@@ -72,14 +72,14 @@ def fit_whole(runs: list[Run], from_afar: bool = False) -> Joint:
 
     `from_afar`: from where the innovation likelihood leads, whose basin is wider.
     """
-    return _fit(vessel_of(START), runs, WHOLE, FreeRun, from_afar)
+    return _fit(vessel_of(START), runs, WHOLE, OutputError, from_afar)
 
 
 def _fit(
     vessel: Vessel,
     runs: list[Run],
     free: tuple[str, ...],
-    objective: Callable[[Problem], Objective],
+    objective: Callable[[Problem], AbstractObjective],
     from_afar: bool = False,
 ) -> Joint:
     priors = {name: _prior(name, vessel) for name in free}
@@ -89,7 +89,7 @@ def _fit(
     start = Innovations(problem).fit(free).coordinates if from_afar else None
     aim = objective(problem)
     fitted = aim.fit(free, start)
-    return Joint(physical_table(aim.parameters, fitted), time.process_time() - began)
+    return Joint(parameter_estimates(aim.parameters, fitted), time.process_time() - began)
 
 
 def _prior(name: str, vessel: Vessel) -> Parameter:

@@ -13,8 +13,8 @@ from diffsea.diagnosis.search import diagnose
 from diffsea.errors import UserError
 
 
-def tape(value: float) -> SimpleNamespace:
-    return SimpleNamespace(tape=SimpleNamespace(measured=np.full((3, 6), value)))
+def dataset(value: float) -> SimpleNamespace:
+    return SimpleNamespace(dataset=SimpleNamespace(measured=np.full((3, 6), value)))
 
 
 @pytest.fixture
@@ -22,8 +22,8 @@ def screened(monkeypatch):
     """Data sets numbered from one, the screening of each with p-values 1/n and 1/sqrt(n)."""
     count = iter(range(1, 10**6))
     nominal = SimpleNamespace(free=(), coordinates=np.zeros(1), noise=None)
-    monkeypatch.setattr(module, "simulated", lambda *_: tape(next(count)))
-    monkeypatch.setattr(module, "estimate", lambda made, *_: made.tape.measured[0, 0])
+    monkeypatch.setattr(module, "resimulate", lambda *_: dataset(next(count)))
+    monkeypatch.setattr(module, "estimate", lambda made, *_: made.dataset.measured[0, 0])
     monkeypatch.setattr(
         module, "screen",
         lambda made, n: SimpleNamespace(p_value=1 / n, remainder=1 / np.sqrt(n)),
@@ -60,8 +60,8 @@ def test_too_few_draws_are_refused(screened):
 @pytest.mark.parametrize(("every", "refused"), [(20, False), (5, True)])
 def test_others_are_drawn_for_those_that_diverge(screened, monkeypatch, every, refused):
     count = iter(range(1, 10**6))
-    broken = lambda *_: tape(np.nan if (n := next(count)) % every == 0 else n)
-    monkeypatch.setattr(module, "simulated", broken)
+    broken = lambda *_: dataset(np.nan if (n := next(count)) % every == 0 else n)
+    monkeypatch.setattr(module, "resimulate", broken)
     if refused:
         with pytest.raises(UserError, match="11 of 55 runs.*diverge"):
             screened(100)

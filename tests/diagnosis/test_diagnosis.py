@@ -15,7 +15,7 @@ from diffsea.diagnosis.record import summary, vessel_document
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.screening import mimicry
 from diffsea.diagnosis.search import _verdict, diagnose
-from diffsea.identification.holdout import transferred
+from diffsea.identification.holdout import held_out_coordinates
 from diffsea.recordings import read_recording
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.files import build
@@ -109,7 +109,7 @@ def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
         assert parameters["speed"]["value"] == pytest.approx(0.3, rel=0.1)
         assert parameters["direction"]["value"] == pytest.approx(truth, abs=0.15)
     # The held-out run's own current is read off its head; what is judged is the rest.
-    coordinates = transferred(found.split, found.final)
+    coordinates = held_out_coordinates(found.split, found.final)
     north, east = found.split.test.layout.physical("current", coordinates)[0]
     assert (north, east) == pytest.approx((0.3 * np.cos(0.5), 0.3 * np.sin(0.5)), abs=0.06)
     assert found.split.held_out[0].t[0] > 23.0

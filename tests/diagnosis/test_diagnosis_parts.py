@@ -34,7 +34,7 @@ from diffsea.diagnosis.screening import (
 )
 from diffsea.diagnosis.search import stalled
 from diffsea.identification.coordinates import CoordinateLayout
-from diffsea.identification.estimates import made
+from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.expansion_points import ExpansionPoint, expansion_points, merge_spans
 from diffsea.identification.holdout import Gain
 from diffsea.vessel.effects import EFFECTS
@@ -69,7 +69,7 @@ def _linear(rng, columns, spreads, truth):
     at = np.linalg.solve(precision, columns.T @ y)
     deviance = ((y - columns @ at) ** 2).sum() + ((at / spreads) ** 2).sum()
     index = np.arange(len(spreads))
-    fitted = made(("a",), at, deviance, index, spreads, information)
+    fitted = posterior_estimate(("a",), at, deviance, index, spreads, information)
     covariance = np.eye(len(y)) + columns @ np.diag(spreads**2) @ columns.T
     return y, fitted, covariance
 
@@ -82,7 +82,7 @@ def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
     plain = X[:, :2]
     at = np.linalg.solve(plain.T @ plain + np.diag(1 / spreads[:2] ** 2), plain.T @ y)
     deviance = ((y - plain @ at) ** 2).sum() + ((at / spreads[:2]) ** 2).sum()
-    less = made(("a",), at, deviance, np.arange(2), spreads[:2], plain.T @ plain)
+    less = posterior_estimate(("a",), at, deviance, np.arange(2), spreads[:2], plain.T @ plain)
     narrow = np.eye(80) + plain @ np.diag(spreads[:2] ** 2) @ plain.T
     exact = 2 * (
         stats.multivariate_normal(cov=wide).logpdf(y)
@@ -351,7 +351,7 @@ def _limits(boat, columns: dict[str, np.ndarray]) -> dict[str, dict]:
     class Problem:
         base = boat
         layout = type("Layout", (), {"effects": tuple(EFFECTS[name] for name in columns)})
-        tape = type("Tape", (), {"measured": np.zeros(50)})
+        dataset = type("Dataset", (), {"measured": np.zeros(50)})
 
     assert not detection_limits(Problem, Screening(seen, (), None), tuple(columns))
     rows = detection_limits(Problem, Screening(seen, (), None), ())
@@ -431,7 +431,7 @@ def _copied(amounts, stds, recorded):
     layout = SimpleNamespace(instances=lambda effect: count, indices=every)
     run, known = np.arange(count), np.zeros((count, 6), bool)
     known[recorded] = True
-    problem = SimpleNamespace(layout=layout, tape=SimpleNamespace(run=run, known=known))
+    problem = SimpleNamespace(layout=layout, dataset=SimpleNamespace(run=run, known=known))
     fitted = SimpleNamespace(
         coordinates=np.array(amounts), precision=np.diag(1 / np.array(stds) ** 2),
         covariance=np.diag(4.0 * np.array(stds) ** 2), index=np.arange(count),
@@ -516,12 +516,12 @@ def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(monkeypatch
     rng, dt, rows = np.random.default_rng(5), 0.5, 600
     t = np.concatenate([dt * np.arange(rows), apart + dt * np.arange(rows)])
     push = rng.normal(size=(2 * rows, 3)) + 0.8 * np.cos(2 * np.pi * 0.11 * t)[:, None]
-    tape = SimpleNamespace(
+    dataset = SimpleNamespace(
         run_time=t, dt=np.full(2 * rows, dt), known=np.ones((2 * rows, 6), bool),
         run=np.repeat([0, 1], rows),
     )  # fmt: skip
     still = SimpleNamespace(state=np.zeros((2 * rows, 6)))
-    problem = SimpleNamespace(tape=tape, tuned=lambda *_: still)
+    problem = SimpleNamespace(dataset=dataset, run_filter=lambda *_: still)
     monkeypatch.setattr(jacobians, "latent_acceleration", lambda *_: push)
     found, resolution = jacobians.peaks(problem, SimpleNamespace(coordinates=None, noise=None))
     assert resolution == pytest.approx(0.5 / (dt * rows), rel=0.01)
@@ -565,11 +565,11 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in():
     u = np.where(run == 0, 1.0, 3.0) + 1e-3 * t
     r = np.where((run == 1) & (t >= 60), 0.3, 0.0) + 1e-4 * t
     measured = np.stack([t, t, 0 * t, u, 0.1 * u, r], axis=1)
-    tape = SimpleNamespace(
+    dataset = SimpleNamespace(
         measured=measured, known=np.ones((200, 6), bool), orders={"screw": u}, run=run,
         run_time=t, runs=2,
     )  # fmt: skip
-    problem = SimpleNamespace(tape=tape)
+    problem = SimpleNamespace(dataset=dataset)
     texts = [labels[0][3] for binning in localisation.regimes(problem) for labels in binning.labels]
     speeds = [text for text in texts if text.startswith("speed")]
     turning = [text for text in texts if text.startswith("yaw rate")][-1]
@@ -589,6 +589,6 @@ def test_a_change_happens_while_something_is_recorded(time, possible):
     layout = CoordinateLayout((), (effect,), ((0.2, size),), 1, False, 100.0)
     known = np.zeros((101, 6), bool)
     known[:100] = True  # the last row has no value
-    tape = SimpleNamespace(run_time=np.arange(101.0), known=known)
-    problem = SimpleNamespace(layout=layout, tape=tape)
+    dataset = SimpleNamespace(run_time=np.arange(101.0), known=known)
+    problem = SimpleNamespace(layout=layout, dataset=dataset)
     assert refit._while_recorded(problem, effect, time / size) == possible

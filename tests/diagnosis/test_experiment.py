@@ -90,7 +90,7 @@ def test_rivals_that_act_alike_get_no_manoeuvre(slow, monkeypatch):
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_what_is_expected_of_a_manoeuvre_follows_its_orders_as_fast_as_actuators_slew(slow, name):
-    run = imagined(slow, LIBRARY[name])
+    run = simulate_manoeuvre(slow, LIBRARY[name])
     step, steepest = np.diff(run.t), 0.0
     for channel in slow.channels:
         orders, executed = run.commanded[channel], run.executed[channel]
@@ -137,7 +137,7 @@ def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     fouled = estimated(diagnosis, drag, (factor, drag_at))
     boosted = estimated(diagnosis, thrust, (-factor, thrust_at))
     schedule = LIBRARY["speed steps"]
-    run = imagined(vessel, schedule)
+    run = simulate_manoeuvre(vessel, schedule)
     push = sum(run.commanded[channel] for channel in vessel.channels)
     u, by_drag, by_thrust = surge(run.t, push, drag_at, factor, thrust_at)
     left = np.append(factor * by_drag / SENSOR, 0.0)
@@ -159,7 +159,7 @@ def estimated(diagnosis, effect, physical: tuple[float, ...]):
     noise = Noise.of(np.log([*[1e-6] * 3, *[1e-6] * 3, *[1.0] * 3, *[SENSOR] * 6]))
     index = np.array([0, *place])
     free = (*FREE, effect.name)
-    fitted = made(
+    fitted = posterior_estimate(
         free, coordinates, 0.0, index, train.layout.spreads(), np.zeros((len(index),) * 2)
     )
     return dataclasses.replace(fitted, noise=noise)

@@ -12,7 +12,7 @@ from diffsea.diagnosis import refit
 from diffsea.diagnosis.decision import Accepted
 from diffsea.diagnosis.screening import Seen
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
-from diffsea.identification.estimates import made
+from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.parameters import Parameter
 from diffsea.vessel.effects import EFFECTS
@@ -40,7 +40,7 @@ def fitted(problem, X: np.ndarray, y: np.ndarray, free: tuple[str, ...]):
         coordinates[index] = np.linalg.solve(precision, some.T @ y)
     strains = np.asarray(layout.strains(coordinates, layout.spreads()))
     deviance = ((y - X @ coordinates) ** 2).sum() + (strains**2).sum()
-    return made(
+    return posterior_estimate(
         free, coordinates, deviance, index, layout.local_spreads(coordinates), some.T @ some
     )
 

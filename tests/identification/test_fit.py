@@ -16,14 +16,20 @@ from diffsea.diagnosis.jacobians import columns_of, gains_at, residual_at
 from diffsea.errors import UserError
 from diffsea.identification import fit, problem, study
 from diffsea.identification.coordinates import negative_effects, vessel_at
-from diffsea.identification.estimates import physical_table
+from diffsea.identification.estimates import parameter_estimates
 from diffsea.identification.filter.noise_fit import _rerun
-from diffsea.identification.filter.process_noise import Noise, gust_model, updated
-from diffsea.identification.fit import _clock, _path, estimate, normalised_rms, posterior
+from diffsea.identification.filter.process_noise import Noise, gust_propagation, measurement_update
+from diffsea.identification.fit import (
+    _clock,
+    _path,
+    estimate,
+    negative_log_posterior,
+    normalised_rms,
+)
 from diffsea.identification.least_squares import least_squares_from
 from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import _prior, _white, jacobian, make_problem, selection, traced
-from diffsea.identification.study import Settings
+from diffsea.identification.study import FitSettings
 from diffsea.parameters import hull_prior
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
 from diffsea.trajectory import Trajectory
@@ -88,7 +94,7 @@ def fitted(document, recordings):
 
 def test_derivatives_are_recovered_from_a_start_far_away(document, fitted):
     problem, result = fitted
-    for row in physical_table(problem.layout.parameters, result):
+    for row in parameter_estimates(problem.layout.parameters, result):
         truth = document["hull"][row["name"]]
         assert abs(row["value"] - truth) < 4 * row["std"] + 1e-9, row
         assert abs(row["start"] - truth) > 0.25 * abs(truth)
@@ -121,7 +127,7 @@ def test_sequential_update_equals_the_joint_kalman_update():
     P, H, R = root @ root.T, rng.normal(size=(6, 9)), rng.uniform(0.5, 2.0, 6)
     used = np.array([True, True, False, True, True, True])
     still, late = np.zeros((9, 9)), np.zeros(6)
-    C, W, after, variance = updated(*map(jnp.asarray, (P, H, R, used, still, late)))
+    C, W, after, variance = measurement_update(*map(jnp.asarray, (P, H, R, used, still, late)))
     h = H[used]
     S = h @ P @ h.T + np.diag(R[used])
     K = P @ h.T @ np.linalg.inv(S)
@@ -142,7 +148,7 @@ def test_a_late_channel_tells_of_the_state_before_the_gusts():
 
     def told(rows: float) -> tuple:
         late = rows * used
-        return updated(*map(jnp.asarray, (P, H, R, used, Q, late)))
+        return measurement_update(*map(jnp.asarray, (P, H, R, used, Q, late)))
 
     C, _, after, variance = told(1e-4)
     assert float(variance[2]) == pytest.approx(h @ (P - 1e-4 * Q) @ h + R[2], rel=1e-7)
@@ -162,7 +168,7 @@ def test_a_random_walk_seen_late_is_followed_as_one_seen_at_once(rows):
     q, noise, seen = 0.3, 1.0, np.arange(6) == 3
     Q, P = np.diag(np.append(q * seen, np.zeros(3))), np.eye(9)
     late = rows * seen
-    update = jax.jit(updated)
+    update = jax.jit(measurement_update)
     for _ in range(300):
         C, _, after, variance = update(P, np.eye(6, 9), np.full(6, noise), seen, Q, late)
         P = np.asarray(after) + Q
@@ -175,7 +181,7 @@ def test_a_random_walk_seen_late_is_followed_as_one_seen_at_once(rows):
 def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
     """Van Loan's matrix exponential of d(speed) = a dt + g dw, d a = -a dt / T + b dw'."""
     noise = Noise.of(np.log([0.03, 0.02, 0.01, 0.2, 0.1, 0.05, 0.4, 3.0, 12.0, *np.ones(6)]))
-    gusts, Q = gust_model(noise, jnp.array([dt]))
+    gusts, Q = gust_propagation(noise, jnp.array([dt]))
     for k in range(3):
         g, s, T = (math.exp(part[k]) for part in (noise.gust, noise.slow, noise.memory))
         A, L = np.array([[0, 1], [0, -1 / T]]), np.diag([g**2, 2 * s**2 / T])
@@ -194,22 +200,22 @@ def test_a_residual_without_derivatives_is_the_same_residual(fitted):
     whole, _ = columns_of(problem, gains, away, [0])
     alone = residual_at(problem, gains, away)
     np.testing.assert_allclose(alone, whole[: alone.size], atol=1e-12)
-    assert alone.size == problem.tape.measured.size and np.abs(alone).max() > 1.0
+    assert alone.size == problem.dataset.measured.size and np.abs(alone).max() > 1.0
 
 
 def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
     problem, result = fitted
-    tuned = problem.tuned(result.coordinates, result.noise)
-    white, variance = _rerun(_path(tuned), _clock(problem), result.noise)
-    np.testing.assert_allclose(white, tuned.white, atol=1e-9)
-    np.testing.assert_allclose(variance, tuned.variance, rtol=1e-9)
+    run = problem.run_filter(result.coordinates, result.noise)
+    white, variance = _rerun(_path(run), _clock(problem), result.noise)
+    np.testing.assert_allclose(white, run.white, atol=1e-9)
+    np.testing.assert_allclose(variance, run.variance, rtol=1e-9)
     # With other noise it is another filter's, but for the curvature of the motion.
     other = Noise.of(result.noise.scales + 0.3 * np.resize([1.0, -1.0], 15))
-    again = problem.tuned(result.coordinates, other)
-    white, variance = _rerun(_path(tuned), _clock(problem), other)
+    again = problem.run_filter(result.coordinates, other)
+    white, variance = _rerun(_path(run), _clock(problem), other)
     np.testing.assert_allclose(white, again.white, atol=0.05)
     np.testing.assert_allclose(variance, again.variance, rtol=0.02)
-    assert np.abs(np.asarray(white - tuned.white)).max() > 0.5
+    assert np.abs(np.asarray(white - run.white)).max() > 0.5
 
 
 def test_copies_for_each_run_share_directions_without_changing_the_jacobian(document, recordings):
@@ -218,7 +224,7 @@ def test_copies_for_each_run_share_directions_without_changing_the_jacobian(docu
     start, noise = problem.start()
     free = (*HULL, *(effect.name for effect in effects))
     index, matrix = selection(problem.layout, free, problem.width)
-    inputs = traced(problem, problem.tuned(start, noise).gains, start, matrix)
+    inputs = traced(problem, problem.run_filter(start, noise).gains, start, matrix)
     at = np.random.default_rng(0).normal(0.0, 0.1, problem.width)
     residual, found = jacobian(at, inputs)
     at = jnp.append(jnp.asarray(at), jnp.zeros(problem.seeds))
@@ -246,7 +252,7 @@ def test_an_effect_is_sought_where_it_shows_itself(document):
     """Orders followed slowly have hardly a derivative where they are followed at once."""
     slow = document | {"thruster": [t | {"rate_limit": 30.0} for t in document["thruster"]]}
     runs = [_run(slow, seed) for seed in (3, 4)]
-    settings = Settings(free=HULL, effects=("rate-limit",), starts=2, profiles=())
+    settings = FitSettings(free=HULL, effects=("rate-limit",), starts=2, profiles=())
     result = study.identify(build(_away(document, 1.2)), runs, settings)
     found = result.effects["rate-limit:propulsion"][0]["rate_limit"]
     assert abs(found["value"] - 30.0) < 3 * found["std"] < 6.0
@@ -258,7 +264,7 @@ def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
     house = {"frontal_area": 1.2, "lateral_area": 2.4, "C_X": 0.6, "C_Y": 0.9, "C_N": -0.04}
     blown = document | {"effect": [{"name": "wind", "speed": 9.0, "direction": 1.0, **house}]}
     runs = [_run(blown, seed) for seed in (3, 4)]
-    settings = Settings(free=HULL, effects=("wind:coefficients",), profiles=())
+    settings = FitSettings(free=HULL, effects=("wind:coefficients",), profiles=())
     result = study.identify(build(_away(document, 1.2)), runs, settings)
     found = result.effects["wind:coefficients"][0]
     hull = document["hull"]
@@ -276,18 +282,18 @@ def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
 
 
 def test_coefficients_that_runs_share_are_not_fitted_with_a_wind_of_each_run(document, recordings):
-    settings = Settings(free=HULL, effects=("wind:coefficients",), per_recording=True)
+    settings = FitSettings(free=HULL, effects=("wind:coefficients",), per_recording=True)
     with pytest.raises(UserError, match="wind:coefficients.*all recordings share.*ask for wind,"):
         study.identify(build(document), recordings, settings)
 
 
 def test_an_entry_of_all_coefficients_stands_for_its_parts(document):
-    chosen = study.chosen_effects(build(document), ("wind", "thrust-lag"))
+    chosen = study.effects_to_estimate(build(document), ("wind", "thrust-lag"))
     assert [effect.name for effect in chosen] == ["wind", "thrust-lag:propulsion"]
 
 
 def test_an_effect_that_comes_out_impossible_is_told(document, recordings, monkeypatch):
-    settings = Settings(free=HULL, effects=("thrust-lag",))
+    settings = FitSettings(free=HULL, effects=("thrust-lag",))
     found = SimpleNamespace(deviance=0.0, coordinates=np.append(np.zeros(len(HULL)), -0.5))
     monkeypatch.setattr(study, "multistart", lambda *given: (found, None))
     with pytest.raises(UserError, match="do not show thrust-lag:propulsion.*--effects"):
@@ -360,7 +366,7 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
         assert (np.linalg.eigvalsh(0.5 * (mass + mass.T)).min() > 0) == possible
         assert bool(changed.has_inertia()) == possible
         assert np.isfinite(float(vessel.rigid_body.mass)) == possible
-        assert np.isfinite(posterior(problem, start, noise)) == possible
+        assert np.isfinite(negative_log_posterior(problem, start, noise)) == possible
     start[place] = 3.0
     fitted = estimate(problem, (*HULL, effect.name), start)
     vessel, _ = vessel_at(problem.base, problem.layout, fitted.coordinates)
@@ -406,12 +412,12 @@ def test_orders_between_kept_rows_are_averaged(document):
         commanded={"port": order, "starboard": order}, executed={}, extra={},
         valid=np.ones(len(t), bool),
     )  # fmt: skip
-    tape = make_problem(build(document), [run], HULL).tape
-    kept = np.asarray(tape.dt) > 0
-    dt = float(np.asarray(tape.dt)[0])
+    dataset = make_problem(build(document), [run], HULL).dataset
+    kept = np.asarray(dataset.dt) > 0
+    dt = float(np.asarray(dataset.dt)[0])
     assert dt > 5 * 0.02
-    middle = np.asarray(tape.run_time)[kept][:-1] + 0.5 * dt
-    found = np.asarray(tape.orders["port"])[kept][:-1]
+    middle = np.asarray(dataset.run_time)[kept][:-1] + 0.5 * dt
+    found = np.asarray(dataset.orders["port"])[kept][:-1]
     np.testing.assert_allclose(found, 100 + 80 * np.sin(0.7 * (middle - 0.01)), atol=0.3)
     assert np.abs(found - (100 + 80 * np.sin(0.7 * (middle - 0.5 * dt)))).max() > 4.0
 

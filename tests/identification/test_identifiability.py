@@ -9,12 +9,22 @@ from scipy.stats import chi2
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
-from diffsea.identification.estimates import Estimate, interval, made, physical_table
+from diffsea.identification.estimates import (
+    Estimate,
+    normal_interval,
+    parameter_estimates,
+    posterior_estimate,
+)
 from diffsea.identification.multistart import multistart
 from diffsea.identification.problem import make_problem
-from diffsea.identification.uncertainty.design import LIBRARY, imagined, information, next_manoeuvre
+from diffsea.identification.uncertainty.design import (
+    LIBRARY,
+    manoeuvre_information,
+    next_manoeuvre,
+    simulate_manoeuvre,
+)
 from diffsea.identification.uncertainty.identifiability import identifiability
-from diffsea.identification.uncertainty.profile import asymmetric, profile
+from diffsea.identification.uncertainty.profile import asymmetric_parameters, profile_interval
 from diffsea.parameters import Parameter
 from diffsea.vessel.files import build
 
@@ -61,7 +71,7 @@ def estimate(at, information, deviance=0.0, parameters=(A, B), coloured=None) ->
     spreads = np.array([p.spread for p in parameters])
     names = tuple(p.name for p in parameters)
     index = np.arange(len(parameters))
-    return made(names, np.array(at), deviance, index, spreads, information, coloured)
+    return posterior_estimate(names, np.array(at), deviance, index, spreads, information, coloured)
 
 
 def test_the_profile_of_a_parabola_is_the_interval_of_its_standard_error():
@@ -69,12 +79,12 @@ def test_the_profile_of_a_parabola_is_the_interval_of_its_standard_error():
     prior = np.diag([1 / A.spread**2, 1 / B.spread**2])
     objective = Cost(lambda a, b: H[0, 0] * a**2 + 2 * H[0, 1] * a * b + H[1, 1] * b**2)
     fitted = estimate((0.0, 0.0), H - prior)
-    assert asymmetric(objective, fitted) == ()
+    assert asymmetric_parameters(objective, fitted) == ()
     std = math.sqrt(np.linalg.inv(H)[0, 0])
-    found = profile(objective, fitted, "A").interval
+    found = profile_interval(objective, fitted, "A").interval
     rise = math.sqrt(chi2.ppf(0.9, 1))
     assert found == pytest.approx((2 - rise * std, 2 + rise * std), abs=0.02)
-    assert interval(A, 0.0, std) == pytest.approx((2 - rise * std, 2 + rise * std), abs=1e-3)
+    assert normal_interval(A, 0.0, std) == pytest.approx((2 - rise * std, 2 + rise * std), abs=1e-3)
 
 
 def test_an_asymmetric_likelihood_is_seen_and_its_interval_follows_it():
@@ -84,8 +94,8 @@ def test_an_asymmetric_likelihood_is_seen_and_its_interval_follows_it():
     objective = Cost(cost)
     curvature = np.diag([8.0, 50.0])
     fitted = estimate((0.0, 0.0), curvature - np.diag([1.0, 4.0]))
-    assert asymmetric(objective, fitted) == ("A",)
-    low, high = profile(objective, fitted, "A").interval
+    assert asymmetric_parameters(objective, fitted) == ("A",)
+    low, high = profile_interval(objective, fitted, "A").interval
     rise = chi2.ppf(0.9, 1)
     for end in (low, high):
         assert cost(end - 2.0, 0.0) == pytest.approx(rise, rel=0.06)
@@ -96,7 +106,7 @@ def test_an_interval_that_the_data_leave_open_is_infinite():
     objective = Cost(lambda a, b: 2 * (1 - np.exp(-np.maximum(a, 0.0))) + 20 * np.minimum(a, 0) ** 2
                      + b**2)  # fmt: skip
     fitted = estimate((0.0, 0.0), np.diag([4.0, 4.0]))
-    low, high = profile(objective, fitted, "A").interval
+    low, high = profile_interval(objective, fitted, "A").interval
     assert math.isinf(high) and 1.0 < low < 2.0
 
 
@@ -105,7 +115,7 @@ def test_colour_widens_profiles_as_it_widens_standard_errors():
     objective = Cost(lambda a, b: H[0, 0] * a**2 + H[1, 1] * b**2)
     information = H - np.diag([1.0, 4.0])
     fitted = estimate((0.0, 0.0), information, coloured=4 * information)
-    low, high = profile(objective, fitted, "A").interval
+    low, high = profile_interval(objective, fitted, "A").interval
     rise = math.sqrt(chi2.ppf(0.9, 1)) * fitted.stds[0]
     assert fitted.stds[0] == pytest.approx(2 / math.sqrt(40), rel=0.02)
     assert (low, high) == pytest.approx((2 - rise, 2 + rise), abs=0.02)
@@ -139,7 +149,7 @@ def test_what_the_data_leave_to_the_prior_is_told_as_directions():
 
 
 def test_a_table_has_intervals_inside_the_bounds():
-    rows = physical_table((A, B), estimate((0.1, 0.0), np.diag([10.0, 0.01])))
+    rows = parameter_estimates((A, B), estimate((0.1, 0.0), np.diag([10.0, 0.01])))
     assert rows[0]["value"] == pytest.approx(2.1) and rows[1]["interval"][1] < 0
     assert rows[1]["determined"] < 0.01 < 0.9 < rows[0]["determined"]
 
@@ -150,13 +160,15 @@ def straight():
     document = load(str(ORACLE / "usv.toml"))
     vessel = build(document)
     free = ("X_u", "N_r", "Y_v")
-    problem = make_problem(vessel, [imagined(vessel, LIBRARY["speed steps"])], free)
+    problem = make_problem(vessel, [simulate_manoeuvre(vessel, LIBRARY["speed steps"])], free)
     start, noise = problem.start()
     spreads = np.array([p.spread for p in problem.layout.parameters])
-    empty = made(free, start, 0.0, np.arange(3), spreads, np.zeros((3, 3)), noise=noise)
-    run = imagined(vessel, LIBRARY["speed steps"])
-    J = information(problem, run, empty, free, noise)
-    return problem, made(free, start, 0.0, np.arange(3), spreads, J, noise=noise)
+    empty = posterior_estimate(
+        free, start, 0.0, np.arange(3), spreads, np.zeros((3, 3)), noise=noise
+    )
+    run = simulate_manoeuvre(vessel, LIBRARY["speed steps"])
+    J = manoeuvre_information(problem, run, empty, free, noise)
+    return problem, posterior_estimate(free, start, 0.0, np.arange(3), spreads, J, noise=noise)
 
 
 def test_straight_runs_say_nothing_of_turning_and_the_next_manoeuvre_does(straight):

@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from tests.oracle.simulator import load
 from tests.runs import varied
 
-from diffsea.identification.filter.kalman import _shown_by, deviance, expected
+from diffsea.identification.filter.kalman import _shown_by, deviance, expected_measurements
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.trajectory import Trajectory
@@ -97,11 +97,11 @@ def seen(push: np.ndarray, shown: np.ndarray) -> Trajectory:
     )  # fmt: skip
 
 
-def tuned(problem: Problem, rows: float, gusty: Gusty):
+def run_at(problem: Problem, rows: float, gusty: Gusty):
     """The filter's run where u is so many rows late."""
     at = np.zeros(problem.layout.size)
     at[-1] = rows * STEP / problem.layout.sizes[0][0]
-    return problem.tuned(at, gusty.noise)
+    return problem.run_filter(at, gusty.noise)
 
 
 def kalman(push: np.ndarray, shown: np.ndarray, gusty: Gusty, rows: float) -> tuple:
@@ -153,9 +153,9 @@ LASTING = Gusty(white=0.01, lasting=0.1)
 @pytest.mark.parametrize("rows", [1.5, 1.999, 2.0, 2.001, 2.5])
 def test_a_filter_of_two_states_has_the_same_innovations(vessel, rows, gusty):
     push, shown = recorded(np.random.default_rng(0), 240, gusty, 2)
-    run = tuned(problem_of(vessel, push, shown), rows, gusty)
+    run = run_at(problem_of(vessel, push, shown), rows, gusty)
     nu, variance = kalman(push, shown, gusty, rows)
-    np.testing.assert_allclose(np.asarray(run.nu)[:240, 3], nu, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(run.innovation)[:240, 3], nu, atol=1e-6)
     # The last row of a run has no length, and no gusts by which it could count its delay.
     np.testing.assert_allclose(np.asarray(run.variance)[:239, 3], variance[:239], rtol=1e-6)
 
@@ -165,7 +165,7 @@ def test_two_rows_late_are_the_most_likely_where_it_was_two(vessel, gusty):
     push, shown = recorded(np.random.default_rng(3), 240, gusty, 2)
     problem = problem_of(vessel, push, shown)
     grid = np.round(np.arange(1.0, 3.01, 0.2), 1)
-    values = [float(deviance(tuned(problem, rows, gusty))) for rows in grid]
+    values = [float(deviance(run_at(problem, rows, gusty))) for rows in grid]
     known = [expected_deviance(*kalman(push, shown, gusty, rows)) for rows in grid]
     assert grid[np.argmin(values)] == grid[np.argmin(known)] == 2.0
     np.testing.assert_allclose(np.subtract(values, min(values)), np.subtract(known, min(known)),
@@ -196,7 +196,7 @@ def test_innovations_of_a_late_channel_are_white_at_the_truth_alone(vessel, seed
     gusty = Gusty()
     push, shown = recorded(np.random.default_rng(seed), 2000, gusty, 2)
     problem = problem_of(vessel, push, shown)
-    white = {r: np.asarray(tuned(problem, r, gusty).white)[5:2000, 3] for r in (1, 2, 3)}
+    white = {r: np.asarray(run_at(problem, r, gusty).white)[5:2000, 3] for r in (1, 2, 3)}
     first, chance = portmanteau(white[2])
     assert abs(first) < 3 and chance > 0.01
     assert np.mean(white[2] ** 2) == pytest.approx(1.0, abs=0.15)
@@ -214,7 +214,7 @@ def test_what_is_shown_depends_on_the_present_as_its_derivative_says(request, la
     response = {c: Response(40.0 * k, *[40.0 * k] * 3) for k, c in enumerate(boat.channels)}
     given = {"response": response, "run_time": 0.0}, Environment()
     found = _shown_by(boat, z, *given)
-    nudge = lambda k, by: np.asarray(expected(boat, z.at[k].add(by), *given))
+    nudge = lambda k, by: np.asarray(expected_measurements(boat, z.at[k].add(by), *given))
     step = 1e-5
     slopes = np.stack([(nudge(k, step) - nudge(k, -step)) / (2 * step) for k in range(9)], 1)
     np.testing.assert_allclose(found, slopes, atol=max(off, 1e-9) * np.abs(slopes).max())

@@ -11,13 +11,13 @@ from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import physical_table
+from diffsea.identification.estimates import parameter_estimates
 from diffsea.identification.objectives import output_error
 from diffsea.identification.objectives.base import Innovations
-from diffsea.identification.objectives.output_error import FreeRun, Point
-from diffsea.identification.objectives.trial_numbers import TrialNumbers, read_sheet
+from diffsea.identification.objectives.output_error import OutputError, ShootingState
+from diffsea.identification.objectives.trial_numbers import TrialNumbers, read_trial_table
 from diffsea.identification.problem import default_priors, make_problem
-from diffsea.identification.study import Settings, identify
+from diffsea.identification.study import FitSettings, identify
 from diffsea.simulation import standard
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.effects import EFFECTS
@@ -72,7 +72,7 @@ def problem(document, recordings):
 
 
 def assert_recovered(document: dict, parameters, fitted, widest: float = 0.2) -> None:
-    for row in physical_table(parameters, fitted):
+    for row in parameter_estimates(parameters, fitted):
         truth = document["hull"][row["name"]]
         assert abs(row["value"] - truth) < 4 * row["std"], row
         assert abs(row["start"] - truth) > 0.3 * abs(truth)
@@ -80,7 +80,7 @@ def assert_recovered(document: dict, parameters, fitted, widest: float = 0.2) ->
 
 
 def test_free_runs_are_fitted_from_far_away_whatever_outliers_there_are(document, problem):
-    objective = FreeRun(problem)
+    objective = OutputError(problem)
     told: list[str] = []
     fitted = objective.fit(HULL, progress=told.append)
     assert_recovered(document, objective.parameters, fitted)
@@ -98,12 +98,12 @@ def test_free_runs_are_fitted_from_far_away_whatever_outliers_there_are(document
 
 def test_gradient_of_multiple_shooting_is_that_of_its_cost(problem):
     """The blocks of the normal equations are assembled by hand; differences know nothing of it."""
-    objective = FreeRun(problem)
+    objective = OutputError(problem)
     rng = np.random.default_rng(1)
-    states = np.asarray(problem.tuned(*problem.start()).state)[objective.windows.begins]
+    states = np.asarray(problem.run_filter(*problem.start()).state)[objective.windows.begins]
     objective._guess = states + 0.1
     sigma = np.array([0.5, 0.5, 0.1, 0.2, 0.2, 0.1])
-    point = Point(0.1 * rng.normal(size=len(HULL)), states, sigma, 0.3 * sigma)
+    point = ShootingState(0.1 * rng.normal(size=len(HULL)), states, sigma, 0.3 * sigma)
     index = np.arange(len(HULL))
     gradient = 2 * objective._normal(point, index)[1]
     for _ in range(3):
@@ -120,7 +120,7 @@ def test_lone_outliers_are_left_out_of_the_innovation_likelihood(document, probl
     fitted = objective.fit(HULL)
     assert_recovered(document, objective.parameters, fitted)
     assert objective.outliers == {"x": len(SPIKES)}
-    left_out = np.asarray(problem.tape.known & ~objective.problem.tape.known)
+    left_out = np.asarray(problem.dataset.known & ~objective.problem.dataset.known)
     assert left_out.sum() == len(SPIKES)
 
 
@@ -154,9 +154,11 @@ def test_parameters_come_straight_from_trial_numbers(document, tmp_path):
     hull = document["hull"] | {"N_rdot": -160.0, "X_u": -80.0}
     vessel = build(document | {"hull": hull})
     priors = default_priors(vessel)
-    objective = TrialNumbers(vessel, [priors["N_rdot"], priors["X_u"]], read_sheet(path, vessel))
+    objective = TrialNumbers(
+        vessel, [priors["N_rdot"], priors["X_u"]], read_trial_table(path, vessel)
+    )
     fitted = objective.fit(("N_rdot", "X_u"))
-    for row in physical_table(objective.parameters, fitted):
+    for row in parameter_estimates(objective.parameters, fitted):
         assert abs(row["value"] - document["hull"][row["name"]]) < 3 * row["std"], row
         assert row["determined"] > 0.9
     for row in objective.residuals(fitted.coordinates):
@@ -194,7 +196,7 @@ def test_an_effect_comes_out_of_trial_numbers_run_side_by_side(document, tmp_pat
     path.write_text("".join(texts), encoding="utf-8")
     vessel = build(document)
     prior = default_priors(vessel)["N_r"]
-    objective = TrialNumbers(vessel, [prior], read_sheet(path, vessel), [effect])
+    objective = TrialNumbers(vessel, [prior], read_trial_table(path, vessel), [effect])
     size = effect.sizes(vessel)[0]
     for found, numbers in zip(
         objective.numbers(np.array([0.0, 0.06 / size])), expected, strict=True
@@ -226,7 +228,7 @@ def test_mistakes_in_a_sheet_are_told(document, tmp_path, change, told):
     text = SHEET.format(first=1.0, second=1.0, speed=1.0).replace(*change)
     path.write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=told):
-        read_sheet(path, build(document))
+        read_trial_table(path, build(document))
 
 
 def test_a_number_that_a_trial_does_not_have_is_told(document, tmp_path):
@@ -237,7 +239,9 @@ def test_a_number_that_a_trial_does_not_have_is_told(document, tmp_path):
         encoding="utf-8",
     )
     vessel = build(document)
-    objective = TrialNumbers(vessel, [default_priors(vessel)["N_r"]], read_sheet(path, vessel))
+    objective = TrialNumbers(
+        vessel, [default_priors(vessel)["N_r"]], read_trial_table(path, vessel)
+    )
     with pytest.raises(UserError, match="turning-circle has no number 'overshoot_1'"):
         objective.fit(("N_r",))
 
@@ -245,10 +249,10 @@ def test_a_number_that_a_trial_does_not_have_is_told(document, tmp_path):
 def test_objectives_and_data_must_go_together(document, recordings):
     vessel = build(document)
     for settings, told in (
-        (Settings("trial-numbers"), "fitted to sheets"),
-        (Settings("free_run"), "no objective 'free_run'"),
-        (Settings(anchor="length"), "the anchor is one of"),
-        (Settings(free=()), "nothing is free"),
+        (FitSettings("trial-numbers"), "fitted to sheets"),
+        (FitSettings("free_run"), "no objective 'free_run'"),
+        (FitSettings(anchor="length"), "the anchor is one of"),
+        (FitSettings(free=()), "nothing is free"),
     ):
         with pytest.raises(UserError, match=told):
             identify(vessel, recordings, settings)

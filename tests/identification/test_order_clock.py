@@ -74,7 +74,7 @@ def test_the_slope_at_a_clock_that_is_right_is_the_mean_of_both_sides(document):
     run = random_steps(document, 5, 60.0, STEP, {})
     problem = make_problem(build(document), [run], FREE, (CLOCK,), room=2)
     coordinates, noise = problem.start()
-    gains = problem.tuned(coordinates, noise).gains
+    gains = problem.run_filter(coordinates, noise).gains
     place = problem.layout.indices((CLOCK.name,))[1]  # the offset
 
     def at(step: float) -> np.ndarray:

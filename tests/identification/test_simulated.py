@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from diffsea.identification.estimates import made
+from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
-from diffsea.identification.resimulation import _shocks, simulated
+from diffsea.identification.resimulation import _shocks, resimulate
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import build
 
@@ -44,21 +44,23 @@ def setting():
     problem = make_problem(build(DOCUMENT), [at_rest(ROWS), at_rest(200)], ("X_u",))
     log = lambda values: jnp.log(jnp.asarray(values))
     noise = Noise(log(WHITE), log(SLOW), log(MEMORY), log(SENSOR))
-    fitted = made(("X_u",), np.zeros(1), 0.0, np.array([0]), np.ones(1), np.eye(1), noise=noise)
+    fitted = posterior_estimate(
+        ("X_u",), np.zeros(1), 0.0, np.array([0]), np.ones(1), np.eye(1), noise=noise
+    )
     return problem, fitted
 
 
 @pytest.fixture(scope="module")
 def drawn(setting):
     problem, fitted = setting
-    return simulated(problem, fitted, np.random.default_rng(4))
+    return resimulate(problem, fitted, np.random.default_rng(4))
 
 
 def long_run(problem) -> np.ndarray:
     """Readings of the first run after it has forgotten its start."""
-    tape = problem.tape
-    rows = np.flatnonzero((np.asarray(tape.run) == 0) & np.asarray(tape.known)[:, 0])
-    return np.asarray(tape.measured)[rows[200:]]
+    dataset = problem.dataset
+    rows = np.flatnonzero((np.asarray(dataset.run) == 0) & np.asarray(dataset.known)[:, 0])
+    return np.asarray(dataset.measured)[rows[200:]]
 
 
 def test_speeds_have_the_variance_of_a_damped_vessel_in_coloured_gusts(drawn):
@@ -86,7 +88,7 @@ def test_what_gusts_add_to_speed_and_acceleration_goes_together(setting):
     problem, fitted = setting
     white, memory = jnp.log(jnp.full(3, 1e-3)), jnp.log(jnp.full(3, 0.3))
     quiet = Noise(white, fitted.noise.slow, memory, fitted.noise.sensor)
-    found = _shocks(quiet, problem.tape, np.random.default_rng(3))[: ROWS - 1]
+    found = _shocks(quiet, problem.dataset, np.random.default_rng(3))[: ROWS - 1]
     for k in range(3):
         # Covariance of (speed, acceleration) after a step by Van Loan's exponential (1978).
         A = np.array([[0.0, 1.0], [0.0, -1 / 0.3]])
@@ -107,7 +109,7 @@ def test_readings_have_their_own_noise(drawn):
 
 
 def test_nothing_but_the_readings_is_new(setting, drawn):
-    before, after = setting[0].tape, drawn.tape
+    before, after = setting[0].dataset, drawn.dataset
     assert not np.array_equal(before.measured, after.measured)
     assert not np.any(np.asarray(after.measured)[~np.asarray(after.known)])
     for field in dataclasses.fields(before):
@@ -117,24 +119,24 @@ def test_nothing_but_the_readings_is_new(setting, drawn):
 
 def test_every_draw_is_another_one(setting, drawn):
     problem, fitted = setting
-    again = simulated(problem, fitted, np.random.default_rng(4))
-    other = simulated(problem, fitted, np.random.default_rng(5))
-    assert np.array_equal(again.tape.measured, drawn.tape.measured)
-    known = np.asarray(other.tape.known)
-    same = np.asarray(other.tape.measured) == np.asarray(drawn.tape.measured)
+    again = resimulate(problem, fitted, np.random.default_rng(4))
+    other = resimulate(problem, fitted, np.random.default_rng(5))
+    assert np.array_equal(again.dataset.measured, drawn.dataset.measured)
+    known = np.asarray(other.dataset.known)
+    same = np.asarray(other.dataset.measured) == np.asarray(drawn.dataset.measured)
     assert not np.any(same & known)
 
 
 def test_runs_start_where_the_filter_found_them(setting):
     problem, fitted = setting
-    rows = np.asarray(problem.tape.starts)
-    place = np.where(np.asarray(problem.tape.run)[:, None] == 1, 70.0, -40.0)
-    known = np.asarray(problem.tape.known)[:, :1]
-    measured = np.asarray(problem.tape.measured) + known * place * np.eye(6)[0]
-    first = np.asarray(problem.tape.first) + place * np.eye(6)[0]
+    rows = np.asarray(problem.dataset.starts)
+    place = np.where(np.asarray(problem.dataset.run)[:, None] == 1, 70.0, -40.0)
+    known = np.asarray(problem.dataset.known)[:, :1]
+    measured = np.asarray(problem.dataset.measured) + known * place * np.eye(6)[0]
+    first = np.asarray(problem.dataset.first) + place * np.eye(6)[0]
     moved = dataclasses.replace(
-        problem.tape, measured=jnp.asarray(measured), first=jnp.asarray(first)
+        problem.dataset, measured=jnp.asarray(measured), first=jnp.asarray(first)
     )
-    made = simulated(dataclasses.replace(problem, tape=moved), fitted, np.random.default_rng(1))
-    starts = np.asarray(made.tape.measured)[rows][:, 0]
+    made = resimulate(dataclasses.replace(problem, dataset=moved), fitted, np.random.default_rng(1))
+    starts = np.asarray(made.dataset.measured)[rows][:, 0]
     assert starts[:2] == pytest.approx([-40.0, 70.0], abs=5 * SENSOR[0])

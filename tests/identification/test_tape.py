@@ -1,4 +1,4 @@
-"""Recordings on the tape as they come: gaps, positions alone, and filters that diverge."""
+"""Recordings on the dataset as they come: gaps, positions alone, and filters that diverge."""
 
 import dataclasses
 
@@ -11,9 +11,9 @@ from tests.runs import random_steps
 from diffsea.diagnosis.jacobians import columns_of, residual_at
 from diffsea.errors import UserError
 from diffsea.identification.filter.kalman import deviance
-from diffsea.identification.filter.noise_fit import Clock, Path, excerpt
-from diffsea.identification.fit import estimate, posterior
-from diffsea.identification.holdout import split
+from diffsea.identification.filter.noise_fit import LinearisedRun, RowTimes, take_excerpt
+from diffsea.identification.fit import estimate, negative_log_posterior
+from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
@@ -48,14 +48,14 @@ def test_a_gap_is_as_good_as_two_runs(document, run, seconds):
     one = make_problem(vessel, [rows(run, before | after)], free)
     two = make_problem(vessel, pieces, free)
     coordinates, noise = one.start()
-    values = [float(deviance(problem.tuned(coordinates, noise))) for problem in (one, two)]
+    values = [float(deviance(problem.run_filter(coordinates, noise))) for problem in (one, two)]
     assert values[0] == pytest.approx(values[1], rel=1e-9)
 
 
 def test_a_short_hole_is_bridged(document, run):
     vessel = build(document)
-    tape = make_problem(vessel, [rows(run, (run.t < 40) | (run.t >= 41))], ("X_u",)).tape
-    assert np.asarray(tape.starts).sum() == 1
+    dataset = make_problem(vessel, [rows(run, (run.t < 40) | (run.t >= 41))], ("X_u",)).dataset
+    assert np.asarray(dataset.starts).sum() == 1
 
 
 def test_positions_alone_tell_the_first_heading(document, run):
@@ -68,7 +68,7 @@ def test_positions_alone_tell_the_first_heading(document, run):
     values = []
     for one in (alone, turned):
         problem = make_problem(vessel, [one], ("X_u",))
-        values.append(posterior(problem, *problem.start()))
+        values.append(negative_log_posterior(problem, *problem.start()))
     assert values[0] == pytest.approx(values[1], abs=1.0)
 
 
@@ -77,9 +77,9 @@ def test_a_filter_that_diverges_has_no_likelihood(document, run):
     hidden = {name: np.full(run.t.size, np.nan) for name in ("psi", "u", "v", "r")}
     problem = make_problem(vessel, [dataclasses.replace(run, **hidden)], ("X_uu",))
     coordinates, noise = problem.start()
-    assert np.isfinite(float(deviance(problem.tuned(coordinates, noise))))
+    assert np.isfinite(float(deviance(problem.run_filter(coordinates, noise))))
     away = coordinates + 12.0  # drag 10^5 times as large: no step of the integration is stable
-    assert not np.isfinite(float(deviance(problem.tuned(away, noise))))
+    assert not np.isfinite(float(deviance(problem.run_filter(away, noise))))
 
 
 @pytest.mark.parametrize("measured", [False, True])
@@ -93,8 +93,8 @@ def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, 
         """Variance of the whitened innovations of each channel."""
         seen = dataclasses.replace(seen, executed=seen.commanded if measured else {})
         problem = make_problem(vessel, [seen], ("X_u",))
-        tuned = problem.tuned(*problem.start())
-        return (np.asarray(tuned.white) ** 2).sum(0) / np.asarray(tuned.gains.used).sum(0)
+        run = problem.run_filter(*problem.start())
+        return (np.asarray(run.white) ** 2).sum(0) / np.asarray(run.gains.used).sum(0)
 
     vessel = build(document)
     late = random_steps(document, 4, 120.0, 0.5, {"clock-drift": off})
@@ -122,7 +122,7 @@ def test_too_little_held_out_is_told(document, run):
     vessel = build(document)
     problem_of = lambda runs, least: make_problem(vessel, runs, ("X_u",), least=least)
     with pytest.raises(UserError, match="only 12 rows are held out"):
-        split(problem_of, [run], [rows(run, run.t < 6)], False)
+        split_data(problem_of, [run], [rows(run, run.t < 6)], False)
 
 
 @pytest.mark.parametrize("offset", [0.3, -0.3])
@@ -133,7 +133,7 @@ def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
     late = dataclasses.replace(late, executed=late.commanded)
     problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), room=2)
     start, noise = problem.start()
-    gains = problem.tuned(start, noise).gains
+    gains = problem.run_filter(start, noise).gains
     place = problem.layout.indices(("clock-drift",))
     residual, J = columns_of(problem, gains, start, place)
     fitted = J @ np.linalg.lstsq(J, residual, rcond=None)[0]
@@ -145,8 +145,8 @@ def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
 
 def test_runs_longer_than_their_distance_keep_their_order(document, run):
     slow = dataclasses.replace(run, t=120.0 * run.t)
-    tape = make_problem(build(document), [slow, slow], ("X_u",)).tape
-    assert (np.diff(np.asarray(tape.t)[: 2 * run.t.size]) > 0).all()
+    dataset = make_problem(build(document), [slow, slow], ("X_u",)).dataset
+    assert (np.diff(np.asarray(dataset.t)[: 2 * run.t.size]) > 0).all()
 
 
 def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, run):
@@ -160,8 +160,8 @@ def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, ru
 def test_noise_is_estimated_from_recorded_rows_alone(long):
     empty = np.zeros((2048, 6))
     used = np.where(np.arange(2048)[:, None] < long, 1.0, empty)
-    path = Path(empty, empty, empty, empty, used, empty, empty, empty)
-    clock = Clock(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
-    chosen = np.asarray(excerpt(path, clock)[1].dt)
+    path = LinearisedRun(empty, empty, empty, empty, used, empty, empty, empty)
+    clock = RowTimes(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
+    chosen = np.asarray(take_excerpt(path, clock)[1].dt)
     assert chosen.max() < long
     assert len(np.unique(chosen)) == chosen.size == 128 * min(8, long // 128)

@@ -11,7 +11,7 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.identification.study import Settings, Study
+    from diffsea.identification.study import FitSettings, Study
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.base import Vessel
 
@@ -107,9 +107,9 @@ def _fit(args: argparse.Namespace) -> None:
 
 
 def _from_sheet(args: argparse.Namespace) -> bool:
-    from diffsea.identification.objectives.trial_numbers import is_sheet
+    from diffsea.identification.objectives.trial_numbers import is_trial_table
 
-    sheets = [is_sheet(path) for path in args.recordings]
+    sheets = [is_trial_table(path) for path in args.recordings]
     if any(sheets) and not all(sheets):
         raise UserError("give either recordings or sheets of trial numbers (TOML), not both")
     if all(sheets) and args.test:
@@ -118,28 +118,28 @@ def _from_sheet(args: argparse.Namespace) -> bool:
 
 
 def _data(args: argparse.Namespace, vessel: "Vessel") -> "tuple[list, list[Trajectory]]":
-    from diffsea.identification.objectives.trial_numbers import read_sheet
+    from diffsea.identification.objectives.trial_numbers import read_trial_table
 
     if _from_sheet(args):
-        return [sheet for path in args.recordings for sheet in read_sheet(path, vessel)], []
+        return [sheet for path in args.recordings for sheet in read_trial_table(path, vessel)], []
     return read_all(args)
 
 
-def _settings(args: argparse.Namespace, vessel: "Vessel") -> "Settings":
+def _settings(args: argparse.Namespace, vessel: "Vessel") -> "FitSettings":
     from diffsea.identification.problem import default_priors
-    from diffsea.identification.study import Settings
+    from diffsea.identification.study import FitSettings
     from diffsea.parameters import read_priors
 
     objective = args.objective or ("trial-numbers" if _from_sheet(args) else "innovation")
     priors = read_priors(args.priors, default_priors(vessel)) if args.priors else {}
     profiles = () if args.profile == ("none",) else args.profile
-    return Settings(
+    return FitSettings(
         objective, args.free, args.anchor, priors, args.starts, profiles,
         effects=args.effects, per_recording=args.environment == "per-recording",
     )  # fmt: skip
 
 
-def _record(study: "Study", settings: "Settings", quality: dict, told: dict) -> dict:
+def _record(study: "Study", settings: "FitSettings", quality: dict, told: dict) -> dict:
     record = {
         "format": 1,
         "objective": settings.objective,
@@ -172,7 +172,7 @@ def _noise(study: "Study") -> dict:
     scales = {field.name: np.exp(getattr(study.noise, field.name)) for field in
               dataclasses.fields(study.noise)}  # fmt: skip
     channels = ("x", "y", "psi", "u", "v", "r")
-    measured = _by_name(channels, np.asarray(study.recorded.tape.known).any(0))
+    measured = _by_name(channels, np.asarray(study.recorded.dataset.known).any(0))
     return {
         "gust": _by_name(channels[3:], scales["gust"]),
         "lasting_gust": _by_name(channels[3:], scales["slow"]),

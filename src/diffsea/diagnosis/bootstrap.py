@@ -16,7 +16,7 @@ from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate, PartialProgress
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
-from diffsea.identification.resimulation import simulated
+from diffsea.identification.resimulation import resimulate
 
 
 FEWEST = 100  # draws: fewer cannot show less than one per cent
@@ -80,8 +80,8 @@ def bootstrap(
         message = f"simulating {len(found) + 1} of {draws} data sets"
         stage = f"simulating {draws} data sets"
         progress(PartialProgress(message, len(found) / draws, stage))
-        made = simulated(problem, nominal, rng)
-        if not np.isfinite(np.asarray(made.tape.measured)).all():
+        made = resimulate(problem, nominal, rng)
+        if not np.isfinite(np.asarray(made.dataset.measured)).all():
             failed += 1
             if failed > FAILED * draws:
                 raise UserError(

@@ -80,7 +80,7 @@ def _differing(
     parts = parts[:, (parts**2).sum(0) > 1e-9 * (J**2).sum()]
     if parts.shape[1] <= J.shape[1]:
         return Constancy(0.0, 1.0, 0.0)
-    run = np.asarray(problem.tape.run)
+    run = np.asarray(problem.dataset.run)
     richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
     # All parts together are the effect but for its prior, which says nothing of constancy.
     own = np.array(J)
@@ -97,9 +97,9 @@ def _differing(
 
 def _parts(problem: Problem, length: int, count: int) -> list[np.ndarray]:
     """Which values belong to each of `count` parts of each run, those of the prior to none."""
-    run, known = np.asarray(problem.tape.run), np.asarray(problem.tape.known).any(1)
+    run, known = np.asarray(problem.dataset.run), np.asarray(problem.dataset.known).any(1)
     out = []
-    for number in range(problem.tape.runs):
+    for number in range(problem.dataset.runs):
         for rows in np.array_split(np.flatnonzero((run == number) & known), count):
             if len(rows):
                 member = np.zeros(length)

@@ -21,10 +21,10 @@ from diffsea.identification.uncertainty.design import (
     LIBRARY,
     SECONDS,
     Schedule,
-    equipped_vessel,
-    first_copies,
-    imagined,
-    ordered,
+    first_run_coordinates,
+    manoeuvre_orders,
+    simulate_manoeuvre,
+    vessel_in_environment,
 )
 from diffsea.scales import time_scale
 from diffsea.vessel.effects import catalogue_name
@@ -97,8 +97,8 @@ def commands(diagnosis: Diagnosis, experiment: Experiment) -> dict[str, np.ndarr
     `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run.
     """
     train = diagnosis.split.train
-    vessel = equipped_vessel(train, first_copies(train, diagnosis.final.coordinates))
-    t, orders = ordered(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
+    vessel = vessel_in_environment(train, first_run_coordinates(train, diagnosis.final.coordinates))
+    t, orders = manoeuvre_orders(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
     return {"t": t} | {f"cmd_{channel}": series for channel, series in orders.items()}
 
 
@@ -123,25 +123,25 @@ def _one_way(
     The other has the shape with which it was fitted: a change happens when it was found to.
     """
     train = diagnosis.split.train
-    coordinates = first_copies(train, true.coordinates)
+    coordinates = first_run_coordinates(train, true.coordinates)
     base = train.base
-    vessel = equipped_vessel(train, coordinates)
-    measured = np.asarray(train.tape.known).any(0)
+    vessel = vessel_in_environment(train, coordinates)
+    measured = np.asarray(train.dataset.known).any(0)
     problem = make_problem(
-        base, [imagined(vessel, schedule, measured)],
+        base, [simulate_manoeuvre(vessel, schedule, measured)],
         tuple(p.name for p in train.layout.parameters), train.layout.effects, False,
         train.seeds - len(train.layout.parameters),
-        least=train.tape.shape,
+        least=train.dataset.shape,
     )  # fmt: skip
     effects = {effect.name: effect for effect in problem.layout.effects}
     if effects[other].shape is not None:
         shape = problem.layout.indices((other,))[effects[other].shape]
-        coordinates[shape] = first_copies(train, otherwise.coordinates)[shape]
+        coordinates[shape] = first_run_coordinates(train, otherwise.coordinates)[shape]
     at = dataclasses.replace(true, coordinates=coordinates)
-    gains = problem.tuned(coordinates, true.noise).gains
+    gains = problem.run_filter(coordinates, true.noise).gains
     nuisance = tuple(n for n in true.free if n not in (name, other))
     residual, N = columns_at(problem, gains, at, nuisance)
-    projection = Projection(residual, N, np.asarray(problem.tape.run))
+    projection = Projection(residual, N, np.asarray(problem.dataset.run))
     place = problem.layout.indices((name,))
     columns = columns_at(problem, gains, at, (name,))[1].copy()
     columns[projection.rows + np.array(place)] = 0.0  # its prior is no evidence of a manoeuvre

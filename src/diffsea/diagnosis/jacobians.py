@@ -37,7 +37,7 @@ def columns_of(
     matrix[index, np.arange(len(index))] = 1.0
     inputs, layout = traced(problem, gains, coordinates, matrix)
     residual, J = jacobian(coordinates[index], (inputs, layout))
-    keep = int(problem.tape.measured.size) + problem.layout.size
+    keep = int(problem.dataset.measured.size) + problem.layout.size
     return residual[:keep], J[:keep, : len(index)]
 
 
@@ -49,13 +49,13 @@ def residual_at(problem: Problem, gains: Gains, coordinates: np.ndarray) -> np.n
 
 def gains_at(problem: Problem, fitted: Estimate, noise: Noise | None = None) -> Gains:
     """The filter's gains at an estimate."""
-    return problem.tuned(fitted.coordinates, fitted.noise if noise is None else noise).gains
+    return problem.run_filter(fitted.coordinates, fitted.noise if noise is None else noise).gains
 
 
 def latent_acceleration(problem: Problem, fitted: Estimate) -> Float[np.ndarray, "row 3"]:
     """What the filter finds beside the model: lasting gusts and the rest (m/s^2, rad/s^2)."""
-    tuned = problem.tuned(fitted.coordinates, fitted.noise)
-    return np.asarray(tuned.kick) / np.maximum(np.asarray(tuned.gains.gusts.half), 1e-12)
+    run = problem.run_filter(fitted.coordinates, fitted.noise)
+    return np.asarray(run.gust_impulse) / np.maximum(np.asarray(run.gains.gusts.half), 1e-12)
 
 
 def push_columns(
@@ -63,7 +63,7 @@ def push_columns(
 ) -> Columns:
     """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), with rows of no prior."""
     matrix = np.zeros((problem.layout.size, problem.width))
-    values, parts = int(problem.tape.measured.size), []
+    values, parts = int(problem.dataset.measured.size), []
     for first in range(0, len(push), problem.seeds):
         part = push[first : first + problem.seeds]
         args = traced(problem, gains, np.asarray(fitted.coordinates), matrix, part)
@@ -152,14 +152,14 @@ def peaks(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarray, "peak"]
     spectrum around each frequency. Runs whose clocks begin together keep a common phase; of others,
     powers are added.
     """
-    tape = problem.tape
+    dataset = problem.dataset
     push = latent_acceleration(problem, fitted)
-    psi = np.asarray(problem.tuned(fitted.coordinates, fitted.noise).state)[:, 2]
-    t, dt = np.asarray(tape.run_time), np.asarray(tape.dt)
-    rows = np.asarray(tape.known).any(1) & (dt > 0)
+    psi = np.asarray(problem.run_filter(fitted.coordinates, fitted.noise).state)[:, 2]
+    t, dt = np.asarray(dataset.run_time), np.asarray(dataset.dt)
+    rows = np.asarray(dataset.known).any(1) & (dt > 0)
     force = (push[:, 0] + 1j * push[:, 1]) * np.exp(1j * psi)
     force, t, dt = force[rows], t[rows], dt[rows]
-    run = np.asarray(tape.run)[rows]
+    run = np.asarray(dataset.run)[rows]
     inside = [run == number for number in np.unique(run)]
     longest = max(float(np.ptp(t[own])) for own in inside)
     if np.ptp(t) < TOGETHER * longest:

@@ -48,7 +48,7 @@ Label = tuple[int | None, float, float, str]  # run (None: all), start and end (
 
 
 class Binning(NamedTuple):
-    """Bins of the tape's rows and what each of them is.
+    """Bins of the dataset's rows and what each of them is.
 
     A bin may have a label for each of several runs: what happens in one run leaves the
     others alone, so that one derivative serves them all.
@@ -60,12 +60,12 @@ class Binning(NamedTuple):
 
 def time_windows(problem: Problem) -> Binning:
     """Windows of equal length in each run."""
-    tape = problem.tape
-    run, t = np.asarray(tape.run), np.asarray(tape.run_time)
-    real = np.asarray(tape.known).any(1)
+    dataset = problem.dataset
+    run, t = np.asarray(dataset.run), np.asarray(dataset.run_time)
+    real = np.asarray(dataset.known).any(1)
     members = np.zeros((len(run), WINDOWS), bool)
     labels: list[list[Label]] = [[] for _ in range(WINDOWS)]
-    for number in range(tape.runs):
+    for number in range(dataset.runs):
         rows = np.flatnonzero((run == number) & real)
         for k, part in enumerate(np.array_split(rows, WINDOWS)):
             if len(part):
@@ -125,9 +125,9 @@ def regimes(problem: Problem) -> list[Binning]:
 
 def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None:
     """The first of some regimes in which at least half of a time window's rows lie."""
-    tape = problem.tape
-    t, real = np.asarray(tape.run_time), np.asarray(tape.known).any(1)
-    rows = real & (np.asarray(tape.run) == window.run) & (window.start <= t) & (t <= window.end)
+    dataset = problem.dataset
+    t, real = np.asarray(dataset.run_time), np.asarray(dataset.known).any(1)
+    rows = real & (np.asarray(dataset.run) == window.run) & (window.start <= t) & (t <= window.end)
     share = {
         labels[0][3]: binning.members[rows, k].mean()
         for binning in regimes(problem)
@@ -138,10 +138,10 @@ def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None
 
 def quantities(problem: Problem) -> list[Quantity]:
     """Drift angle, yaw rate, speed, heading and the sum of all orders."""
-    tape = problem.tape
-    measured, known = np.asarray(tape.measured), np.asarray(tape.known)
+    dataset = problem.dataset
+    measured, known = np.asarray(dataset.measured), np.asarray(dataset.known)
     psi, u, v, r = measured[:, 2], measured[:, 3], measured[:, 4], measured[:, 5]
-    orders = sum(np.asarray(series) for series in tape.orders.values())
+    orders = sum(np.asarray(series) for series in dataset.orders.values())
     drift = np.degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3)))
 
     def quantity(name: str, values: np.ndarray, unit: str, *needs: int) -> Quantity:
@@ -165,7 +165,7 @@ def bin_columns(problem: Problem, gains: Gains, fitted: Estimate) -> tuple[list[
     push = (members.T[:, None, :, None] * np.eye(3)[:, None, :]).reshape(-1, len(members), 3)
     J = push_columns(problem, gains, fitted, push)
     spare = np.full(problem.layout.size, -1)
-    run = np.concatenate([np.repeat(np.asarray(problem.tape.run), 6), spare])
+    run = np.concatenate([np.repeat(np.asarray(problem.dataset.run), 6), spare])
     bins, columns = [], []
     for number, several in enumerate(labels):
         for label in several:

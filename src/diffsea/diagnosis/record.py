@@ -22,8 +22,8 @@ from diffsea.identification.effect_records import (
     parameter_records,
     place_of,
 )
-from diffsea.identification.estimates import Estimate, physical_table
-from diffsea.identification.holdout import HeldOut, transferred
+from diffsea.identification.estimates import Estimate, parameter_estimates
+from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import Effect, catalogue_name
 from diffsea.vessel.files import Table, updated_document
@@ -52,7 +52,7 @@ def detection_limits(problem: Problem, screening: Screening, found: tuple[str, .
 
 def _limit(problem: Problem, effect: Effect, seen: Seen) -> dict:
     size = len(seen.look.moved)
-    columns = seen.columns[: problem.tape.measured.size]  # not the prior's rows
+    columns = seen.columns[: problem.dataset.measured.size]  # not the prior's rows
     copies = columns.shape[1] // size
     parameter = next(key for key in effect.units if key not in _NOT_A_SIZE)
     row: dict = {"name": catalogue_name(effect.name), **place_of(problem.base, effect.name)}
@@ -124,7 +124,7 @@ def summary(
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),
         "fit": _fit(diagnosis),
-        "parameters": physical_table(diagnosis.split.train.layout.parameters, diagnosis.final),
+        "parameters": parameter_estimates(diagnosis.split.train.layout.parameters, diagnosis.final),
         "held_out": held_out,
         "screening": _screening(diagnosis),
         "candidates": candidate_table(diagnosis),
@@ -360,8 +360,8 @@ def _cost_drop(diagnosis: Diagnosis, accepted: Accepted) -> float:
 
 
 def _squares(problem: Problem, at: Estimate, noise: Estimate) -> float:
-    tuned = problem.tuned(at.coordinates, noise.noise)
-    return float((np.asarray(tuned.white) ** 2).sum())
+    run = problem.run_filter(at.coordinates, noise.noise)
+    return float((np.asarray(run.white) ** 2).sum())
 
 
 def _fit(diagnosis: Diagnosis) -> dict:
@@ -369,14 +369,14 @@ def _fit(diagnosis: Diagnosis) -> dict:
     data, final = diagnosis.split, diagnosis.final
 
     def rms(problem: Problem, coordinates: np.ndarray) -> float:
-        tuned = problem.tuned(coordinates, final.noise)
-        count = float(np.asarray(tuned.gains.used).sum())
-        return math.sqrt(float((np.asarray(tuned.white) ** 2).sum()) / max(count, 1.0))
+        run = problem.run_filter(coordinates, final.noise)
+        count = float(np.asarray(run.gains.used).sum())
+        return math.sqrt(float((np.asarray(run.white) ** 2).sum()) / max(count, 1.0))
 
     def both(fitted: Estimate) -> dict:
         return {
             "train": rms(data.train, fitted.coordinates),
-            "test": rms(data.test, transferred(data, fitted)),
+            "test": rms(data.test, held_out_coordinates(data, fitted)),
         }
 
     return {"nominal": both(diagnosis.nominal), "diagnosed": both(final)}
@@ -402,7 +402,9 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     An environment of its own for each recording belongs to the recordings, not the vessel.
     """
     problem, final = diagnosis.split.train, diagnosis.final
-    values = {row["name"]: row["value"] for row in physical_table(problem.layout.parameters, final)}
+    values = {
+        row["name"]: row["value"] for row in parameter_estimates(problem.layout.parameters, final)
+    }
     tables = []
     for accepted in diagnosis.effects:
         copies = parameter_records(problem, final, accepted.name)
@@ -413,5 +415,5 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
 
 def nominal_document(document: Table, diagnosis: Diagnosis) -> Table:
     """The vessel's document with the nominal model's own fitted derivatives."""
-    rows = physical_table(diagnosis.split.train.layout.parameters, diagnosis.nominal)
+    rows = parameter_estimates(diagnosis.split.train.layout.parameters, diagnosis.nominal)
     return updated_document(document, {row["name"]: row["value"] for row in rows}, [])

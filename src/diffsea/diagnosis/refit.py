@@ -14,7 +14,7 @@ from diffsea.diagnosis.screening import Seen
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import Gain, Split, gain
+from diffsea.identification.holdout import Gain, Split, held_out_gain
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 
@@ -60,15 +60,17 @@ def _positive(amounts: np.ndarray, stds: np.ndarray) -> bool:
 def _while_recorded(problem: Problem, effect: Effect, shape: float) -> bool:
     """Whether a change happens between the first and the last row: else nothing changes."""
     size = problem.layout.sizes[problem.layout.effects.index(effect)][effect.shape]
-    times = np.asarray(problem.tape.run_time)[np.asarray(problem.tape.known).any(1)]
+    times = np.asarray(problem.dataset.run_time)[np.asarray(problem.dataset.known).any(1)]
     return bool(times.min() < shape * size < times.max())
 
 
 def recorded_copies(problem: Problem, effect: Effect) -> list[int]:
-    """Copies of an effect's coordinates that belong to recorded runs: a tape has spare ones."""
+    """Copies of an effect's coordinates that belong to recorded runs: a dataset has spare ones."""
     if problem.layout.instances(effect) == 1:
         return [0]
-    return np.unique(np.asarray(problem.tape.run)[np.asarray(problem.tape.known).any(1)]).tolist()
+    return np.unique(
+        np.asarray(problem.dataset.run)[np.asarray(problem.dataset.known).any(1)]
+    ).tolist()
 
 
 NEAR = 60.0  # of the best first evidence: what is fitted to its end, with noise of its own
@@ -85,7 +87,7 @@ class Fitted:
     estimate: Estimate
     drop: float  # of the deviance against the hypothesis without it, priors included
     occam: float  # what its room in the prior costs: -2 log of posterior over prior volume
-    gain: Gain | None  # on held-out data; None where it was not fitted to its end
+    held_out_gain: Gain | None  # on held-out data; None where it was not fitted to its end
     seen: Seen
     possible: bool  # inside physical bounds, and a change within the recordings
     constancy: Constancy | None = None  # of its size; None where it was not fitted to its end
@@ -211,7 +213,7 @@ def completed(
     start = beside(problem, current, one) if start is None else start
     fitted = estimate(problem, free, start, current.noise)
     effect = next(e for e in problem.layout.effects if e.name == one.effect)
-    made = _made(problem, current, fitted, effect, one.seen, gain(data, current, fitted))
+    made = _made(problem, current, fitted, effect, one.seen, held_out_gain(data, current, fitted))
     if not np.isfinite(made.drop):
         return made
     constant = constancy(problem, fitted, one.effect, made.drop)

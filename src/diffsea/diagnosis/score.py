@@ -108,7 +108,7 @@ class Projection:
         return columns - self.basis @ (self.basis.T @ columns)
 
     def told(self, E: np.ndarray) -> np.ndarray:
-        """Which columns move any innovation: those of runs that a tape has to spare do not."""
+        """Which columns move any innovation: those of runs that a dataset has to spare do not."""
         return (E[: self.rows] ** 2).sum(0) > 1e-12 * (E**2).sum(0)
 
     def score(self, E: np.ndarray) -> Score:

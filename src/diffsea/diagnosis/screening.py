@@ -120,7 +120,7 @@ def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
     With noise of its own, gusts have grown until they hold what the model lacks: little stands
     out. The better model's innovations also say how they depend on one another in time.
     """
-    run = np.asarray(problem.tape.run)
+    run = np.asarray(problem.dataset.run)
     residual, nuisance = columns_at(problem, gains_at(problem, better), better, better.free)
     correlation = Projection(residual, nuisance, run).correlation
     fitted = estimate(
@@ -140,13 +140,13 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     """Score every candidate that is not in the model, and locate the mismatch."""
     gains = gains_at(problem, fitted)
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
-    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
+    projection = Projection(residual, nuisance, np.asarray(problem.dataset.run))
     frequencies, resolution = peaks(problem, fitted)
     tried = [
         look
         for effect in problem.layout.effects
         if effect.name not in fitted.free
-        for look in expansion_points(effect, problem.base, problem.tape.spans, frequencies)
+        for look in expansion_points(effect, problem.base, problem.dataset.spans, frequencies)
     ]
     spacing = shape_spacings(problem.layout.effects, problem.base, tried, resolution)
     parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, tried)]

@@ -31,10 +31,10 @@ from diffsea.diagnosis.refit import (
 )
 from diffsea.diagnosis.screening import Screening, candidates, locate, screen, short_list
 from diffsea.diagnosis.unexplained import Remainder, remainder
-from diffsea.identification.data.dataset import Shape
+from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import Split, split
+from diffsea.identification.holdout import Split, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -117,7 +117,7 @@ class Diagnosis:
     """Everything found."""
 
     verdict: str
-    split: Split
+    split_data: Split
     nominal: Estimate
     final: Estimate
     effects: tuple[Accepted, ...]
@@ -164,10 +164,10 @@ def diagnose(
     free = free_by_default(vessel) if free is None else free
     effects = candidates(vessel, [*recordings, *(test or [])], per_run)
 
-    def problem_of(runs: list[Trajectory], least: Shape) -> Problem:
+    def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
         return make_problem(vessel, runs, free, effects, per_run, ROOM, least=least)
 
-    data = split(problem_of, recordings, test or [], per_run)
+    data = split_data(problem_of, recordings, test or [], per_run)
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")

@@ -13,7 +13,7 @@ from diffsea.diagnosis.jacobians import columns_at, gains_at, latent_acceleratio
 from diffsea.diagnosis.localisation import DEGREES, Classes, regime_classes
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import Gain, Split, transferred
+from diffsea.identification.holdout import Gain, Split, held_out_coordinates
 from diffsea.identification.problem import Problem
 from diffsea.statistics import block_sums
 
@@ -55,7 +55,7 @@ def remainder(data: Split, final: Estimate) -> Remainder | None:
     problem = data.train
     gains = gains_at(problem, final)
     residual, nuisance = columns_at(problem, gains, final, final.free)
-    projection = Projection(residual, nuisance, np.asarray(problem.tape.run))
+    projection = Projection(residual, nuisance, np.asarray(problem.dataset.run))
     groups = regime_classes(problem)
     if not groups:
         return None
@@ -87,10 +87,10 @@ def latent_force(problem: Problem, final: Estimate) -> list[dict[str, np.ndarray
     """
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
     force = latent_acceleration(problem, final) * mass
-    run, t = np.asarray(problem.tape.run), np.asarray(problem.tape.run_time)
-    rows = np.asarray(problem.tape.known).any(1) & (np.asarray(problem.tape.dt) > 0)
+    run, t = np.asarray(problem.dataset.run), np.asarray(problem.dataset.run_time)
+    rows = np.asarray(problem.dataset.known).any(1) & (np.asarray(problem.dataset.dt) > 0)
     out = []
-    for number in range(problem.tape.runs):
+    for number in range(problem.dataset.runs):
         own = np.flatnonzero(rows & (run == number))
         own = own[:: max(1, len(own) // SHOWN)]
         out.append({"t": t[own]} | {axis: force[own, k] for k, axis in enumerate("XYN")})
@@ -126,11 +126,11 @@ def _inclusion(projection: Projection, columns: list[np.ndarray], best: int) -> 
 def _gain(data: Split, final: Estimate, classes: Classes, degree: int, size: np.ndarray) -> Gain:
     """How much better held-out innovations get with the unnamed force, to first order."""
     problem = data.test
-    at = dataclasses.replace(final, coordinates=transferred(data, final))
+    at = dataclasses.replace(final, coordinates=held_out_coordinates(data, final))
     gains = gains_at(problem, at)
     residual, _ = columns_at(problem, gains, at, final.free)
     change = push_columns(problem, gains, at, _push(problem, classes, degree)) @ size
-    rows = np.asarray(problem.tape.known).any(1)
+    rows = np.asarray(problem.dataset.known).any(1)
     values = len(rows) * 6
     old = (residual[:values] ** 2).reshape(-1, 6).sum(1)
     new = ((residual + change)[:values] ** 2).reshape(-1, 6).sum(1)

@@ -35,7 +35,7 @@ class PartialProgress(str):
 LEVEL = 0.9  # of intervals
 
 
-def silent(message: str) -> None:
+def no_progress(message: str) -> None:
     """Progress that nobody follows."""
 
 
@@ -61,7 +61,7 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-def made(
+def posterior_estimate(
     free: tuple[str, ...],
     coordinates: np.ndarray,
     deviance: float,
@@ -91,14 +91,14 @@ def made(
     )  # fmt: skip
 
 
-def interval(parameter: Parameter, at: float, std: float) -> tuple[float, float]:
+def normal_interval(parameter: Parameter, at: float, std: float) -> tuple[float, float]:
     """The central 90 % interval of a number whose coordinate is normal."""
     off = float(norm.ppf(0.5 + LEVEL / 2)) * std
     ends = sorted(float(parameter.decode(at + sign * off)) for sign in (-1.0, 1.0))
     return ends[0], ends[1]
 
 
-def physical_table(parameters: Sequence[Parameter], fitted: Estimate) -> list[dict]:
+def parameter_estimates(parameters: Sequence[Parameter], fitted: Estimate) -> list[dict]:
     """One row per fitted vessel parameter.
 
     `name`, `meaning`, `unit`, `start`, `value`, `std`, `interval` (90 %) and `determined`, the
@@ -119,7 +119,7 @@ def physical_table(parameters: Sequence[Parameter], fitted: Estimate) -> list[di
                 "start": parameter.value,
                 "value": float(parameter.decode(at)),
                 "std": parameter.slope(at) * std,
-                "interval": list(interval(parameter, at, std)),
+                "interval": list(normal_interval(parameter, at, std)),
                 "determined": float(fitted.shrinkage[n]),
             }
         )

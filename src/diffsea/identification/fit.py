@@ -9,10 +9,21 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.identification.estimates import Estimate, PartialProgress, Progress, made, silent
+from diffsea.identification.estimates import (
+    Estimate,
+    PartialProgress,
+    Progress,
+    no_progress,
+    posterior_estimate,
+)
 from diffsea.identification.filter import kalman
-from diffsea.identification.filter.kalman import Tuned, deviance
-from diffsea.identification.filter.noise_fit import Clock, Path, excerpt, refine
+from diffsea.identification.filter.kalman import FilterRun, deviance
+from diffsea.identification.filter.noise_fit import (
+    LinearisedRun,
+    RowTimes,
+    refine_noise,
+    take_excerpt,
+)
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import (
     Problem,
@@ -36,7 +47,7 @@ def estimate(
     noise: Noise | None = None,
     rounds: int = ROUNDS,
     fixed_noise: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Estimate:
     """Fit the free coordinates by name (parameters and effects), from `start`.
 
@@ -47,20 +58,22 @@ def estimate(
     coordinates = coordinates if start is None else np.array(start, float)
     noise, steps = (first, FIRST_STEPS) if noise is None else (noise, NOISE_STEPS)
     index, matrix = selection(problem.layout, free, problem.width)
-    tuned = problem.tuned(coordinates, noise)
-    now = posterior(problem, coordinates, noise, tuned)
+    run = problem.run_filter(coordinates, noise)
+    now = negative_log_posterior(problem, coordinates, noise, run)
     path = [now]
     for number in range(rounds):
         last = now
         if not fixed_noise:
-            better = refine(*excerpt(_path(tuned), _clock(problem)), noise, problem.prior, steps)
+            better = refine_noise(
+                *take_excerpt(_path(run), _clock(problem)), noise, problem.prior, steps
+            )
             steps = NOISE_STEPS
-            there = problem.tuned(coordinates, better)
-            value = posterior(problem, coordinates, better, there)
+            there = problem.run_filter(coordinates, better)
+            value = negative_log_posterior(problem, coordinates, better, there)
             if value < now or (np.isfinite(value) and not np.isfinite(now)):
-                noise, tuned, now = better, there, value
-        target = _target(problem, coordinates, tuned, index, matrix)
-        coordinates, tuned, now = _walk(problem, coordinates, target, noise, tuned, now)
+                noise, run, now = better, there, value
+        target = _target(problem, coordinates, run, index, matrix)
+        coordinates, run, now = _walk(problem, coordinates, target, noise, run, now)
         path.append(now)
         message = f"round {number + 1}: -2 log posterior {now:.1f}"
         progress(PartialProgress(message, (number + 1) / rounds))
@@ -69,54 +82,66 @@ def estimate(
     else:
         if rounds == ROUNDS:
             progress(f"not at its end after {rounds} rounds: the last one gained {last - now:.1f}")
-    fitted = _judged(problem, free, coordinates, noise, tuned, now, index, matrix)
+    fitted = _judged(problem, free, coordinates, noise, run, now, index, matrix)
     return dataclasses.replace(fitted, path=tuple(path))
 
 
 def _target(
-    problem: Problem, coordinates: np.ndarray, tuned: Tuned, index: np.ndarray, matrix: np.ndarray
+    problem: Problem, coordinates: np.ndarray, run: FilterRun, index: np.ndarray, matrix: np.ndarray
 ) -> np.ndarray:
     """Coordinates that fit best with the gains held fixed."""
-    inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
+    inputs, layout = traced(problem, run.gains, coordinates, matrix)
     target = coordinates.copy()
     target[index] = minimise(inputs, layout, coordinates[index])
     return target
 
 
 def _walk(
-    problem: Problem, start: np.ndarray, target: np.ndarray, noise: Noise, tuned: Tuned, now: float
-) -> tuple[np.ndarray, Tuned, float]:
+    problem: Problem,
+    start: np.ndarray,
+    target: np.ndarray,
+    noise: Noise,
+    run: FilterRun,
+    now: float,
+) -> tuple[np.ndarray, FilterRun, float]:
     """Go to the target, or part of the way where the filter with its own gains is worse there."""
     for share in (1.0, 0.5, 0.2, 0.05):
         coordinates = start + share * (target - start)
-        there = problem.tuned(coordinates, noise)
-        value = posterior(problem, coordinates, noise, there)
+        there = problem.run_filter(coordinates, noise)
+        value = negative_log_posterior(problem, coordinates, noise, there)
         if value < now or (np.isfinite(value) and not np.isfinite(now)):
             return coordinates, there, value
-    return start, tuned, now
+    return start, run, now
 
 
-def _path(tuned: Tuned) -> Path:
-    g = tuned.gains
-    return Path(
-        tuned.F, tuned.H, g.correction, tuned.nu, g.used, tuned.kick, tuned.lasting, tuned.late
+def _path(run: FilterRun) -> LinearisedRun:
+    g = run.gains
+    return LinearisedRun(
+        run.F,
+        run.H,
+        g.correction,
+        run.innovation,
+        g.used,
+        run.gust_impulse,
+        run.gust_acceleration,
+        run.rows_late,
     )
 
 
-def _clock(problem: Problem) -> Clock:
-    tape = problem.tape
-    return Clock(tape.dt, tape.starts, kalman.first_variance(problem.base))
+def _clock(problem: Problem) -> RowTimes:
+    dataset = problem.dataset
+    return RowTimes(dataset.dt, dataset.starts, kalman.first_variance(problem.base))
 
 
-def posterior(
-    problem: Problem, coordinates: np.ndarray, noise: Noise, tuned: Tuned | None = None
+def negative_log_posterior(
+    problem: Problem, coordinates: np.ndarray, noise: Noise, run: FilterRun | None = None
 ) -> float:
-    """-2 log posterior without its constant; `tuned` is the filter's run there, if known."""
-    tuned = problem.tuned(coordinates, noise) if tuned is None else tuned
+    """-2 log posterior without its constant; `run` is the filter's run there, if known."""
+    run = problem.run_filter(coordinates, noise) if run is None else run
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     layout = problem.layout
     away = np.asarray(layout.strains(coordinates, layout.spreads()))
-    return float(deviance(tuned)) + float(off @ off) + float(away @ away)
+    return float(deviance(run)) + float(off @ off) + float(away @ away)
 
 
 def _judged(
@@ -124,7 +149,7 @@ def _judged(
     free: tuple[str, ...],
     coordinates: np.ndarray,
     noise: Noise,
-    tuned: Tuned,
+    run: FilterRun,
     deviance: float,
     index: np.ndarray,
     matrix: np.ndarray,
@@ -134,12 +159,12 @@ def _judged(
     The larger of the inverse information and the sandwich with the innovations' own
     autocorrelation, which does not trust them to be white.
     """
-    inputs, layout = traced(problem, tuned.gains, coordinates, matrix)
+    inputs, layout = traced(problem, run.gains, coordinates, matrix)
     residual, J = jacobian(coordinates[index], (inputs, layout))
-    rows = problem.tape.measured.size
+    rows = problem.dataset.measured.size
     J = J[:rows, : len(index)]
-    correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.tape.run))
-    return made(
+    correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.dataset.run))
+    return posterior_estimate(
         free, coordinates, deviance, index, problem.layout.local_spreads(coordinates), J.T @ J,
         long_run_covariance(J, correlation), noise,
     )  # fmt: skip
@@ -147,6 +172,6 @@ def _judged(
 
 def normalised_rms(problem: Problem, coordinates: np.ndarray, noise: Noise) -> float:
     """Root-mean-square normalised innovation: one at the noise level."""
-    tuned = problem.tuned(coordinates, noise)
-    count = np.asarray(tuned.gains.used).sum()
-    return float(np.sqrt((np.asarray(tuned.white) ** 2).sum() / max(count, 1)))
+    run = problem.run_filter(coordinates, noise)
+    count = np.asarray(run.gains.used).sum()
+    return float(np.sqrt((np.asarray(run.white) ** 2).sum() / max(count, 1)))

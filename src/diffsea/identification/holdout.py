@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.data.dataset import ANY, Shape
+from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.filter.kalman import Tuned
+from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.recordings.conditioning import cut
@@ -68,15 +68,15 @@ class Split:
     kind: HeldOut = HeldOut.RECORDINGS
 
 
-def split(
-    problem_of: Callable[[list[Trajectory], Shape], Problem],
+def split_data(
+    problem_of: Callable[[list[Trajectory], DatasetShape], Problem],
     recordings: list[Trajectory],
     test: list[Trajectory],
     per_run: bool,
 ) -> Split:
     """Hold out `test`, or the end of each recording where there is none.
 
-    `problem_of` makes a problem from recordings on a tape of at least some shape: all of
+    `problem_of` makes a problem from recordings on a dataset of at least some shape: all of
     one shape share their compiled programs. `per_run` says whether each recording has an
     environment of its own.
 
@@ -85,13 +85,13 @@ def split(
     """
     train, held_out, heads, kind = recordings, test, None, HeldOut.RECORDINGS
     if not test:
-        (train, held_out), kind = cut_all(recordings, TRAIN_SHARE), HeldOut.LAST_PARTS
+        (train, held_out), kind = cut_recordings(recordings, TRAIN_SHARE), HeldOut.LAST_PARTS
     elif per_run:
-        (heads, held_out), kind = cut_all(test, HEAD_SHARE), HeldOut.AFTER_HEAD
-    shape = ANY
+        (heads, held_out), kind = cut_recordings(test, HEAD_SHARE), HeldOut.AFTER_HEAD
+    shape = ANY_SHAPE
     for _ in range(2):  # the number of lanes, then that of their steps
         least = shape._replace(steps=0)
-        shapes = [problem_of(runs, least).tape.shape for runs in (train, held_out)]
+        shapes = [problem_of(runs, least).dataset.shape for runs in (train, held_out)]
         shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
     _check_length(test_problem)
@@ -100,7 +100,7 @@ def split(
 
 
 def _check_length(held_out: Problem) -> None:
-    rows = int(np.asarray(held_out.tape.known).any(1).sum())
+    rows = int(np.asarray(held_out.dataset.known).any(1).sum())
     if rows < 2 * BLOCK:
         raise UserError(
             f"only {rows} rows are held out to judge models on, at least {2 * BLOCK} are needed: "
@@ -108,7 +108,7 @@ def _check_length(held_out: Problem) -> None:
         )
 
 
-def cut_all(recordings: list[Trajectory], share: float) -> tuple[list, list]:
+def cut_recordings(recordings: list[Trajectory], share: float) -> tuple[list, list]:
     """Every recording in two at a share of its duration."""
     heads, tails = zip(*(_parts(recording, share) for recording in recordings), strict=True)
     return list(heads), list(tails)
@@ -120,7 +120,7 @@ def _parts(recording: Trajectory, share: float) -> tuple[Trajectory, Trajectory]
     return cut(recording, float(t[0]), at), cut(recording, at, float(t[-1]))
 
 
-def transferred(split: Split, fitted: Estimate) -> np.ndarray:
+def held_out_coordinates(split: Split, fitted: Estimate) -> np.ndarray:
     """The fitted coordinates as coordinates of the held-out problem.
 
     An environment of its own is that of the same recording's earlier part: as fitted, or
@@ -147,20 +147,20 @@ def transferred(split: Split, fitted: Estimate) -> np.ndarray:
 
 def row_deviance(problem: Problem, coordinates: np.ndarray, fitted: Estimate) -> np.ndarray:
     """-2 log likelihood of each row."""
-    tuned = problem.tuned(coordinates, fitted.noise)
+    run = problem.run_filter(coordinates, fitted.noise)
     with np.errstate(invalid="ignore"):  # a model that diverges predicts nothing: NaN
-        return _rows_of(tuned)
+        return _rows_of(run)
 
 
-def _rows_of(tuned: Tuned) -> np.ndarray:
-    return (np.asarray(tuned.white) ** 2 + np.log(np.asarray(tuned.variance))).sum(1)
+def _rows_of(run: FilterRun) -> np.ndarray:
+    return (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance))).sum(1)
 
 
-def gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
+def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     """How much better `fitted` predicts the held-out runs than `nominal`."""
-    old = row_deviance(split.test, transferred(split, nominal), nominal)
-    new = row_deviance(split.test, transferred(split, fitted), fitted)
-    known = np.asarray(split.test.tape.known).any(1)
+    old = row_deviance(split.test, held_out_coordinates(split, nominal), nominal)
+    new = row_deviance(split.test, held_out_coordinates(split, fitted), fitted)
+    known = np.asarray(split.test.dataset.known).any(1)
     difference = (old - new)[known][:, None]
     length = max(BLOCK, len(difference) // 30)
     sums = block_sums(difference, length)[:, 0]
@@ -174,4 +174,4 @@ def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     def again(model: Estimate) -> Estimate:
         return estimate(other.train, model.free, model.coordinates, model.noise)
 
-    return gain(other, again(nominal), again(fitted))
+    return held_out_gain(other, again(nominal), again(fitted))

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Estimate, Progress, silent
+from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.expansion_points import expansion_points
-from diffsea.identification.objectives.base import Objective, Starts
+from diffsea.identification.objectives.base import AbstractObjective, Starts
 from diffsea.identification.problem import Problem
 
 
@@ -39,7 +39,7 @@ def effect_starts(problem: Problem) -> Starts:
     Where they are absent some effects have no derivative, and others one that leads away from what
     can be. What changes at some time begins at several.
     """
-    layout, spans = problem.layout, problem.tape.spans
+    layout, spans = problem.layout, problem.dataset.spans
     rows = [np.zeros(layout.size)]
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
         places = [look.at for look in expansion_points(effect, problem.base, spans)]
@@ -53,11 +53,11 @@ def effect_starts(problem: Problem) -> Starts:
 
 
 def multistart(
-    objective: Objective,
+    objective: AbstractObjective,
     free: tuple[str, ...],
     count: int,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     besides: Starts | None = None,
 ) -> tuple[Estimate, Agreement | None]:
     """The best fit of all that is free from the prior mean and `count` - 1 draws of the prior.

@@ -8,7 +8,7 @@ from diffsea.errors import UserError
 from diffsea.identification.effect_records import parameter_records
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
-from diffsea.identification.uncertainty.design import equipped_vessel
+from diffsea.identification.uncertainty.design import vessel_in_environment
 from diffsea.recordings.conditioning import cut
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -38,7 +38,7 @@ def environment_from(
     room = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(vessel, [cut(recording, float(t[0]), split)], (), effects, room=room)
     found = estimate(problem, names)
-    there = equipped_vessel(problem, found.coordinates)
+    there = vessel_in_environment(problem, found.coordinates)
     said = {name: parameter_records(problem, found, name)[0] for name in names}
     there = dataclasses.replace(there, name=vessel.name, source=vessel.source)
     return there, cut(recording, split, float(t[-1])), said

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diffsea.identification.coordinates import CoordinateLayout
-from diffsea.identification.data.dataset import ANY, Shape, Tape, make_tape
+from diffsea.identification.data.dataset import ANY_SHAPE, Dataset, DatasetShape, make_dataset
 from diffsea.identification.filter import kalman
-from diffsea.identification.filter.kalman import Gains, Tuned
-from diffsea.identification.filter.noise_fit import Prior, noise_prior
+from diffsea.identification.filter.kalman import FilterRun, Gains
+from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.least_squares import ONCE, least_squares_from, value_and_jacobian
 from diffsea.parameters import Parameter, check_names, hull_prior, named
@@ -33,8 +33,8 @@ class Problem:
 
     base: Vessel
     layout: CoordinateLayout
-    tape: Tape
-    prior: Prior
+    dataset: Dataset
+    prior: NoisePrior
     width: int  # free coordinates the compiled program has room for
     seeds: int  # and directions it differentiates in: copies for each run share one
 
@@ -42,9 +42,9 @@ class Problem:
         """Prior mean of the coordinates and first guess of the noise."""
         return np.zeros(self.layout.size), Noise.of(self.prior.mean)
 
-    def tuned(self, coordinates: np.ndarray, noise: Noise) -> Tuned:
+    def run_filter(self, coordinates: np.ndarray, noise: Noise) -> FilterRun:
         """The filter's run at an estimate."""
-        return _tune(self.base, Static(self.layout), self.tape, noise, jnp.asarray(coordinates))
+        return _tune(self.base, Static(self.layout), self.dataset, noise, jnp.asarray(coordinates))
 
 
 class Static:
@@ -94,7 +94,7 @@ def make_problem(
     per_run: bool = False,
     room: int = 0,
     priors: Mapping[str, Parameter] | None = None,
-    least: Shape = ANY,
+    least: DatasetShape = ANY_SHAPE,
 ) -> Problem:
     """Set up a fit.
 
@@ -102,7 +102,7 @@ def make_problem(
         free: names of the vessel's parameters to estimate; `free_by_default` if None.
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
-        least: shape that the tape has at least: problems of one shape share their programs.
+        least: shape that the dataset has at least: problems of one shape share their programs.
         room: how many effect coordinates may be free at once, copies for each run not counted.
         priors: of parameters that have one other than `default_prior`.
 
@@ -113,25 +113,27 @@ def make_problem(
     check_names(vessel, free)
     known = default_priors(vessel) | dict(priors or {})
     parameters = tuple(known[name] for name in free)
-    tape = make_tape(vessel, recordings, least)
+    dataset = make_dataset(vessel, recordings, least)
     sizes = tuple(effect.sizes(vessel) for effect in effects)
-    latest = float(np.abs(tape.run_time).max())
-    layout = CoordinateLayout(parameters, effects, sizes, tape.runs, per_run, latest)
-    tape = jax.tree.map(jnp.asarray, tape)
-    width = len(free) + room * (tape.runs if per_run else 1)
-    return Problem(vessel, layout, tape, noise_prior(vessel, tape), width, len(free) + room)
+    latest = float(np.abs(dataset.run_time).max())
+    layout = CoordinateLayout(parameters, effects, sizes, dataset.runs, per_run, latest)
+    dataset = jax.tree.map(jnp.asarray, dataset)
+    width = len(free) + room * (dataset.runs if per_run else 1)
+    return Problem(vessel, layout, dataset, noise_prior(vessel, dataset), width, len(free) + room)
 
 
 @eqx.filter_jit
-def _tune(base: Vessel, layout: Static, tape: Tape, noise: Noise, coordinates: Array) -> Tuned:
-    return kalman.tune(base, layout.value, tape, noise, coordinates)
+def _tune(
+    base: Vessel, layout: Static, dataset: Dataset, noise: Noise, coordinates: Array
+) -> FilterRun:
+    return kalman.run_filter(base, layout.value, dataset, noise, coordinates)
 
 
 class Inputs(eqx.Module):
     """What the residual needs, as one tree."""
 
     base: Vessel
-    tape: Tape
+    dataset: Dataset
     gains: Gains
     fixed: Float[Array, "coordinate"]  # values of the coordinates that are not free
     selection: Float[Array, "coordinate width"]
@@ -148,8 +150,8 @@ def _white(free: Float[Array, "free"], args: tuple[Inputs, Static]) -> Array:
     width = problem.selection.shape[1]
     coordinates = problem.fixed + problem.selection @ free[:width]
     push = jnp.tensordot(free[width:], problem.pushes, axes=1)
-    white = kalman.innovations(
-        problem.base, layout.value, problem.tape, problem.gains, coordinates, push
+    white = kalman.whitened_innovations(
+        problem.base, layout.value, problem.dataset, problem.gains, coordinates, push
     )
     return jnp.where(jnp.isfinite(white), white, 1e4).ravel()
 
@@ -179,7 +181,7 @@ def with_jacobian(free: Array, args: tuple[Inputs, Static]) -> tuple[Array, Arra
         white, slopes = together(problem.seeds[number])
         return white, found[1].at[number].set(slopes)
 
-    run = jnp.repeat(problem.tape.run, 6)
+    run = jnp.repeat(problem.dataset.run, 6)
     nothing = jnp.zeros(run.size), jnp.zeros((*problem.seeds.shape[:2], run.size))
     white, slopes = jax.lax.fori_loop(0, problem.groups, group, nothing)
     own = (problem.owner < 0) | (problem.owner == run[:, None])
@@ -266,7 +268,7 @@ def traced(
     held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
     seeds, owner = _seeds(problem, matrix)
     room = problem.seeds
-    histories = np.zeros((room, problem.tape.t.size, 3))
+    histories = np.zeros((room, problem.dataset.t.size, 3))
     by_push = np.zeros((room, room))
     if pushes is not None:
         histories[: len(pushes)] = pushes
@@ -274,7 +276,7 @@ def traced(
         by_push[: len(pushes), : len(pushes)] = np.eye(len(pushes))
     grouped, used = _grouped(problem, np.concatenate([seeds, by_push], axis=1))
     inputs = Inputs(
-        problem.base, problem.tape, gains, jnp.asarray(held), jnp.asarray(matrix),
+        problem.base, problem.dataset, gains, jnp.asarray(held), jnp.asarray(matrix),
         jnp.asarray(problem.layout.spreads()), jnp.asarray(histories),
         jnp.asarray(grouped), jnp.asarray(used),
         jnp.asarray(np.append(owner, np.full(room, -1))),

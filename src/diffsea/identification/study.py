@@ -10,14 +10,20 @@ import numpy as np
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects, vessel_at
 from diffsea.identification.effect_records import effect_table, is_known, parameter_records
-from diffsea.identification.estimates import Estimate, Progress, physical_table, silent
+from diffsea.identification.estimates import Estimate, Progress, no_progress, parameter_estimates
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
-from diffsea.identification.holdout import HEAD_SHARE, HeldOut, Split, cut_all, transferred
+from diffsea.identification.holdout import (
+    HEAD_SHARE,
+    HeldOut,
+    Split,
+    cut_recordings,
+    held_out_coordinates,
+)
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
-from diffsea.identification.objectives.base import Innovations, Objective
-from diffsea.identification.objectives.output_error import FreeRun
-from diffsea.identification.objectives.trial_numbers import Sheet, TrialNumbers
+from diffsea.identification.objectives.base import AbstractObjective, Innovations
+from diffsea.identification.objectives.output_error import OutputError
+from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.problem import (
     Problem,
     default_priors,
@@ -26,7 +32,11 @@ from diffsea.identification.problem import (
 )
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
-from diffsea.identification.uncertainty.profile import Profile, asymmetric, profile
+from diffsea.identification.uncertainty.profile import (
+    Profile,
+    asymmetric_parameters,
+    profile_interval,
+)
 from diffsea.parameters import Parameter, check_names
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -41,7 +51,7 @@ _INERTIA = ("mass", "I_z")
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class FitSettings:
     """How to identify.
 
     `anchor` says what fixes the common factor of mass, drag and thrust: the masses of the
@@ -64,7 +74,7 @@ class Study:
     """Everything found."""
 
     vessel_name: str
-    objective: Objective
+    objective: AbstractObjective
     estimate: Estimate
     anchor: str  # a sentence
     identifiability: Identifiability
@@ -76,7 +86,7 @@ class Study:
     @property
     def rows(self) -> list[dict]:
         """The table of parameters; `interval` is the profile's where there is one."""
-        rows = physical_table(self.objective.parameters, self.estimate)
+        rows = parameter_estimates(self.objective.parameters, self.estimate)
         for row in rows:
             found = self.profiles.get(row["name"])
             row["profiled"] = found is not None
@@ -133,7 +143,9 @@ class Study:
         found = {"train": normalised_rms(problem, self.estimate.coordinates, noise)}
         if test:
             data = self.split(test)
-            coordinates = transferred(data, dataclasses.replace(self.estimate, noise=noise))
+            coordinates = held_out_coordinates(
+                data, dataclasses.replace(self.estimate, noise=noise)
+            )
             found["test"] = normalised_rms(data.test, coordinates, noise)
         return found
 
@@ -150,7 +162,7 @@ class Study:
                 problem.base, runs, tuple(priors), layout.effects, layout.per_run, room, priors
             )
 
-        heads, tails = cut_all(list(test), HEAD_SHARE) if own else ([], list(test))
+        heads, tails = cut_recordings(list(test), HEAD_SHARE) if own else ([], list(test))
         head = problem_of(heads) if own else None
         kind = HeldOut.AFTER_HEAD if own else HeldOut.RECORDINGS
         return Split(problem, problem_of(tails), head, (), tuple(tails), kind)
@@ -164,7 +176,7 @@ class Study:
         data = self.split(test)
         fitted = dataclasses.replace(self.estimate, noise=self.noise)
         vessel, flow = vessel_at(
-            data.test.base, data.test.layout, jnp.asarray(transferred(data, fitted))
+            data.test.base, data.test.layout, jnp.asarray(held_out_coordinates(data, fitted))
         )
         flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
         vessel = jax.tree.map(float, vessel)
@@ -180,20 +192,20 @@ class Study:
 @one_blas_thread
 def identify(
     vessel: Vessel,
-    data: Sequence[Trajectory] | Sequence[Sheet],
-    settings: Settings = Settings(),
-    progress: Progress = silent,
+    data: Sequence[Trajectory] | Sequence[MeasuredTrial],
+    settings: FitSettings = FitSettings(),
+    progress: Progress = no_progress,
 ) -> Study:
     """Fit a vessel's parameters to recordings or to sheets of trial numbers.
 
     Raises:
         UserError: an unknown parameter, objective or anchor, or data that do not suit.
     """
-    parameters = chosen(vessel, settings)
+    parameters = free_parameters(vessel, settings)
     names = tuple(p.name for p in parameters)
     objective = _objective(vessel, parameters, data, settings)
     agreement = None
-    names += tuple(effect.name for effect in chosen_effects(vessel, settings.effects))
+    names += tuple(effect.name for effect in effects_to_estimate(vessel, settings.effects))
     problem = getattr(objective, "problem", None)
     besides = None if problem is None else effect_starts(problem)
     if settings.starts > 1 or (besides is not None and len(besides) > 1):
@@ -214,13 +226,13 @@ def identify(
         )
     wanted = settings.profiles
     if wanted is None:
-        wanted = asymmetric(objective, fitted)
-    profiles = {name: profile(objective, fitted, name, progress) for name in wanted}
+        wanted = asymmetric_parameters(objective, fitted)
+    profiles = {name: profile_interval(objective, fitted, name, progress) for name in wanted}
     return Study(
         vessel.name,
         objective,
         fitted,
-        anchored(vessel, names),
+        anchor_sentence(vessel, names),
         identifiability(parameters, fitted),
         agreement,
         profiles,
@@ -229,7 +241,7 @@ def identify(
     )
 
 
-def chosen(vessel: Vessel, settings: Settings) -> tuple[Parameter, ...]:
+def free_parameters(vessel: Vessel, settings: FitSettings) -> tuple[Parameter, ...]:
     """The free parameters with their priors."""
     if settings.anchor not in ANCHORS:
         raise UserError(f"the anchor is one of {', '.join(ANCHORS)}, not {settings.anchor!r}")
@@ -249,7 +261,7 @@ def chosen(vessel: Vessel, settings: Settings) -> tuple[Parameter, ...]:
     return left
 
 
-def anchored(vessel: Vessel, free: Sequence[str]) -> str:
+def anchor_sentence(vessel: Vessel, free: Sequence[str]) -> str:
     """What fixes the common factor of mass, drag and thrust, as a sentence."""
     heavy = any(name in _INERTIA for name in free)
     pushing = any(name.split(".")[0] in vessel.actuators for name in free)
@@ -271,13 +283,13 @@ def anchored(vessel: Vessel, free: Sequence[str]) -> str:
 def _objective(
     vessel: Vessel,
     parameters: tuple[Parameter, ...],
-    data: Sequence[Trajectory] | Sequence[Sheet],
-    settings: Settings,
-) -> Objective:
+    data: Sequence[Trajectory] | Sequence[MeasuredTrial],
+    settings: FitSettings,
+) -> AbstractObjective:
     name = settings.objective
     if name not in OBJECTIVES:
         raise UserError(f"there is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}")
-    sheets = [one for one in data if isinstance(one, Sheet)]
+    sheets = [one for one in data if isinstance(one, MeasuredTrial)]
     if (name == "trial-numbers") != (len(sheets) == len(data)) or 0 < len(sheets) < len(data):
         raise UserError(
             "trial numbers are fitted to sheets (TOML), the other objectives to recordings; give "
@@ -288,7 +300,7 @@ def _objective(
             raise UserError("effects are estimated from recordings, not from trial numbers")
         return TrialNumbers(vessel, parameters, sheets)
     priors = {p.name: p for p in parameters}
-    effects = chosen_effects(vessel, settings.effects)
+    effects = effects_to_estimate(vessel, settings.effects)
     shared = [effect.name for effect in effects if effect.own and effect.idle]
     if settings.per_recording and shared:
         raise UserError(
@@ -299,10 +311,10 @@ def _objective(
     problem = make_problem(
         vessel, list(data), tuple(priors), effects, settings.per_recording, room, priors
     )
-    return Innovations(problem) if name == "innovation" else FreeRun(problem)
+    return Innovations(problem) if name == "innovation" else OutputError(problem)
 
 
-def chosen_effects(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
+def effects_to_estimate(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
     """Effects of the catalogue by name; where none has that very name, all its variants.
 
     Raises:
@@ -320,7 +332,9 @@ def chosen_effects(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def _next(objective: Objective, fitted: Estimate, progress: Progress) -> NextManoeuvre | None:
+def _next(
+    objective: AbstractObjective, fitted: Estimate, progress: Progress
+) -> NextManoeuvre | None:
     """A manoeuvre that would tell more, where the data leave something open."""
     problem = getattr(objective, "problem", None)
     if problem is None or float(fitted.shrinkage.min()) > DETERMINED:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.data.dataset import ANY, Shape
+from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, make_problem
@@ -40,7 +40,7 @@ def identify_by_likelihood(
     length: float,
     speed: float,
     wind_angle: float = math.radians(1.0),
-    least: Shape = ANY,
+    least: DatasetShape = ANY_SHAPE,
 ) -> Likely:
     """Coefficients by the innovation likelihood, disturbances of every trial as nuisances.
 
@@ -51,7 +51,7 @@ def identify_by_likelihood(
         speed: of the trials, m/s.
         wind_angle: the rudder angle (rad) that wind of 10 m/s would ask for: it sets how far the
             trials' own moments may be from zero, three times as far for 15 m/s.
-        least: shape of the tape; fits of one shape share their compiled programs.
+        least: shape of the dataset; fits of one shape share their compiled programs.
 
     Wind is each trial's own, two components in the earth, zero on average over trials; gusts
     of yaw acceleration that last have their strength and memory estimated.

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import Split, transferred
+from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -70,7 +70,7 @@ def _in_own_environment(
     own = {effect.name: effect.own for effect in layout.effects}
     if not layout.per_run or not any(own[name] for name in effects):
         return [diagnosed] * count
-    coordinates = jax.numpy.asarray(transferred(split, final))
+    coordinates = jax.numpy.asarray(held_out_coordinates(split, final))
     vessel, flow = vessel_at(split.test.base, split.test.layout, coordinates)
     flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(count)]
     return [dataclasses.replace(vessel, environment=one) for one in flows]

@@ -1,4 +1,4 @@
-"""Runs of a tape side by side, so that a filter takes one step along several of them at once.
+"""Runs of a dataset side by side, so that a filter takes one step along several of them at once.
 
 Runs share nothing but parameters. One step of a compiled loop costs nearly as much for two runs
 as for eight, which a core's vector units take together.
@@ -21,8 +21,8 @@ MOST = 8
 STEPS = 64  # lanes are padded to a multiple of so many steps, so that programs are shared
 
 
-class Lanes(eqx.Module):
-    """Which row of a tape each lane holds at each step, and where each row is found."""
+class BatchLayout(eqx.Module):
+    """Which row of a dataset each lane holds at each step, and where each row is found."""
 
     rows: Int[Array, "step lane"]
     place: Int[Array, "row"]  # in the flattened steps and lanes
@@ -33,12 +33,14 @@ class Lanes(eqx.Module):
         return self.rows.shape[0], self.rows.shape[1]
 
 
-def in_lanes(run: Int[np.ndarray, "row"], rows: int, least: tuple[int, int] = (0, 0)) -> Lanes:
+def batch_layout(
+    run: Int[np.ndarray, "row"], rows: int, least: tuple[int, int] = (0, 0)
+) -> BatchLayout:
     """Distribute runs over lanes, the longest first and each to the shortest lane so far.
 
     Arguments:
         run: the run of every row that is used; the rows of a run follow one another.
-        rows: of the tape; those beyond the used ones, at least one, are empty.
+        rows: of the dataset; those beyond the used ones, at least one, are empty.
         least: at least so many steps and lanes.
     """
     first, length = np.unique(run, return_index=True, return_counts=True)[1:]
@@ -54,7 +56,7 @@ def in_lanes(run: Int[np.ndarray, "row"], rows: int, least: tuple[int, int] = (0
         held = held.astype(int)
         table[: len(held), number] = held
         place[held] = np.arange(len(held)) * count + number
-    return Lanes(table, place)
+    return BatchLayout(table, place)
 
 
 def _best_count(length: np.ndarray) -> int:
@@ -83,7 +85,9 @@ def _distributed(length: np.ndarray, count: int) -> list[list[int]]:
     return lanes
 
 
-def scan(body: Callable[[Any, Any], tuple[Any, Any]], start: Any, inputs: Any, lanes: Lanes) -> Any:
+def batched_scan(
+    body: Callable[[Any, Any], tuple[Any, Any]], start: Any, inputs: Any, lanes: BatchLayout
+) -> Any:
     """As `jax.lax.scan` along all rows, every lane from `start`; what `body` gives for each row.
 
     `body` must begin anew where a run starts.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
-from diffsea.identification.data.batching import Lanes, in_lanes
+from diffsea.identification.data.batching import BatchLayout, batch_layout
 from diffsea.identification.data.heel import predicted_heel
 from diffsea.identification.expansion_points import Span, merge_spans
 from diffsea.scales import time_scale
@@ -18,16 +18,16 @@ from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 
-SEPARATION = 1e4  # s from run to run on the tape's clock, at least: beyond any delay
+SEPARATION = 1e4  # s from run to run on the dataset's clock, at least: beyond any delay
 LONGEST_STEP = 0.3  # of sqrt(L / g)
 GAP = 3.0  # usual rows, or sqrt(L / g) where that is longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
 
 
-class Tape(eqx.Module):
+class Dataset(eqx.Module):
     """All rows of all runs. Row k covers the interval from its time to the next row's."""
 
-    t: Float[Array, "row"]  # s on the tape's clock
+    t: Float[Array, "row"]  # s on the dataset's clock
     run_time: Float[Array, "row"]  # s on the run's own clock
     dt: Float[Array, "row"]  # s
     measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
@@ -40,7 +40,7 @@ class Tape(eqx.Module):
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
     order_times: Float[Array, "order"]  # s, with one order long before each run
     order_values: dict[str, Float[Array, "order"]]
-    lanes: Lanes
+    lanes: BatchLayout
     runs: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
     memory: int = eqx.field(static=True)  # rows that late channels may reach back
@@ -60,19 +60,19 @@ class Tape(eqx.Module):
         )
 
     @property
-    def shape(self) -> "Shape":
+    def shape(self) -> "DatasetShape":
         """The numbers that its compiled programs depend on."""
-        return Shape(self.t.size, self.runs, *self.lanes.shape)
+        return DatasetShape(self.t.size, self.runs, *self.lanes.shape)
 
 
-def thinning(vessel: Vessel, interval: float) -> int:
+def thinning_factor(vessel: Vessel, interval: float) -> int:
     """How many samples at `interval` s may be skipped without blurring the vessel's motion."""
     return max(
         1, int(LONGEST_STEP * time_scale(float(vessel.rigid_body.length)) / interval * (1 + 1e-9))
     )
 
 
-class Shape(NamedTuple):
+class DatasetShape(NamedTuple):
     """What tapes must have in common to share compiled programs."""
 
     rows: int = 0
@@ -80,16 +80,18 @@ class Shape(NamedTuple):
     steps: int = 0
     lanes: int = 0
 
-    def both(self, other: "Shape") -> "Shape":
+    def both(self, other: "DatasetShape") -> "DatasetShape":
         """The larger of each number."""
-        return Shape(*map(max, self, other))
+        return DatasetShape(*map(max, self, other))
 
 
-ANY = Shape()
+ANY_SHAPE = DatasetShape()
 
 
-def make_tape(vessel: Vessel, recordings: list[Trajectory], least: Shape = ANY) -> Tape:
-    """Lay recordings on a tape of at least this shape, spare rows and runs empty.
+def make_dataset(
+    vessel: Vessel, recordings: list[Trajectory], least: DatasetShape = ANY_SHAPE
+) -> Dataset:
+    """Lay recordings on a dataset of at least this shape, spare rows and runs empty.
 
     Recordings sampled much faster than the vessel moves are thinned to 0.3 sqrt(L / g), all
     rows that hold a slowly sampled channel kept; over the rows between, orders and measured
@@ -120,13 +122,13 @@ def make_tape(vessel: Vessel, recordings: list[Trajectory], least: Shape = ANY) 
             c: _padded(np.concatenate([piece[kind][c] for piece in pieces]), spare) for c in names
         }
 
-    return Tape(
+    return Dataset(
         **padded,
         orders=gathered("orders", channels),
         executed=gathered("executed", measured),
         order_times=order_times,
         order_values=order_values,
-        lanes=in_lanes(columns["run"], used + spare, (least.steps, least.lanes)),
+        lanes=batch_layout(columns["run"], used + spare, (least.steps, least.lanes)),
         runs=runs,
         substeps=substeps,
         memory=_memory(vessel, longest),
@@ -157,7 +159,7 @@ def _piece(vessel: Vessel, recording: Trajectory, number: int) -> dict:
             f"{recording.name}: {len(t)} samples are too few to estimate anything; record at "
             "least ten, better a whole manoeuvre"
         )
-    keep = _kept(np.isfinite(motion), thinning(vessel, median_interval(t)))
+    keep = _kept(np.isfinite(motion), thinning_factor(vessel, median_interval(t)))
     if len(keep) < 10:
         raise UserError(
             f"{recording.name}: {t[-1] - t[0]:.3g} s are too short to estimate anything, "

@@ -1,6 +1,6 @@
 """Innovation-form likelihood: how well a model predicts a recording one sample ahead.
 
-An extended Kalman filter runs along the tape; its state is the vessel's six numbers and the
+An extended Kalman filter runs along the dataset; its state is the vessel's six numbers and the
 three accelerations of lasting gusts.
 
 Gains and innovation covariances are found once, at the current estimate (`tune`); the
@@ -18,24 +18,24 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
-from diffsea.identification.data.batching import scan
-from diffsea.identification.data.dataset import Tape
+from diffsea.identification.data.batching import batched_scan
+from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter.latency import (
-    Trail,
-    followed,
-    latencies,
-    lateness,
-    on_order_clock,
-    shown,
+    StateHistory,
+    align_to_order_clock,
+    channel_latencies,
+    relative_latencies,
+    retrodict,
+    shown_measurements,
 )
 from diffsea.identification.filter.process_noise import (
-    Gusts,
+    GustPropagation,
     Noise,
-    applied,
-    gust_model,
-    predicted,
-    product,
-    updated,
+    gust_propagation,
+    matrix_product,
+    matrix_vector,
+    measurement_update,
+    time_update,
 )
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap
@@ -54,30 +54,34 @@ class Gains(eqx.Module):
     correction: Float[Array, "row 9 6"]  # state from innovation; zero columns where missing
     whitening: Float[Array, "row 6 6"]  # innovation to unit covariance; zero where missing
     used: Bool[Array, "row 6"]
-    gusts: Gusts
+    gusts: GustPropagation
 
 
-class Tuned(eqx.Module):
+class FilterRun(eqx.Module):
     """A filter's run: its gains, innovations, their variances and its linearisation."""
 
     gains: Gains
     state: Float[Array, "row 6"]  # of the vessel, after the row's measurements
-    nu: Float[Array, "row 6"]  # innovations, zero where missing
+    innovation: Float[Array, "row 6"]  # zero where missing
     white: Float[Array, "row 6"]  # the same, whitened
     variance: Float[Array, "row 6"]  # of the sequential innovations; one where missing
     F: Float[Array, "row 6 6"]  # the vessel's state to its next state
     H: Float[Array, "row 6 9"]  # the filter's state to measurement
-    kick: Float[Array, "row 3"]  # speeds given by lasting gusts before and again after the row
-    lasting: Float[Array, "row 3"]  # accelerations by lasting gusts, before the row's measurements
-    late: Float[Array, "row 6"]  # rows that each channel lags
+    gust_impulse: Float[
+        Array, "row 3"
+    ]  # speeds given by lasting gusts before and again after the row
+    gust_acceleration: Float[
+        Array, "row 3"
+    ]  # accelerations by lasting gusts, before the row's measurements
+    rows_late: Float[Array, "row 6"]  # rows that each channel lags
 
 
-def responses(vessel: Vessel, tape: Tape) -> dict[str, Response]:
+def actuator_responses(vessel: Vessel, dataset: Dataset) -> dict[str, Response]:
     """What every channel executes during every row: measured, or the servo's answer."""
     return {
-        channel: _measured_response(tape.executed[channel])
-        if channel in tape.executed
-        else _servo_response(vessel, channel, tape)
+        channel: _measured_response(dataset.executed[channel])
+        if channel in dataset.executed
+        else _servo_response(vessel, channel, dataset)
         for channel in vessel.channels
     }
 
@@ -86,15 +90,15 @@ def _measured_response(executed: Float[Array, "row"]) -> Response:
     return Response(executed, executed, executed, executed)
 
 
-def _servo_response(vessel: Vessel, channel: str, tape: Tape) -> Response:
-    servo, orders = vessel.servos[channel], tape.orders[channel]
+def _servo_response(vessel: Vessel, channel: str, dataset: Dataset) -> Response:
+    servo, orders = vessel.servos[channel], dataset.orders[channel]
     if servo.direct:
         return _measured_response(jax.vmap(servo.target)(orders))
 
     # Which orders fall into a row does not depend on the rows before: found for all at once.
-    history = OrderHistory(tape.order_times, tape.order_values[channel])
-    dt = servo.usable(tape.dt)
-    given = servo.segments(history, tape.t, dt) if servo.delay is not None else None
+    history = OrderHistory(dataset.order_times, dataset.order_values[channel])
+    dt = servo.usable(dataset.dt)
+    given = servo.segments(history, dataset.t, dt) if servo.delay is not None else None
 
     def body(executed: Scalar, row: tuple) -> tuple[Scalar, Response]:
         starts, order, dt, given = row
@@ -103,8 +107,8 @@ def _servo_response(vessel: Vessel, channel: str, tape: Tape) -> Response:
         response = servo.answer(executed, breaks, values, dt)
         return response.final, response
 
-    rows = (tape.starts, orders, dt, given)
-    return scan(body, servo.target(orders[0]), rows, tape.lanes)
+    rows = (dataset.starts, orders, dt, given)
+    return batched_scan(body, servo.target(orders[0]), rows, dataset.lanes)
 
 
 def propagate(
@@ -131,7 +135,7 @@ def _part(response: Response, start: float, share: float) -> Response:
     return Response(at(start), at(start + share / 2), at(start + share), response.final)
 
 
-def expected(
+def expected_measurements(
     vessel: Vessel, z: Float[Array, "9"], row: dict, flow: Environment
 ) -> Float[Array, "6"]:
     """What the sensors should show in a state, late channels by a Taylor polynomial.
@@ -152,7 +156,7 @@ def expected(
     return vessel.sensors.measure(state, first, second)
 
 
-def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
+def innovation_of(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
     """Measured less expected; zero where nothing was measured."""
     nu = row["measured"] - expected
     # Not nu.at[2].set: a scatter in a batched loop is slow on CPUs, and so is a gather.
@@ -163,25 +167,25 @@ def innovation(row: dict, expected: Float[Array, "6"]) -> Float[Array, "6"]:
 _HEADING = np.arange(6) == MOTION_CHANNELS.index("psi")
 
 
-def rows(vessel: Vessel, flows: Environment, tape: Tape) -> dict:
-    """What a scan along the tape takes in."""
-    flow = jax.tree.map(lambda leaf: leaf[tape.run], flows)
+def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> dict:
+    """What a scan along the dataset takes in."""
+    flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
     return {
-        "flow": heeled(flow, flow.heel + tape.heel),
-        "dt": tape.dt,
-        "run_time": tape.run_time,
-        "measured": tape.measured,
-        "known": tape.known,
-        "starts": tape.starts,
-        "first": tape.first,
-        "response": responses(vessel, tape),
+        "flow": heeled(flow, flow.heel + dataset.heel),
+        "dt": dataset.dt,
+        "run_time": dataset.run_time,
+        "measured": dataset.measured,
+        "known": dataset.known,
+        "starts": dataset.starts,
+        "first": dataset.first,
+        "response": actuator_responses(vessel, dataset),
     }
 
 
-def innovations(
+def whitened_innovations(
     base: Vessel,
     layout: CoordinateLayout,
-    tape: Tape,
+    dataset: Dataset,
     gains: Gains,
     coordinates: Float[Array, "coordinate"],
     push: Float[Array, "row 3"] | None = None,
@@ -192,34 +196,34 @@ def innovations(
     `diagnosis.locate`.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, tape = on_order_clock(vessel, tape)
-    late = lateness(vessel)
+    vessel, dataset = align_to_order_clock(vessel, dataset)
+    late = relative_latencies(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         flow = row["flow"]
-        z, trail = restarted(*carry, row, tape.memory)
-        nu = innovation(row, shown(vessel, z[:6], row, trail))
-        z, trail = followed(z, trail, correction, nu, late, row)
+        z, trail = restart(*carry, row, dataset.memory)
+        nu = innovation_of(row, shown_measurements(vessel, z[:6], row, trail))
+        z, trail = retrodict(z, trail, correction, nu, late, row)
         kick = gusts.half * z[6:] + 0.5 * row["dt"] * acceleration
-        x = propagate(vessel, faster(z[:6], kick), row, flow, tape.substeps)
-        z = jnp.concatenate([faster(x, kick), gusts.decay * z[6:]])
-        return (z, trail), applied(whitening, nu)
+        x = propagate(vessel, with_impulse(z[:6], kick), row, flow, dataset.substeps)
+        z = jnp.concatenate([with_impulse(x, kick), gusts.decay * z[6:]])
+        return (z, trail), matrix_vector(whitening, nu)
 
-    push = jnp.zeros((tape.t.size, 3)) if push is None else push
+    push = jnp.zeros((dataset.t.size, 3)) if push is None else push
     inputs = (
-        rows(vessel, flows, tape), gains.correction, gains.whitening, gains.gusts, push,
+        filter_rows(vessel, flows, dataset), gains.correction, gains.whitening, gains.gusts, push,
     )  # fmt: skip
-    start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory)
-    return scan(body, start, inputs, tape.lanes)
+    start = jnp.zeros(9), StateHistory.begun(jnp.zeros(6), dataset.memory)
+    return batched_scan(body, start, inputs, dataset.lanes)
 
 
-def restarted(
-    z: Float[Array, "9"], trail: Trail, row: dict, memory: int
-) -> tuple[Float[Array, "9"], Trail]:
+def restart(
+    z: Float[Array, "9"], trail: StateHistory, row: dict, memory: int
+) -> tuple[Float[Array, "9"], StateHistory]:
     """State and trail, those of a run's beginning where the row is its first."""
     z = jnp.where(row["starts"], _first(row), z)
-    fresh = Trail.begun(z[:6], memory)
+    fresh = StateHistory.begun(z[:6], memory)
     return z, jax.tree.map(lambda new, old: jnp.where(row["starts"], new, old), fresh, trail)
 
 
@@ -228,59 +232,72 @@ def _first(row: dict) -> Float[Array, "9"]:
     return jnp.concatenate([row["first"], jnp.zeros(3)])
 
 
-def faster(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
+def with_impulse(x: Float[Array, "6"], kick: Float[Array, "3"]) -> Float[Array, "6"]:
     """The vessel's state with its speeds raised."""
     return jnp.concatenate([x[:3], x[3:] + kick])
 
 
-def tune(
+def run_filter(
     base: Vessel,
     layout: CoordinateLayout,
-    tape: Tape,
+    dataset: Dataset,
     noise: Noise,
     coordinates: Float[Array, "coordinate"],
     gate: float = 1e9,
-) -> Tuned:
+) -> FilterRun:
     """Extended Kalman filter at one estimate.
 
     Missing channels have zero innovation and unit variance, so that they add nothing to
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, tape = on_order_clock(vessel, tape)
+    vessel, dataset = align_to_order_clock(vessel, dataset)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
-    lag, late = latencies(vessel), lateness(vessel)
+    lag, late = channel_latencies(vessel), relative_latencies(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, Q = inputs
         *before, P = carry
         flow = row["flow"]
-        z, trail = restarted(*before, row, tape.memory)
+        z, trail = restart(*before, row, dataset.memory)
         P = jnp.where(row["starts"], P0, P)
-        nu = innovation(row, shown(vessel, z[:6], row, trail))
+        nu = innovation_of(row, shown_measurements(vessel, z[:6], row, trail))
         lasting = z[6:]
         H = _shown_by(vessel, z, row, flow)
-        spread = jnp.sqrt(jnp.sum(H * product(H, P), axis=1) + R)
+        spread = jnp.sqrt(jnp.sum(H * matrix_product(H, P), axis=1) + R)
         # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.
         near = (jnp.abs(nu) < gate * spread) | ~jnp.isfinite(nu / spread)
         used = row["known"] & (near | row["starts"])
         nu = jnp.where(used, nu, 0.0)
         rows_late = lag / jnp.where(row["dt"] > 0, row["dt"], 1.0)
-        K, W, P, variance = updated(P, H, R, used, Q, rows_late)
-        z, trail = followed(z, trail, K, nu, late, row)
+        K, W, P, variance = measurement_update(P, H, R, used, Q, rows_late)
+        z, trail = retrodict(z, trail, K, nu, late, row)
         kick = gust.half * z[6:]
-        x = faster(z[:6], kick)
-        x, F = value_and_jacobian(lambda at: propagate(vessel, at, row, flow, tape.substeps), x)
-        P = predicted(P, F, gust, Q)
-        x = faster(x, kick)
-        out = (K, W, used, z[:6], nu, applied(W, nu), variance, F, H, kick, lasting, rows_late)
+        x = with_impulse(z[:6], kick)
+        x, F = value_and_jacobian(lambda at: propagate(vessel, at, row, flow, dataset.substeps), x)
+        P = time_update(P, F, gust, Q)
+        x = with_impulse(x, kick)
+        out = (
+            K,
+            W,
+            used,
+            z[:6],
+            nu,
+            matrix_vector(W, nu),
+            variance,
+            F,
+            H,
+            kick,
+            lasting,
+            rows_late,
+        )
         return (jnp.concatenate([x, gust.decay * z[6:]]), trail, P), out
 
-    gusts, Q = gust_model(noise, tape.dt)
-    start = jnp.zeros(9), Trail.begun(jnp.zeros(6), tape.memory), P0
-    _, found = jax.lax.scan(body, start, (rows(vessel, flows, tape), gusts, Q))
-    return Tuned(Gains(*found[:3], gusts), *found[3:])
+    gusts, Q = gust_propagation(noise, dataset.dt)
+    start = jnp.zeros(9), StateHistory.begun(jnp.zeros(6), dataset.memory), P0
+    _, found = jax.lax.scan(body, start, (filter_rows(vessel, flows, dataset), gusts, Q))
+    return FilterRun(Gains(*found[:3], gusts), *found[3:])
 
 
 def _shown_by(
@@ -296,8 +313,8 @@ def _shown_by(
     own, A = value_and_jacobian(rate, z[:6])
     now = own + jnp.concatenate([jnp.zeros(3), z[6:]])
     first = jnp.concatenate([A, jnp.eye(6)[:, 3:]], axis=1)
-    motion = z[:6], now, applied(A, now)
-    moved = jnp.eye(6, 9), first, product(A, first)
+    motion = z[:6], now, matrix_vector(A, now)
+    moved = jnp.eye(6, 9), first, matrix_product(A, first)
     measure = lambda *given: vessel.sensors.measure(*(State(*one) for one in given))
     along = lambda *change: jax.jvp(measure, motion, change)[1]
     return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
@@ -311,6 +328,6 @@ def first_variance(vessel: Vessel) -> Float[Array, "6"]:
     return spread**2
 
 
-def deviance(tuned: Tuned) -> Float[Array, ""]:
+def deviance(run: FilterRun) -> Float[Array, ""]:
     """-2 log likelihood without its constant: sum(nu^2 / s + log s) of scalar innovations."""
-    return jnp.sum(tuned.white**2) + jnp.sum(jnp.log(tuned.variance))
+    return jnp.sum(run.white**2) + jnp.sum(jnp.log(run.variance))

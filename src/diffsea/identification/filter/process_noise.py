@@ -32,14 +32,16 @@ class Noise(eqx.Module):
         return jnp.concatenate([self.gust, self.slow, self.memory, self.sensor])
 
 
-class Gusts(eqx.Module):
+class GustPropagation(eqx.Module):
     """What gusts do within each row, exactly for constant velocity of the vessel."""
 
     decay: Float[Array, "row 3"]  # share of a lasting acceleration left at the end
     half: Float[Array, "row 3"]  # half the speed it gives, per unit at the start (s)
 
 
-def gust_model(noise: Noise, dt: Float[Array, "row"]) -> tuple[Gusts, Float[Array, "row 9 9"]]:
+def gust_propagation(
+    noise: Noise, dt: Float[Array, "row"]
+) -> tuple[GustPropagation, Float[Array, "row 9 9"]]:
     """Propagation of lasting gusts over each row, and the covariance that all gusts add.
 
     Exact integrals of a first-order Gauss-Markov acceleration and of the speed it gives
@@ -58,11 +60,11 @@ def gust_model(noise: Noise, dt: Float[Array, "row"]) -> tuple[Gusts, Float[Arra
     beside = jnp.concatenate([still, both], axis=1)
     upper = jax.vmap(lambda row: jnp.diag(row, 3))(beside)
     Q = jax.vmap(jnp.diag)(diagonal) + upper + upper.mT
-    return Gusts(decay, 0.5 * memory * (1 - decay)), Q
+    return GustPropagation(decay, 0.5 * memory * (1 - decay)), Q
 
 
-def predicted(
-    P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: Gusts, Q: Float[Array, "9 9"]
+def time_update(
+    P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: GustPropagation, Q: Float[Array, "9 9"]
 ) -> Float[Array, "9 9"]:
     """Covariance at the end of a row: gusts act half before and half after the vessel moves."""
 
@@ -71,23 +73,23 @@ def predicted(
 
     def moved(M: Array) -> Array:
         M = kicked(M)
-        M = kicked(jnp.concatenate([product(F, M[:6]), M[6:]]))
+        M = kicked(jnp.concatenate([matrix_product(F, M[:6]), M[6:]]))
         return jnp.concatenate([M[:6], gust.decay[:, None] * M[6:]])
 
     return moved(moved(P).T) + Q
 
 
-def applied(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
+def matrix_vector(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
     """Matrix times vector as fused multiplications: a library call per row costs far more."""
     return jnp.sum(matrix * vector, axis=-1)
 
 
-def product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
+def matrix_product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
     """Matrix product as fused multiplications, for the reason of `applied`."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 
-def updated(
+def measurement_update(
     P: Float[Array, "9 9"],
     H: Float[Array, "6 9"],
     R: Float[Array, "6"],

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.coordinates import negative_effects
-from diffsea.identification.estimates import Estimate, Progress, silent
+from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.fit import estimate, posterior
+from diffsea.identification.fit import estimate, negative_log_posterior
 from diffsea.identification.problem import Inputs, Problem, Static, minimised, selection, traced
 from diffsea.parameters import Parameter
 from diffsea.trajectory import MOTION_CHANNELS
@@ -27,7 +27,7 @@ from diffsea.trajectory import MOTION_CHANNELS
 Starts = Float[np.ndarray, "start coordinate"]
 
 
-class Objective(Protocol):
+class AbstractObjective(Protocol):
     """Something that data say about the parameters of a vessel."""
 
     @property
@@ -36,7 +36,10 @@ class Objective(Protocol):
         ...
 
     def fit(
-        self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
+        self,
+        free: tuple[str, ...],
+        start: np.ndarray | None = None,
+        progress: Progress = no_progress,
     ) -> Estimate:
         """Fit the free parameters by name, from coordinates `start` or the prior mean."""
         ...
@@ -58,7 +61,7 @@ class Objective(Protocol):
 GATE = 6.0  # standard deviations beyond which a lone sample is an outlier
 LONE = 3  # samples in a row that may be outliers; more of them are a mismatch
 MOST = 0.02  # share of a channel's samples likewise
-PASSES = 3  # of exploration: filter tuned anew in each
+PASSES = 3  # of exploration: filter run anew in each
 
 
 class Innovations:
@@ -74,7 +77,10 @@ class Innovations:
         return self.problem.layout.parameters
 
     def fit(
-        self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
+        self,
+        free: tuple[str, ...],
+        start: np.ndarray | None = None,
+        progress: Progress = no_progress,
     ) -> Estimate:
         """Fit; where lone samples are impossible under the fit, leave them out and go on."""
         fitted = estimate(self.problem, free, start, progress=progress)
@@ -95,7 +101,7 @@ class Innovations:
 
     def cost(self, coordinates: np.ndarray, fitted: Estimate) -> float:
         """-2 log posterior with the noise of a fit."""
-        return posterior(self.problem, coordinates, fitted.noise)
+        return negative_log_posterior(self.problem, coordinates, fitted.noise)
 
     def explore(
         self, starts: Float[np.ndarray, "start coordinate"], free: tuple[str, ...]
@@ -103,7 +109,7 @@ class Innovations:
         """Gauss-Newton from all starts together, the noise as expected beforehand."""
         _, matrix = selection(self.problem.layout, free, self.problem.width)
         _, noise = self.problem.start()
-        gains = self.problem.tuned(starts[0], noise).gains
+        gains = self.problem.run_filter(starts[0], noise).gains
         inputs, layout = traced(self.problem, gains, starts[0], matrix)
         ends = jnp.asarray(starts)
         for _ in range(PASSES):
@@ -112,7 +118,7 @@ class Innovations:
         costs = [
             np.inf
             if negative_effects(self.problem.layout, end)
-            else posterior(self.problem, end, noise)
+            else negative_log_posterior(self.problem, end, noise)
             for end in ends
         ]
         return ends, np.array(costs)
@@ -120,12 +126,12 @@ class Innovations:
     def _lone(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
         """Samples that a gated filter rejects, unless they are many, in a row or in all."""
         problem = self.problem
-        tuned = _gated(
-            problem.base, Static(problem.layout), problem.tape, fitted.noise,
+        run = _gated(
+            problem.base, Static(problem.layout), problem.dataset, fitted.noise,
             jnp.asarray(fitted.coordinates),
         )  # fmt: skip
-        known = np.asarray(problem.tape.known)
-        rejected = known & ~np.asarray(tuned)
+        known = np.asarray(problem.dataset.known)
+        rejected = known & ~np.asarray(run)
         for k in range(6):
             rows = np.flatnonzero(known[:, k])
             bad = rejected[rows, k]
@@ -138,26 +144,28 @@ class Innovations:
         return rejected
 
     def _leave_out(self, lone: Bool[np.ndarray, "row 6"]) -> None:
-        tape = self.problem.tape
-        tape = eqx.tree_at(lambda t: t.known, tape, tape.known & ~jnp.asarray(lone))
-        self.problem = dataclasses.replace(self.problem, tape=tape)
+        dataset = self.problem.dataset
+        dataset = eqx.tree_at(lambda t: t.known, dataset, dataset.known & ~jnp.asarray(lone))
+        self.problem = dataclasses.replace(self.problem, dataset=dataset)
         for name, count in zip(MOTION_CHANNELS, lone.sum(0), strict=True):
             if count:
                 self.outliers[name] = self.outliers.get(name, 0) + int(count)
 
 
 @eqx.filter_jit
-def _gated(problem_base, layout: Static, tape, noise: Noise, coordinates: Array) -> Array:
-    return kalman.tune(problem_base, layout.value, tape, noise, coordinates, GATE).gains.used
+def _gated(problem_base, layout: Static, dataset, noise: Noise, coordinates: Array) -> Array:
+    return kalman.run_filter(
+        problem_base, layout.value, dataset, noise, coordinates, GATE
+    ).gains.used
 
 
 @eqx.filter_jit
 def _explored(inputs: Inputs, layout: Static, noise: Noise, starts: Array) -> Array:
-    """One pass from every start: the filter tuned there, then Gauss-Newton steps."""
+    """One pass from every start: the filter run there, then Gauss-Newton steps."""
 
     def one(start: Array) -> Array:
-        tuned = kalman.tune(inputs.base, layout.value, inputs.tape, noise, start)
-        there = eqx.tree_at(lambda i: i.gains, inputs, tuned.gains)
+        run = kalman.run_filter(inputs.base, layout.value, inputs.dataset, noise, start)
+        there = eqx.tree_at(lambda i: i.gains, inputs, run.gains)
         width = inputs.selection.shape[1]
         begin = jnp.append(inputs.selection.T @ start, jnp.zeros(inputs.owner.size - width))
         free = minimised(there, layout, begin)[0]

@@ -11,11 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.estimates import Estimate, Progress, made, silent
+from diffsea.identification.estimates import Estimate, Progress, no_progress, posterior_estimate
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.objectives import shooting
 from diffsea.identification.objectives.base import Innovations
-from diffsea.identification.objectives.shooting import Shot, Slopes, Windows, windows
+from diffsea.identification.objectives.shooting import (
+    ShootingWindows,
+    Shot,
+    ShotSlopes,
+    shooting_windows,
+)
 from diffsea.identification.problem import Problem, Static
 from diffsea.parameters import Parameter
 from diffsea.scales import time_scale
@@ -29,7 +34,7 @@ STEPS = 40  # of Levenberg-Marquardt for each of them
 
 
 @dataclasses.dataclass(frozen=True)
-class Point:
+class ShootingState:
     """Parameters and first states, and the scales by which misfits are judged."""
 
     coordinates: Float[np.ndarray, "coordinate"]
@@ -38,7 +43,7 @@ class Point:
     joint: Float[np.ndarray, "6"]
 
 
-class FreeRun:
+class OutputError:
     """The objective: `problem` says what is free, the noise scales of its filter are not used."""
 
     def __init__(self, problem: Problem, seconds: float | None = None):
@@ -49,31 +54,31 @@ class FreeRun:
             else seconds
         )
         self.problem = problem
-        self.windows: Windows = windows(problem.tape, seconds)
+        self.windows: ShootingWindows = shooting_windows(problem.dataset, seconds)
         cut = self.windows.number, self.windows.begins, self.windows.joins
         self._fixed = (
-            problem.base, Static(problem.layout), problem.tape, tuple(jnp.asarray(c) for c in cut),
+            problem.base, Static(problem.layout), problem.dataset, tuple(jnp.asarray(c) for c in cut),
         )  # fmt: skip
         # A first state is known from the filter and what was measured, and otherwise hardly.
         self._broad = np.sqrt(np.asarray(first_variance(problem.base)))
-        starts = np.asarray(problem.tape.starts)
+        starts = np.asarray(problem.dataset.starts)
         self._firsts = self.windows.number[np.flatnonzero(starts)]
 
     def fit(
         self,
         free: tuple[str, ...],
         start: np.ndarray | None = None,
-        progress: Progress = silent,
+        progress: Progress = no_progress,
     ) -> Estimate:
         """Fit the free parameters by name, from `start`."""
         problem = self.problem
         coordinates, noise = problem.start()
         coordinates = coordinates if start is None else np.array(start, float)
         index = np.array(problem.layout.indices(free), int)
-        states = np.asarray(problem.tuned(coordinates, noise).state)[self.windows.begins]
+        states = np.asarray(problem.run_filter(coordinates, noise).state)[self.windows.begins]
         self._guess = states.copy()
         sigma = np.exp(np.asarray(noise.sensor))
-        point, path = Point(coordinates, states, sigma, sigma), []
+        point, path = ShootingState(coordinates, states, sigma, sigma), []
         for joint in JOINTS:
             point = self._rescaled(point, joint)
             for number in range(3):
@@ -112,21 +117,21 @@ class FreeRun:
         """As the innovation likelihood does, whose basin is wider."""
         return Innovations(self.problem).explore(starts, free)
 
-    def _shot(self, point: Point) -> Shot:
+    def _shot(self, point: ShootingState) -> Shot:
         return shooting.shoot(
             *self._fixed, jnp.asarray(point.coordinates), jnp.asarray(point.states)
         )
 
-    def _rescaled(self, point: Point, joint: float) -> Point:
+    def _rescaled(self, point: ShootingState, joint: float) -> ShootingState:
         """Scales from the misfits themselves."""
         misfit = np.asarray(self._shot(point).misfit)
-        known = np.asarray(self.problem.tape.known)
+        known = np.asarray(self.problem.dataset.known)
         sigma = point.sigma.copy()
         for k in np.flatnonzero(known.any(0)):
             sigma[k] = _scale(misfit[known[:, k], k])
         return dataclasses.replace(point, sigma=sigma, joint=joint * sigma)
 
-    def _cost(self, point: Point) -> float:
+    def _cost(self, point: ShootingState) -> float:
         shot = self._shot(point)
         white = np.asarray(shot.misfit) / point.sigma
         gap = (np.asarray(shot.end) - point.states[self._later]) / point.joint
@@ -135,14 +140,14 @@ class FreeRun:
         prior = np.asarray(layout.strains(point.coordinates, layout.spreads()))
         soft = 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
         total = soft.sum() + (gap**2).sum() + (away**2).sum() + (prior**2).sum()
-        known = np.asarray(self.problem.tape.known).sum(0)
+        known = np.asarray(self.problem.dataset.known).sum(0)
         return float(total + 2 * known @ np.log(point.sigma))
 
     @property
     def _later(self) -> np.ndarray:
         return self.windows.number[self.windows.joins]
 
-    def _descend(self, point: Point, index: np.ndarray) -> tuple[Point, float]:
+    def _descend(self, point: ShootingState, index: np.ndarray) -> tuple[ShootingState, float]:
         """Levenberg-Marquardt with the scales as they are."""
         damping, cost = 1e-3, self._cost(point)
         for _ in range(STEPS):
@@ -161,21 +166,21 @@ class FreeRun:
                 break
         return point, cost
 
-    def _moved(self, point: Point, index: np.ndarray, step: np.ndarray) -> Point:
+    def _moved(self, point: ShootingState, index: np.ndarray, step: np.ndarray) -> ShootingState:
         coordinates = point.coordinates.copy()
         coordinates[index] += step[: len(index)]
         states = point.states + step[len(index) :].reshape(-1, 6) * point.sigma
         return dataclasses.replace(point, coordinates=coordinates, states=states)
 
     def _normal(
-        self, point: Point, index: np.ndarray
+        self, point: ShootingState, index: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Gauss-Newton matrix and gradient of parameters and states, and the columns.
 
         States are counted in standard deviations of sensors.
         """
         directions = jnp.eye(len(point.coordinates))[index]
-        shot, slopes = shooting.slopes(
+        shot, slopes = shooting.shoot_with_slopes(
             *self._fixed, jnp.asarray(point.coordinates), jnp.asarray(point.states), directions
         )
         white = np.asarray(shot.misfit) / point.sigma
@@ -200,7 +205,13 @@ class FreeRun:
         return A, g, (P, S, r)
 
     def _join(
-        self, A: np.ndarray, g: np.ndarray, point: Point, shot: Shot, slopes: Slopes, n: int
+        self,
+        A: np.ndarray,
+        g: np.ndarray,
+        point: ShootingState,
+        shot: Shot,
+        slopes: ShotSlopes,
+        n: int,
     ) -> None:
         """Add what windows are apart."""
         gap = (np.asarray(shot.end) - point.states[self._later]) / point.joint
@@ -214,7 +225,9 @@ class FreeRun:
             A[np.ix_(columns, columns)] += J.T @ J
             g[columns] += J.T @ gap[j]
 
-    def _regularise(self, A: np.ndarray, g: np.ndarray, point: Point, index: np.ndarray) -> None:
+    def _regularise(
+        self, A: np.ndarray, g: np.ndarray, point: ShootingState, index: np.ndarray
+    ) -> None:
         """Add the priors of parameters and of each run's first state."""
         n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)[index]
         A[np.arange(n), np.arange(n)] += 1 / spreads**2
@@ -225,7 +238,7 @@ class FreeRun:
             A[at, at] += weight**2
             g[at] += weight * (point.states[w] - self._guess[w]) / self._broad
 
-    def _judged(self, free: tuple[str, ...], point: Point, index: np.ndarray) -> Estimate:
+    def _judged(self, free: tuple[str, ...], point: ShootingState, index: np.ndarray) -> Estimate:
         """The estimate, its states eliminated, its misfits taken for as coloured as they are."""
         A, _, (P, S, r) = self._normal(point, index)
         n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)
@@ -233,7 +246,7 @@ class FreeRun:
         E = P - np.einsum("rck,rki->rci", S, shares[self.windows.number])
         prior = np.diag(1 / spreads[index] ** 2)
         information = A[:n, :n] - A[:n, n:] @ shares.reshape(-1, n) - prior
-        t = np.asarray(self.problem.tape.dt)
+        t = np.asarray(self.problem.dataset.dt)
         lags = (
             int(
                 WINDOW
@@ -242,9 +255,9 @@ class FreeRun:
             )
             + 1
         )
-        correlation = autocorrelation(r, np.asarray(self.problem.tape.run), lags)
+        correlation = autocorrelation(r, np.asarray(self.problem.dataset.run), lags)
         coloured = long_run_covariance(E.reshape(-1, n), correlation)
-        return made(
+        return posterior_estimate(
             free, point.coordinates, self._cost(point), index, spreads, information, coloured, point
         )
 
@@ -266,7 +279,9 @@ def _weight(white: np.ndarray) -> np.ndarray:
     return 1 / np.sqrt(1 + (white / SOFT) ** 2)
 
 
-def _columns(slopes: Slopes, scale: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _columns(
+    slopes: ShotSlopes, scale: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Weighed derivatives of the misfits, (row, channel, coordinate) and (..., state)."""
     P = np.moveaxis(np.asarray(slopes.by_parameter.misfit), 0, -1) * scale[..., None]
     S = np.moveaxis(np.asarray(slopes.by_state.misfit), 0, -1) * scale[..., None] * sigma

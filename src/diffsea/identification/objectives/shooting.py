@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
-from diffsea.identification.data.dataset import Tape
+from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter import kalman
 from diffsea.identification.problem import Static
 from diffsea.vessel.base import Vessel
@@ -27,8 +27,8 @@ MOST_WINDOWS = 80
 
 
 @dataclasses.dataclass(frozen=True)
-class Windows:
-    """How rows fall into windows, in order along the tape."""
+class ShootingWindows:
+    """How rows fall into windows, in order along the dataset."""
 
     number: Int[np.ndarray, "row"]
     begins: Bool[np.ndarray, "row"]
@@ -36,22 +36,22 @@ class Windows:
     count: int
 
 
-def windows(tape: Tape, seconds: float) -> Windows:
+def shooting_windows(dataset: Dataset, seconds: float) -> ShootingWindows:
     """Windows of about `seconds`; longer where there would be too many."""
-    t, starts = np.asarray(tape.run_time), np.asarray(tape.starts)
-    measured = np.asarray(tape.known).any(1)
+    t, starts = np.asarray(dataset.run_time), np.asarray(dataset.starts)
+    measured = np.asarray(dataset.known).any(1)
     run = np.cumsum(starts) - 1
     first = t[np.flatnonzero(starts)][run]
-    total = sum(np.ptp(t[run == k]) for k in range(tape.runs))
+    total = sum(np.ptp(t[run == k]) for k in range(dataset.runs))
     seconds = max(seconds, total / MOST_WINDOWS)
     inside = np.floor((t - first) / seconds + 1e-9).astype(int)
-    inside[~measured & (np.asarray(tape.dt) == 0)] = -1  # spare rows stay in the last window
+    inside[~measured & (np.asarray(dataset.dt) == 0)] = -1  # spare rows stay in the last window
     inside = np.where(inside < 0, np.maximum.accumulate(np.where(inside < 0, 0, inside)), inside)
     begins = starts | (np.diff(inside, prepend=-1) > 0)
-    begins &= np.asarray(tape.dt) > 0
+    begins &= np.asarray(dataset.dt) > 0
     begins[starts] = True
     number = np.cumsum(begins) - 1
-    return Windows(number, begins, np.flatnonzero(begins & ~starts), int(number[-1]) + 1)
+    return ShootingWindows(number, begins, np.flatnonzero(begins & ~starts), int(number[-1]) + 1)
 
 
 class Shot(eqx.Module):
@@ -61,7 +61,7 @@ class Shot(eqx.Module):
     end: Float[Array, "join 6"]
 
 
-class Slopes(NamedTuple):
+class ShotSlopes(NamedTuple):
     """Derivatives of a shot, `slope` first."""
 
     by_parameter: Shot
@@ -72,29 +72,29 @@ class Slopes(NamedTuple):
 def shoot(
     base: Vessel,
     layout: Static,
-    tape: Tape,
+    dataset: Dataset,
     cut: tuple[Array, Array, Array],
     coordinates: Float[Array, "coordinate"],
     states: Float[Array, "window 6"],
 ) -> Shot:
     """Simulate every window from its first state, without any correction."""
-    return _shoot(base, layout.value, tape, cut, coordinates, states)
+    return _shoot(base, layout.value, dataset, cut, coordinates, states)
 
 
 @eqx.filter_jit
-def slopes(
+def shoot_with_slopes(
     base: Vessel,
     layout: Static,
-    tape: Tape,
+    dataset: Dataset,
     cut: tuple[Array, Array, Array],
     coordinates: Float[Array, "coordinate"],
     states: Float[Array, "window 6"],
     directions: Float[Array, "free coordinate"],
-) -> tuple[Shot, Slopes]:
+) -> tuple[Shot, ShotSlopes]:
     """The shot and its derivatives."""
 
     def shot(at: tuple) -> Shot:
-        return _shoot(base, layout.value, tape, cut, *at)
+        return _shoot(base, layout.value, dataset, cut, *at)
 
     # All directions together, so that the run itself is simulated once.
     free = directions.shape[0]
@@ -105,7 +105,7 @@ def slopes(
     here, slope = jax.vmap(
         lambda d, f: jax.jvp(shot, (at,), ((d, f),)), out_axes=(None, 0)
     )(along, first)  # fmt: skip
-    return here, Slopes(
+    return here, ShotSlopes(
         jax.tree.map(lambda leaf: leaf[:free], slope), jax.tree.map(lambda leaf: leaf[free:], slope)
     )
 
@@ -113,13 +113,13 @@ def slopes(
 def _shoot(
     base: Vessel,
     layout: CoordinateLayout,
-    tape: Tape,
+    dataset: Dataset,
     cut: tuple[Array, Array, Array],
     coordinates: Float[Array, "coordinate"],
     states: Float[Array, "window 6"],
 ) -> Shot:
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, tape = kalman.on_order_clock(vessel, tape)
+    vessel, dataset = kalman.on_order_clock(vessel, dataset)
     number, begins, joins = cut
 
     def body(x: Float[Array, "6"], inputs: tuple) -> tuple:
@@ -127,9 +127,9 @@ def _shoot(
         end = x
         x = jnp.where(begin, first, x)
         z = jnp.concatenate([x, jnp.zeros(3)])
-        nu = kalman.innovation(row, kalman.expected(vessel, z, row, row["flow"]))
-        return kalman.propagate(vessel, x, row, row["flow"], tape.substeps), (nu, end)
+        nu = kalman.innovation_of(row, kalman.expected_measurements(vessel, z, row, row["flow"]))
+        return kalman.propagate(vessel, x, row, row["flow"], dataset.substeps), (nu, end)
 
-    inputs = kalman.rows(vessel, flows, tape), begins, states[number]
+    inputs = kalman.filter_rows(vessel, flows, dataset), begins, states[number]
     misfit, end = jax.lax.scan(body, jnp.zeros(6), inputs)[1]
     return Shot(jnp.where(jnp.isfinite(misfit), misfit, 1e6), end[joins])

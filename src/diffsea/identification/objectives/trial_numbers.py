@@ -37,7 +37,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
-from diffsea.identification.estimates import Estimate, Progress, made, silent
+from diffsea.identification.estimates import Estimate, Progress, no_progress, posterior_estimate
 from diffsea.identification.least_squares import (
     least_squares,
     least_squares_steps,
@@ -59,7 +59,7 @@ _UNITS = {"m": 1.0, "s": 1.0, "rad": 1.0, "rad/s": 1.0, "m/s": 1.0, "deg": math.
 
 
 @dataclasses.dataclass(frozen=True)
-class Sheet:
+class MeasuredTrial:
     """One trial and what was read off it, in SI units."""
 
     plan: TrialPlan
@@ -76,12 +76,12 @@ class Sheet:
         return f"{plan.manoeuvre} {degrees:g}{heading} deg to {side}"
 
 
-def is_sheet(path: str | Path) -> bool:
+def is_trial_table(path: str | Path) -> bool:
     """Whether a file is a sheet of trial numbers rather than a recording."""
     return Path(path).suffix.lower() == ".toml"
 
 
-def read_sheet(path: str | Path, vessel: Vessel) -> tuple[Sheet, ...]:
+def read_trial_table(path: str | Path, vessel: Vessel) -> tuple[MeasuredTrial, ...]:
     """The trials of a sheet, planned for a vessel.
 
     Raises:
@@ -103,7 +103,7 @@ def read_sheet(path: str | Path, vessel: Vessel) -> tuple[Sheet, ...]:
     )
 
 
-def _sheet(where: str, entry: dict, relative: float, vessel: Vessel) -> Sheet:
+def _sheet(where: str, entry: dict, relative: float, vessel: Vessel) -> MeasuredTrial:
     for key in entry:
         if key not in _KEYS:
             raise UserError(f"{where}: unknown key {key!r}{nearest(key, _KEYS)}")
@@ -124,7 +124,7 @@ def _sheet(where: str, entry: dict, relative: float, vessel: Vessel) -> Sheet:
         for name, given in entry["numbers"].items()
     ]
     names, values, stds = zip(*rows, strict=True)
-    return Sheet(plan, names, np.array(values), np.array(stds))
+    return MeasuredTrial(plan, names, np.array(values), np.array(stds))
 
 
 def _executes(numbers: dict) -> int:
@@ -180,7 +180,7 @@ class TrialNumbers:
         self,
         vessel: Vessel,
         parameters: Sequence[Parameter],
-        sheets: Sequence[Sheet],
+        sheets: Sequence[MeasuredTrial],
         effects: Sequence[Effect] = (),
     ):
         self.parameters = tuple(parameters)
@@ -227,7 +227,10 @@ class TrialNumbers:
         )  # fmt: skip
 
     def fit(
-        self, free: tuple[str, ...], start: np.ndarray | None = None, progress: Progress = silent
+        self,
+        free: tuple[str, ...],
+        start: np.ndarray | None = None,
+        progress: Progress = no_progress,
     ) -> Estimate:
         """Fit the free parameters and effects by name, from `start`."""
         coordinates = np.zeros(len(self.owners)) if start is None else np.array(start, float)
@@ -243,7 +246,9 @@ class TrialNumbers:
             path.append(step.cost + held)
             progress(f"step {number}: misfit {path[-1]:.3f}")
         own = self.evaluated(coordinates)[1][:, index]
-        return made(free, coordinates, path[-1], index, self.spreads, own.T @ own, path=path)
+        return posterior_estimate(
+            free, coordinates, path[-1], index, self.spreads, own.T @ own, path=path
+        )
 
     def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
         """Fit again; a sheet's uncertainties are given, so that nothing is kept."""

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
 from diffsea.identification.filter.kalman import first_variance
-from diffsea.identification.filter.process_noise import Noise, gust_model, product
+from diffsea.identification.filter.process_noise import Noise, gust_propagation, matrix_product
 from diffsea.identification.online.choice import Choice, chosen
 from diffsea.kinematics import wrap
 from diffsea.parameters import Parameter, replace
@@ -218,7 +218,7 @@ def predicted(filter: Filter, belief: Belief, orders: dict[str, Scalar], dt: Sca
 
     F, (mean, histories) = jax.jacfwd(moved, has_aux=True)(belief.mean)
     walk = jnp.diag(jnp.concatenate([jnp.zeros(len(filter.lagging)), filter.drift**2 * dt]))
-    P = product(product(F, belief.covariance), F.T)
+    P = matrix_product(matrix_product(F, belief.covariance), F.T)
     P = P.at[:9, :9].add(Q).at[9:, 9:].add(walk)
     return Belief(belief.t + dt, mean, 0.5 * (P + P.T), histories, belief.parameters)
 
@@ -294,7 +294,7 @@ def _drifts(
 
 
 def _gusts(filter: Filter, dt: Scalar) -> tuple:
-    return gust_model(filter.noise, jnp.asarray(dt, float)[None])
+    return gust_propagation(filter.noise, jnp.asarray(dt, float)[None])
 
 
 def _packed(

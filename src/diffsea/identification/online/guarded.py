@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.identification.data.dataset import make_tape
+from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.noise_fit import noise_prior
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import ekf, rls, trust
@@ -161,8 +161,8 @@ def run_online(
     Raises:
         UserError: a recording that does not fit the vessel, or a choice that cannot be estimated.
     """
-    tape = make_tape(vessel, [recording])
-    noise = Noise.of(noise_prior(vessel, tape).mean) if noise is None else noise
+    dataset = make_dataset(vessel, [recording])
+    noise = Noise.of(noise_prior(vessel, dataset).mean) if noise is None else noise
     rows = _Rows.of(vessel, recording)
     estimator, belief = ekf.init(
         vessel, free, noise, State(*rows.first), drift=drift, orders=rows.settled,

@@ -85,11 +85,13 @@ def next_manoeuvre(problem: Problem, fitted: Estimate, noise: Noise | None = Non
     chosen = [n for n, k in enumerate(fitted.index) if k < len(names)]
     covariance = fitted.covariance[np.ix_(chosen, chosen)]
     free = tuple(names[fitted.index[n]] for n in chosen)
-    vessel = equipped_vessel(problem, first_copies(problem, fitted.coordinates))
-    measured = np.asarray(problem.tape.known).any(0)
+    vessel = vessel_in_environment(problem, first_run_coordinates(problem, fitted.coordinates))
+    measured = np.asarray(problem.dataset.known).any(0)
     gains, after = {}, {}
     for manoeuvre, schedule in LIBRARY.items():
-        J = information(problem, imagined(vessel, schedule, measured), fitted, free, noise)
+        J = manoeuvre_information(
+            problem, simulate_manoeuvre(vessel, schedule, measured), fitted, free, noise
+        )
         root = np.linalg.cholesky(covariance)
         values = np.linalg.eigvalsh(root.T @ J @ root)
         gains[manoeuvre] = float(0.5 * np.log1p(np.maximum(values, 0.0)).sum())
@@ -104,7 +106,7 @@ def next_manoeuvre(problem: Problem, fitted: Estimate, noise: Noise | None = Non
     )
 
 
-def information(
+def manoeuvre_information(
     problem: Problem, run: Trajectory, at: Estimate, free: tuple[str, ...], noise: Noise
 ) -> Float[np.ndarray, "free free"]:
     """Information of a recording on the free parameters, nothing else being estimated."""
@@ -115,13 +117,13 @@ def information(
     )  # fmt: skip
     coordinates = np.asarray(at.coordinates)[: len(layout.parameters)]
     index, matrix = selection(one.layout, free, one.width)
-    inputs = traced(one, one.tuned(coordinates, noise).gains, coordinates, matrix)
+    inputs = traced(one, one.run_filter(coordinates, noise).gains, coordinates, matrix)
     J = jacobian(coordinates[index], inputs)[1]
-    J = J[: one.tape.measured.size, : len(index)]
+    J = J[: one.dataset.measured.size, : len(index)]
     return J.T @ J
 
 
-def first_copies(problem: Problem, coordinates: np.ndarray) -> np.ndarray:
+def first_run_coordinates(problem: Problem, coordinates: np.ndarray) -> np.ndarray:
     """Coordinates with one set per effect: the first run's where each has its own."""
     layout = problem.layout
     parts = [coordinates[: len(layout.parameters)]]
@@ -130,7 +132,7 @@ def first_copies(problem: Problem, coordinates: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def equipped_vessel(problem: Problem, coordinates: np.ndarray) -> Vessel:
+def vessel_in_environment(problem: Problem, coordinates: np.ndarray) -> Vessel:
     """The vessel at coordinates with one set per effect, its environment in place."""
     layout = dataclasses.replace(problem.layout, runs=1, per_run=False)
     vessel, flows = vessel_at(problem.base, layout, np.asarray(coordinates))
@@ -139,12 +141,14 @@ def equipped_vessel(problem: Problem, coordinates: np.ndarray) -> Vessel:
     return jax.tree.map(float, vessel)
 
 
-def imagined(vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = None) -> Trajectory:
+def simulate_manoeuvre(
+    vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = None
+) -> Trajectory:
     """What the vessel would record in a manoeuvre, without noise, from rest.
 
     `measured` says which motion channels are recorded; all of them by default.
     """
-    t, orders = ordered(vessel, schedule, SECONDS * time_scale(float(vessel.rigid_body.length)))
+    t, orders = manoeuvre_orders(vessel, schedule, SECONDS * time_scale(float(vessel.rigid_body.length)))
     first = np.where(t == t[0], 0.0, np.nan)
     run = replay(vessel, Trajectory(t, *(first,) * 6, orders, {}, {}, np.ones(len(t), bool)))
     if measured is None:
@@ -153,7 +157,9 @@ def imagined(vessel: Vessel, schedule: Schedule, measured: np.ndarray | None = N
     return dataclasses.replace(run, **{c: np.full(len(t), np.nan) for c in silent})
 
 
-def ordered(vessel: Vessel, schedule: Schedule, seconds: float) -> tuple[Times, dict[str, Times]]:
+def manoeuvre_orders(
+    vessel: Vessel, schedule: Schedule, seconds: float
+) -> tuple[Times, dict[str, Times]]:
     """Times (s) and orders of a manoeuvre by channel, within the limits of the vessel."""
     time = time_scale(float(vessel.rigid_body.length))
     t = np.linspace(0.0, seconds, round(SAMPLES * seconds / (SECONDS * time)))

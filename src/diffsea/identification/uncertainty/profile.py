@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
-from diffsea.identification.estimates import LEVEL, Estimate, Progress, silent
-from diffsea.identification.objectives.base import Objective
+from diffsea.identification.estimates import LEVEL, Estimate, Progress, no_progress
+from diffsea.identification.objectives.base import AbstractObjective
 
 
 FAR = 6.0  # standard errors at which the search gives up: open on that side
@@ -27,7 +27,7 @@ class Profile:
     interval: tuple[float, float]
 
 
-def asymmetric(objective: Objective, fitted: Estimate) -> tuple[str, ...]:
+def asymmetric_parameters(objective: AbstractObjective, fitted: Estimate) -> tuple[str, ...]:
     """Parameters whose deviance is no parabola at the ends of their 90 % interval.
 
     Looked at along the line on which all others follow to first order, without fitting.
@@ -47,8 +47,8 @@ def asymmetric(objective: Objective, fitted: Estimate) -> tuple[str, ...]:
     return tuple(bent)
 
 
-def profile(
-    objective: Objective, fitted: Estimate, name: str, progress: Progress = silent
+def profile_interval(
+    objective: AbstractObjective, fitted: Estimate, name: str, progress: Progress = no_progress
 ) -> Profile:
     """The 90 % profile interval of a parameter, its misfits' colour taken account of."""
     names = [p.name for p in objective.parameters]
@@ -106,5 +106,5 @@ def _followed(fitted: Estimate, n: int, errors: float) -> np.ndarray:
     return coordinates
 
 
-def _cost(objective: Objective, fitted: Estimate, coordinates: np.ndarray) -> float:
+def _cost(objective: AbstractObjective, fitted: Estimate, coordinates: np.ndarray) -> float:
     return objective.cost(coordinates, fitted)
