@@ -16,10 +16,9 @@ from tests.runs import varied
 
 from diffsea.diagnosis import experiment
 from diffsea.diagnosis.experiment import DECISIVE, LONGEST, Experiment, _one_way, commands
-from diffsea.identification.estimates import made
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
-from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, imagined
+from diffsea.identification.uncertainty.design import LIBRARY, SECONDS
 from diffsea.scales import time_scale
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS

@@ -148,7 +148,9 @@ def simulate_manoeuvre(
 
     `measured` says which motion channels are recorded; all of them by default.
     """
-    t, orders = manoeuvre_orders(vessel, schedule, SECONDS * time_scale(float(vessel.rigid_body.length)))
+    t, orders = manoeuvre_orders(
+        vessel, schedule, SECONDS * time_scale(float(vessel.rigid_body.length))
+    )
     first = np.where(t == t[0], 0.0, np.nan)
     run = replay(vessel, Trajectory(t, *(first,) * 6, orders, {}, {}, np.ones(len(t), bool)))
     if measured is None:
