@@ -48,18 +48,33 @@ def set_xla_flags() -> None:
 
 
 def prepare_jax() -> None:
-    """XLA flags, 64-bit numbers, rarer garbage collection, a cache that outlives the command."""
+    """XLA flags, 64-bit numbers, rarer garbage collection, a cache that outlives the command.
+
+    Does not start JAX, which takes a second: where it has not started yet, it finds the settings
+    in its environment variables when it does.
+    """
     if "jax" not in sys.modules:
         set_xla_flags()
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on slow compiling
-    import jax
-
     # Tracing a program makes many objects that stay: looking through them took a third of its time.
     gc.set_threshold(100_000, 20, 100)
-    jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is None and (cache := _cache_folder()):
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+    _configure_jax("jax_enable_x64", True)
+    if not _jax_setting("jax_compilation_cache_dir") and (cache := _cache_folder()):
+        _configure_jax("jax_compilation_cache_dir", str(cache))
+        _configure_jax("jax_persistent_cache_min_compile_time_secs", 0.02)
+
+
+def _jax_setting(name: str) -> str | None:
+    if "jax" in sys.modules:
+        return getattr(sys.modules["jax"].config, name)
+    return os.environ.get(name.upper())
+
+
+def _configure_jax(name: str, value: bool | float | str) -> None:
+    if "jax" in sys.modules:
+        sys.modules["jax"].config.update(name, value)
+    else:
+        os.environ[name.upper()] = str(value)
 
 
 def _cache_folder() -> pathlib.Path | None:

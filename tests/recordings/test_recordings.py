@@ -375,18 +375,23 @@ def test_published_recordings_are_read_through_their_mappings(tmp_path, folder, 
     np.testing.assert_array_equal(read_recording(tmp_path / "run.parquet").v, run.v)
 
 
-def test_recordings_are_read_without_what_takes_long_to_start():
+def test_recordings_are_read_and_audited_without_what_takes_long_to_start(place, tmp_path):
     """A subprocess, for this one has imported all of it."""
-    code = """if True:
+    rows = "".join(f"{k / 4},{k / 2},0,0,2,0,0\n" for k in range(80))
+    path = place("t,x,y,psi,u,v,r\n" + rows)
+    code = f"""if True:
         import sys, diffsea.recordings
-        slow = {"jax", "equinox", "matplotlib", "scipy.stats", "scipy.signal", "scipy.io"}
-        print(sorted(slow & set(sys.modules)))
+        slow = {{"jax", "equinox", "matplotlib", "scipy.stats", "scipy.signal", "scipy.io"}}
+        read = sorted(slow & set(sys.modules))
+        from diffsea.cli import main
+        assert main(["audit", {str(path)!r}, "-o", {str(tmp_path / "audit")!r}]) == 0
+        print(read, sorted({{"jax", "equinox", "matplotlib"}} & set(sys.modules)))
     """
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.splitlines()[-1] == "[] []"
 
 
 def test_typical_interval_ignores_gaps_and_repetitions():
