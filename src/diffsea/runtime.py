@@ -6,11 +6,14 @@ import importlib.metadata
 import os
 import pathlib
 import sys
+import warnings
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+
+_prepared = False  # whether a script's set-up is done
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,6 +22,7 @@ R = TypeVar("R")
 # the time, the third a trial's derivatives in two thirds; none makes programs slower. Measured on
 # the jaxlib named here; another one's XLA might end the process over an option that it lacks.
 MEASURED_WITH = "0.10."
+MEASURED_FLAG = "xla_cpu_small_while_loop_byte_threshold"  # the one worth most
 XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000,"
     "xla_cpu_disable_new_fusion_emitters,xla_cpu_flatten_after_fusion "
@@ -43,8 +47,44 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 def set_xla_flags() -> None:
     """The XLA flags above, before JAX starts; not over the user's own, nor for another jaxlib."""
-    if importlib.metadata.version("jaxlib").startswith(MEASURED_WITH):
+    if _flags_known():
         os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
+
+
+def _flags_known() -> bool:
+    return importlib.metadata.version("jaxlib").startswith(MEASURED_WITH)
+
+
+def prepare_library() -> None:
+    """Set up JAX for a script: once, and only where that is left to the library.
+
+    Where JAX has not been imported yet, 64-bit numbers and XLA's fast flags are set. Where it has,
+    diffsea works with what it finds, and a warning says once what that costs. `DIFFSEA_SETUP=off`
+    leaves everything alone.
+    """
+    global _prepared
+    if _prepared or os.environ.get("DIFFSEA_SETUP", "").lower() == "off":
+        return
+    _prepared = True
+    if "jax" not in sys.modules:
+        set_xla_flags()
+        os.environ.setdefault("JAX_ENABLE_X64", "1")
+        return
+    import jax
+
+    lacking = []
+    if not jax.config.jax_enable_x64:
+        lacking.append(
+            "numbers have 32 bits, too few for fits, diagnoses and located switching "
+            "(jax.config.update('jax_enable_x64', True) before anything is calculated)"
+        )
+    if MEASURED_FLAG not in os.environ.get("XLA_FLAGS", "") and _flags_known():
+        lacking.append(
+            "XLA's flags are not diffsea's, so that a single run takes up to eight times as long "
+            "(use a name of diffsea, or call diffsea.prepare_jax(), before JAX is imported)"
+        )
+    if lacking:
+        warnings.warn(f"JAX was imported before diffsea: {'; '.join(lacking)}", stacklevel=3)
 
 
 def prepare_jax() -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import pathlib
-import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,6 @@ from diffsea.cli.options import (
 
 if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
-    from diffsea.vessel.base import Vessel
 
 STAGES = 8  # of a diagnosis, as most are
 
@@ -94,62 +92,24 @@ def clock() -> Any:
     return tell
 
 
-def source(
-    args: argparse.Namespace, vessel: "Vessel", runs: "list[Trajectory]", test: "list[Trajectory]"
-) -> dict:
-    """What was run on what, for provenance."""
-    import importlib.metadata
-
-    from diffsea.simulation.actuation import how_actuated
-
-    versions = {n: importlib.metadata.version(n) for n in ("diffsea", "jax", "optimistix")}
-    return {
-        "vessel": str(args.vessel),
-        "recordings": {run.name: list(run.provenance) for run in [*runs, *test]},
-        "actuation": {
-            use: how_actuated(vessel, some)
-            for use, some in (("fitted", runs), ("held out", test))
-            if some
-        },
-        "versions": versions,
-        "python": sys.version.split()[0],
-    }
-
-
 def _diagnose(args: argparse.Namespace) -> None:
     with Outputs(args.output) as out:
         from diffsea.cli.progress import StagedProgress
-        from diffsea.diagnosis.experiment import next_experiment
-        from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-        from diffsea.diagnosis.search import diagnose
-        from diffsea.recordings import audit
-        from diffsea.report.comparison import compare, horizon_table
-        from diffsea.report.diagnosis import diagnosis_report
         from diffsea.report.words import verdict_text
-        from diffsea.vessel.files import build, dump
+        from diffsea.vessel.files import dump
+        from diffsea.workflows.identification import diagnose
 
         next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
         with StagedProgress(STAGES) as tell:
             file = read_vessel(args)
             runs, test = read_all(args)
-            tell(f"auditing {len(runs) + len(test)} recordings")
-            findings = [f.as_dict() for run in [*runs, *test] for f in audit(run)]
             per_run = args.environment == "per-recording"
-            diagnosis = diagnose(file.vessel, runs, test, per_run, args.free, tell, args.bootstrap)
-            tell("looking for the manoeuvre that would tell more")
-            experiment = next_experiment(diagnosis)
+            found = diagnose(file, runs, test, None, per_run, args.free, args.bootstrap, tell)
             if next_csv is not None:
-                _write_manoeuvre(next_csv, diagnosis, experiment, tell)
+                _write_manoeuvre(next_csv, found.diagnosis, found.experiment, tell)
             tell("writing the report")
-            document = vessel_document(file.document, diagnosis)
-            nominal = nominal_document(file.document, diagnosis)
-            split, names = diagnosis.split, diagnosis.names
-            predicted = compare(split, diagnosis.final, names, build(nominal), build(document))
-            proposal = None if experiment is None else experiment.as_dict()
-            told = source(args, file.vessel, runs, test)
-            result = summary(diagnosis, findings, horizon_table(predicted), proposal, told)
-            page = diagnosis_report(result, file.vessel.name, split, predicted, told)
-            out.json("diagnosis.json", result)
-            out.path("vessel.toml").write_text(dump(document), encoding="utf-8")
-            out.path("report.html").write_text(page, encoding="utf-8")
-    out.present(args, verdict_text(result))
+            out.json("diagnosis.json", found.record)
+            text = dump(found.diagnosed.document)
+            out.path("vessel.toml").write_text(text, encoding="utf-8")
+            out.path("report.html").write_text(found.html(), encoding="utf-8")
+    out.present(args, verdict_text(found.record))

@@ -5,7 +5,7 @@ import dataclasses
 import pathlib
 from typing import TYPE_CHECKING, Any
 
-from diffsea.cli.diagnose import add_common, clock, read_all, source
+from diffsea.cli.diagnose import add_common, clock, read_all
 from diffsea.cli.options import Outputs, add_command, count, names, one_of, read_vessel, table
 from diffsea.errors import UserError
 
@@ -78,6 +78,7 @@ def _fit(args: argparse.Namespace) -> None:
         from diffsea.report.comparison import horizon_table
         from diffsea.report.fit import compare_fit, fit_report, worse_warning
         from diffsea.vessel.files import build, dump, updated_document
+        from diffsea.workflows.identification import provenance
 
         tell = clock()
         file = read_vessel(args)
@@ -95,7 +96,7 @@ def _fit(args: argparse.Namespace) -> None:
         document = updated_document(file.document, study.values, study.effect_tables)
         vessel = build(document)
         quality = study.quality(test)
-        told = source(args, file.vessel, runs, test)
+        told = provenance(file, runs, test)
         tell("predicting and writing the report")
         predicted = compare_fit(study, file.vessel, vessel, (runs, test))
         out.path("vessel.toml").write_text(dump(document), encoding="utf-8")

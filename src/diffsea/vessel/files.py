@@ -230,3 +230,11 @@ def _set_actuator(document: Table, name: str, value: float) -> None:
 def dump(document: Table) -> str:
     """The document as TOML text."""
     return tomli_w.dumps(document)
+
+
+def write_vessel(file: VesselFile, path: str | pathlib.Path) -> None:
+    """Write a vessel's document as a TOML file, whole or not at all."""
+    target = pathlib.Path(path)
+    part = target.with_name(f".{target.name}.part")
+    part.write_text(dump(file.document), encoding="utf-8")
+    part.replace(target)

@@ -1,0 +1,234 @@
+"""Standard trials of a vessel: one, over many designs, and their derivatives."""
+
+import dataclasses
+import math
+import pathlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import pandas as pd
+
+from diffsea.errors import UserError
+from diffsea.presentation import Tabulated
+from diffsea.recordings import Mapping as ColumnMapping
+from diffsea.simulation import standard
+from diffsea.simulation.replay import horizon_errors, replay, replay_errors
+from diffsea.studies import sensitivity
+from diffsea.studies import sweep as designs
+from diffsea.trajectory import Outcome, Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.files import VesselFile, read_vessel
+from diffsea.workflows.audits import Recording, as_recording
+
+
+def as_vessel(given: Vessel | VesselFile | str | pathlib.Path) -> Vessel:
+    """A vessel as it is, that of a file, or read from a file or by the name of one that ships.
+
+    Raises:
+        UserError: the file cannot be read; says what is wrong, where, and what to do.
+    """
+    if isinstance(given, Vessel):
+        return given
+    return (given if isinstance(given, VesselFile) else read_vessel(given)).vessel
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class TrialResult(Tabulated):
+    """A standard trial that was run, with its numbers.
+
+    `metrics` is the content of metrics.json: SI units, `<length>_over_L`, IMO verdicts.
+    """
+
+    vessel: Vessel
+    plan: standard.TrialPlan
+    trajectory: Trajectory
+    metrics: dict[str, Any]
+
+    def headline(self) -> str:
+        return f"{self.plan.manoeuvre} of {self.vessel.name}: {self.metrics['outcome_message']}"
+
+    def rows(self) -> list[dict[str, Any]]:
+        verdicts = {
+            name: f"{item['verdict']} (limit {item['limit']:.4g} {item['unit']})"
+            for name, item in self.metrics["imo"].items()
+        }
+        return [
+            {"number": name, "SI": float(f"{value:.4g}"), "IMO": verdicts.get(name, "")}
+            for name, value in self.metrics.items()
+            if isinstance(value, float) and not name.endswith("_over_L")
+        ]
+
+    def notes(self) -> list[str]:
+        return [f"note: {note}" for note in self.metrics["notes"]]
+
+
+def trial(
+    vessel: Vessel | VesselFile | str | pathlib.Path, manoeuvre: str, **options: Any
+) -> TrialResult:
+    """Run a standard trial as `diffsea trial` does.
+
+    Arguments:
+        manoeuvre: `turning-circle`, `zigzag` ...
+        options: those of `plan_trial`, angles in rad: `angle`, `heading`, `side` (+1 starboard),
+            `speed` m/s or `thrust` N, `seconds`, `step`, `executes`, `keep_speed`.
+
+    Raises:
+        UserError: a manoeuvre that is unknown or that the vessel cannot run, or a run that diverged
+            or was never executed.
+    """
+    boat = as_vessel(vessel)
+    plan = standard.plan_trial(boat, manoeuvre, **options)
+    found, numbers = standard.measured(boat, plan)
+    outcome = Outcome(int(found.trajectory.outcome))
+    if outcome in (Outcome.DIVERGED, Outcome.APPROACH_UNSTEADY):
+        raise UserError(f"{manoeuvre} of {boat.name!r}: {outcome.sentence}")
+    summary = standard.summary(boat, plan, found, numbers)
+    return TrialResult(boat, plan, found.trajectory, summary)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class PredictionResult(Tabulated):
+    """What a vessel predicts for a recording's orders, open loop, and how far it is off.
+
+    `errors` are root-mean-square errors over the run, `horizons` those so many seconds ahead of
+    starts all over the run; SI units.
+    """
+
+    vessel: Vessel
+    recording: Trajectory
+    predicted: Trajectory
+    errors: dict[str, float]
+    horizons: dict[float, dict[str, float]]
+
+    def headline(self) -> str:
+        return (
+            f"{self.recording.name} predicted by {self.vessel.name}: root-mean-square errors (SI)"
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        ahead = {f"{seconds:g} s ahead": row for seconds, row in self.horizons.items()}
+        table = {"whole run": self.errors, **ahead}
+        return [
+            {"": label, **{name: float(f"{value:.3g}") for name, value in row.items()}}
+            for label, row in table.items()
+        ]
+
+
+def predict(
+    vessel: Vessel | VesselFile | str | pathlib.Path,
+    recording: Recording,
+    mapping: ColumnMapping | str | pathlib.Path | None = None,
+    measured_actuation: bool = True,
+) -> PredictionResult:
+    """Replay a recording's orders through a vessel as `diffsea predict` does.
+
+    Arguments:
+        measured_actuation: use executed actuation where it was measured, else the orders alone.
+
+    Raises:
+        UserError: a recording that cannot be read or does not fit the vessel, or a prediction that
+            diverges.
+    """
+    boat, run = as_vessel(vessel), as_recording(recording, mapping)
+    predicted = replay(boat, run, measured_actuation)
+    if predicted.outcome == Outcome.DIVERGED:
+        raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")
+    return PredictionResult(
+        boat,
+        run,
+        predicted,
+        replay_errors(predicted, run),
+        horizon_errors(boat, run, measured_actuation=measured_actuation),
+    )
+
+
+def sweep(
+    vessel: Vessel | VesselFile | str | pathlib.Path,
+    manoeuvre: str,
+    grid: Mapping[str, tuple[float, float, int]] | None = None,
+    sample: Mapping[str, tuple[float, float]] | None = None,
+    count: int = 1000,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda message: None,
+    **options: Any,
+) -> pd.DataFrame:
+    """One trial of many designs, batched, as `diffsea sweep` runs it.
+
+    Arguments:
+        grid: from, to and how many values, by the name of a vessel's number, `speed` or `thrust`.
+        sample: from and to by name, in place of a grid: `count` designs, a Latin hypercube.
+        options: those of the trial, see `trial`.
+
+    **Returns:** a row for each design: its parameters, the trial's numbers in SI units,
+    `imo_<number>` verdicts, and the `outcome`.
+
+    Raises:
+        UserError: neither or both of grid and sample, an unknown name, or a trial that the vessel
+            cannot run.
+    """
+    if (grid is None) == (sample is None):
+        raise UserError("give either a grid or a sample of designs")
+    boat = as_vessel(vessel)
+    chosen = designs.grid(grid) if grid is not None else designs.sample(sample or {}, count, seed)
+    designs.check_names(boat, chosen.names)
+    lowest = {
+        name: float(chosen.values[:, k].min())
+        for k, name in enumerate(chosen.names)
+        if name in designs.OF_THE_TRIAL
+    }
+    plan = standard.plan_trial(boat, manoeuvre, **{**options, **lowest})
+    return designs.sweep(boat, plan, chosen, progress)[0]
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class SensitivityResult(Tabulated):
+    """Derivatives of a trial's numbers, exact through the switching of orders.
+
+    `derivatives[number][parameter]` is in the SI units of both; `relative` is the relative change
+    of a number by the relative change of a parameter.
+    """
+
+    vessel: Vessel
+    manoeuvre: str
+    numbers: dict[str, float]
+    derivatives: dict[str, dict[str, float]]
+    relative: dict[str, dict[str, float]]
+
+    def headline(self) -> str:
+        return (
+            f"{self.manoeuvre} of {self.vessel.name}: % change by 1 % of the strongest parameters"
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        table = []
+        for number, value in self.numbers.items():
+            row = self.relative.get(number, {})
+            strongest = sorted(row, key=lambda name: -abs(row[name]))[:5]
+            shares = ", ".join(f"{name} {row[name]:+.3g}" for name in strongest)
+            table.append(
+                {"number": number, "SI": float(f"{value:.4g}"), "strongest": shares or "-"}
+            )
+        return table
+
+
+def sensitivities(
+    vessel: Vessel | VesselFile | str | pathlib.Path,
+    manoeuvre: str,
+    parameters: Iterable[str] | None = None,
+    **options: Any,
+) -> SensitivityResult:
+    """How each number of a trial depends on each number of the vessel, as `diffsea sensitivity`.
+
+    Arguments:
+        parameters: names as in the vessel's file; all of them if None.
+        options: those of the trial, see `trial`.
+
+    Raises:
+        UserError: an unknown name, or a trial that the vessel cannot run.
+    """
+    boat = as_vessel(vessel)
+    plan = standard.plan_trial(boat, manoeuvre, **options)
+    numbers, derivatives = sensitivity.sensitivities(boat, plan, parameters)
+    relative = sensitivity.elasticities(boat, numbers, derivatives)
+    known = {name: value for name, value in numbers.items() if math.isfinite(value)}
+    return SensitivityResult(boat, manoeuvre, known, derivatives, relative)
