@@ -19,7 +19,6 @@ from diffsea.recordings.motion import motion_of
 from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import recorded_actuation
 from diffsea.trajectory import Trajectory
-from diffsea.vessel.actuators import AzimuthThruster, FixedThruster
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import OrderHistory, Servo
 
@@ -219,15 +218,18 @@ def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, S
         return channels
     grouped = dict(channels)
     for part in vessel.actuators.values():
-        names = tuple(part.servos)
-        if isinstance(part, FixedThruster) and names[0] in grouped:
-            value = grouped.pop(names[0])
-            value = value if part.curve is None else value * np.abs(value)
-            y = float(part.y)
-            side = "port" if y < 0 else "starboard" if y > 0 else f"middle {names[0]}"
-            grouped[side] = grouped.get(side, 0.0) + value
-        elif isinstance(part, AzimuthThruster) and part.angle_channel in grouped:
-            grouped[part.angle_channel] = np.sign(float(part.x)) * grouped[part.angle_channel]
+        for name, channel in part.channels.items():
+            if name not in grouped:
+                continue
+            if channel.role == "steering":
+                sense = float(part.orders(0.0, 1.0)[name])  # what a rudder angle of 1 rad orders
+                grouped[name] = sense * grouped[name]
+            elif part.differential:
+                value = grouped.pop(name)
+                value = value * np.abs(value) if channel.unit == "rev/s" else value
+                y = float(part.y)
+                side = "port" if y < 0 else "starboard" if y > 0 else f"middle {name}"
+                grouped[side] = grouped.get(side, 0.0) + value
     return grouped
 
 

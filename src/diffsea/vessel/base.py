@@ -6,7 +6,7 @@ ask where a motion comes from.
 """
 
 import abc
-from typing import ClassVar
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +17,8 @@ from diffsea.kinematics import through_water, to_body, to_earth
 from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.sensors import Sensors
+from diffsea.vessel.servo import Servo
+from diffsea.vessel.tables import Table, number
 
 
 class Force(eqx.Module):
@@ -31,6 +33,12 @@ class Force(eqx.Module):
 
     def __sub__(self, other: "Force") -> "Force":
         return Force(self.X - other.X, self.Y - other.Y, self.N - other.N)
+
+    @classmethod
+    def of_thrust(cls, thrust: Scalar, x: Scalar, y: Scalar, angle: Scalar) -> "Force":
+        """A thrust (N) that acts at (x, y) m, `angle` rad clockwise from ahead."""
+        X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
+        return cls(X, Y, x * Y - y * X)
 
     @property
     def stacked(self) -> Float[Array, "3"]:
@@ -81,26 +89,94 @@ class AbstractSecondaryForce(eqx.Module):
         """The force at this instant; `forces` are the vessel's others by name."""
 
 
+class CommandChannel(NamedTuple):
+    """What a channel of an actuator commands.
+
+    A steering channel takes an angle; propulsion drives ahead, a side thrust does not.
+    """
+
+    role: Literal["propulsion", "side thrust", "steering"]
+    unit: Literal["N", "rev/s", "rad"]
+
+
 class AbstractActuator(eqx.Module):
     """Something that is commanded: its channels, how they respond, and the force they make.
 
     A channel is one commanded number; `servos` gives each channel's response from order to
-    executed value. `force` turns executed values into a force.
+    executed value, `channels` its role and unit. `force` turns executed values into a force.
+    Actuators of a `differential` kind steer by the difference of their thrusts on both sides.
     """
 
-    servos: eqx.AbstractVar[dict[str, "eqx.Module"]]
+    differential: ClassVar[bool] = False
+    servos: eqx.AbstractVar[dict[str, Servo]]
+    y: eqx.AbstractVar[Scalar]  # m to starboard
+
+    @property
+    @abc.abstractmethod
+    def channels(self) -> dict[str, CommandChannel]:
+        """What every channel commands."""
+
+    @abc.abstractmethod
+    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
+        """Orders of its channels, its share in control allocation.
+
+        `throttle` is what it shares with no other: N of its own thrust, or rev/s. A rudder of
+        the same `angle` (rad) turns the vessel as much; positive is a turn to starboard.
+        """
 
     @abc.abstractmethod
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
         """Force of the executed channels; `water` has velocities through the water (m/s)."""
 
-    @abc.abstractmethod
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet | None:
         """The slipstream it makes for a rudder behind it, or None."""
+        return None
 
+    @classmethod
     @abc.abstractmethod
-    def unit(self, channel: str) -> str:
-        """In what a channel is commanded: N, rev/s or rad."""
+    def from_table(cls, name: str, table: Table, vessel: "Vessel") -> "AbstractActuator":
+        """The actuator of a table in a vessel file.
+
+        `vessel` is what the file has said before: the hull, and actuators of other kinds.
+
+        Raises:
+            UserError: an unknown key, a missing or an impossible value.
+        """
+
+
+class Losses(eqx.Module):
+    """Factors on a propulsor's thrust, all of them one at zero.
+
+    Thrust times `(1 + asymmetry) (1 - with_speed u_r) (1 - in_turns |r|)`.
+    """
+
+    KEYS: ClassVar[tuple[str, ...]] = ("asymmetry", "with_speed", "in_turns")
+
+    asymmetry: Scalar = 0.0  # relative change of this propulsor's thrust
+    with_speed: Scalar = 0.0  # s/m
+    in_turns: Scalar = 0.0  # s/rad
+
+    @classmethod
+    def from_table(cls, table: Table, where: str) -> "Losses":
+        """The losses that an actuator's table states."""
+        return cls(*(number(table, key, where, 0.0) for key in cls.KEYS))
+
+    def factor(self, water: State) -> Scalar:
+        """The factor at this motion through the water."""
+        speed, turn = 1 - self.with_speed * water.u, 1 - self.in_turns * jnp.abs(water.r)
+        return (1 + self.asymmetry) * speed * turn
+
+
+class AbstractPropulsor(AbstractActuator):
+    """An actuator that drives the vessel ahead, with losses on its thrust."""
+
+    losses: eqx.AbstractVar[Losses]
+    diameter: eqx.AbstractVar[Scalar | None]  # m, of a screw's disc; None where it is not known
+
+    @property
+    @abc.abstractmethod
+    def bollard_coefficient(self) -> Scalar | None:
+        """Thrust at rest over n |n| (N s^2); None where thrust is ordered in N."""
 
 
 class RigidBody(eqx.Module):
@@ -206,12 +282,19 @@ class Vessel(eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """In what every channel is commanded: N, rev/s or rad."""
-        return {c: part.unit(c) for part in self.actuators.values() for c in part.servos}
+        parts = self.actuators.values()
+        return {c: part.channels[c].unit for part in parts for c in part.servos}
 
     @property
-    def servos(self) -> dict[str, eqx.Module]:
+    def servos(self) -> dict[str, Servo]:
         """The servo of every channel."""
         return {c: s for part in self.actuators.values() for c, s in part.servos.items()}
+
+    @property
+    def propulsors(self) -> dict[str, AbstractPropulsor]:
+        """The actuators that drive the vessel ahead, by name."""
+        parts = self.actuators.items()
+        return {name: part for name, part in parts if isinstance(part, AbstractPropulsor)}
 
     def mass_matrix(self) -> Float[Array, "3 3"]:
         """Rigid-body plus added mass about the midship origin (kg, kg m, kg m^2)."""

@@ -18,8 +18,7 @@ def _resistance(vessel: Vessel, forces: dict[str, Force]) -> Force:
 
 def _thrust(vessel: Vessel, forces: dict[str, Force]) -> Force:
     """All forces of thrusters and propellers."""
-    pushing = [name for name, part in vessel.actuators.items() if hasattr(part, "losses")]
-    return _sum(vessel, forces, pushing, "thrust")
+    return _sum(vessel, forces, list(vessel.propulsors), "thrust")
 
 
 def _sum(vessel: Vessel, forces: dict[str, Force], names: list[str], part: str) -> Force:

@@ -14,9 +14,8 @@ from collections.abc import Mapping
 import tomli_w
 
 from diffsea.errors import UserError, nearest
-from diffsea.vessel import actuators as act
-from diffsea.vessel.actuator_tables import ACTUATORS
-from diffsea.vessel.base import AbstractActuator, AbstractForce, AddedMass, RigidBody, Vessel
+from diffsea.vessel.actuators import ACTUATORS
+from diffsea.vessel.base import AbstractForce, AddedMass, RigidBody, Vessel
 from diffsea.vessel.effects.tables import with_effect
 from diffsea.vessel.hull import POWERS, Damping, PrimeDamping, Scaling, is_derivative
 from diffsea.vessel.servo import Servo
@@ -26,6 +25,7 @@ from diffsea.vessel.tables import check_keys, needed, positive, tables_of
 
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+_LABELS = {"name": "vessel", "source": ""}
 _HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents", "reference_speed")
 
 
@@ -89,19 +89,15 @@ def build(document: Table) -> Vessel:
     hull = document.get("hull")
     if not isinstance(hull, dict):
         raise UserError("there is no [hull] table; it holds length, beam, draught, mass, I_z ...")
-    body, added, forces, scaling = _hull(hull)
-    parts: dict[str, AbstractActuator] = {}
-    for kind in ACTUATORS:
+    named = {key: str(document.get(key, default)) for key, default in _LABELS.items()}
+    vessel = Vessel(*_hull(hull), {}, **named)
+    for kind, from_table in ACTUATORS.items():
         for number, table in enumerate(tables_of(document, kind), start=1):
             name = str(table.get("name", kind if number == 1 else f"{kind}{number}"))
-            if name in parts:
+            if name in vessel.actuators:
                 raise UserError(f"two actuators are called {name!r}; give each its own name")
-            parts[name] = ACTUATORS[kind](name, table, body, scaling)
-    _check_propellers(parts)
-    vessel = Vessel(
-        body, added, forces, parts,
-        name=str(document.get("name", "vessel")), source=str(document.get("source", "")),
-    )  # fmt: skip
+            parts = vessel.actuators | {name: from_table(name, table, vessel)}
+            vessel = dataclasses.replace(vessel, actuators=parts)
     for table in tables_of(document, "effect"):
         vessel = with_effect(vessel, table)
     check(vessel)
@@ -138,20 +134,7 @@ def _check_servo(channel: str, servo: Servo) -> None:
         raise UserError(f"actuator {channel!r}: rate_limit must be positive")
 
 
-def _check_propellers(parts: Mapping[str, AbstractActuator]) -> None:
-    propellers = [name for name, part in parts.items() if isinstance(part, act.Propeller)]
-    for name, part in parts.items():
-        wanted = getattr(part, "propeller", None)
-        if wanted is not None and wanted not in propellers:
-            raise UserError(
-                f"rudder {name!r} stands behind propeller {wanted!r}, which the file does not "
-                f"have; it has: {', '.join(propellers) or 'none'}"
-            )
-
-
-def _hull(
-    hull: Table,
-) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce], Scaling | None]:
+def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     known = (*_BODY, *_ADDED, *_HULL_WORDS)
     names = [key for key in hull if is_derivative(key)]
     suggestions = (*known, "X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
@@ -172,8 +155,8 @@ def _hull(
     scaling = _scaling(hull, body, numbers)
     exponents = _exponents(hull, derivatives)
     if scaling is None:
-        return body, added, {"damping": Damping(derivatives, exponents)}, None
-    return body, added, {"damping": PrimeDamping(derivatives, scaling)}, scaling
+        return body, added, {"damping": Damping(derivatives, exponents)}
+    return body, added, {"damping": PrimeDamping(derivatives, scaling)}
 
 
 def _exponents(hull: Table, derivatives: dict[str, float]) -> dict[str, float]:

@@ -9,6 +9,7 @@ zero with a derivative that is not.
 """
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea.types import Scalar
+from diffsea.vessel.tables import Table, number
 
 
 SEGMENTS = 4  # orders that can fall within one step after a delay
@@ -57,6 +59,14 @@ class Servo(eqx.Module):
     it where the order equals the limit; None means the hard limit.
     """
 
+    KEYS: ClassVar[tuple[str, ...]] = (
+        "time_constant",
+        "rate_limit",
+        "delay",
+        "deadband",
+        "sharpness",
+    )
+
     delay: Scalar | None = None  # s
     deadband: Scalar | None = None  # unit of the channel, half width
     lower: Scalar | None = None
@@ -67,6 +77,12 @@ class Servo(eqx.Module):
     bias: Scalar | None = None  # unit of the channel, added to the order
     backlash: Scalar | None = None  # unit of the channel, half width of the play
     slowness: Scalar | None = None  # s per unit of the channel
+
+    @classmethod
+    def from_table(cls, table: Table, where: str, lower: str, upper: str) -> "Servo":
+        """The stages that an actuator's table states; `lower` and `upper` are keys of limits."""
+        stages = {key: number(table, key, where) for key in cls.KEYS}
+        return cls(lower=number(table, lower, where), upper=number(table, upper, where), **stages)
 
     @property
     def direct(self) -> bool:

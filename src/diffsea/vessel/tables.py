@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
 
 from diffsea.errors import UserError, nearest
 
@@ -26,7 +26,17 @@ def tables_of(document: Table, kind: str) -> list[Table]:
     return tables
 
 
-def number(table: Table, key: str, where: str, default: float | None = None) -> float | None:
+@overload
+def number(table: Mapping[str, Any], key: str, where: str, default: float) -> float: ...
+
+
+@overload
+def number(table: Mapping[str, Any], key: str, where: str) -> float | None: ...
+
+
+def number(
+    table: Mapping[str, Any], key: str, where: str, default: float | None = None
+) -> float | None:
     """A finite number, or the default where the key is missing."""
     value = table.get(key, default)
     if value is None:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from diffsea.scales import froude_speed
 from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller
 from diffsea.vessel.base import Vessel
 
 
@@ -46,8 +45,7 @@ def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
     push differently at every speed: they get the throttle that holds the speed at which the
     hull's drag, straight ahead in still water, is `thrust`.
     """
-    parts = vessel.actuators.values()
-    if not any(isinstance(p, Propeller) or getattr(p, "curve", None) is not None for p in parts):
+    if all(part.bollard_coefficient is None for part in vessel.propulsors.values()):
         return jnp.asarray(thrust, float)
 
     def excess(speed: Scalar, at: tuple[Vessel, Scalar]) -> Scalar:
@@ -67,25 +65,24 @@ def _hull_drag(vessel: Vessel, speed: Scalar) -> Scalar:
 def full_throttle(vessel: Vessel) -> Scalar:
     """Throttle at which the first propulsor reaches its limit; infinite without limits."""
     allocation = ControlAllocation(vessel)
-    limits = []
-    for part in vessel.actuators.values():
-        if isinstance(part, FixedThruster | Propeller | AzimuthThruster):
-            thrust = getattr(part, "force_channel", next(iter(part.servos)))
-            upper = part.servos[thrust].upper
-            in_newton = not isinstance(part, Propeller) and getattr(part, "curve", None) is None
-            share = allocation.count(type(part)) if in_newton else 1
-            limits += [] if upper is None else [share * jnp.asarray(upper, float)]
+    limits = [
+        allocation.sharing(part) * jnp.asarray(upper, float)
+        for part in vessel.propulsors.values()
+        for name, channel in part.channels.items()
+        if channel.role == "propulsion" and (upper := part.servos[name].upper) is not None
+    ]
     return jnp.min(jnp.stack(limits)) if limits else math.inf
 
 
 def _first_throttle(vessel: Vessel, speed: Scalar) -> Scalar:
     """A throttle of the right order: propeller at J = 0.6, or thrust equal to drag."""
-    diameters = [p.diameter for p in vessel.actuators.values() if isinstance(p, Propeller)]
+    propulsors = vessel.propulsors.values()
+    diameters = [part.diameter for part in propulsors if part.diameter is not None]
     if diameters:
         return speed / (0.6 * diameters[0])
     drag = -straight_balance(vessel, speed, jnp.zeros(())) * vessel.mass_matrix()[0, 0]
-    curves = [getattr(p, "curve", None) for p in vessel.actuators.values()]
-    quadratic = [curve[1] for curve in curves if curve is not None]
+    coefficients = [part.bollard_coefficient for part in propulsors]
+    quadratic = [coefficient for coefficient in coefficients if coefficient is not None]
     return jnp.sqrt(drag / sum(quadratic)) if quadratic else drag
 
 

@@ -15,7 +15,6 @@ from diffsea.kinematics import wrap
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.guidance import Waypoints, bearing
 from diffsea.types import Scalar, State
-from diffsea.vessel.actuators import FixedThruster
 from diffsea.vessel.base import Vessel
 
 
@@ -165,7 +164,7 @@ def dynamic_pd(
     """
     sides: dict[bool, list[str]] = {False: [], True: []}
     for part in vessel.actuators.values():
-        if isinstance(part, FixedThruster) and float(part.y) != 0:
+        if part.differential and float(part.y) != 0:
             sides[float(part.y) > 0] += list(part.servos)
     if any(len(channels) != 1 for channels in sides.values()):
         raise UserError(

@@ -11,8 +11,7 @@ import jax.numpy as jnp
 
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
-from diffsea.vessel.actuators import Propeller
-from diffsea.vessel.base import Vessel
+from diffsea.vessel.base import AbstractActuator, Vessel
 from diffsea.vessel.effects.entry import Bound, Coordinates, Effect, time_scale
 from diffsea.vessel.servo import Servo
 
@@ -26,9 +25,14 @@ def channels_of(vessel: Vessel, kind: str) -> tuple[str, ...]:
     """Channels that push (thrusts and shaft speeds), or that steer (angles), or push on a side."""
     if kind in SIDES:
         pushing, parts = channels_of(vessel, "propulsion"), vessel.actuators.values()
-        beside = [p for p in parts if SIDES[kind] * float(getattr(p, "y", 0.0)) > 0]
+        beside = [part for part in parts if SIDES[kind] * float(part.y) > 0]
         return tuple(c for part in beside for c in part.servos if c in pushing)
-    return tuple(c for c, unit in vessel.units.items() if (unit == "rad") == (kind == "steering"))
+    return tuple(
+        channel
+        for part in vessel.actuators.values()
+        for channel in part.servos
+        if (part.channels[channel].role == "steering") == (kind == "steering")
+    )
 
 
 def full(vessel: Vessel, channels: Iterable[str]) -> Scalar:
@@ -50,19 +54,19 @@ def _plausible(vessel: Vessel, channels: tuple[str, ...]) -> Scalar:
     if set(channels) <= set(channels_of(vessel, "steering")):
         return 0.6
     body = vessel.rigid_body
-    for part in vessel.actuators.values():
-        if isinstance(part, Propeller) and set(part.servos) & set(channels):
+    for part in vessel.propulsors.values():
+        if part.diameter is not None and set(part.servos) & set(channels):
             return froude_speed(body.length, 0.3) / (0.7 * part.diameter)
     return 0.05 * GRAVITY * body.mass
 
 
 def on_channels(
-    vessel: Vessel, channels: Iterable[str], change: Callable[[Servo, eqx.Module], Servo]
+    vessel: Vessel, channels: Iterable[str], change: Callable[[Servo, AbstractActuator], Servo]
 ) -> Vessel:
     """The vessel with the servos of some channels changed; `change` sees their actuator, too."""
     chosen = set(channels)
 
-    def changed(actuator: eqx.Module) -> eqx.Module:
+    def changed(actuator: AbstractActuator) -> AbstractActuator:
         servos = {c: change(s, actuator) if c in chosen else s for c, s in actuator.servos.items()}
         return eqx.tree_at(lambda a: a.servos, actuator, servos)
 
@@ -101,11 +105,10 @@ class Stage:
         """
         largest = full(vessel, channels)
 
-        def change(servo: Servo, actuator: eqx.Module) -> Servo:
+        def change(servo: Servo, actuator: AbstractActuator) -> Servo:
             if side == 0:
                 return self.change(servo, value, largest)
-            # An actuator without a y stands on the centreline: tunnel thrusters, rudders.
-            beside = jnp.sign(getattr(actuator, "y", 0.0)) == side
+            beside = jnp.sign(actuator.y) == side
             return self.change(servo, jnp.where(beside, value, 0.0), largest)
 
         return on_channels(vessel, channels, change)

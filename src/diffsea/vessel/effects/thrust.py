@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffsea.types import Scalar
-from diffsea.vessel.actuators import AzimuthThruster, FixedThruster, Propeller, Rudder
+from diffsea.vessel.actuators import FixedThruster, Propeller, Rudder
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.dependent_forces import Change, ScrewSideForce
 from diffsea.vessel.effects.entry import (
@@ -25,10 +25,6 @@ from diffsea.vessel.effects.entry import (
 )
 
 
-def _thrusters(vessel: Vessel) -> dict[str, eqx.Module]:
-    return {n: part for n, part in vessel.actuators.items() if hasattr(part, "losses")}
-
-
 def _of(vessel: Vessel, kind: type) -> dict[str, eqx.Module]:
     return {n: part for n, part in vessel.actuators.items() if isinstance(part, kind)}
 
@@ -40,7 +36,7 @@ def _map(vessel: Vessel, parts: dict, change: Callable[[eqx.Module], eqx.Module]
 
 def _sided(vessel: Vessel) -> bool:
     """Whether thrusters stand on both sides of the centreline."""
-    sides = [float(getattr(part, "y", 0.0)) for part in _thrusters(vessel).values()]
+    sides = [float(part.y) for part in vessel.propulsors.values()]
     return any(y < 0 for y in sides) and any(y > 0 for y in sides)
 
 
@@ -49,7 +45,7 @@ def _asymmetry(vessel: Vessel, ratio: Coordinates) -> Vessel:
         by = jnp.sign(part.y) * ratio[0]
         return eqx.tree_at(lambda p: p.losses.asymmetry, part, part.losses.asymmetry + by)
 
-    return _map(vessel, _thrusters(vessel), change)
+    return _map(vessel, vessel.propulsors, change)
 
 
 def _misalignment(vessel: Vessel, angle: Coordinates) -> Vessel:
@@ -65,21 +61,19 @@ def _loss(field: str) -> Callable[[Vessel, Coordinates], Vessel]:
             now = getattr(part.losses, field)
             return eqx.tree_at(lambda p: getattr(p.losses, field), part, now + slope[0])
 
-        return _map(vessel, _thrusters(vessel), change)
+        return _map(vessel, vessel.propulsors, change)
 
     return add
 
 
 def _ordered_in_newtons(vessel: Vessel) -> bool:
     """Whether some thruster's force does not depend on the speed of advance."""
-    parts = _thrusters(vessel).values()
-    fixed = any(isinstance(p, FixedThruster) and p.curve is None for p in parts)
-    return fixed or any(isinstance(p, AzimuthThruster) for p in parts)
+    return any(part.bollard_coefficient is None for part in vessel.propulsors.values())
 
 
 def _with_speed_bounds(vessel: Vessel) -> tuple[Bound, ...]:
     """No thruster pushes harder the faster it goes, at one order."""
-    own = [float(part.losses.with_speed) for part in _thrusters(vessel).values()]
+    own = [float(part.losses.with_speed) for part in vessel.propulsors.values()]
     return ((-min(own), math.inf),)
 
 
@@ -162,13 +156,13 @@ THRUST = (
     ),
     Effect(
         "thrust-loss-in-turns", "actuator", {"slope": "s/rad"}, _loss("in_turns"),
-        lambda v: (0.3,), lambda v: bool(_thrusters(v)), positive=True,
+        lambda v: (0.3,), lambda v: bool(v.propulsors), positive=True,
         law="T (1 - slope |r|): ventilation and shadowing in turns",
         confusables=("crossflow-drag", "quadratic-damping", "speed-dependent-damping"),
     ),
     Effect(
         "thrust-change", "actuator", {"time": "s", "factor": "1"}, _change,
-        lambda v: (0.1, onset_size(v)), lambda v: bool(_thrusters(v)),
+        lambda v: (0.1, onset_size(v)), lambda v: bool(v.propulsors),
         bounds=lambda v: (ALL_LOST_AT_MOST, ANY), shape=1, grid=onsets,
         decode=lambda v, at: {"time": at[1], "factor": at[0]},
         encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),
