@@ -1,7 +1,8 @@
 """Scales of a vessel that follow from its length and gravity, and limits of what can be.
 
-Durations, speeds and first guesses suit a model basin's hull and a ship alike where they are counted in
-these. Everything takes lengths and numbers, no vessels, so that it lies below all that has them.
+Durations, speeds and first guesses suit a model basin's hull and a ship alike where they are
+counted in these. Everything takes lengths and numbers, no vessels, so that it lies below all that
+has them.
 """
 
 import math
