@@ -12,7 +12,7 @@ from tests.boats import BOAT
 
 from diffsea.cli import main
 from diffsea.errors import UserError
-from diffsea.report.study_plots import save_map
+from diffsea.report.pictures import save_map
 from diffsea.simulation import standard
 from diffsea.studies import sweep
 from diffsea.vessel.files import build, read_vessel

@@ -204,7 +204,7 @@ def _size(finding: "Finding") -> str:
 
 def _predict(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
-    from diffsea.report import trial_plots
+    from diffsea.report import pictures
     from diffsea.simulation.actuation import how_actuated
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
@@ -243,7 +243,7 @@ def _predict(args: argparse.Namespace) -> None:
         write_recording(predicted, out.path("predicted.csv"))
         out.json("predict.json", result)
         title = f"{recording.name} predicted by {vessel.name}"
-        trial_plots.save_prediction(predicted, recording, out.path("prediction.png"), title)
+        pictures.save_prediction(predicted, recording, out.path("prediction.png"), title)
     out.present(args, _errors_text(result))
 
 

@@ -67,7 +67,7 @@ def _kinds(text: str) -> tuple[str, ...]:
 
 
 def _segment(args: argparse.Namespace) -> None:
-    from diffsea.report.segment_plots import save_segments
+    from diffsea.report.pictures import save_segments
     from diffsea.segments import Settings, grouped
     from diffsea.segments.export import record, source_of
     from diffsea.segments.segments import fitted, segments_of

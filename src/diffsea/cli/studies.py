@@ -71,7 +71,7 @@ def register(commands) -> None:
 
 
 def _sensitivity(args: argparse.Namespace) -> None:
-    from diffsea.report.study_plots import save_tornado
+    from diffsea.report.pictures import save_tornado
     from diffsea.simulation import standard
     from diffsea.studies.sensitivity import elasticities, parameter_names, sensitivities
 
@@ -150,7 +150,7 @@ def _by_name(axes: list[tuple[str, list]]) -> dict[str, tuple]:
 
 
 def _sweep(args: argparse.Namespace) -> None:
-    from diffsea.report.study_plots import save_map
+    from diffsea.report.pictures import save_map
     from diffsea.studies import sweep
 
     designs = _designs(args)

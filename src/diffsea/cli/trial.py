@@ -138,7 +138,7 @@ def require_run(trial, plan: "TrialPlan", vessel: "Vessel") -> None:
 
 def _run(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
-    from diffsea.report import trial_plots
+    from diffsea.report import pictures
     from diffsea.simulation import standard
 
     vessel = options.read_vessel(args).vessel
@@ -152,8 +152,8 @@ def _run(args: argparse.Namespace) -> None:
         write_recording(trial.trajectory, out.path("recording.csv"))
         out.json("metrics.json", metrics)
         title = f"{vessel.name}: {plan.manoeuvre}"
-        trial_plots.save_track(trial, out.path("track.png"), title)
-        trial_plots.save_series(trial, out.path("series.png"), title, vessel.units)
+        pictures.save_trial_track(trial, out.path("track.png"), title)
+        pictures.save_trial_series(trial, out.path("series.png"), title, vessel.units)
     out.present(args, metrics_text(metrics))
 
 
