@@ -13,7 +13,7 @@ from tests.paths import DATA, EXPERIMENTS, ORACLE
 from diffsea.cli import main
 from diffsea.errors import UserError
 from diffsea.recordings import read_mapping, read_recording
-from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping, suggestion
+from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping, suggest_labels
 from diffsea.recordings.mapping_proposal.wording import SURE
 
 
@@ -201,11 +201,11 @@ def test_names_of_logs_are_understood():
         "ruderwinkel": "rudder",
         "gyro.z [m]": "other",
     }
-    assert {name: suggestion(name).best for name in found} == found
-    assert suggestion("yaw_rate_deg_s").unit == "deg/s"
-    assert suggestion("torque [Nm]").unit == "?" and suggestion("speed (kn)").unit == "kn"
-    assert suggestion("rudder_cmd").ordered is True
-    assert suggestion("rudder_actual").ordered is False
+    assert {name: suggest_labels(name).best for name in found} == found
+    assert suggest_labels("yaw_rate_deg_s").unit == "deg/s"
+    assert suggest_labels("torque [Nm]").unit == "?" and suggest_labels("speed (kn)").unit == "kn"
+    assert suggest_labels("rudder_cmd").ordered is True
+    assert suggest_labels("rudder_actual").ordered is False
 
 
 def test_the_command_writes_the_mapping_and_audits_through_it(runs, tmp_path, capsys):

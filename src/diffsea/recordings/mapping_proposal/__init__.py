@@ -13,9 +13,9 @@ from pathlib import Path
 from diffsea.errors import UserError
 from diffsea.recordings import logs
 from diffsea.recordings.mapping_proposal.names import Suggestion as Suggestion
-from diffsea.recordings.mapping_proposal.names import suggestion as suggestion
-from diffsea.recordings.mapping_proposal.proposal import propose_evidence
-from diffsea.recordings.mapping_proposal.table_layout import sniff
+from diffsea.recordings.mapping_proposal.names import suggest_labels as suggest_labels
+from diffsea.recordings.mapping_proposal.proposal import gather_evidence
+from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
 from diffsea.recordings.mapping_proposal.wording import actuator_guesses, level, mapping_text
 from diffsea.recordings.mappings import is_channel
 from diffsea.runtime import one_blas_thread
@@ -46,7 +46,7 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
     Raises `UserError` for what is no table of numbers, and for files of different columns.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    evidence = propose_evidence(files)
+    evidence = gather_evidence(files)
     guesses = [*evidence.guesses, *actuator_guesses(evidence)]
     sure = {guess.channel: guess.sure for guess in guesses}
     rows = [
@@ -77,7 +77,7 @@ def is_foreign(path: str | Path) -> bool:
     try:
         if logs.is_log(path):
             return False
-        layout = sniff(path)
+        layout = sniff_layout(path)
     except UserError:
         return False
     plain = not layout.text or (

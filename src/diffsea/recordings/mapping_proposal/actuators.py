@@ -29,7 +29,7 @@ _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 
 
 @dataclasses.dataclass(frozen=True)
-class Actuator:
+class ActuatorColumn:
     """One column that drives the vessel.
 
     `push` is 1 where a positive value was seen to turn to starboard (speed up, of a
@@ -52,7 +52,7 @@ class Actuator:
 
 def find_actuators(
     runs: list[Trajectory], suggestions: dict[str, Suggestion], unnamed: list[str]
-) -> list[Actuator]:
+) -> list[ActuatorColumn]:
     """Actuators of runs whose `commanded` has every column that may be one.
 
     `unnamed` are columns whose names say nothing; the one that yaw answers best is taken for
@@ -93,12 +93,14 @@ def _chosen(
     return [c for c in kept.values() if c == best or rank(c)[:2] == rank(best)[:2]]
 
 
-def _judged(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> Actuator:
+def _judged(
+    column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]
+) -> ActuatorColumn:
     ordered, reason, chance = _ordered(column, suggestion, runs)
     push = 0
     if role in ("rudder", "propeller"):
         push = _vote([_alone(run, role, run.commanded[column]) for run in runs])
-    return Actuator(
+    return ActuatorColumn(
         column, role, chance * suggestion.weights[role], _unit(column, role, suggestion, runs),
         ordered, reason, push,
     )  # fmt: skip
@@ -163,7 +165,7 @@ def _vote(verdicts: list[tuple[int, float]]) -> int:
     return int(np.sign(sum(push * certainty for push, certainty in verdicts)))
 
 
-def _paired(found: list[Actuator], runs: list[Trajectory]) -> list[Actuator]:
+def _paired(found: list[ActuatorColumn], runs: list[Trajectory]) -> list[ActuatorColumn]:
     """Thrusters on either side, with which way their difference turns the vessel."""
     port = [a for a in found if a.role == "port"]
     starboard = [a for a in found if a.role == "starboard"]
@@ -182,7 +184,7 @@ def _paired(found: list[Actuator], runs: list[Trajectory]) -> list[Actuator]:
 
 def _guessed(
     runs: list[Trajectory], columns: list[str], suggestions: dict[str, Suggestion]
-) -> list[Actuator]:
+) -> list[ActuatorColumn]:
     """The unnamed column that yaw answers best, as a rudder, if any is answered at all."""
     verdicts = {
         column: [_alone(run, "rudder", run.commanded[column]) for run in runs] for column in columns
@@ -193,7 +195,7 @@ def _guessed(
         return []
     ordered, reason, chance = _ordered(best, suggestions[best], runs)
     return [
-        Actuator(
+        ActuatorColumn(
             best, "rudder", 0.5 * chance, _unit(best, "rudder", suggestions[best], runs), ordered,
             f"yaw rate answers it best of the unnamed columns; {reason}", _vote(verdicts[best]),
         )

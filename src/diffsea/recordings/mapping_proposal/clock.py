@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 
 from diffsea.recordings.mapping_proposal.names import Suggestion
-from diffsea.recordings.mapping_proposal.table_layout import Layout
+from diffsea.recordings.mapping_proposal.table_layout import TableLayout
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.tables import read_table
+from diffsea.series import bridge_gaps
 
 
 _TIMES = ("s", "ms", "us", "ns", "min", "h")
@@ -21,7 +22,7 @@ _EVEN = 1e-3  # spread of the steps, relative to their mean, of a clock without 
 
 
 @dataclasses.dataclass(frozen=True)
-class Clock:
+class TimeColumn:
     """The time column, or none. `units` has the probability of every unit it may be in.
 
     Without a column `step` is the sampling interval (s) if something tells it, else NaN, and
@@ -36,14 +37,16 @@ class Clock:
 
 
 @dataclasses.dataclass(frozen=True)
-class Record:
+class ColumnRecord:
     """The varying columns of one file at strictly increasing times (of the file's unit)."""
 
     t: np.ndarray
     columns: dict[str, np.ndarray]
 
 
-def find_clock(columns: dict[str, np.ndarray], suggestions: dict[str, Suggestion]) -> Clock | None:
+def find_time_column(
+    columns: dict[str, np.ndarray], suggestions: dict[str, Suggestion]
+) -> TimeColumn | None:
     """The most likely time column, None where no column advances as time does."""
     scores = {}
     for place, (name, values) in enumerate(columns.items()):
@@ -69,10 +72,10 @@ def find_clock(columns: dict[str, np.ndarray], suggestions: dict[str, Suggestion
     evenness = _evenness(columns[best])
     even = evenness is not None and evenness < _EVEN
     why = "it advances in equal steps" if even else "it always advances"
-    return Clock(best, sure, units, why)
+    return TimeColumn(best, sure, units, why)
 
 
-def stamped_clock(path: Path, layout: Layout) -> Clock:
+def time_from_text_stamps(path: Path, layout: TableLayout) -> TimeColumn:
     """The clock of a file without a numeric time: from stamps of date and time, or unknown."""
     table, _ = read_table(path, layout.mapping if layout.text else None)
     for name in layout.names:
@@ -85,11 +88,11 @@ def stamped_clock(path: Path, layout: Layout) -> Clock:
         step = (steps.sum()) / steps.size
         if np.max(np.abs(steps - step)) < 0.5 * step:
             why = f"the mean step of the stamps in {name!r}, which are text"
-            return Clock(None, 0.9, {"s": 1.0}, why, float(f"{step:.6g}"))
-    return Clock(None, 0.0, {"s": 1.0}, "no column advances as time does")
+            return TimeColumn(None, 0.9, {"s": 1.0}, why, float(f"{step:.6g}"))
+    return TimeColumn(None, 0.0, {"s": 1.0}, "no column advances as time does")
 
 
-def record_of(columns: dict[str, np.ndarray], clock: Clock) -> Record:
+def columns_over_time(columns: dict[str, np.ndarray], clock: TimeColumn) -> ColumnRecord:
     """The columns on their clock, gaps interpolated; what never changes is left out."""
     first = next(iter(columns.values()))
     t = np.arange(first.size, dtype=float) if clock.column is None else columns[clock.column]
@@ -106,7 +109,7 @@ def record_of(columns: dict[str, np.ndarray], clock: Clock) -> Record:
         )
         if name != clock.column and varies and np.mean(finite) > 0.02:
             kept[name] = bridge_gaps(t, series, np.inf)[0]
-    return Record(t, kept)
+    return ColumnRecord(t, kept)
 
 
 def _evenness(values: np.ndarray) -> float | None:

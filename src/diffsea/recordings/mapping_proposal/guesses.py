@@ -9,12 +9,12 @@ import math
 import numpy as np
 
 from diffsea.recordings.geodesy import local_position
-from diffsea.recordings.mapping_proposal.clock import Clock, Record
+from diffsea.recordings.mapping_proposal.clock import ColumnRecord, TimeColumn
 from diffsea.recordings.mapping_proposal.names import Suggestion
-from diffsea.recordings.mapping_proposal.readings import Prior, Reading, ratio_cost
-from diffsea.recordings.mapping_proposal.search import Weighed
+from diffsea.recordings.mapping_proposal.readings import Hypothesis, HypothesisPrior, ratio_penalty
+from diffsea.recordings.mapping_proposal.search import ScoredHypothesis
 from diffsea.recordings.mapping_proposal.units import SettledUnits
-from diffsea.recordings.mapping_proposal.windows import Windows, follows
+from diffsea.recordings.mapping_proposal.windows import ColumnWindows, relate_to_integral
 from diffsea.recordings.mappings import UNITS, Column
 
 
@@ -22,7 +22,7 @@ _NAMED = 0.5  # weight of a label above which a name is believed
 _WIDEST = 2.0  # deg that a run may span
 
 
-def geographic(
+def find_geographic(
     table: dict[str, np.ndarray], suggestions: dict[str, Suggestion]
 ) -> tuple[str, str] | None:
     """Columns of latitude and longitude in degrees, if the file has them and they move."""
@@ -43,7 +43,9 @@ def origin_of(table: dict[str, np.ndarray], place: tuple[str, str]) -> tuple[flo
     return round(float(first[0]), 6), round(float(first[1]), 6)
 
 
-def in_metres(record: Record, place: tuple[str, str] | None, origin: tuple[float, float]) -> Record:
+def with_metres(
+    record: ColumnRecord, place: tuple[str, str] | None, origin: tuple[float, float]
+) -> ColumnRecord:
     """The record with latitude and longitude (deg) replaced by metres north and east."""
     if place is None or not set(place) <= set(record.columns):
         return record
@@ -51,14 +53,14 @@ def in_metres(record: Record, place: tuple[str, str] | None, origin: tuple[float
     north, east = local_position(
         latitude, longitude, (float(np.radians(origin[0])), float(np.radians(origin[1])))
     )
-    return Record(record.t, record.columns | {place[0]: north, place[1]: east})
+    return ColumnRecord(record.t, record.columns | {place[0]: north, place[1]: east})
 
 
 _CERTAIN = 0.999  # nothing is surer than the model of sensors that it rests on
 
 
 @dataclasses.dataclass(frozen=True)
-class Guess:
+class ChannelGuess:
     """One proposed channel: how it is read, how sure that is (0 to 1), and why."""
 
     channel: str
@@ -67,19 +69,19 @@ class Guess:
     why: str
 
 
-def columns_read(reading: Reading) -> dict[str, str | None]:
+def hypothesis_columns(reading: Hypothesis) -> dict[str, str | None]:
     """The columns of a reading by channel."""
     return {channel: getattr(reading, channel) for channel in ("x", "y", "psi", "u", "v", "r")}
 
 
-def probabilities(weighed: list[Weighed]) -> np.ndarray:
+def probabilities(weighed: list[ScoredHypothesis]) -> np.ndarray:
     """Probabilities (N,) of readings that exclude one another."""
     odds = np.array([item.odds for item in weighed])
     weights = np.exp(odds - odds.max())
     return weights / weights.sum()
 
 
-def _key(reading: Reading, channel: str):
+def _key(reading: Hypothesis, channel: str):
     """What a reading says of a channel, for the sum over all that say the same."""
     column = getattr(reading, channel)
     if column is None:
@@ -95,11 +97,11 @@ def _key(reading: Reading, channel: str):
 
 
 def motion_guesses(
-    weighed: list[Weighed],
+    weighed: list[ScoredHypothesis],
     settled: SettledUnits,
-    clock: Clock,
+    clock: TimeColumn,
     place: tuple[str, str] | None,
-) -> list[Guess]:
+) -> list[ChannelGuess]:
     """Time and motion as the best reading has them, sure as all readings together make them.
 
     `place` names columns of latitude and longitude.
@@ -109,8 +111,8 @@ def motion_guesses(
     if clock.column is not None:
         sure = min(clock.sure * settled.sure["t"], _CERTAIN)
         unit = None if settled.tick == "s" else settled.tick
-        found.append(Guess("t", Column(clock.column, unit), sure, clock.why))
-    columns = channels_read(best.reading, settled, place)
+        found.append(ChannelGuess("t", Column(clock.column, unit), sure, clock.why))
+    columns = hypothesis_channels(best.reading, settled, place)
     for name, column in columns.items():
         channel = {"latitude": "x", "longitude": "y"}.get(name, name)
         key = _key(best.reading, channel)
@@ -118,17 +120,17 @@ def motion_guesses(
             p for p, w in zip(chances, weighed, strict=True) if _key(w.reading, channel) == key
         ]
         sure = min(float(np.sum(agree)) * settled.sure[channel], _CERTAIN)
-        found.append(Guess(name, column, sure, _why(best, channel)))
+        found.append(ChannelGuess(name, column, sure, _why(best, channel)))
     return found
 
 
-def channels_read(
-    reading: Reading, settled: SettledUnits, place: tuple[str, str] | None
+def hypothesis_channels(
+    reading: Hypothesis, settled: SettledUnits, place: tuple[str, str] | None
 ) -> dict[str, Column]:
     """The channels of a mapping that reads motion so."""
     columns = {
         channel: _read_as(reading, channel, name, settled)
-        for channel, name in columns_read(reading).items()
+        for channel, name in hypothesis_columns(reading).items()
         if name is not None
     }
     if place is None or (reading.x, reading.y) != place:
@@ -137,7 +139,7 @@ def channels_read(
     return fixes | {name: c for name, c in columns.items() if name not in ("x", "y")}
 
 
-def _read_as(reading: Reading, channel: str, name: str, settled: SettledUnits) -> Column:
+def _read_as(reading: Hypothesis, channel: str, name: str, settled: SettledUnits) -> Column:
     if channel in ("x", "y"):
         return Column(name, _plain(settled.x), reading.signs[channel == "y"])
     if channel == "psi":
@@ -159,7 +161,7 @@ def _plain(unit: str) -> str | None:
     return None if not unit or UNITS[unit][1] == 1.0 else unit
 
 
-def _why(best: Weighed, channel: str) -> str:
+def _why(best: ScoredHypothesis, channel: str) -> str:
     reading = best.reading
     if channel in ("psi", "r") and reading.psi and reading.r and best.yaw and best.yaw.evidence > 3:
         other = reading.r if channel == "psi" else reading.psi
@@ -173,7 +175,9 @@ def _why(best: Weighed, channel: str) -> str:
     return "by its name"
 
 
-def other_guesses(prior: Prior, table, windows: Windows, used: set[str]) -> list[Guess]:
+def other_guesses(
+    prior: HypothesisPrior, table, windows: ColumnWindows, used: set[str]
+) -> list[ChannelGuess]:
     """Wind and roll, which nothing but their names and ranges tells."""
     found = []
     for channel in ("wind_speed", "wind_direction", "phi", "p"):
@@ -187,7 +191,7 @@ def other_guesses(prior: Prior, table, windows: Windows, used: set[str]) -> list
         unit, sure = _named_unit(prior.suggestions[name].unit, channel, table[name])
         if channel == "p" and prior.suggestions[name].unit not in UNITS:
             unit, sure = _roll_unit(found, name, windows)
-        found.append(Guess(channel, Column(name, unit), weight * sure, "by its name"))
+        found.append(ChannelGuess(channel, Column(name, unit), weight * sure, "by its name"))
     return found
 
 
@@ -201,18 +205,20 @@ def _named_unit(stated: str, channel: str, values: np.ndarray) -> tuple[str | No
     return None, 0.7
 
 
-def _roll_unit(found: list[Guess], name: str, windows: Windows) -> tuple[str | None, float]:
+def _roll_unit(
+    found: list[ChannelGuess], name: str, windows: ColumnWindows
+) -> tuple[str | None, float]:
     """The unit of roll rate, from its ratio to the change of roll."""
     roll = next((guess for guess in found if guess.channel == "phi"), None)
     if roll is None or not {name, roll.column.column} <= set(windows.records[0].columns):
         return None, 0.5
-    relation = follows(
+    relation = relate_to_integral(
         windows.increments(roll.column.column), windows.integrals(name), windows.duration
     )
     if relation.evidence < 3:
         return None, 0.5
     ratio = abs(relation.gain)
-    degrees = ratio_cost(ratio, 1.0, relation.error) < ratio_cost(ratio, 57.3, relation.error)
+    degrees = ratio_penalty(ratio, 1.0, relation.error) < ratio_penalty(ratio, 57.3, relation.error)
     if roll.column.unit != "deg":
-        degrees = not ratio_cost(ratio, 1.0, relation.error) < 2.0
+        degrees = not ratio_penalty(ratio, 1.0, relation.error) < 2.0
     return ("deg/s" if degrees else None), 0.9

@@ -162,7 +162,7 @@ class Suggestion:
         return max(self.weights, key=lambda label: self.weights[label])
 
 
-def suggestion(name: str, stated_unit: str = "") -> Suggestion:
+def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     """What a column's name, and what its header says of the unit, suggest.
 
     `name` may be a topic and field joined by `:`; the words nearest the end count first.

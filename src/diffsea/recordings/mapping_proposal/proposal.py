@@ -8,30 +8,35 @@ from pathlib import Path
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.mapping_proposal.actuators import Actuator, find_actuators
+from diffsea.recordings.mapping_proposal.actuators import ActuatorColumn, find_actuators
 from diffsea.recordings.mapping_proposal.clock import (
-    Clock,
-    Record,
-    find_clock,
-    record_of,
-    stamped_clock,
+    ColumnRecord,
+    TimeColumn,
+    columns_over_time,
+    find_time_column,
+    time_from_text_stamps,
 )
 from diffsea.recordings.mapping_proposal.guesses import (
-    Guess,
-    channels_read,
-    columns_read,
-    geographic,
-    in_metres,
+    ChannelGuess,
+    find_geographic,
+    hypothesis_channels,
+    hypothesis_columns,
     motion_guesses,
     origin_of,
     other_guesses,
+    with_metres,
 )
-from diffsea.recordings.mapping_proposal.names import Suggestion, suggestion
-from diffsea.recordings.mapping_proposal.readings import Convention, Prior, Reading, mirrored
-from diffsea.recordings.mapping_proposal.search import Weighed, search
-from diffsea.recordings.mapping_proposal.table_layout import Layout, columns_of, sniff
+from diffsea.recordings.mapping_proposal.names import Suggestion, suggest_labels
+from diffsea.recordings.mapping_proposal.readings import (
+    FrameConvention,
+    Hypothesis,
+    HypothesisPrior,
+    mirror_image,
+)
+from diffsea.recordings.mapping_proposal.search import ScoredHypothesis, search_hypotheses
+from diffsea.recordings.mapping_proposal.table_layout import TableLayout, columns_of, sniff_layout
 from diffsea.recordings.mapping_proposal.units import SettledUnits
-from diffsea.recordings.mapping_proposal.windows import Windows, windows_of
+from diffsea.recordings.mapping_proposal.windows import ColumnWindows, windows_of
 from diffsea.recordings.mappings import Column
 from diffsea.recordings.readers import read_recording
 from diffsea.trajectory import Trajectory
@@ -47,17 +52,17 @@ _RUDDER, _THRUSTERS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
 
 
 @dataclasses.dataclass(frozen=True)
-class Evidence:
+class ProposalEvidence:
     """What a proposal rests on, for the text that is written of it."""
 
-    layout: Layout
-    clock: Clock
+    layout: TableLayout
+    clock: TimeColumn
     suggestions: dict[str, Suggestion]
-    best: Weighed
-    convention: Convention
+    best: ScoredHypothesis
+    convention: FrameConvention
     mirror: float  # probability that the whole record is mirrored
-    guesses: tuple[Guess, ...]
-    actuators: tuple[Actuator, ...]
+    guesses: tuple[ChannelGuess, ...]
+    actuators: tuple[ActuatorColumn, ...]
     origin: tuple[float, float] | None  # deg, where positions are geographic
     constant: frozenset[str]
 
@@ -67,25 +72,25 @@ class _Source:
     """Files of one layout, as they are before anything is decided."""
 
     paths: tuple[Path, ...]
-    layout: Layout
+    layout: TableLayout
     tables: tuple[dict[str, np.ndarray], ...]
-    clock: Clock
+    clock: TimeColumn
     place: tuple[str, str] | None  # columns of latitude and longitude
-    windows: Windows
-    prior: Prior
+    windows: ColumnWindows
+    prior: HypothesisPrior
 
 
-def propose_evidence(paths: Sequence[Path]) -> Evidence:
+def gather_evidence(paths: Sequence[Path]) -> ProposalEvidence:
     """What can be said of files of one layout.
 
     Raises `UserError` for files that are no tables of numbers, or that differ in columns.
     """
     source = _source(paths)
-    weighed = search(source.windows, source.prior, source.clock, source.place)
+    weighed = search_hypotheses(source.windows, source.prior, source.clock, source.place)
     best = weighed[0]
     actuators = _actuators(source, best)
-    weighed = _answered(weighed, best, actuators)
-    if _hand(weighed[0].reading) != _hand(best.reading):
+    weighed = _with_actuator_evidence(weighed, best, actuators)
+    if _turn_sign(weighed[0].reading) != _turn_sign(best.reading):
         actuators = [dataclasses.replace(a, push=-a.push) if a.turns else a for a in actuators]
     best, table = weighed[0], source.tables[0]
     settled = SettledUnits(source.prior, source.clock, best)
@@ -93,13 +98,13 @@ def propose_evidence(paths: Sequence[Path]) -> Evidence:
     used = {guess.column.column for guess in guesses} | {a.column for a in actuators}
     guesses += other_guesses(source.prior, table, source.windows, used)
     geodetic = any(guess.channel == "latitude" for guess in guesses)
-    return Evidence(
+    return ProposalEvidence(
         layout=source.layout,
         clock=dataclasses.replace(source.clock, units={settled.tick: 1.0}, step=settled.step),
         suggestions=source.prior.suggestions,
         best=best,
         convention=source.prior.convention(best.reading),
-        mirror=_mirror(weighed),
+        mirror=_mirror_probability(weighed),
         guesses=tuple(guesses),
         actuators=tuple(actuators),
         origin=origin_of(table, source.place) if geodetic and source.place else None,
@@ -108,19 +113,19 @@ def propose_evidence(paths: Sequence[Path]) -> Evidence:
 
 
 def _source(paths: Sequence[Path]) -> _Source:
-    layout = sniff(paths[0])
-    kept = _alike(paths, layout)
+    layout = sniff_layout(paths[0])
+    kept = _check_same_layout(paths, layout)
     tables = tuple(columns_of(path, layout) for path in kept)
     suggestions = {
-        name: suggestion(name if layout.named else "", unit)
+        name: suggest_labels(name if layout.named else "", unit)
         for name, unit in zip(layout.names, layout.units, strict=True)
         if name
     }
-    clock = find_clock(tables[0], suggestions) or stamped_clock(kept[0], layout)
-    place = geographic(tables[0], suggestions)
-    records = [record_of(table, clock) for table in tables]
+    clock = find_time_column(tables[0], suggestions) or time_from_text_stamps(kept[0], layout)
+    place = find_geographic(tables[0], suggestions)
+    records = [columns_over_time(table, clock) for table in tables]
     if place:
-        records = [in_metres(record, place, origin_of(tables[0], place)) for record in records]
+        records = [with_metres(record, place, origin_of(tables[0], place)) for record in records]
     shared = set.intersection(*(set(record.columns) for record in records))
     if not shared or min(record.t.size for record in records) < _FEWEST:
         raise UserError(
@@ -128,16 +133,16 @@ def _source(paths: Sequence[Path]) -> _Source:
             "write a mapping that says which columns are which"
         )
     records = tuple(
-        Record(r.t, {n: v for n, v in r.columns.items() if n in shared}) for r in records
+        ColumnRecord(r.t, {n: v for n, v in r.columns.items() if n in shared}) for r in records
     )
-    prior = Prior(suggestions, _compasses(records))
+    prior = HypothesisPrior(suggestions, _compasses(records))
     return _Source(tuple(kept), layout, tables, clock, place, windows_of(records), prior)
 
 
-def _alike(paths: Sequence[Path], layout: Layout) -> list[Path]:
+def _check_same_layout(paths: Sequence[Path], layout: TableLayout) -> list[Path]:
     """The first files, checked against the layout of the first of all."""
     for path in paths[1:]:
-        other = sniff(path)
+        other = sniff_layout(path)
         if other.names != layout.names:
             raise UserError(
                 f"{path} has other columns than {paths[0]}: a mapping fits files of one layout; "
@@ -146,7 +151,7 @@ def _alike(paths: Sequence[Path], layout: Layout) -> list[Path]:
     return list(paths[:_FILES])
 
 
-def _compasses(records: tuple[Record, ...]) -> frozenset[str]:
+def _compasses(records: tuple[ColumnRecord, ...]) -> frozenset[str]:
     """Columns that run from 0 to 360 and wrap, as a compass does."""
     found = set()
     for record in records:
@@ -157,9 +162,9 @@ def _compasses(records: tuple[Record, ...]) -> frozenset[str]:
     return frozenset(found)
 
 
-def _actuators(source: _Source, best: Weighed) -> list[Actuator]:
+def _actuators(source: _Source, best: ScoredHypothesis) -> list[ActuatorColumn]:
     """Actuators among the columns that the best reading leaves free."""
-    used = {*columns_read(best.reading).values(), source.clock.column}
+    used = {*hypothesis_columns(best.reading).values(), source.clock.column}
     free = [name for name in source.tables[0] if name not in used]
     suggestions = source.prior.suggestions
     unnamed = [
@@ -167,45 +172,47 @@ def _actuators(source: _Source, best: Weighed) -> list[Actuator]:
         for name in free
         if suggestions[name].best == "other" and suggestions[name].weights["other"] < _TELLING
     ]
-    runs = _runs(source, best, free)
+    runs = _trial_runs(source, best, free)
     return find_actuators(runs, suggestions, unnamed) if runs and free else []
 
 
-def _hand(reading: Reading) -> int:
+def _turn_sign(reading: Hypothesis) -> int:
     """The sign that decides which way a turn to starboard goes."""
     return reading.spin if reading.r is not None else reading.turn
 
 
-def _answered(weighed: list[Weighed], best: Weighed, actuators: list[Actuator]) -> list[Weighed]:
+def _with_actuator_evidence(
+    weighed: list[ScoredHypothesis], best: ScoredHypothesis, actuators: list[ActuatorColumn]
+) -> list[ScoredHypothesis]:
     """Weights after the actuators: of two mirrored records, labels that are right count."""
     gain = sum(_RUDDER * a.push for a in actuators if a.role == "rudder" and a.sure > _NAMED)
     gain += sum(_THRUSTERS * a.push for a in actuators if a.role == "port")
     if gain == 0:
         return weighed
-    hand = _hand(best.reading)
+    hand = _turn_sign(best.reading)
     heard = []
     for item in weighed:
         # Of other columns nothing was asked.
         same = (item.reading.r, item.reading.psi) == (best.reading.r, best.reading.psi)
-        agrees = 1 if _hand(item.reading) == hand else -1
+        agrees = 1 if _turn_sign(item.reading) == hand else -1
         heard.append(dataclasses.replace(item, odds=item.odds + same * agrees * 0.5 * gain))
     return sorted(heard, key=lambda item: -item.odds)
 
 
-def _mirror(weighed: list[Weighed]) -> float:
+def _mirror_probability(weighed: list[ScoredHypothesis]) -> float:
     """Probability of the best reading's mirror image, against the two of them."""
-    image = mirrored(weighed[0].reading)
+    image = mirror_image(weighed[0].reading)
     alike = [item for item in weighed if item.reading == image]
     if not alike:
         return 0.0
     return 1 / (1 + math.exp(weighed[0].odds - alike[0].odds))
 
 
-def _runs(source: _Source, best: Weighed, free: list[str]) -> list[Trajectory]:
+def _trial_runs(source: _Source, best: ScoredHypothesis, free: list[str]) -> list[Trajectory]:
     """The first files read through the best reading, every free column as an order."""
     clock = source.clock
     settled = SettledUnits(source.prior, clock, best)
-    channels = channels_read(best.reading, settled, source.place)
+    channels = hypothesis_channels(best.reading, settled, source.place)
     if not channels:
         return []
     if clock.column is not None:

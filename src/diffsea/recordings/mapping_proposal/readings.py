@@ -20,7 +20,7 @@ from diffsea.recordings.mapping_proposal.names import Suggestion
 
 
 @dataclasses.dataclass(frozen=True)
-class Reading:
+class Hypothesis:
     """One way to read the motion of a file. Columns are names, None where there is none."""
 
     x: str | None = None
@@ -37,13 +37,13 @@ class Reading:
     r: str | None = None
     spin: int = 1  # sign of yaw rate
 
-    def changed(self, **values) -> "Reading":
+    def changed(self, **values) -> "Hypothesis":
         """This reading with some of it replaced."""
         return dataclasses.replace(self, **values)
 
 
 @dataclasses.dataclass(frozen=True)
-class Convention:
+class FrameConvention:
     """Frames that people use; `odds` is the logarithm of how common against the first."""
 
     name: str
@@ -56,13 +56,13 @@ class Convention:
     spin: int = 1
 
 
-NED = Convention("north-east-down", 0.0)
+NED = FrameConvention("north-east-down", 0.0)
 CONVENTIONS = (
     NED,
-    Convention("east-north-up", -2.2, True, (1, 1), -1, 1, -1, -1),
-    Convention("positions east and north, compass heading", -2.5, True),
-    Convention("north-west-up", -3.5, False, (1, -1), -1, 0, -1, -1),
-    Convention("east and north, heading counter-clockwise, sway and rate not", -5.0, True,
+    FrameConvention("east-north-up", -2.2, True, (1, 1), -1, 1, -1, -1),
+    FrameConvention("positions east and north, compass heading", -2.5, True),
+    FrameConvention("north-west-up", -3.5, False, (1, -1), -1, 0, -1, -1),
+    FrameConvention("east and north, heading counter-clockwise, sway and rate not", -5.0, True,
                (1, 1), -1, 1),
 )  # fmt: skip
 # What one departure from a convention costs, in log odds.
@@ -74,7 +74,7 @@ _COMPASS_WORDS = {"heading", "hdg", "compass", "kurs", "steuerkurs", "cap", "rum
 
 
 @dataclasses.dataclass(frozen=True)
-class Prior:
+class HypothesisPrior:
     """Log odds of readings before any number is looked at.
 
     `wrapped` has the columns that look like a compass by their range.
@@ -96,16 +96,16 @@ class Prior:
             self._known[key] = math.log(likely / weights["other"])
         return self._known[key]
 
-    def of(self, reading: Reading) -> float:
+    def of(self, reading: Hypothesis) -> float:
         """Log odds of the reading, under the convention that suits it best."""
         return max(self._all(reading)) - self._contradictions(reading)
 
-    def convention(self, reading: Reading) -> Convention:
+    def convention(self, reading: Hypothesis) -> FrameConvention:
         """The convention under which the reading is least unusual."""
         odds = self._all(reading)
         return CONVENTIONS[odds.index(max(odds))]
 
-    def _all(self, reading: Reading) -> list[float]:
+    def _all(self, reading: Hypothesis) -> list[float]:
         """Log odds of names and signs under every convention."""
         columns = (reading.x, reading.y, reading.psi, reading.u, reading.v, reading.r)
         named = (*columns, reading.earth)
@@ -119,7 +119,7 @@ class Prior:
             self._known[signs] = [self._signs(reading, each) for each in CONVENTIONS]
         return [a - b for a, b in zip(self._known[named], self._known[signs], strict=True)]
 
-    def _names(self, reading: Reading, convention: Convention) -> float:
+    def _names(self, reading: Hypothesis, convention: FrameConvention) -> float:
         first, second = ("y", "x") if convention.swapped else ("x", "y")
         total = convention.odds - self._frame_words(reading, convention)
         total += self.label(reading.x, first, "north", "lat")
@@ -127,7 +127,7 @@ class Prior:
         total += self.label(reading.psi, "psi") + self.label(reading.r, "r")
         return total + self._speeds(reading, first, second)
 
-    def _signs(self, reading: Reading, convention: Convention) -> float:
+    def _signs(self, reading: Hypothesis, convention: FrameConvention) -> float:
         """What the departures from a convention cost."""
         departs = {
             "x": reading.x is not None and reading.signs[0] != convention.signs[0],
@@ -140,12 +140,12 @@ class Prior:
         }
         return sum(_COSTS[name] for name, departing in departs.items() if departing)
 
-    def _sway(self, reading: Reading, convention: Convention) -> int:
+    def _sway(self, reading: Hypothesis, convention: FrameConvention) -> int:
         if reading.earth:
             return convention.signs[1]
         return convention.sway
 
-    def _speeds(self, reading: Reading, first: str, second: str) -> float:
+    def _speeds(self, reading: Hypothesis, first: str, second: str) -> float:
         if not reading.earth:
             return self.label(reading.u, "u", "vx") + self.label(reading.v, "v", "vy")
         absolute = self.label(reading.u, "vn", f"v{first}")
@@ -154,7 +154,7 @@ class Prior:
         loose += self.label(reading.v, *("v" if first == "x" else "u"))
         return max(absolute, loose - 2.0)
 
-    def _contradictions(self, reading: Reading) -> float:
+    def _contradictions(self, reading: Hypothesis) -> float:
         """Costs of readings against what is fixed by definition."""
         cost = 0.0
         for column, sign, label in (
@@ -177,7 +177,7 @@ class Prior:
             cost += _COMPASS * bool(named) + 1.5 * (reading.psi in self.wrapped)
         return cost
 
-    def _frame_words(self, reading: Reading, convention: Convention) -> float:
+    def _frame_words(self, reading: Hypothesis, convention: FrameConvention) -> float:
         columns = [c for c in (reading.x, reading.y, reading.psi, reading.u, reading.v) if c]
         frames = {self.suggestions[column].frame for column in columns} - {""}
         if "ned" in frames and convention is not NED:
@@ -187,13 +187,13 @@ class Prior:
         return 0.0
 
 
-def orientations() -> tuple[list[tuple[bool, int, int]], list[tuple[int, int]]]:
+def all_orientations() -> tuple[list[tuple[bool, int, int]], list[tuple[int, int]]]:
     """All (swapped, sign, sign) of a pair of columns, and all (turn, quarter) of a heading."""
     pairs = list(itertools.product((False, True), (1, -1), (1, -1)))
     return pairs, list(itertools.product((1, -1), range(4)))
 
 
-def mirrored(reading: Reading) -> Reading:
+def mirror_image(reading: Hypothesis) -> Hypothesis:
     """The reading of the same numbers with starboard and port exchanged (y, psi, v, r)."""
     return reading.changed(
         signs=(reading.signs[0], -reading.signs[1]),
@@ -207,17 +207,17 @@ def mirrored(reading: Reading) -> Reading:
 _CAP = 14.0  # the most that a ratio which is that of no units costs
 _RATIO = 0.04  # standard deviation of scale errors
 _STATED = 0.97  # probability that a stated unit is right
-UNIT_ODDS = {
+UNIT_PROBABILITIES = {
     "x": {"m": 0.93, "km": 0.01, "ft": 0.02, "nmi": 0.01, "cm": 0.01, "mm": 0.02},
     "u": {"m/s": 0.8, "kn": 0.15, "km/h": 0.03, "ft/s": 0.02},
     "r": {"rad/s": 0.55, "deg/s": 0.4, "deg/min": 0.05},
 }  # fmt: skip
-UNIT_ODDS |= {"y": UNIT_ODDS["x"], "v": UNIT_ODDS["u"]}
+UNIT_PROBABILITIES |= {"y": UNIT_PROBABILITIES["x"], "v": UNIT_PROBABILITIES["u"]}
 
 
-def unit_odds(prior: Prior, channel: str, column: str) -> dict[str, float]:
+def unit_probabilities(prior: HypothesisPrior, channel: str, column: str) -> dict[str, float]:
     """Probability of every unit of a column, from what its header says."""
-    odds = dict(UNIT_ODDS[channel])
+    odds = dict(UNIT_PROBABILITIES[channel])
     stated = prior.suggestions[column].unit
     if stated in odds:
         odds = {unit: (1 - _STATED) * value for unit, value in odds.items()}
@@ -226,7 +226,7 @@ def unit_odds(prior: Prior, channel: str, column: str) -> dict[str, float]:
     return {unit: value / total for unit, value in odds.items()}
 
 
-def ratio_cost(ratio: float, expected: float, error: float) -> float:
+def ratio_penalty(ratio: float, expected: float, error: float) -> float:
     """Cost (log odds) of a ratio that differs from that of two units; never above a cap.
 
     `error` is the relative standard error of the ratio. The tails are heavy (Student's t with
@@ -238,7 +238,7 @@ def ratio_cost(ratio: float, expected: float, error: float) -> float:
     return min(2.5 * math.log1p(0.25 * (math.log(ratio / expected) / spread) ** 2), _CAP)
 
 
-def period_odds(values: np.ndarray, stated: str) -> dict[float, float]:
+def period_log_odds(values: np.ndarray, stated: str) -> dict[float, float]:
     """Log odds of a column being an angle in degrees (period 360) or radians (2 pi)."""
     finite = values[np.isfinite(values)]
     largest = float(np.max(np.abs(finite)))

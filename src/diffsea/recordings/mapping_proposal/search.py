@@ -14,16 +14,26 @@ import math
 
 import numpy as np
 
-from diffsea.recordings.mapping_proposal.clock import Clock
+from diffsea.recordings.mapping_proposal.clock import TimeColumn
 from diffsea.recordings.mapping_proposal.readings import (
-    Prior,
-    Reading,
-    orientations,
-    ratio_cost,
-    unit_odds,
+    Hypothesis,
+    HypothesisPrior,
+    all_orientations,
+    ratio_penalty,
+    unit_probabilities,
 )
-from diffsea.recordings.mapping_proposal.survey import COARSE, Draft, Headed, Survey, worth
-from diffsea.recordings.mapping_proposal.windows import Relation, Windows, effective
+from diffsea.recordings.mapping_proposal.survey import (
+    ASSUMED_INCREMENTS,
+    ColumnScreening,
+    HeadingCandidate,
+    UnsignedHypothesis,
+    saturated_evidence,
+)
+from diffsea.recordings.mapping_proposal.windows import (
+    ColumnWindows,
+    IntegralRelation,
+    effective_size,
+)
 from diffsea.recordings.mappings import UNITS
 
 
@@ -39,7 +49,7 @@ def shares_left(moved: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.nda
     return 1 - cross * scale / np.maximum(total, 1e-300), scale
 
 
-def ridge(
+def explain_displacements(
     moved: np.ndarray, flow: np.ndarray, causes: list[np.ndarray]
 ) -> tuple[np.ndarray, float, float]:
     """Residuals (W,), penalty and scale of displacements explained by a flow and nuisances.
@@ -89,7 +99,7 @@ _PLACED = 15.0  # the most that agreement with geographic positions counts
 
 
 @dataclasses.dataclass(frozen=True)
-class Weighed:
+class ScoredHypothesis:
     """A reading with its log odds, and what ratios it needs.
 
     `yaw` is the relation of heading to yaw rate, `scale` the displacement per integrated
@@ -97,12 +107,12 @@ class Weighed:
     y that stay unexplained, `number` the effective number of displacements.
     """
 
-    reading: Reading
+    reading: Hypothesis
     odds: float
-    yaw: Relation | None = None
+    yaw: IntegralRelation | None = None
     scale: float = math.nan
     left: tuple[float, float] = (1.0, 1.0)
-    number: float = COARSE
+    number: float = ASSUMED_INCREMENTS
 
     @property
     def error(self) -> float:
@@ -111,31 +121,37 @@ class Weighed:
         return math.sqrt(share / max(1 - share, 1e-9) / self.number)
 
 
-def search(
-    windows: Windows, prior: Prior, clock: Clock, place: tuple[str, str] | None
-) -> list[Weighed]:
+def search_hypotheses(
+    windows: ColumnWindows, prior: HypothesisPrior, clock: TimeColumn, place: tuple[str, str] | None
+) -> list[ScoredHypothesis]:
     """Readings of the motion with their weights, the best first.
 
     `place` names columns of position known to be north and east, if there are any.
     """
-    survey = Survey(windows, prior, clock, list(windows.records[0].columns))
+    survey = ColumnScreening(windows, prior, clock, list(windows.records[0].columns))
     drafts = survey.drafts(survey.headings())
-    found = _Comparison(windows, prior, clock, place).weigh(_close(drafts, 2 * _WITHIN))
-    return sorted(_close(found, 2 * _WITHIN), key=lambda item: -item.odds)
+    found = _DisplacementModels(windows, prior, clock, place).weigh(_near_best(drafts, 2 * _WITHIN))
+    return sorted(_near_best(found, 2 * _WITHIN), key=lambda item: -item.odds)
 
 
-class _Comparison:
+class _DisplacementModels:
     """The second pass: readings as models of the same displacements."""
 
-    def __init__(self, windows: Windows, prior: Prior, clock: Clock, place: tuple[str, str] | None):
+    def __init__(
+        self,
+        windows: ColumnWindows,
+        prior: HypothesisPrior,
+        clock: TimeColumn,
+        place: tuple[str, str] | None,
+    ):
         self.windows, self.prior, self.clock, self.place = windows, prior, clock, place
         tick = max(clock.units, key=lambda unit: clock.units[unit])
         self.second = 1.0 if clock.column is None else 1.0 / UNITS[tick][1]  # raw time
         self._fits: dict[tuple, tuple] = {}
 
-    def weigh(self, drafts: list[Draft]) -> list[Weighed]:
+    def weigh(self, drafts: list[UnsignedHypothesis]) -> list[ScoredHypothesis]:
         plain = [item for draft in drafts for item in self._plain(draft)]
-        plain = heapq.nlargest(400, _close(plain, 2 * _WITHIN), key=lambda item: item.odds)
+        plain = heapq.nlargest(400, _near_best(plain, 2 * _WITHIN), key=lambda item: item.odds)
         number = self._number(plain[0].reading)
         fits = [self._fit(item, number) for item in plain]
         best: dict[str | None, float] = {}
@@ -144,13 +160,13 @@ class _Comparison:
                 best[name] = max(best.get(name, 0.0), gain)
         return [self._finer(i, fit, best, number) for i, fit in zip(plain, fits, strict=True)]
 
-    def _plain(self, draft: Draft) -> list[Weighed]:
+    def _plain(self, draft: UnsignedHypothesis) -> list[ScoredHypothesis]:
         """Orders and signs of a draft's columns, with the best scale and no nuisances.
 
         Odds are without what displacements say, but that only readings near the best in that
         are kept.
         """
-        pairs, turns = orientations()
+        pairs, turns = all_orientations()
         headed, found = draft.headed, []
         options = _velocities(draft)
         moved = np.zeros((1, self.windows.duration.size), complex)
@@ -158,15 +174,15 @@ class _Comparison:
             pairs = pairs[:1]
         else:
             a, b = (self.windows.of("increments", name) for name in (draft.a, draft.b))
-            moved = np.stack([_ordered(a, b, pair) for pair in pairs])
+            moved = np.stack([_oriented(a, b, pair) for pair in pairs])
         for turn, quarter in turns if headed.column else turns[:1]:
             flows = np.stack([self._flow(draft, turn, quarter, option) for option in options])
             shares, scales = shares_left(moved, flows)
             course = self._course(headed, moved, turn, quarter)
-            gains = COARSE * np.log(1 / np.clip(shares, 1e-4, 1.0))
+            gains = ASSUMED_INCREMENTS * np.log(1 / np.clip(shares, 1e-4, 1.0))
             for i, pair in enumerate(pairs):
                 for j, option in enumerate(options):
-                    reading = _reading(draft, pair, turn, quarter, option)
+                    reading = _signed(draft, pair, turn, quarter, option)
                     found.append((reading, gains[i, j], course[i], scales[i, j]))
         top = max(gain for _, gain, _, _ in found)
         near = [entry for entry in found if entry[1] >= top - _WITHIN]
@@ -175,8 +191,13 @@ class _Comparison:
         return heapq.nlargest(60, kept, key=lambda item: item.odds)
 
     def _with_rates(
-        self, headed: Headed, reading: Reading, gain: float, course: float, scale: float
-    ) -> list[Weighed]:
+        self,
+        headed: HeadingCandidate,
+        reading: Hypothesis,
+        gain: float,
+        course: float,
+        scale: float,
+    ) -> list[ScoredHypothesis]:
         found, used = [], (reading.x, reading.y, reading.u, reading.v)
         for r, relation, odds in headed.rates:
             if r is not None and r in used:
@@ -187,21 +208,25 @@ class _Comparison:
             for spin in spins:
                 whole = reading.changed(r=r, spin=spin)
                 total = self.prior.of(whole) + headed.odds + odds + course
-                found.append(Weighed(whole, total, relation, scale))
+                found.append(ScoredHypothesis(whole, total, relation, scale))
         return found
 
-    def _flow(self, draft: Draft, turn: int, quarter: int, option: tuple) -> np.ndarray:
+    def _flow(
+        self, draft: UnsignedHypothesis, turn: int, quarter: int, option: tuple
+    ) -> np.ndarray:
         u, v, su, sv = option
         nothing = np.zeros(self.windows.duration.size, complex)
         if u is None or (draft.headed.column is None and not draft.earth):
             return nothing
-        reading = Reading(
+        reading = Hypothesis(
             psi=draft.headed.column, period=draft.headed.period, turn=turn, quarter=quarter, u=u,
             v=v, speeds=(su, sv), earth=draft.earth,
         )  # fmt: skip
         return self.flow(reading)
 
-    def _course(self, headed: Headed, moved: np.ndarray, turn: int, quarter: int) -> np.ndarray:
+    def _course(
+        self, headed: HeadingCandidate, moved: np.ndarray, turn: int, quarter: int
+    ) -> np.ndarray:
         """Log odds for moving ahead rather than in any direction, per displacement (R,)."""
         if headed.column is None or not np.any(moved):
             return np.zeros(moved.shape[0])
@@ -213,27 +238,27 @@ class _Comparison:
         share = 0.5 * parted / np.maximum(power, 1e-300)
         return _COURSE * np.log(1 / np.clip(share, 0.05, 1.0))
 
-    def _number(self, reading: Reading) -> float:
+    def _number(self, reading: Hypothesis) -> float:
         """Effective number of the best reading's residuals."""
         if not self._related(reading):
-            return COARSE
+            return ASSUMED_INCREMENTS
         moved, flow = self.displacement(reading), self.flow(reading)
-        rest = ridge(moved, flow, self._nuisances(reading, flow))[0]
-        return max(6.0, min(effective(rest.real), effective(rest.imag), 60.0))
+        rest = explain_displacements(moved, flow, self._nuisances(reading, flow))[0]
+        return max(6.0, min(effective_size(rest.real), effective_size(rest.imag), 60.0))
 
-    def _related(self, reading: Reading) -> bool:
+    def _related(self, reading: Hypothesis) -> bool:
         return (
             reading.x is not None
             and reading.u is not None
             and (reading.psi is not None or reading.earth)
         )
 
-    def displacement(self, reading: Reading) -> np.ndarray:
+    def displacement(self, reading: Hypothesis) -> np.ndarray:
         """Displacement north + i east over the windows, raw numbers."""
         x, y = (self.windows.of("increments", name) for name in (reading.x, reading.y))
         return reading.signs[0] * x + 1j * reading.signs[1] * y
 
-    def flow(self, reading: Reading, what: str = "turned") -> np.ndarray:
+    def flow(self, reading: Hypothesis, what: str = "turned") -> np.ndarray:
         """Integrated velocity north + i east over the windows, raw numbers and time.
 
         Of `what` = `ends` or `swerves`, what position lags by per unit of time that it, or
@@ -253,7 +278,7 @@ class _Comparison:
             total = total + factor * part * 1j**reading.quarter
         return total
 
-    def _nuisances(self, reading: Reading, flow: np.ndarray) -> list[np.ndarray]:
+    def _nuisances(self, reading: Hypothesis, flow: np.ndarray) -> list[np.ndarray]:
         """What sensors do to displacements (W,), of a size that is usual (raw numbers)."""
         duration = self.windows.duration
         speed = math.sqrt(np.sum(np.abs(flow) ** 2) / np.sum(duration**2))
@@ -271,7 +296,7 @@ class _Comparison:
             causes += [0.4 * speed * self.second * factor * turned for factor in (1, 1j)]
         return causes
 
-    def _fit(self, item: Weighed, number: float) -> tuple:
+    def _fit(self, item: ScoredHypothesis, number: float) -> tuple:
         """Log likelihood ratios of x and y, shares left, and scale, nuisances allowed for."""
         reading = item.reading
         if not self._related(reading) or not item.scale > 0:
@@ -281,7 +306,9 @@ class _Comparison:
         key = (*columns, reading.period, reading.earth, f"{item.scale:.8g}")
         moved, flow = self.displacement(reading), self.flow(reading)
         if key not in self._fits:
-            rest, penalty, scale = ridge(moved, flow, self._nuisances(reading, flow))
+            rest, penalty, scale = explain_displacements(
+                moved, flow, self._nuisances(reading, flow)
+            )
             self._fits[key] = reading, component_shares(moved, rest, penalty), scale
         first, shares, scale = self._fits[key]
         if first.x != reading.x:
@@ -293,29 +320,35 @@ class _Comparison:
         ]
         return tuple(evidence), shares, scale
 
-    def _finer(self, item: Weighed, fit: tuple, best: dict, number: float) -> Weighed:
+    def _finer(
+        self, item: ScoredHypothesis, fit: tuple, best: dict, number: float
+    ) -> ScoredHypothesis:
         """The reading with all evidence."""
         evidence, left, scale = fit
         reading = item.reading
         found = dataclasses.replace(item, scale=scale, left=left, number=number)
-        gain = worth(evidence[0], best[reading.x]) + worth(evidence[1], best[reading.y])
+        gain = saturated_evidence(evidence[0], best[reading.x]) + saturated_evidence(
+            evidence[1], best[reading.y]
+        )
         if gain > 0:
             gain -= min(self._speed_cost(found), gain)
         odds = item.odds + gain + self._outwards(reading) + self._placed(reading, number)
         return dataclasses.replace(found, odds=odds)
 
-    def _speed_cost(self, item: Weighed) -> float:
+    def _speed_cost(self, item: ScoredHypothesis) -> float:
         if self.clock.column is None:
             return 0.0
         return min(
-            ratio_cost(item.scale, UNITS[speed][1] * UNITS[tick][1] / UNITS[length][1], item.error)
+            ratio_penalty(
+                item.scale, UNITS[speed][1] * UNITS[tick][1] / UNITS[length][1], item.error
+            )
             - math.log(likely * often * max(odds, 1e-9))
-            for speed, likely in unit_odds(self.prior, "u", item.reading.u).items()
-            for length, often in unit_odds(self.prior, "x", item.reading.x).items()
+            for speed, likely in unit_probabilities(self.prior, "u", item.reading.u).items()
+            for length, often in unit_probabilities(self.prior, "x", item.reading.x).items()
             for tick, odds in self.clock.units.items()
         )
 
-    def _outwards(self, reading: Reading) -> float:
+    def _outwards(self, reading: Hypothesis) -> float:
         """A vessel drifts outwards in turns: v opposes r u."""
         if None in (reading.u, reading.v, reading.psi) or reading.earth:
             return 0.0
@@ -328,7 +361,7 @@ class _Comparison:
             inwards.append(correlation(rate * forward, sideways))
         return -1.5 * float(np.tanh(4 * np.mean(inwards)))
 
-    def _placed(self, reading: Reading, number: float) -> float:
+    def _placed(self, reading: Hypothesis, number: float) -> float:
         """Agreement with geographic positions, where the file has those besides."""
         if self.place is None or reading.x is None or reading.x in self.place:
             return 0.0
@@ -340,7 +373,7 @@ class _Comparison:
         return min(number * math.log(1 / share), _PLACED)
 
 
-def _velocities(draft: Draft) -> list[tuple]:
+def _velocities(draft: UnsignedHypothesis) -> list[tuple]:
     """(u, v, sign of u, sign of v) in both orders and all signs."""
     if draft.u is None:
         return [(None, None, 1, 1)]
@@ -348,26 +381,26 @@ def _velocities(draft: Draft) -> list[tuple]:
         return [(draft.u, None, sign, 1) for sign in (1, -1)]
     return [
         (*((draft.v, draft.u) if swapped else (draft.u, draft.v)), su, sv)
-        for swapped, su, sv in orientations()[0]
+        for swapped, su, sv in all_orientations()[0]
     ]
 
 
-def _ordered(a: np.ndarray, b: np.ndarray, pair: tuple[bool, int, int]) -> np.ndarray:
+def _oriented(a: np.ndarray, b: np.ndarray, pair: tuple[bool, int, int]) -> np.ndarray:
     swapped, first, second = pair
     return first * b + 1j * second * a if swapped else first * a + 1j * second * b
 
 
-def _reading(draft: Draft, pair, turn: int, quarter: int, option: tuple) -> Reading:
+def _signed(draft: UnsignedHypothesis, pair, turn: int, quarter: int, option: tuple) -> Hypothesis:
     swapped, first, second = pair
     u, v, su, sv = option
     x, y = (draft.b, draft.a) if swapped else (draft.a, draft.b)
-    return Reading(
+    return Hypothesis(
         x, y, (first, second), draft.headed.column, draft.headed.period, turn, quarter, u, v,
         (su, sv), draft.earth,
     )  # fmt: skip
 
 
-def _close(items: list, within: float) -> list:
+def _near_best(items: list, within: float) -> list:
     """Those whose log odds are not far behind the best."""
     best = max(item.odds for item in items)
     return [item for item in items if item.odds >= best - within]

@@ -30,7 +30,7 @@ _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]*?)\s*[\])>}]")
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """How one file is laid out.
 
     `names` has one name per column, `units` what the header says of each (`""` where nothing);
@@ -61,7 +61,7 @@ class Layout:
         )
 
 
-def sniff(path: Path) -> Layout:
+def sniff_layout(path: Path) -> TableLayout:
     """The layout of a CSV-like or Parquet file.
 
     Raises `UserError` for what is no file or no table of numbers.
@@ -70,7 +70,7 @@ def sniff(path: Path) -> Layout:
     if path.suffix.lower() in PARQUET_SUFFIXES:
         table, _ = read_table(path, None)
         names = tuple(map(str, table.columns))
-        return Layout(names, tuple(unit_in(name) for name in names), text=False)
+        return TableLayout(names, tuple(unit_in(name) for name in names), text=False)
     lines, encoding = _first_lines(path)
     best = max(
         (_judged(lines, delimiter, decimal) for delimiter in _DELIMITERS for decimal in ".,"),
@@ -85,7 +85,7 @@ def sniff(path: Path) -> Layout:
     return _layout(lines[:start], delimiter, decimal, encoding, columns)
 
 
-def columns_of(path: Path, layout: Layout) -> dict[str, np.ndarray]:
+def columns_of(path: Path, layout: TableLayout) -> dict[str, np.ndarray]:
     """Every named column as floats, rows as in the file; cells that are no numbers are NaN.
 
     Columns without any number are left out.
@@ -170,12 +170,14 @@ def _is_number(cell: str, decimal: str) -> bool:
     return _NUMBER[decimal].fullmatch(cell) is not None
 
 
-def _layout(header: list[str], delimiter: str, decimal: str, encoding: str, width: int) -> Layout:
+def _layout(
+    header: list[str], delimiter: str, decimal: str, encoding: str, width: int
+) -> TableLayout:
     split = [_header_cells(line, delimiter, width) for line in header]
     named = [(i, cells) for i, cells in enumerate(split) if cells and _looks_named(cells)]
     if not named:
         names = tuple(f"column {i + 1}" for i in range(width))
-        return Layout(
+        return TableLayout(
             names, ("",) * width, delimiter, decimal, encoding, len(header), True, named=False
         )
     # Units stand below the names, or above them; names are longer on the whole.
@@ -188,7 +190,7 @@ def _layout(header: list[str], delimiter: str, decimal: str, encoding: str, widt
     names = _unique(cells)
     as_rows = cells_of(header[index], delimiter) == list(names)
     # A mapping finds the line of names by the names that it uses; several lines may have them.
-    return Layout(
+    return TableLayout(
         names, tuple(units), delimiter, decimal, encoding, len(header), listed=not as_rows
     )
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from diffsea.recordings.mapping_proposal.clock import Record
+from diffsea.recordings.mapping_proposal.clock import ColumnRecord
 from diffsea.series import integrate
 
 
@@ -21,13 +21,13 @@ _FINEST = 1e-6  # what rounding leaves at least of a relation's variance
 
 
 @dataclasses.dataclass(frozen=True)
-class Windows:
+class ColumnWindows:
     """Windows of all files.
 
     `duration` (W,) of each, in the file's unit of time.
     """
 
-    records: tuple[Record, ...]
+    records: tuple[ColumnRecord, ...]
     edges: tuple[np.ndarray, ...]
     duration: np.ndarray
     _known: dict = dataclasses.field(default_factory=dict, repr=False)
@@ -91,7 +91,7 @@ class Windows:
         return np.concatenate(parts)
 
 
-def windows_of(records: tuple[Record, ...]) -> Windows:
+def windows_of(records: tuple[ColumnRecord, ...]) -> ColumnWindows:
     """About sixty windows per file, of two samples at least, fewer where files are many."""
     count = max(8, min(_WINDOWS, _ALL // len(records)))
     edges = []
@@ -100,10 +100,10 @@ def windows_of(records: tuple[Record, ...]) -> Windows:
         edge = np.unique(np.searchsorted(record.t, marks).clip(0, record.t.size - 1))
         edges.append(edge if record.t.size > 2 * count else np.arange(0, record.t.size, 2))
     duration = np.concatenate([np.diff(r.t[e]) for r, e in zip(records, edges, strict=True)])
-    return Windows(records, tuple(edges), duration)
+    return ColumnWindows(records, tuple(edges), duration)
 
 
-def effective(rest: np.ndarray) -> float:
+def effective_size(rest: np.ndarray) -> float:
     """Effective number of independent residuals: n (1 - rho) / (1 + rho), rho at lag one."""
     power = float(np.sum(np.abs(rest) ** 2))
     if power <= 0 or rest.size < 4:
@@ -114,7 +114,7 @@ def effective(rest: np.ndarray) -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class Relation:
+class IntegralRelation:
     """A regression of increments on an integral: `gain` per raw unit, log ratio, relative error."""
 
     gain: float
@@ -122,7 +122,9 @@ class Relation:
     error: float
 
 
-def follows(increments: np.ndarray, integrals: np.ndarray, duration: np.ndarray) -> Relation:
+def relate_to_integral(
+    increments: np.ndarray, integrals: np.ndarray, duration: np.ndarray
+) -> IntegralRelation:
     """How well increments follow an integral, a constant drift allowed for."""
     count = increments.size
 
@@ -132,22 +134,22 @@ def follows(increments: np.ndarray, integrals: np.ndarray, duration: np.ndarray)
     left, right = without_drift(increments), without_drift(integrals)
     power, total = float(np.sum(right**2)), float(np.sum(left**2))
     if power <= 0 or total <= 0 or count < 6:
-        return Relation(0.0, 0.0, math.inf)
+        return IntegralRelation(0.0, 0.0, math.inf)
     gain = float(np.sum(left * right) / power)
     rest = left - gain * right
     share = max(float(np.sum(rest**2)) / total, _FINEST)
-    number = max(effective(rest), 4.0)
+    number = max(effective_size(rest), 4.0)
     evidence = 0.5 * number * math.log(1 / share) - math.log(count)
     error = math.sqrt(share / max(1 - share, 1e-9) / number)
-    return Relation(gain, max(evidence, 0.0), error)
+    return IntegralRelation(gain, max(evidence, 0.0), error)
 
 
-def _column(record: Record, name: str, period: float) -> np.ndarray:
+def _column(record: ColumnRecord, name: str, period: float) -> np.ndarray:
     values = record.columns[name]
     return np.unwrap(values, period=period) if period else values
 
 
-def _direction(record: Record, heading: str, period: float) -> np.ndarray:
+def _direction(record: ColumnRecord, heading: str, period: float) -> np.ndarray:
     return np.exp(2j * np.pi / period * record.columns[heading])
 
 

@@ -4,10 +4,10 @@ import json
 import math
 import textwrap
 
-from diffsea.recordings.mapping_proposal.actuators import Actuator
-from diffsea.recordings.mapping_proposal.guesses import Guess
+from diffsea.recordings.mapping_proposal.actuators import ActuatorColumn
+from diffsea.recordings.mapping_proposal.guesses import ChannelGuess
 from diffsea.recordings.mapping_proposal.names import LABELS, Suggestion
-from diffsea.recordings.mapping_proposal.proposal import Evidence
+from diffsea.recordings.mapping_proposal.proposal import ProposalEvidence
 from diffsea.recordings.mapping_proposal.readings import NED
 from diffsea.recordings.mappings import Column
 
@@ -22,7 +22,7 @@ def level(sure: float) -> str:
     return "sure" if sure >= SURE else "likely" if sure >= LIKELY else "guess"
 
 
-def actuator_guesses(evidence: Evidence) -> list[Guess]:
+def actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
     """The actuators as channels; thrusters whose sides are exchanged change their labels."""
     found = []
     for actuator in evidence.actuators:
@@ -35,17 +35,17 @@ def actuator_guesses(evidence: Evidence) -> list[Guess]:
         unit = None if actuator.unit in ("", "rad", "rev/s", "N", "rps", "Hz") else actuator.unit
         sure = _actuator_sure(evidence, actuator)
         why = "; ".join(part for part in (actuator.reason, _push(actuator)) if part)
-        found.append(Guess(prefix + name, Column(actuator.column, unit, sign), sure, why))
+        found.append(ChannelGuess(prefix + name, Column(actuator.column, unit, sign), sure, why))
     return found
 
 
-def _actuator_sure(evidence: Evidence, actuator: Actuator) -> float:
+def _actuator_sure(evidence: ProposalEvidence, actuator: ActuatorColumn) -> float:
     if actuator.push == 0:
         return min(actuator.sure, 0.9)
     return actuator.sure * (1 - evidence.mirror if actuator.turns else 1.0)
 
 
-def _push(actuator: Actuator) -> str:
+def _push(actuator: ActuatorColumn) -> str:
     if actuator.role == "propeller":
         return {
             1: "positive values speed the vessel up",
@@ -67,7 +67,7 @@ def _push(actuator: Actuator) -> str:
     return ""
 
 
-def mapping_text(evidence: Evidence, source: str) -> str:
+def mapping_text(evidence: ProposalEvidence, source: str) -> str:
     """The mapping as TOML with comments; `source` is the file it was proposed for."""
     guesses = [*evidence.guesses, *actuator_guesses(evidence)]
     lines = [
@@ -88,7 +88,7 @@ def mapping_text(evidence: Evidence, source: str) -> str:
     return "\n".join([*lines, *_unused(evidence, guesses)]) + "\n"
 
 
-def _file_lines(evidence: Evidence) -> list[str]:
+def _file_lines(evidence: ProposalEvidence) -> list[str]:
     layout, lines = evidence.layout, []
     if layout.text:
         lines.append(f"delimiter = {json.dumps(layout.delimiter)}")
@@ -117,7 +117,7 @@ def _file_lines(evidence: Evidence) -> list[str]:
     return lines
 
 
-def _step_lines(evidence: Evidence) -> list[str]:
+def _step_lines(evidence: ProposalEvidence) -> list[str]:
     clock = evidence.clock
     if not math.isfinite(clock.step):
         return [
@@ -128,7 +128,7 @@ def _step_lines(evidence: Evidence) -> list[str]:
     return [*_comment(f"guess: {why}. Put in the true interval (s)."), f"time_step = {clock.step}"]
 
 
-def _frame(evidence: Evidence) -> str:
+def _frame(evidence: ProposalEvidence) -> str:
     reading = evidence.best.reading
     if reading.psi is None and reading.x is None:
         return ""
@@ -161,7 +161,7 @@ def _value(column: Column) -> str:
     return name if len(parts) == 1 else "{ " + ", ".join(parts) + " }"
 
 
-def _unused(evidence: Evidence, guesses: list[Guess]) -> list[str]:
+def _unused(evidence: ProposalEvidence, guesses: list[ChannelGuess]) -> list[str]:
     used = {guess.column.column for guess in guesses} | {evidence.clock.column}
     rest = [name for name in evidence.layout.names if name and name not in used]
     if not rest:
