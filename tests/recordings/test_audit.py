@@ -11,7 +11,7 @@ import pytest
 from tests.paths import ROOT
 
 from diffsea.recordings import KINDS, audit, read_recording
-from diffsea.recordings.auditing.helm import zigzag_findings
+from diffsea.recordings.auditing.responses import zigzag_findings
 from diffsea.recordings.motion import motion_of
 from diffsea.trajectory import Trajectory
 

@@ -10,15 +10,15 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.recordings.auditing.actuators import actuation_findings, response_findings
-from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, explain
-from diffsea.recordings.auditing.channels import frozen, order_findings, outliers, rounding_findings
+from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
+from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
+from diffsea.recordings.auditing.channels import bridge_outliers, drop_frozen, rounding_findings
 from diffsea.recordings.auditing.clocks import clock_findings
-from diffsea.recordings.auditing.edits import Affine
-from diffsea.recordings.auditing.finding import KINDS, Finding
+from diffsea.recordings.auditing.disagreements import disagreement_findings
+from diffsea.recordings.auditing.finding import KINDS, Finding, wrong_sign
 from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import heading_comparison, velocity_comparison
-from diffsea.recordings.auditing.wording import disagreement_findings
+from diffsea.recordings.auditing.responses import response_findings
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
 from diffsea.series import integrate
@@ -27,6 +27,7 @@ from diffsea.trajectory import Trajectory
 
 # What drifting inwards in turns must gain in deviance over drifting outwards.
 _OUTWARDS = 10.0
+_POSITION_AND_VELOCITY = ("x", "y", "psi", "u", "v")
 
 
 @one_blas_thread
@@ -38,59 +39,57 @@ def audit(trajectory: Trajectory, level: float = SIGNIFICANCE) -> list[Finding]:
     (a latency at constant speed, a compass error on one heading) it cannot show. `level` is how
     improbable by chance a latency, a bias or another number must be to be reported.
     """
-    findings = clock_findings(trajectory) + rounding_findings(trajectory)
-    findings += order_findings(trajectory)
-    motion, wild = outliers(motion_of(trajectory))
+    found = clock_findings(trajectory) + rounding_findings(trajectory)
+    found += order_findings(trajectory)
+    motion, wild = bridge_outliers(motion_of(trajectory))
     motion, mislabelled = read_frames(motion)
-    motion, stuck = frozen(motion)
-    findings += wild + mislabelled + stuck
-    motion, disagreements = _disagreements(motion, level)
-    findings += disagreements
-    findings += actuation_findings(trajectory) + response_findings(trajectory, motion)
-    findings.sort(key=lambda finding: KINDS.index(finding.kind))
-    return [dataclasses.replace(finding, recording=trajectory.name) for finding in findings]
+    motion, frozen = drop_frozen(motion)
+    motion, disagreements = _compare_channels(motion, level)
+    found += wild + mislabelled + frozen + disagreements
+    found += actuation_findings(trajectory) + response_findings(trajectory, motion)
+    found.sort(key=lambda finding: KINDS.index(finding.kind))
+    return [dataclasses.replace(finding, recording=trajectory.name) for finding in found]
 
 
-def _disagreements(motion: MeasuredMotion, level: float) -> tuple[MeasuredMotion, list[Finding]]:
-    """What parts heading from yaw rate and position from velocity."""
-    heading = _explained(heading_comparison(motion, level)) if motion.has("psi", "r") else None
-    turned = heading.causes if heading else ()
-    swung = False
-    if heading and "iron" in turned:
+def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMotion, list[Finding]]:
+    """What parts heading from yaw rate and position from velocity; motion without it."""
+    heading = None
+    if motion.has("psi", "r"):
+        heading = select_causes(heading_comparison(motion, level))
+    found_in_heading = heading.causes if heading else ()
+    turned_velocities = False
+    if heading and "iron" in found_in_heading:
         recorded = motion
-        motion = _clearer(motion, _without_iron(motion.values["psi"], heading.theta))
-        swung = motion is recorded
+        motion = _without_compass_error(motion, heading)
+        turned_velocities = motion is recorded
     velocity, reversed_sway = None, []
-    if motion.has("x", "y", "psi", "u", "v"):
-        late = "delay" in turned and heading is not None and heading.theta["delay"] < 0
+    if motion.has(*_POSITION_AND_VELOCITY):
+        late = heading is not None and "delay" in found_in_heading and heading.theta["delay"] < 0
         # A yaw rate that agrees with heading has cleared the compass already.
-        doubtful = heading is None or "gain" in turned
-        options = {"level": level, "iron": doubtful, "psi_late": late}
-        velocity = _explained(velocity_comparison(motion, **options))
-        motion, velocity, reversed_sway = _sway_sign(motion, velocity, options)
-    findings = disagreement_findings(heading, velocity, swung) + reversed_sway
+        doubtful = heading is None or "gain" in found_in_heading
+        velocity = select_causes(velocity_comparison(motion, level, doubtful, late))
+        motion, velocity, reversed_sway = _sway_sign(motion, velocity, level, doubtful, late)
+    findings = disagreement_findings(heading, velocity, turned_velocities) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
     return motion, findings
 
 
-def _explained(comparison) -> Explanation | None:
-    return None if comparison is None else explain(comparison)
-
-
-def _clearer(motion: MeasuredMotion, psi: np.ndarray) -> MeasuredMotion:
-    """The motion with another heading, if position and velocity then agree better.
+def _without_compass_error(motion: MeasuredMotion, heading: Explanation) -> MeasuredMotion:
+    """The motion with corrected heading, if position and velocity then agree better.
 
     Velocities that were turned into body axes by the faulty heading agree with that one.
     """
-    changed = motion.with_channels(psi=psi)
-    if not motion.has("x", "y", "psi", "u", "v"):
+    psi = motion.values["psi"]
+    error = heading.theta["sine"] * np.sin(psi), heading.theta["cosine"] * np.cos(psi)
+    changed = motion.with_channels(psi=psi - error[0] - error[1])
+    if not motion.has(*_POSITION_AND_VELOCITY):
         return changed
-    return changed if _misfit(changed) < _misfit(motion) else motion
+    return changed if _position_misfit(changed) < _position_misfit(motion) else motion
 
 
-def _misfit(motion: MeasuredMotion) -> float:
-    """Mean-square difference of displacement and integrated velocity over about 5 s."""
+def _position_misfit(motion: MeasuredMotion) -> float:
+    """Mean-square difference (m^2) of displacement and integrated velocity over about 5 s."""
     values = motion.values
     flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
     misfit = values["x"] + 1j * values["y"] - integrate(motion.t, flow)
@@ -99,7 +98,11 @@ def _misfit(motion: MeasuredMotion) -> float:
 
 
 def _sway_sign(
-    motion: MeasuredMotion, velocity: Explanation | None, options: dict
+    motion: MeasuredMotion,
+    velocity: Explanation | None,
+    level: float,
+    doubtful: bool,
+    late: bool,
 ) -> tuple[MeasuredMotion, Explanation | None, list[Finding]]:
     """Whether v is positive to port, where it goes with the turn and something is amiss.
 
@@ -111,24 +114,14 @@ def _sway_sign(
     if velocity is None or not velocity.causes or np.mean(inwards * values["v"]) <= 0:
         return motion, velocity, []
     turned = motion.with_channels(v=-values["v"])
-    other = _explained(velocity_comparison(turned, **options))
+    other = select_causes(velocity_comparison(turned, level, doubtful, late))
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []
     gained = max(velocity.deviance - other.deviance, 0.0)
-    finding = Finding(
-        "axes",
-        gained,
-        2 * float(np.sqrt(gained)),
-        "1",
+    text = (
         "v is positive to port, not to starboard: with the opposite sign position and velocity "
         "agree better (value: drop of the deviance), and the vessel drifts outwards in turns (or "
-        "x, y and heading are those of an east-north-up frame)",
-        "v = { ..., sign = -1 } in the mapping",
-        ("v",),
-        edits=(Affine(("v",), -1.0),),
+        "x, y and heading are those of an east-north-up frame)"
     )
-    return turned, other, [finding]
-
-
-def _without_iron(psi: np.ndarray, theta: dict[str, float]) -> np.ndarray:
-    return psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi)
+    std = 2 * float(np.sqrt(gained))
+    return turned, other, [wrong_sign(("v",), text, gained, std, kind="axes")]

@@ -1,13 +1,4 @@
-"""Noise of increments: what white noise of a level and random walks make of its differences.
-
-The noise of an increment is a random walk from noise in the rate, and white noise of the
-measured level, which two neighbouring increments share with opposite sign; slower noise of
-the level lies between the two. All follow from S(h), the mean square by which the level
-differs from itself a time h later: cov of the increments from a to b and from c to d is
-
-    [S(b - c) + S(a - d) - S(b - d) - S(a - c)] / 2.
-
-Compares increments of a measured quantity with what other channels predict of them.
+"""Why increments of a measured quantity are not those that other channels predict.
 
 Heading is the integral of yaw rate, position that of velocity. Differentiating the noisy
 left side would drown everything in noise, so both sides are integrated: between two
@@ -16,15 +7,23 @@ predicted one. What remains is explained by *causes* (a bias, a delay, a current
 a few parameters that are zero in a sound recording, chosen one after another for as long
 as they are both significant and large enough to matter.
 
-The noise of the increments is estimated from the residual and divided out (`noise`), and the
-standard errors allow for what correlation is left (`regression`).
+The noise of an increment is a random walk from noise in the rate, and white noise of the
+measured level, which two neighbouring increments share with opposite sign; slower noise of
+the level lies between the two. All follow from S(h), the mean square by which the level
+differs from itself a time h later: cov of the increments from a to b and from c to d is
+
+    [S(b - c) + S(a - d) - S(b - d) - S(a - c)] / 2.
+
+It is estimated from the residual and divided out, and the standard errors allow for what
+correlation is left (`robust_regression`).
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy import linalg, optimize
 
 from diffsea.statistics import is_significant, robust_regression
@@ -34,10 +33,26 @@ from diffsea.statistics import is_significant, robust_regression
 # quite is, hence the margin over the usual levels. experiments/audit_power measures the rate of
 # false alarms that comes of it.
 SIGNIFICANCE = 1e-5
+
+_MEMORIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # s, of the kinds of noise that forget themselves
+_MOST_STEPS = 12  # of Gauss and Newton, from one cause to the next
+_MOST_HALVINGS = 6  # of a step that makes the misfit larger
+_SMALL_STEP = 0.02  # standard errors: a smaller step ends the fit
+_MOST_CAUSES = 8  # at once; real recordings have shown no more than four
+_FIRST_CAUSES = 3  # from which the forward selection is started
+_REFITTED_CAUSES = 5  # of those that look significant, by a step of least squares
+_TIE = 15.0  # difference of misfit (noise variances) that does not decide between causes
+_PRICE = 30.0  # what one more cause must gain before it beats a smaller set
+_UNLIKELY = 25.0  # what a parameter of the wrong sign must gain over its rivals
+_MUCH_BETTER = 0.3  # of the misfit at zero, that another start must leave to be preferred
+_REVERSE_CERTAINTY = 6.0  # standard errors of the slope of the reverse regression
 _TINY = 1e-12
 
+Parameters = dict[str, float]
+Levels = Float[np.ndarray, "series knot"]
 
-class Kinds:
+
+class NoiseKinds:
     """The kinds of noise that are looked for at these knots, and their covariances.
 
     White noise of the level, a random walk, and noise that forgets itself within 1 to 100 s
@@ -45,89 +60,75 @@ class Kinds:
     `covariances` has the shape (kinds, increments, increments), for unit amounts.
     """
 
-    def __init__(self, times: np.ndarray, linked: np.ndarray):
-        duration = times[-1] - times[0]
-        memories = (1.0, 3.0, 10.0, 30.0, 100.0)
+    def __init__(self, times: Float[np.ndarray, "knot"], linked: Bool[np.ndarray, "window"]):
         self.times, self.linked = times, linked
-        self.scales = np.array([scale for scale in memories if scale < duration / 20])
-        spread = _spread(np.abs(times[:, None] - times[None, :]), self.scales)
-        spread = np.moveaxis(spread, -1, 0)
-        between = spread[:, 1:, :-1] + spread[:, :-1, 1:] - spread[:, 1:, 1:] - spread[:, :-1, :-1]
+        self.duration = times[-1] - times[0]
+        self.scales = np.array([scale for scale in _MEMORIES if scale < self.duration / 20])
+        square = np.moveaxis(self.mean_squares(np.abs(times[:, None] - times[None, :])), -1, 0)
+        between = square[:, 1:, :-1] + square[:, :-1, 1:] - square[:, 1:, 1:] - square[:, :-1, :-1]
         self.covariances = 0.5 * between[:, linked][:, :, linked]
+
+    def mean_squares(self, lag: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any kind"]:
+        """S(h) of each kind of noise, in unit amount, over a time `lag` (s)."""
+        kinds = [(lag > 0).astype(float), lag]
+        kinds += [1 - np.exp(-lag / scale) for scale in self.scales]
+        return np.stack(kinds, axis=-1)
+
+    def amounts(self, levels: Levels) -> Float[np.ndarray, "kind"]:
+        """How much there is of each kind, by non-negative least squares of S(h).
+
+        Up to a tenth of the run: longer lags say nothing that a cause could not also say.
+        """
+        times, linked = self.times, self.linked
+        stretch = np.concatenate([[0], np.cumsum(~linked)])
+        lags = np.unique(np.geomspace(1, max(2, linked.size // 10), 12).astype(int))
+        spans, squares = [], []
+        for lag in lags:
+            same = stretch[lag:] == stretch[:-lag]
+            if np.sum(same) < 5:
+                continue
+            jumps = np.abs(levels[:, lag:] - levels[:, :-lag])[:, same]
+            # Outliers must not pass for noise, or nothing would ever be significant.
+            limit = 5 * 1.4826 * np.median(jumps)
+            squares.append(np.mean(np.minimum(jumps, limit) ** 2) if limit > 0 else 0.0)
+            spans.append(np.mean((times[lag:] - times[:-lag])[same]))
+        spans, squares = np.array(spans), np.array(squares)
+        squares = squares + 1e-6 * np.max(squares) + 1e-30
+        certainty = np.sqrt(self.duration / spans) / squares
+        basis = self.mean_squares(spans)
+        weights, _ = optimize.nnls(basis * certainty[:, None], squares * certainty)
+        if not np.any(weights > 0):
+            weights[0] = np.max(squares)
+        return weights
 
 
 class Whitener:
     """Divides out the covariance of increments, estimated from a residual of levels.
 
-    The mean square S(h) of residual differences over a time h is fitted, up to a tenth of
-    the run, by non-negative amounts of the `kinds` of noise. Longer lags say nothing that a
-    cause could not also say.
-
     The random walk is at least `walk` (levels squared per second), and it and the white noise
     amount to at least `least`: without any, the smallest inaccuracy of an integral would be
-    significant.
+    significant. `variance` is that of what is called noise, near one; `log_determinant` that of
+    the covariance, over all series.
     """
 
-    def __init__(self, levels: np.ndarray, kinds: Kinds, least: float, walk: float):
-        weights = _amounts(levels, kinds)
+    def __init__(self, levels: Levels, kinds: NoiseKinds, least: float, walk: float):
+        weights = kinds.amounts(levels)
         weights[0] += least**2
-        weights[1] = max(weights[1], walk) + least**2 / (kinds.times[-1] - kinds.times[0])
+        weights[1] = max(weights[1], walk) + least**2 / kinds.duration
         self.linked = kinds.linked
         covariance = np.tensordot(weights, kinds.covariances, 1)
         covariance[np.diag_indices_from(covariance)] *= 1 + 1e-6
         self.factor = linalg.cholesky(covariance, lower=True, check_finite=False)
         rest = self(np.diff(levels, axis=-1))
-        self.size = 2 * len(levels) * float(np.sum(np.log(np.diag(self.factor))))
-        self.variance = float(np.mean(rest**2)) + _TINY  # of what is called noise, near one
+        self.log_determinant = 2 * len(levels) * float(np.sum(np.log(np.diag(self.factor))))
+        self.variance = float(np.mean(rest**2)) + _TINY
 
-    def __call__(self, increments: np.ndarray) -> np.ndarray:
-        """Whitened increments; the leading axes are kept, the last is the time."""
+    def __call__(self, increments: Float[np.ndarray, "*any window"]) -> np.ndarray:
+        """Whitened increments of the linked windows; the leading axes are kept."""
         used = increments[..., self.linked]
         flat = used.reshape(-1, used.shape[-1]).T
         white = linalg.solve_triangular(self.factor, flat, lower=True, check_finite=False)
         return white.T.reshape(used.shape)
-
-
-def _spread(lag: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """Mean-square difference over `lag` s of each kind of noise, last axis by kind."""
-    kinds = [(lag > 0).astype(float), lag]
-    kinds += [1 - np.exp(-lag / scale) for scale in scales]
-    return np.stack(kinds, axis=-1)
-
-
-def _amounts(levels: np.ndarray, kinds: Kinds) -> np.ndarray:
-    """How much there is of each kind of noise."""
-    times, linked = kinds.times, kinds.linked
-    duration = times[-1] - times[0]
-    segment = np.concatenate([[0], np.cumsum(~linked)])
-    lags = np.unique(np.geomspace(1, max(2, linked.size // 10), 12).astype(int))
-    spans, squares = [], []
-    for lag in lags:
-        same = segment[lag:] == segment[:-lag]
-        if np.sum(same) < 5:
-            continue
-        jumps = np.abs(levels[:, lag:] - levels[:, :-lag])[:, same]
-        # Outliers must not pass for noise, or nothing would ever be significant.
-        limit = 5 * 1.4826 * np.median(jumps)
-        squares.append(np.mean(np.minimum(jumps, limit) ** 2) if limit > 0 else 0.0)
-        spans.append(np.mean((times[lag:] - times[:-lag])[same]))
-    spans, squares = np.array(spans), np.array(squares)
-    squares = squares + 1e-6 * np.max(squares) + 1e-30
-    certainty = np.sqrt(duration / spans) / squares
-    basis = _spread(spans, kinds.scales)
-    weights, _ = optimize.nnls(basis * certainty[:, None], squares * certainty)
-    if not np.any(weights > 0):
-        weights[0] = np.max(squares)
-    return weights
-
-
-_MAX_STEPS = 12
-_MAX_CAUSES = 8
-_STARTS = 3
-_SMALL = 1e-12
-_TIE = 15.0  # difference of misfit (noise variances) that does not decide between causes
-_PRICE = 30.0  # what one more cause must gain before it beats a smaller set
-_UNLIKELY = 25.0  # what a parameter of the wrong sign must gain over its rivals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,36 +155,88 @@ class Cause:
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
+class KinematicComparison:
     """Measured levels, their prediction, and the causes that may part them.
 
-    `times` (s) are the knots. `measured` and the value of `predict` have the shape (series,
-    knots). `linked[i]` says whether the increment from knot i to i + 1 can be used. `steps`
-    are the increments with which derivatives are taken and `bounds` the largest magnitudes,
-    by parameter. `doubt` is the standard deviation that the gain is allowed in every test of
-    another cause: noise in the prediction shrinks it a little, and that must not pass for,
-    say, a bias in a steady turn. A cause whose whole effect on the levels is below `floor`
+    `times` (s) are the knots. `linked[i]` says whether the increment from knot i to i + 1 can be
+    used. `steps` are the increments with which derivatives are taken and `bounds` the largest
+    magnitudes, by parameter. `doubt` is the standard deviation that the gain is allowed in every
+    test of another cause: noise in the prediction shrinks it a little, and that must not pass
+    for, say, a bias in a steady turn. A cause whose whole effect on the levels is below `floor`
     (root mean square) is not named. `walk` (levels squared per second) is the random walk that
-    noise of the predicting channels makes of their integral.
+    noise of the predicting channels makes of their integral. A delay that grows is counted from
+    `middle` (s). `level` is how improbable by chance a cause must be to be believed.
     """
 
-    times: np.ndarray
-    measured: np.ndarray
-    predict: Callable[[dict[str, float]], np.ndarray]
-    linked: np.ndarray
+    times: Float[np.ndarray, "knot"]
+    measured: Levels
+    predict: Callable[[Parameters], Levels]
+    linked: Bool[np.ndarray, "window"]
     causes: tuple[Cause, ...]
-    steps: dict[str, float]
-    bounds: dict[str, float]
+    steps: Parameters
+    bounds: Parameters
     doubt: float
     floor: float
     walk: float
-    middle: float  # s, from where a growing delay is counted
-    level: float  # how improbable by chance a cause must be to be believed
+    middle: float
+    level: float
 
     @functools.cached_property
-    def kinds(self) -> Kinds:
+    def noise_kinds(self) -> NoiseKinds:
         """The kinds of noise at the knots."""
-        return Kinds(self.times, self.linked)
+        return NoiseKinds(self.times, self.linked)
+
+    def level_residual(self, theta: Parameters) -> Levels:
+        """Measured less predicted levels."""
+        return self.measured - self.predict(theta)
+
+    def residual(self, theta: Parameters) -> Float[np.ndarray, "series window"]:
+        """Measured less predicted increments."""
+        return np.diff(self.level_residual(theta), axis=-1)
+
+    def jacobian(
+        self, theta: Parameters, names: Sequence[str]
+    ) -> Float[np.ndarray, "parameter series window"]:
+        """d(predicted increments) / d(parameter), by central differences."""
+        columns = []
+        for name in names:
+            step = self.steps[name]
+            ahead = self.predict(theta | {name: theta[name] + step})
+            behind = self.predict(theta | {name: theta[name] - step})
+            columns.append(np.diff(ahead - behind, axis=-1) / (2 * step))
+        return np.array(columns)
+
+    def whitener(self, theta: Parameters) -> Whitener:
+        """By the noise that is left when every cause is allowed for at once.
+
+        From the residual of the present model it would swallow what has not been found yet. A
+        gain that is not established stays out: it would take the noise of the prediction away.
+        """
+        allowed = [c for c in self.causes if not c.gain or theta[c.parameters[0]] != 0]
+        names = _parameter_names(allowed)
+        levels = self.level_residual(theta)
+        known = (self.noise_kinds, 0.3 * self.floor, self.walk)
+        for _ in range(2):
+            white = Whitener(levels, *known)
+            jacobian = self.jacobian(theta, names)
+            estimate, _ = robust_regression(white(jacobian), white(np.diff(levels, axis=-1)))
+            fitted = np.tensordot(estimate, jacobian, 1)
+            rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)
+            levels = np.concatenate([np.zeros((len(rest), 1)), rest], axis=-1)
+        return Whitener(levels, *known)
+
+    def significant(self, estimate: Float[np.ndarray, "p"], cov: Float[np.ndarray, "p p"]) -> bool:
+        """Whether it is beyond chance; no more than one window per two seconds is independent."""
+        windows = int(np.sum(self.linked))
+        duration = self.times[-1] - self.times[0]
+        freedom = max(min(windows, 0.5 * duration) - 8.0, 4.0)
+        return is_significant(estimate, cov, freedom, self.level)
+
+
+def _parameter_names(causes: Sequence[Cause]) -> list[str]:
+    """Parameters of these causes and of what is fitted beside them, each once."""
+    names = [name for cause in causes for name in (*cause.beside, *cause.parameters)]
+    return list(dict.fromkeys(names))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,88 +250,195 @@ class Explanation:
     """
 
     causes: tuple[str, ...]
-    theta: dict[str, float]
-    std: dict[str, float]
+    theta: Parameters
+    std: Parameters
     alternatives: dict[str, tuple[str, ...]]
     deviance: float
     middle: float
 
 
 @dataclasses.dataclass(frozen=True)
-class _Trial:
-    """A set of causes, fitted, and what misfit it leaves (with a price on parameters)."""
+class FittedCauses:
+    """A set of causes, fitted, and the one added last."""
 
     added: Cause
     causes: tuple[Cause, ...]
-    theta: dict[str, float]
-    cost: float
+    theta: Parameters
 
 
-def explain(comparison: Comparison) -> Explanation:
-    """Choose causes by forward steps, each confirmed with the others present.
+def select_causes(comparison: KinematicComparison | None) -> Explanation | None:
+    """Choose causes by forward selection, each confirmed with the others present.
 
     The first step is tried with several causes, and the set that leaves the least misfit
     wins: where two causes look alike, the first choice may be wrong. Causes too small to
     matter are kept in the model, lest a larger one stand in for them, but are not named.
+    None where there is no comparison.
     """
+    if comparison is None:
+        return None
     theta = dict.fromkeys(comparison.steps, 0.0)
-    white = _whitener(comparison, theta)
-    trials = _believable(comparison, _trials(comparison, white, theta, ()))
-    if not trials:
-        return Explanation((), theta, {}, {}, _deviance(comparison, (), theta), comparison.middle)
-    ends = [_continued(comparison, trial) for trial in trials[:_STARTS]]
-    white = _whitener(comparison, ends[0].theta)
-    best = min(ends, key=lambda end: _cost(comparison, white, end.causes, end.theta))
-    chosen, theta = _pruned(comparison, best.theta, best.causes)
-    named = tuple(cause for cause in chosen if _matters(comparison, theta, cause))
-    rivals = {cause.name: _rivals(comparison, white, theta, chosen, cause) for cause in named}
-    std = _std(comparison, theta, chosen) if chosen else {}
-    names = tuple(cause.name for cause in named)
-    deviance = _deviance(comparison, chosen, theta)
-    return Explanation(names, theta, std, rivals, deviance, comparison.middle)
+    white = comparison.whitener(theta)
+    first = _candidates(comparison, white, theta, ())
+    first = [candidate for candidate in first if _is_confirmed(comparison, candidate)]
+    causes: tuple[Cause, ...] = ()
+    if first:
+        ends = [_select_forward(comparison, start) for start in first[:_FIRST_CAUSES]]
+        white = comparison.whitener(ends[0].theta)
+        best = min(ends, key=lambda end: _criterion(comparison, white, end.causes, end.theta))
+        causes, theta = _eliminate_backward(comparison, best)
+    named = [cause for cause in causes if _matters(comparison, theta, cause)]
+    final = comparison.whitener(theta)
+    return Explanation(
+        tuple(cause.name for cause in named),
+        theta,
+        _standard_errors(comparison, theta, causes) if causes else {},
+        {cause.name: _alternatives(comparison, white, theta, causes, cause) for cause in named},
+        _criterion(comparison, final, causes, theta) + final.log_determinant,
+        comparison.middle,
+    )
 
 
-def _deviance(comparison: Comparison, causes: tuple[Cause, ...], theta: dict[str, float]) -> float:
-    white = _whitener(comparison, theta)
-    return _cost(comparison, white, causes, theta) + white.size
+def _candidates(
+    comparison: KinematicComparison, white: Whitener, theta: Parameters, chosen: tuple[Cause, ...]
+) -> list[FittedCauses]:
+    """The present causes with one more, for each that would help significantly, best first."""
+    target = white(comparison.residual(theta))
+    present = {cause.name for cause in chosen}
+    promising = []
+    for cause in comparison.causes:
+        if cause.name in present or any(
+            complete <= present | {cause.name} for complete in cause.excludes
+        ):
+            continue
+        start = _starting_point(comparison, white, theta, cause)
+        rest = target if start is theta else white(comparison.residual(start))
+        names, doubt = _tested_parameters(comparison, (*chosen, cause))
+        columns = white(comparison.jacobian(start, names))
+        estimate, cov = robust_regression(columns, rest, doubt)
+        index = [names.index(name) for name in cause.parameters]
+        value = estimate[index] + [start[name] - theta[name] for name in cause.parameters]
+        if comparison.significant(value, cov[np.ix_(index, index)]):
+            left = np.sum((rest - np.tensordot(estimate, columns, 1)) ** 2)
+            promising.append((left, cause, start))
+    promising.sort(key=lambda item: item[0])
+    candidates = []
+    for _, cause, start in promising[:_REFITTED_CAUSES]:
+        causes = (*chosen, cause)
+        candidates.append(
+            FittedCauses(cause, causes, _fit_parameters(comparison, white, start, causes))
+        )
+    return sorted(candidates, key=lambda c: _criterion(comparison, white, c.causes, c.theta))
 
 
-def _continued(comparison: Comparison, trial: _Trial) -> _Trial:
+def _starting_point(
+    comparison: KinematicComparison, white: Whitener, theta: Parameters, cause: Cause
+) -> Parameters:
+    """Where to begin with a cause: where misfit is least, which is here unless much is gained."""
+
+    def misfit(point: Parameters) -> float:
+        return float(np.sum(white(comparison.residual(point)) ** 2))
+
+    if not cause.starts:
+        return theta
+    points = [theta | {cause.parameters[0]: value} for value in cause.starts]
+    best = min(points, key=misfit)
+    return best if misfit(best) < _MUCH_BETTER * misfit(theta) else theta
+
+
+def _tested_parameters(
+    comparison: KinematicComparison, causes: tuple[Cause, ...]
+) -> tuple[list[str], float | None]:
+    """Parameters to fit in a test of these causes, and how far the first is in doubt."""
+    names = _parameter_names(causes)
+    if "gain" in names:
+        return names, None
+    return ["gain", *names], comparison.doubt
+
+
+def _fit_parameters(
+    comparison: KinematicComparison, white: Whitener, theta: Parameters, causes: tuple[Cause, ...]
+) -> Parameters:
+    """Gauss-Newton over the causes' parameters, within their bounds, with step halving."""
+    names = _parameter_names(causes)
+    bounds = np.array([comparison.bounds[name] for name in names])
+    for _ in range(_MOST_STEPS if names else 0):
+        rest = white(comparison.residual(theta))
+        step, cov = robust_regression(white(comparison.jacobian(theta, names)), rest)
+        present, cost = np.array([theta[name] for name in names]), np.sum(rest**2)
+        for _ in range(_MOST_HALVINGS):
+            moved = np.clip(present + step, -bounds, bounds)
+            trial = theta | dict(zip(names, moved.tolist(), strict=True))
+            if np.sum(white(comparison.residual(trial)) ** 2) <= cost:
+                theta = trial
+                break
+            step = step / 2
+        if np.all(np.abs(step) < _SMALL_STEP * np.sqrt(np.diag(cov))):
+            break
+    return theta
+
+
+def _criterion(
+    comparison: KinematicComparison, white: Whitener, causes: tuple[Cause, ...], theta: Parameters
+) -> float:
+    """Misfit in units of the noise variance, with a price on causes and parameters."""
+    rest = white(comparison.residual(theta))
+    unlikely = sum(cause.likely * theta[cause.parameters[0]] < 0 for cause in causes)
+    price = len(_parameter_names(causes)) * np.log(rest.size) + _PRICE * len(causes)
+    return float(np.sum(rest**2) / white.variance + price + _UNLIKELY * unlikely)
+
+
+def _select_forward(comparison: KinematicComparison, found: FittedCauses) -> FittedCauses:
     """The set after adding causes for as long as one more is significant."""
-    while len(trial.causes) < _MAX_CAUSES:
-        white = _whitener(comparison, trial.theta)
-        trials = _trials(comparison, white, trial.theta, trial.causes)
-        added = next((more for more in trials if _holds(comparison, more)), None)
+    while len(found.causes) < _MOST_CAUSES:
+        white = comparison.whitener(found.theta)
+        candidates = _candidates(comparison, white, found.theta, found.causes)
+        added = next((more for more in candidates if _is_confirmed(comparison, more)), None)
         if added is None:
             break
-        trial = added
-    return trial
+        found = added
+    return found
 
 
-def _believable(comparison: Comparison, trials: list[_Trial]) -> list[_Trial]:
-    return [trial for trial in trials if _holds(comparison, trial)]
+def _eliminate_backward(
+    comparison: KinematicComparison, found: FittedCauses
+) -> tuple[tuple[Cause, ...], Parameters]:
+    """The causes that those found later have not made superfluous, and their parameters."""
+    chosen, theta = found.causes, found.theta
+    for cause in chosen:
+        if _is_confirmed(comparison, FittedCauses(cause, chosen, theta)):
+            continue
+        chosen = tuple(other for other in chosen if other is not cause)
+        theta = _reset_others(theta, chosen)
+        theta = _fit_parameters(comparison, comparison.whitener(theta), theta, chosen)
+    return chosen, theta
 
 
-def _rivals(
-    comparison: Comparison,
+def _reset_others(theta: Parameters, causes: tuple[Cause, ...]) -> Parameters:
+    """The parameters of these causes, all others zero."""
+    names = _parameter_names(causes)
+    return {name: value if name in names else 0.0 for name, value in theta.items()}
+
+
+def _alternatives(
+    comparison: KinematicComparison,
     white: Whitener,
-    theta: dict[str, float],
+    theta: Parameters,
     chosen: tuple[Cause, ...],
     cause: Cause,
 ) -> tuple[str, ...]:
     """Causes that could stand in the place of one, leaving nearly the same misfit."""
     others = tuple(other for other in chosen if other is not cause)
-    kept = set(_names(others))
-    reduced = {name: value if name in kept else 0.0 for name, value in theta.items()}
-    own = _cost(comparison, white, chosen, theta)
+    own = _criterion(comparison, white, chosen, theta)
     return tuple(
-        trial.added.name
-        for trial in _trials(comparison, white, reduced, others)
-        if trial.added is not cause and trial.cost - own < _TIE
+        other.added.name
+        for other in _candidates(comparison, white, _reset_others(theta, others), others)
+        if other.added is not cause
+        and _criterion(comparison, white, other.causes, other.theta) - own < _TIE
     )
 
 
-def _matters(comparison: Comparison, theta: dict[str, float], cause: Cause) -> bool:
+def _matters(comparison: KinematicComparison, theta: Parameters, cause: Cause) -> bool:
+    """Whether the cause is above what is negligible, and its effect above the floor."""
     if np.linalg.norm([theta[name] for name in cause.parameters]) < cause.negligible:
         return False
     without = theta | dict.fromkeys((*cause.parameters, *cause.beside), 0.0)
@@ -286,202 +446,42 @@ def _matters(comparison: Comparison, theta: dict[str, float], cause: Cause) -> b
     return float(np.sqrt(np.mean(np.var(effect, axis=-1)))) >= comparison.floor
 
 
-def _pruned(
-    comparison: Comparison, theta: dict[str, float], chosen: tuple[Cause, ...]
-) -> tuple[tuple[Cause, ...], dict[str, float]]:
-    """Drop what the causes found later have made superfluous."""
-    for cause in chosen:
-        if _holds(comparison, _Trial(cause, chosen, theta, 0.0)):
-            continue
-        chosen = tuple(other for other in chosen if other is not cause)
-        kept = set(_names(chosen))
-        theta = {name: value if name in kept else 0.0 for name, value in theta.items()}
-        theta = _refit(comparison, _whitener(comparison, theta), theta, chosen)
-    return chosen, theta
-
-
-def _levels(comparison: Comparison, theta: dict[str, float]) -> np.ndarray:
-    return comparison.measured - comparison.predict(theta)
-
-
-def _residual(comparison: Comparison, theta: dict[str, float]) -> np.ndarray:
-    return np.diff(_levels(comparison, theta), axis=-1)
-
-
-def _whitener(comparison: Comparison, theta: dict[str, float]) -> Whitener:
-    """The noise that is left when every cause is allowed for at once.
-
-    From the residual of the present model it would swallow what has not been found yet. A
-    gain that is not established stays out: it would take the noise of the prediction away.
-    """
-    allowed = [c for c in comparison.causes if not c.gain or theta[c.parameters[0]] != 0]
-    names = _names(tuple(allowed))
-    levels = _levels(comparison, theta)
-    known = (comparison.kinds, 0.3 * comparison.floor, comparison.walk)
-    for _ in range(2):
-        white = Whitener(levels, *known)
-        jacobian = _jacobian(comparison, theta, names)
-        estimate, _ = robust_regression(white(jacobian), white(np.diff(levels, axis=-1)))
-        fitted = np.tensordot(estimate, jacobian, 1)
-        rest = np.cumsum(np.diff(levels, axis=-1) - fitted, axis=-1)
-        levels = np.concatenate([np.zeros((len(rest), 1)), rest], axis=-1)
-    return Whitener(levels, *known)
-
-
-def _jacobian(comparison: Comparison, theta: dict, names: list[str]) -> np.ndarray:
-    """d(predicted increments) / d(parameter), first axis by parameter."""
-    columns = []
-    for name in names:
-        step = comparison.steps[name]
-        ahead = comparison.predict(theta | {name: theta[name] + step})
-        behind = comparison.predict(theta | {name: theta[name] - step})
-        columns.append(np.diff(ahead - behind, axis=-1) / (2 * step))
-    return np.array(columns)
-
-
-def _names(causes: tuple[Cause, ...]) -> list[str]:
-    """Parameters of these causes and of what is fitted beside them, each once."""
-    names = [name for cause in causes for name in (*cause.beside, *cause.parameters)]
-    return list(dict.fromkeys(names))
-
-
-def _trials(
-    comparison: Comparison, white: Whitener, theta: dict, chosen: tuple[Cause, ...]
-) -> list[_Trial]:
-    """The present causes with one more, for each that would help significantly, best first."""
-    target = white(_residual(comparison, theta))
-    taken = {cause.name for cause in chosen}
-    promising = []
-    for cause in comparison.causes:
-        if cause.name in taken or any(group <= taken | {cause.name} for group in cause.excludes):
-            continue
-        start = _started(comparison, white, theta, cause)
-        rest = target if start is theta else white(_residual(comparison, start))
-        names, doubt = _tested(comparison, (*chosen, cause))
-        columns = white(_jacobian(comparison, start, names))
-        estimate, cov = robust_regression(columns, rest, doubt)
-        index = [names.index(name) for name in cause.parameters]
-        value = estimate[index] + [start[name] - theta[name] for name in cause.parameters]
-        if _significant(comparison, value, cov[np.ix_(index, index)]):
-            left = np.sum((rest - np.tensordot(estimate, columns, 1)) ** 2)
-            promising.append((left, cause, start))
-    promising.sort(key=lambda item: item[0])
-    trials = [_trial(comparison, white, start, chosen, cause) for _, cause, start in promising[:5]]
-    return sorted(trials, key=lambda trial: trial.cost)
-
-
-def _started(
-    comparison: Comparison, white: Whitener, theta: dict[str, float], cause: Cause
-) -> dict[str, float]:
-    """Where to begin with a cause: where misfit is least, which is here unless much is gained."""
-
-    def misfit(point: dict[str, float]) -> float:
-        return float(np.sum(white(_residual(comparison, point)) ** 2))
-
-    if not cause.starts:
-        return theta
-    points = [theta | {cause.parameters[0]: value} for value in cause.starts]
-    best = min(points, key=misfit)
-    return best if misfit(best) < 0.3 * misfit(theta) else theta
-
-
-def _trial(
-    comparison: Comparison,
-    white: Whitener,
-    theta: dict[str, float],
-    chosen: tuple[Cause, ...],
-    cause: Cause,
-) -> _Trial:
-    """Fit with the additional cause."""
-    causes = (*chosen, cause)
-    fitted = _refit(comparison, white, theta, causes)
-    return _Trial(cause, causes, fitted, _cost(comparison, white, causes, fitted))
-
-
-def _cost(
-    comparison: Comparison, white: Whitener, causes: tuple[Cause, ...], theta: dict[str, float]
-) -> float:
-    """Misfit in units of the noise variance, with a price on causes and parameters."""
-    rest = white(_residual(comparison, theta))
-    unlikely = sum(cause.likely * theta[cause.parameters[0]] < 0 for cause in causes)
-    price = len(_names(causes)) * np.log(rest.size) + _PRICE * len(causes)
-    return float(np.sum(rest**2) / white.variance + price + _UNLIKELY * unlikely)
-
-
-def _tested(comparison: Comparison, causes: tuple[Cause, ...]) -> tuple[list[str], float | None]:
-    """Parameters to fit in a test of these causes, and how far the first is in doubt."""
-    names = _names(causes)
-    if "gain" in names:
-        return names, None
-    return ["gain", *names], comparison.doubt
-
-
-def _significant(comparison: Comparison, estimate: np.ndarray, cov: np.ndarray) -> bool:
-    """Whether it is beyond chance; no more than one window per two seconds is independent."""
-    windows = int(np.sum(comparison.linked))
-    duration = comparison.times[-1] - comparison.times[0]
-    freedom = max(min(windows, 0.5 * duration) - 8.0, 4.0)
-    return is_significant(estimate, cov, freedom, comparison.level)
-
-
-def _refit(
-    comparison: Comparison, white: Whitener, theta: dict, causes: tuple[Cause, ...]
-) -> dict[str, float]:
-    """Gauss-Newton over the causes' parameters, with step halving."""
-    names = _names(causes)
-    for _ in range(_MAX_STEPS if names else 0):
-        rest = white(_residual(comparison, theta))
-        step, cov = robust_regression(white(_jacobian(comparison, theta, names)), rest)
-        start = np.sum(rest**2)
-        for _ in range(6):
-            trial = _moved(comparison, theta, names, step)
-            if np.sum(white(_residual(comparison, trial)) ** 2) <= start:
-                theta = trial
-                break
-            step = step / 2
-        if np.all(np.abs(step) < 0.02 * np.sqrt(np.diag(cov))):
-            break
-    return theta
-
-
-def _moved(comparison: Comparison, theta: dict, names: list[str], step: np.ndarray) -> dict:
-    moved = dict(theta)
-    for name, change in zip(names, step, strict=True):
-        bound = comparison.bounds[name]
-        moved[name] = float(np.clip(theta[name] + change, -bound, bound))
-    return moved
-
-
-def _joint(comparison: Comparison, theta: dict, causes: tuple[Cause, ...]):
+def _tested_columns(
+    comparison: KinematicComparison, theta: Parameters, causes: tuple[Cause, ...]
+) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
     """Names, whitened columns and residual, and covariance at the fitted parameters."""
-    names, doubt = _tested(comparison, causes)
-    white = _whitener(comparison, theta)
-    rest = white(_residual(comparison, theta))
-    columns = white(_jacobian(comparison, theta, names))
+    names, doubt = _tested_parameters(comparison, causes)
+    white = comparison.whitener(theta)
+    rest = white(comparison.residual(theta))
+    columns = white(comparison.jacobian(theta, names))
     _, cov = robust_regression(columns, rest, doubt)
     return names, columns, rest, cov
 
 
-def _std(comparison: Comparison, theta: dict, causes: tuple[Cause, ...]) -> dict[str, float]:
-    names, _, _, cov = _joint(comparison, theta, causes)
+def _standard_errors(
+    comparison: KinematicComparison, theta: Parameters, causes: tuple[Cause, ...]
+) -> Parameters:
+    names, _, _, cov = _tested_columns(comparison, theta, causes)
     std = dict(zip(names, np.sqrt(np.diag(cov)), strict=True))
-    return {name: float(std[name]) for name in _names(causes)}
+    return {name: float(std[name]) for name in _parameter_names(causes)}
 
 
-def _holds(comparison: Comparison, trial: _Trial) -> bool:
+def _is_confirmed(comparison: KinematicComparison, found: FittedCauses) -> bool:
     """Whether the added cause is significant beside the others and can be believed."""
-    cause, theta = trial.added, trial.theta
-    names, columns, rest, cov = _joint(comparison, theta, trial.causes)
+    cause, theta = found.added, found.theta
+    names, columns, rest, cov = _tested_columns(comparison, theta, found.causes)
     index = [names.index(name) for name in cause.parameters]
     values = np.array([theta[name] for name in cause.parameters])
     if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
-    if not _significant(comparison, values, cov[np.ix_(index, index)]):
+    if not comparison.significant(values, cov[np.ix_(index, index)]):
         return False
-    return not cause.gain or _gain_holds(columns, rest, index[0], values[0])
+    return not cause.gain or _reverse_regression_agrees(columns, rest, index[0], values[0])
 
 
-def _gain_holds(columns: np.ndarray, rest: np.ndarray, index: int, value: float) -> bool:
+def _reverse_regression_agrees(
+    columns: np.ndarray, rest: np.ndarray, index: int, value: float
+) -> bool:
     """Whether the reverse regression agrees that the gain is off in the same direction.
 
     With noise in the prediction the forward estimate of the gain is too small, with noise in
@@ -491,7 +491,7 @@ def _gain_holds(columns: np.ndarray, rest: np.ndarray, index: int, value: float)
     others = [column for i, column in enumerate(columns) if i != index]
     regressors = np.stack([rest + (1 + value) * own, *others])
     slope, cov = robust_regression(regressors, own)
-    if slope[0] < 6 * np.sqrt(cov[0, 0]):
+    if slope[0] < _REVERSE_CERTAINTY * np.sqrt(cov[0, 0]):
         return False
     reverse = 1 / slope[0] - 1
     return bool(np.sign(reverse) == np.sign(value) and abs(reverse) > 0.5 * abs(value))

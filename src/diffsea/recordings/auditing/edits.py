@@ -1,31 +1,48 @@
 """Changes of a recording that put a fault right, in memory and, where one can say it, in a mapping.
 
-Every edit has `apply`, which returns a changed recording, and `mapped`, which returns the mapping
-that reads the same change from the file, or None where no mapping can say it.
+A repair must be the same whether it is made in the recording or read through the mapping, so both
+are methods of one record.
 """
 
+import abc
 import dataclasses
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
-from diffsea.recordings.mappings import UNITS, Mapping
-from diffsea.trajectory import MOTION_CHANNELS, Series, Trajectory
+from diffsea.recordings.mappings import UNITS, Column, Mapping
+from diffsea.series import between_samples, median_interval
+from diffsea.trajectory import MOTION_CHANNELS, Samples, Series, Trajectory
 
 
-class Edit(Protocol):
+Reader = Callable[[str], Samples]  # the series of a channel by its native name
+
+
+class Edit(abc.ABC):
     """One change of a recording."""
 
+    @abc.abstractmethod
     def apply(self, run: Trajectory) -> Trajectory:
         """The changed recording; the one given stays as it is."""
-        ...
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
-        """The mapping with the change in it; None where no mapping can say it."""
-        ...
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
+        """The mapping that reads the change from the file; None where no mapping can say it."""
+        return None
 
 
-def channel(run: Trajectory, name: str) -> np.ndarray:
+class ChannelEdit(Edit):
+    """A change of some channels, row by row, that leaves the rows themselves alone."""
+
+    @abc.abstractmethod
+    def new_series(self, read: Reader) -> dict[str, Samples]:
+        """The changed channels by their native names, from all channels as they are."""
+
+    def apply(self, run: Trajectory) -> Trajectory:
+        """The recording with the changed channels."""
+        return with_channels(run, self.new_series(lambda name: read_channel(run, name)))
+
+
+def read_channel(run: Trajectory, name: str) -> Samples:
     """A channel by its native name: `t`, motion, `cmd_...`, `exec_...`, wind or roll."""
     if name == "t" or name in MOTION_CHANNELS:
         return np.asarray(getattr(run, name), dtype=float)
@@ -35,28 +52,34 @@ def channel(run: Trajectory, name: str) -> np.ndarray:
     return np.asarray(run.extra[name], dtype=float)
 
 
-def replaced(run: Trajectory, channels: dict[str, Series]) -> Trajectory:
+def with_channels(run: Trajectory, channels: dict[str, Samples]) -> Trajectory:
     """The recording with other series for the channels of these native names."""
     plain = {name: s for name, s in channels.items() if name == "t" or name in MOTION_CHANNELS}
 
-    def group(old: dict, prefix: str) -> dict:
+    def changed_group(old: dict[str, Series], prefix: str) -> dict[str, Series]:
         return {name: channels.get(prefix + name, series) for name, series in old.items()}
 
     return dataclasses.replace(
         run,
         **plain,
-        commanded=group(run.commanded, "cmd_"),
-        executed=group(run.executed, "exec_"),
-        extra=group(run.extra, ""),
+        commanded=changed_group(run.commanded, "cmd_"),
+        executed=changed_group(run.executed, "exec_"),
+        extra=changed_group(run.extra, ""),
     )
 
 
-def _with_columns(mapping: Mapping, **columns) -> Mapping:
+def _with_columns(
+    mapping: Mapping, names: tuple[str, ...], change: Callable[[Column], Column]
+) -> Mapping | None:
+    """The mapping with the columns of some channels changed; None where one has no column."""
+    if any(name not in mapping.channels for name in names):
+        return None
+    columns = {name: change(mapping.channels[name]) for name in names}
     return dataclasses.replace(mapping, channels=mapping.channels | columns)
 
 
 @dataclasses.dataclass(frozen=True)
-class Affine:
+class Affine(ChannelEdit):
     """channel -> gain * channel + offset, in SI; `unit` is the label that makes the gain exact."""
 
     channels: tuple[str, ...]
@@ -64,27 +87,21 @@ class Affine:
     offset: float = 0.0
     unit: str = ""
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """Every channel rescaled."""
-        return replaced(
-            run, {name: self.gain * channel(run, name) + self.offset for name in self.channels}
-        )
+        return {name: self.gain * read(name) + self.offset for name in self.channels}
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """Unit, sign, scale and offset of the columns."""
         turned = mapping.velocity_axes == "earth"
         if turned and ("psi" in self.channels or len({"u", "v"} & set(self.channels)) == 1):
             return None
         delayed = any(column.delay for column in mapping.channels.values())
-        if any(name not in mapping.channels for name in self.channels):
-            return None
         if "t" in self.channels and delayed and self.gain != 1:
             return None
-        return _with_columns(
-            mapping, **{name: self._column(mapping.channels[name]) for name in self.channels}
-        )
+        return _with_columns(mapping, self.channels, self._rescaled_column)
 
-    def _column(self, column):
+    def _rescaled_column(self, column: Column) -> Column:
         if self.unit and (column.unit is None or UNITS[column.unit][1] == 1.0):
             return dataclasses.replace(column, unit=self.unit)
         factor = 1.0 if column.unit is None else UNITS[column.unit][1]
@@ -96,30 +113,28 @@ class Affine:
 
 
 @dataclasses.dataclass(frozen=True)
-class Swap:
+class Swap(ChannelEdit):
     """Two channels exchange their series."""
 
     first: str
     second: str
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """The two exchanged."""
-        first, second = channel(run, self.first), channel(run, self.second)
-        return replaced(run, {self.first: second, self.second: first})
+        return {self.first: read(self.second), self.second: read(self.first)}
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """The two columns exchanged."""
-        names = (self.first, self.second)
-        if mapping.velocity_axes == "earth" and {"u", "v"} & set(names):
+        old, names = mapping.channels, {self.first, self.second}
+        turned = mapping.velocity_axes == "earth" and {"u", "v"} & names
+        if turned or not names <= set(old):
             return None
-        if any(name not in mapping.channels for name in names):
-            return None
-        first, second = (mapping.channels[name] for name in names)
-        return _with_columns(mapping, **{self.first: second, self.second: first})
+        new = {self.first: old[self.second], self.second: old[self.first]}
+        return dataclasses.replace(mapping, channels=old | new)
 
 
 @dataclasses.dataclass(frozen=True)
-class Shift:
+class Shift(ChannelEdit):
     """Channels that are late by `delay` + `rate` (t - `middle`) s go to where they belong.
 
     Samples beyond the ends of the recording become NaN.
@@ -130,49 +145,42 @@ class Shift:
     rate: float = 0.0
     middle: float = 0.0
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """The channels read as much later as they are late."""
-        t = np.asarray(run.t, dtype=float)
+        t = read("t")
         late = t + self.delay + self.rate * (t - self.middle)
-        return replaced(run, {n: _read_at(t, channel(run, n), late) for n in self.channels})
+        return {name: _interpolate_within_gaps(t, read(name), late) for name in self.channels}
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """A delay of the columns; a growing delay cannot be said."""
         turned = mapping.velocity_axes == "earth"
         if self.rate or (turned and {"psi", "u", "v"} & set(self.channels)):
             return None
-        if any(name not in mapping.channels for name in self.channels):
-            return None
-        old = {name: mapping.channels[name] for name in self.channels}
         return _with_columns(
-            mapping,
-            **{n: dataclasses.replace(c, delay=c.delay + self.delay) for n, c in old.items()},
+            mapping, self.channels, lambda c: dataclasses.replace(c, delay=c.delay + self.delay)
         )
 
 
-def _read_at(t: np.ndarray, series: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _interpolate_within_gaps(t: Samples, series: Samples, at: Samples) -> Samples:
     """The series at other times, NaN where it is unknown or in a gap of its own."""
     finite = np.isfinite(series)
     if np.sum(finite) < 2:
         return series
     times = t[finite]
     values = np.interp(at, times, series[finite], left=np.nan, right=np.nan)
-    after = np.searchsorted(times, at, side="left").clip(0, times.size - 1)
-    before = (np.searchsorted(times, at, side="right") - 1).clip(0, times.size - 1)
-    usual = float(np.median(np.diff(times)))
-    return np.where(times[after] - times[before] <= 3.0 * usual, values, np.nan)
+    return np.where(between_samples(times, at, 3.0 * median_interval(times)), values, np.nan)
 
 
 @dataclasses.dataclass(frozen=True)
-class BodyAxes:
+class BodyAxes(ChannelEdit):
     """u and v are velocities north and east, to be turned into body axes by the heading."""
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """u and v in body axes."""
-        body = (channel(run, "u") + 1j * channel(run, "v")) * np.exp(-1j * channel(run, "psi"))
-        return replaced(run, {"u": body.real, "v": body.imag})
+        body = (read("u") + 1j * read("v")) * np.exp(-1j * read("psi"))
+        return {"u": body.real, "v": body.imag}
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """velocity_axes = "earth"."""
         if mapping.velocity_axes == "earth" or not {"psi", "u", "v"} <= set(mapping.channels):
             return None
@@ -180,25 +188,21 @@ class BodyAxes:
 
 
 @dataclasses.dataclass(frozen=True)
-class Blank:
+class Blank(ChannelEdit):
     """Samples of channels within spans of time (s, both ends included) become NaN."""
 
     channels: tuple[str, ...]
     spans: tuple[tuple[float, float], ...]
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """The cells emptied."""
-        t = np.asarray(run.t, dtype=float)
+        t = read("t")
         inside = np.any([(t >= start) & (t <= end) for start, end in self.spans], axis=0)
-        return replaced(run, {n: np.where(inside, np.nan, channel(run, n)) for n in self.channels})
-
-    def mapped(self, mapping: Mapping) -> Mapping | None:
-        """No mapping empties cells."""
-        return None
+        return {name: np.where(inside, np.nan, read(name)) for name in self.channels}
 
 
 @dataclasses.dataclass(frozen=True)
-class Compass:
+class Compass(ChannelEdit):
     """Heading less `sine` sin(heading) + `cosine` cos(heading) (rad).
 
     With `velocities`, u and v had been turned into body axes by the faulty heading and are
@@ -209,60 +213,45 @@ class Compass:
     cosine: float
     velocities: bool = False
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """Heading, and velocities if need be, without the error."""
-        psi = channel(run, "psi")
+        psi = read("psi")
         error = self.sine * np.sin(psi) + self.cosine * np.cos(psi)
         new = {"psi": psi - error}
         if self.velocities:
-            body = (channel(run, "u") + 1j * channel(run, "v")) * np.exp(1j * error)
+            body = (read("u") + 1j * read("v")) * np.exp(1j * error)
             new |= {"u": body.real, "v": body.imag}
-        return replaced(run, new)
-
-    def mapped(self, mapping: Mapping) -> Mapping | None:
-        """No mapping has a compass curve."""
-        return None
+        return new
 
 
 @dataclasses.dataclass(frozen=True)
-class Lever:
+class Lever(ChannelEdit):
     """Positions of a point `x` m forward and `y` m to starboard go to the reference point."""
 
     x: float
     y: float
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """Positions less the turned arm."""
-        arm = (self.x + 1j * self.y) * np.exp(1j * channel(run, "psi"))
-        new = {"x": channel(run, "x") - arm.real, "y": channel(run, "y") - arm.imag}
-        return replaced(run, new)
-
-    def mapped(self, mapping: Mapping) -> Mapping | None:
-        """No mapping moves positions by the heading."""
-        return None
+        arm = (self.x + 1j * self.y) * np.exp(1j * read("psi"))
+        return {"x": read("x") - arm.real, "y": read("y") - arm.imag}
 
 
 @dataclasses.dataclass(frozen=True)
-class OverGround:
+class OverGround(ChannelEdit):
     """Velocities through water that flows `north` and `east` (m/s) become those over ground."""
 
     north: float
     east: float
 
-    def apply(self, run: Trajectory) -> Trajectory:
+    def new_series(self, read: Reader) -> dict[str, Samples]:
         """u and v with the current added."""
-        flow = (self.north + 1j * self.east) * np.exp(-1j * channel(run, "psi"))
-        return replaced(
-            run, {"u": channel(run, "u") + flow.real, "v": channel(run, "v") + flow.imag}
-        )
-
-    def mapped(self, mapping: Mapping) -> Mapping | None:
-        """No mapping adds a current."""
-        return None
+        flow = (self.north + 1j * self.east) * np.exp(-1j * read("psi"))
+        return {"u": read("u") + flow.real, "v": read("v") + flow.imag}
 
 
 @dataclasses.dataclass(frozen=True)
-class Order:
+class ExecutedToCommanded(Edit):
     """What is called executed is an order: exec_<actuator> becomes cmd_<actuator>.
 
     Where the order is there already, the other is left out.
@@ -278,17 +267,17 @@ class Order:
             run, executed=executed, commanded={self.actuator: series} | run.commanded
         )
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """The column under another name."""
         columns = dict(mapping.channels)
-        if f"exec_{self.actuator}" not in columns:
+        column = columns.pop(f"exec_{self.actuator}", None)
+        if column is None:
             return None
-        column = columns.pop(f"exec_{self.actuator}")
         return dataclasses.replace(mapping, channels={f"cmd_{self.actuator}": column} | columns)
 
 
 @dataclasses.dataclass(frozen=True)
-class Clock:
+class UniformClock(Edit):
     """Rows are `step` s apart, whatever their time stamps say; the first keeps its own."""
 
     step: float
@@ -298,7 +287,7 @@ class Clock:
         t = np.asarray(run.t, dtype=float)
         return dataclasses.replace(run, t=t[0] + self.step * np.arange(t.size))
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """time_step in place of the time column; time then starts at zero."""
         if "t" not in mapping.channels:
             return None
@@ -307,35 +296,20 @@ class Clock:
 
 
 @dataclasses.dataclass(frozen=True)
-class Merge:
+class MergeRows(Edit):
     """Rows whose time does not advance are left out; of one time stamp the last counts."""
 
-    note: str  # the first words of the provenance's note on rows merged while reading
-
     def apply(self, run: Trajectory) -> Trajectory:
-        """The rows left, and the provenance saying that their repetition is dealt with."""
+        """The rows left; what reading merged is dealt with, too, and the provenance says so."""
         t = np.asarray(run.t, dtype=float)
         following = np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf)
-        kept = t < following
-        notes = tuple(
-            f"repaired: {note}" if note.startswith(self.note) else note for note in run.provenance
-        )
-        names = [*MOTION_CHANNELS]
-
-        def rows(group: dict) -> dict:
-            return {name: np.asarray(series)[kept] for name, series in group.items()}
-
+        merged = {rows.note for rows in run.read.repeated_times}
         return dataclasses.replace(
-            run,
-            t=t[kept],
-            **rows({name: getattr(run, name) for name in names}),
-            commanded=rows(run.commanded),
-            executed=rows(run.executed),
-            extra=rows(run.extra),
-            valid=np.asarray(run.valid, dtype=bool)[kept],
-            provenance=notes,
+            run.rows(t < following),
+            provenance=tuple(f"repaired: {n}" if n in merged else n for n in run.provenance),
+            read=dataclasses.replace(run.read, repeated_times=()),
         )
 
-    def mapped(self, mapping: Mapping) -> Mapping | None:
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """Reading merges rows of one time stamp in any case."""
         return mapping

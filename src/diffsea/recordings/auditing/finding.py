@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from diffsea.recordings.auditing.edits import Edit
+from diffsea.recordings.auditing.edits import Affine, Edit, Swap
 
 
 KINDS = (
@@ -38,6 +38,8 @@ class Finding:
     the message explains and `std` is NaN. `channels` are the columns it concerns, `parameters`
     what the catalogue of effects calls them by. `repair` says what to do about it, `edits` do
     it; `doubt` says why the fault might have to be repaired otherwise, or not here at all.
+    `axis` is the motion, "yaw" or "surge", whose response to an actuator shows the fault. Texts
+    are for people; programs go by the other fields.
     """
 
     kind: str
@@ -51,21 +53,53 @@ class Finding:
     recording: str = ""
     edits: tuple[Edit, ...] = ()
     doubt: str = ""
+    axis: str = ""
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, object]:
         """The finding as it stands in audit.json; a size or error that is unknown is null."""
         return {
             "kind": self.kind,
             "recording": self.recording,
-            "value": _number(self.value),
-            "std": _number(self.std),
+            "value": _finite_or_none(self.value),
+            "std": _finite_or_none(self.std),
             "unit": self.unit,
             "message": self.message,
             "repair": self.repair,
             "channels": list(self.channels),
-            "parameters": {name: _number(value) for name, value in self.parameters.items()},
+            "parameters": {k: _finite_or_none(value) for k, value in self.parameters.items()},
         }
 
 
-def _number(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def wrong_sign(
+    channels: tuple[str, ...],
+    message: str,
+    value: float = 0.0,
+    std: float = 0.0,
+    unit: str = "1",
+    kind: str = "sign",
+    axis: str = "",
+) -> Finding:
+    """Channels to be multiplied by -1; `kind` is "axes" where an axis points the other way."""
+    repair = f"{' and '.join(channels)} = {{ ..., sign = -1 }} in the mapping"
+    edits = (Affine(channels, -1.0),)
+    return Finding(kind, value, std, unit, message, repair, channels, edits=edits, axis=axis)
+
+
+def wrong_unit(
+    channels: tuple[str, ...], unit: str, gain: float, message: str, value: float, std: float = 0.0
+) -> Finding:
+    """Channels in another unit, of `gain` times SI, recognised by the ratio `value`."""
+    repair = f'unit = "{unit}" for {" and ".join(channels)} in the mapping'
+    edits = (Affine(channels, gain, unit=unit),)
+    return Finding("unit", value, std, "1", message, repair, channels, edits=edits)
+
+
+def exchanged_channels(first: str, second: str, message: str) -> Finding:
+    """Two channels under each other's name; the size is filled in once it is known."""
+    repair = f"exchange the columns of {first} and {second} in the mapping"
+    swap = (Swap(first, second),)
+    return Finding("swapped-channels", 0.0, 0.0, "1", message, repair, (first, second), edits=swap)

@@ -11,14 +11,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from diffsea.recordings.auditing.audit import audit
-from diffsea.recordings.auditing.edits import Edit
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.mappings import Column, Mapping
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
 _CERTAIN = 5.0  # standard errors that a fault must measure to be repaired unasked
-_MOST = 30  # trials, far more than any order of repairs needs
+_MUCH_SMALLER = 0.5  # of a fault's size, that a repair must leave at most where no fault goes
+_MOST_TRIALS = 30  # far more than any order of repairs needs
 
 # What is repaired when, and within a stage in which order: velocities and yaw rate are scaled
 # before anything is added to them, the compass curve is one of the heading as recorded.
@@ -30,12 +30,16 @@ _STAGES: tuple[tuple[str, ...], ...] = (
     ("sensor-latency",),
     ("scale", "gyro-bias", "hard-iron", "heading-offset", "through-water", "lever-arm"),
 )
+_ORDER = [kind for kinds in _STAGES for kind in kinds]
+_CLOCK, _LABELS = 0, 1
 _ACTUATORS = len(_STAGES)
-_KNOWN = _ACTUATORS + 1  # nothing can be done, and nothing need be
+_HARMLESS = _ACTUATORS + 1  # nothing can be done, and nothing need be
+
+_Fault = tuple[str, tuple[str, ...]]  # kind and channels: what makes two findings the same
 
 
 @dataclasses.dataclass(frozen=True)
-class Step:
+class RepairStep:
     """One finding and what became of it: `applied`, `undone` or `left`, and why."""
 
     finding: Finding
@@ -43,7 +47,7 @@ class Step:
     reason: str
     in_mapping: bool = False
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, object]:
         """The step as it stands in repairs.json."""
         return {
             "kind": self.finding.kind,
@@ -69,16 +73,16 @@ class Repair:
 
     run: Trajectory
     mapping: Mapping
-    steps: tuple[Step, ...]
+    steps: tuple[RepairStep, ...]
     before: tuple[Finding, ...]
     left: tuple[Finding, ...]
 
     @property
-    def applied(self) -> tuple[Step, ...]:
+    def applied(self) -> tuple[RepairStep, ...]:
         """The steps that changed the recording."""
         return tuple(step for step in self.steps if step.outcome == "applied")
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, object]:
         """The repair as it stands in repairs.json."""
         return {
             "recording": self.run.name,
@@ -99,64 +103,71 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
     through; without one its columns are the native ones.
     """
     before = audit(run)
-    state = _State(run, _native(run) if mapping is None else _ned(mapping), before)
-    refused: dict[tuple, str] = {}
-    for _ in range(_MOST):
-        waiting = [f for f in state.findings if not _hindrance(f, state.findings)]
-        waiting = [f for f in waiting if _key(f) not in refused]
+    if mapping is None:
+        mapping = _native_mapping(run)
+    else:  # the edits are in north-east-down axes
+        mapping = dataclasses.replace(mapping, channels=mapping.ned_channels, frame="NED")
+    done = _Repaired(run, mapping, before)
+    refused: dict[_Fault, str] = {}
+    for _ in range(_MOST_TRIALS):
+        waiting = [f for f in done.findings if not _hindrance(f, done.findings)]
+        waiting = [f for f in waiting if _fault(f) not in refused]
         if not waiting:
             break
         stage = min(map(_stage, waiting))
-        together = sorted((f for f in waiting if _stage(f) == stage), key=_place)
+        together = [f for f in waiting if _stage(f) == stage]
+        together.sort(key=lambda f: _ORDER.index(f.kind) if f.kind in _ORDER else len(_ORDER))
         for group in (together, *([f] for f in together if len(together) > 1)):
-            trial = state.after(group)
-            if _better(state.findings, trial.findings):
-                state, refused = trial, {}
+            trial = done.with_repairs(group)
+            if _is_better(done.findings, trial.findings):
+                done, refused = trial, {}
                 break
         else:
-            refused |= {_key(f): _told(trial.findings) for f in together}
-    return _outcome(state, before, refused)
+            found = "; ".join(finding.message for finding in trial.findings)
+            why = f"repaired, the audit was no better, so it was undone: {found}"
+            refused |= {_fault(f): why for f in together}
+    steps = list(done.steps)
+    for finding in done.findings:
+        if hindrance := _hindrance(finding, done.findings):
+            steps.append(RepairStep(finding, "left", hindrance))
+        else:
+            why = refused.get(_fault(finding), "too many trials were needed")
+            steps.append(RepairStep(finding, "undone", why))
+    return Repair(done.run, done.mapping, tuple(steps), tuple(before), tuple(done.findings))
 
 
 @dataclasses.dataclass(frozen=True)
-class _State:
+class _Repaired:
+    """A recording between two repairs: what it and its mapping have become, and its audit."""
+
     run: Trajectory
     mapping: Mapping
     findings: list[Finding]
-    steps: tuple[Step, ...] = ()
+    steps: tuple[RepairStep, ...] = ()
 
-    def after(self, group: Iterable[Finding]) -> "_State":
-        """The state with the repairs of these findings."""
+    def with_repairs(self, group: Iterable[Finding]) -> "_Repaired":
+        """The recording with the repairs of these findings as well."""
         run, mapping, steps = self.run, self.mapping, list(self.steps)
         for finding in group:
-            mapped = _mapped(mapping, finding.edits)
+            amended: Mapping | None = mapping
             for edit in finding.edits:
                 run = edit.apply(run)
+                amended = None if amended is None else edit.amend_mapping(amended)
             note = f"repaired {finding.kind}: {finding.message}"
             run = dataclasses.replace(run, provenance=(*run.provenance, note))
-            steps.append(Step(finding, "applied", "the audit is better for it", bool(mapped)))
-            mapping = mapped or mapping
-        return _State(run, mapping, audit(run), tuple(steps))
+            why = "the audit is better for it"
+            steps.append(RepairStep(finding, "applied", why, amended is not None))
+            mapping = mapping if amended is None else amended
+        return _Repaired(run, mapping, audit(run), tuple(steps))
 
 
-def _mapped(mapping: Mapping, edits: Iterable[Edit]) -> Mapping | None:
-    """The mapping with all these edits, None if it cannot say one of them."""
-    changed: Mapping | None = mapping
-    for edit in edits:
-        changed = None if changed is None else edit.mapped(changed)
-    return changed
+def _fault(finding: Finding) -> _Fault:
+    return finding.kind, finding.channels
 
 
-def _outcome(state: _State, before: list[Finding], refused: dict[tuple, str]) -> Repair:
-    steps = list(state.steps)
-    for finding in state.findings:
-        hindrance = _hindrance(finding, state.findings)
-        if hindrance:
-            steps.append(Step(finding, "left", hindrance))
-        else:
-            told = refused.get(_key(finding), "too many trials were needed")
-            steps.append(Step(finding, "undone", told))
-    return Repair(state.run, state.mapping, tuple(steps), tuple(before), tuple(state.findings))
+def _size(finding: Finding) -> float:
+    """How far a finding is from no fault at all, in its unit."""
+    return abs(finding.value - (finding.kind == "scale"))
 
 
 def _hindrance(finding: Finding, findings: list[Finding]) -> str:
@@ -165,58 +176,38 @@ def _hindrance(finding: Finding, findings: list[Finding]) -> str:
         return finding.repair or "nothing can be done about it here"
     if finding.doubt:
         return finding.doubt
-    size = abs(finding.value - (finding.kind == "scale"))
-    if np.isfinite(finding.std) and size < _CERTAIN * finding.std:
+    if np.isfinite(finding.std) and _size(finding) < _CERTAIN * finding.std:
         return f"its size is below {_CERTAIN:g} standard errors"
-    mislabelled = [f for f in findings if _stage(f) == 1 and f is not finding]
-    if 1 < _stage(finding) < _ACTUATORS and mislabelled:
+    mislabelled = [f for f in findings if _stage(f) == _LABELS and f is not finding]
+    if _LABELS < _stage(finding) < _ACTUATORS and mislabelled:
         return f"has no meaning before this is settled: {mislabelled[0].message}"
     return ""
 
 
 def _stage(finding: Finding) -> int:
     if any(name.startswith(("cmd_", "exec_")) for name in finding.channels):
-        return _ACTUATORS if finding.edits else _KNOWN
-    stages = [i for i, kinds in enumerate(_STAGES) if finding.kind in kinds]
+        return _ACTUATORS if finding.edits else _HARMLESS
     if finding.channels == ("t",) and finding.kind == "unit":
-        return 0
-    if finding.kind in ("duplicate", "time-step") and not finding.edits:
-        return _KNOWN
-    return stages[0] if stages else _KNOWN
+        return _CLOCK
+    if finding.kind in _STAGES[_CLOCK] and not finding.edits:
+        return _HARMLESS
+    return next((i for i, kinds in enumerate(_STAGES) if finding.kind in kinds), _HARMLESS)
 
 
-def _place(finding: Finding) -> int:
-    order = [kind for kinds in _STAGES for kind in kinds]
-    return order.index(finding.kind) if finding.kind in order else len(order)
-
-
-def _key(finding: Finding) -> tuple:
-    return (finding.kind, finding.channels)
-
-
-def _counts(findings: list[Finding]) -> list[int]:
-    stages = [_stage(finding) for finding in findings]
-    return [stages.count(stage) for stage in range(_KNOWN)]
-
-
-def _better(before: list[Finding], after: list[Finding]) -> bool:
+def _is_better(before: list[Finding], after: list[Finding]) -> bool:
     """Whether an audit has less to say, the coarser faults counting before the finer."""
-    if _counts(before) != _counts(after):
-        return _counts(after) < _counts(before)
-    sizes = {_key(f): abs(f.value - (f.kind == "scale")) for f in before}
-    same = {_key(f): abs(f.value - (f.kind == "scale")) for f in after}
-    if set(sizes) != set(same):
+    stages = [[_stage(finding) for finding in findings] for findings in (before, after)]
+    counts = [[found.count(stage) for stage in range(_HARMLESS)] for found in stages]
+    if counts[0] != counts[1]:
+        return counts[1] < counts[0]
+    old, new = ({_fault(f): _size(f) for f in findings} for findings in (before, after))
+    if set(old) != set(new):
         return False
-    changed = [key for key in sizes if sizes[key] != same[key]]
-    return bool(changed) and all(same[key] < 0.5 * sizes[key] for key in changed)
+    changed = [fault for fault in old if old[fault] != new[fault]]
+    return bool(changed) and all(new[fault] < _MUCH_SMALLER * old[fault] for fault in changed)
 
 
-def _told(after: list[Finding]) -> str:
-    found = "; ".join(finding.message for finding in after)
-    return f"repaired, the audit was no better, so it was undone: {found}"
-
-
-def _native(run: Trajectory) -> Mapping:
+def _native_mapping(run: Trajectory) -> Mapping:
     """The mapping that reads a native file as it is."""
     names = ["t", *(name for name in MOTION_CHANNELS if run.has(name))]
     names += [f"cmd_{name}" for name in run.commanded]
@@ -224,43 +215,30 @@ def _native(run: Trajectory) -> Mapping:
     return Mapping(channels={name: Column(name) for name in names}, name="native columns")
 
 
-def _ned(mapping: Mapping) -> Mapping:
-    """The same mapping said in north-east-down axes, which the edits are in."""
-    return dataclasses.replace(mapping, channels=mapping.ned_channels, frame="NED")
-
-
 def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
-    """The mapping as TOML, under comments."""
+    """The mapping as TOML, under comments; only what is not as usual is written."""
     lines = [f"# {line}" for note in notes for line in note.splitlines()]
     lines += ["format = 1", "", "[file]"]
-    plain = Mapping(channels={})
-    for field in dataclasses.fields(Mapping):
-        value = getattr(mapping, field.name)
-        if field.name in ("channels", "name") or value == getattr(plain, field.name):
-            continue
-        if field.name == "origin":
+    for name, value in _unusual_fields(mapping, Mapping(channels={}), ("channels", "name")):
+        if name == "origin":
             value = [float(np.degrees(angle)) for angle in value]
-        lines.append(f"{field.name} = {_toml(value)}")
+        lines.append(f"{name} = {_toml_value(value)}")
     lines += ["", "[columns]"]
-    lines += [f"{_toml_key(name)} = {_entry(c)}" for name, c in mapping.channels.items()]
+    for name, column in mapping.channels.items():
+        plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
+        pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
+        entry = ", ".join(f"{key} = {_toml_value(value)}" for key, value in pairs)
+        lines.append(f"{name if plain else _toml_value(name)} = {{ {entry} }}")
     return "\n".join(lines) + "\n"
 
 
-def _entry(column: Column) -> str:
-    plain = Column(column.column)
-    pairs = [
-        f"{field.name} = {_toml(getattr(column, field.name))}"
-        for field in dataclasses.fields(Column)
-        if field.name == "column" or getattr(column, field.name) != getattr(plain, field.name)
-    ]
-    return "{ " + ", ".join(pairs) + " }"
+def _unusual_fields(record: object, usual: object, without: tuple[str, ...] = ()) -> list:
+    """Names and values of the fields in which two dataclass instances of a kind differ."""
+    names = [field.name for field in dataclasses.fields(record) if field.name not in without]
+    pairs = [(name, getattr(record, name)) for name in names]
+    return [(name, value) for name, value in pairs if value != getattr(usual, name)]
 
 
-def _toml(value: object) -> str:
+def _toml_value(value: object) -> str:
     """Text, numbers and lists of them are written alike in TOML and JSON."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def _toml_key(name: str) -> str:
-    plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
-    return name if plain else _toml(name)

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from diffsea.recordings.auditing.actuators import response_findings
-from diffsea.recordings.auditing.channels import order_findings
+from diffsea.recordings.auditing.actuators import order_findings
 from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.auditing.responses import response_findings
 from diffsea.recordings.mapping_proposal.names import Suggestion
 from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import motion_of
