@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from diffsea.parameters import named
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Designs
@@ -68,12 +68,12 @@ def plan(vessel: Vessel, kind: Kind) -> TrialPlan:
     """The trial with a time limit that every design of the ranges keeps."""
     lowest = float(speed_for(vessel, throttle_for_thrust(vessel, THRUST[0])))
     passing = float(vessel.rigid_body.length) / lowest  # s
-    settled = standard.plan_trial(
+    settled = planning.plan_trial(
         vessel, kind.manoeuvre, math.radians(kind.angle), math.radians(kind.heading) or None,
         thrust=THRUST[0], step=STEP, executes=_EXECUTES,
-        seconds=standard.rounded_up(kind.lengths * passing),
+        seconds=planning.round_up(kind.lengths * passing),
     )  # fmt: skip
-    return dataclasses.replace(settled, approach_seconds=standard.rounded_up(_APPROACH * passing))
+    return dataclasses.replace(settled, approach_seconds=planning.round_up(_APPROACH * passing))
 
 
 def saturation(vessel: Vessel, angle: float) -> float:

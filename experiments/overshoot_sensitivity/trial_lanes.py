@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.simulation.manoeuvres import Stages, zigzag
-from diffsea.simulation.trials import Settings, run_trial
+from diffsea.simulation.trials import TrialSettings, run_trial
 from diffsea.trajectory import Outcome
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import read_vessel
@@ -135,7 +135,7 @@ def _program(
 def measured(case: Case, vessel: Vessel, table: Stages) -> tuple[Float[Array, "number"], Array]:
     """Numbers of one trial, `nan` for those of the other kind, and whether it was completed."""
     passing = case.length / case.speed  # s
-    settings = Settings(step=case.step, seconds=round(LONGEST * passing, 1))
+    settings = TrialSettings(step=case.step, seconds=round(LONGEST * passing, 1))
     trial = run_trial(
         vessel, table, case.speed, settings=settings, approach_seconds=round(APPROACH * passing, 1)
     )

@@ -24,7 +24,7 @@ from diffsea.identification.study import FitSettings, Study, identify
 from diffsea.metrics import recording_metrics
 from diffsea.recordings import read_mapping, read_recording
 from diffsea.report.comparison import ComparedRun, horizon_table, predict
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import build, dump, read_vessel, updated_document
@@ -185,10 +185,10 @@ def circles(case: Set, before: Vessel, after: Vessel) -> list[dict]:
     rows = []
     for side in (1.0, -1.0) if case.circles else ():
         for label, vessel in (("file", before), ("fit", after)):
-            plan = standard.plan_trial(
+            plan = planning.plan_trial(
                 vessel, "turning-circle", angle=math.radians(35), side=side, speed=case.circles
             )
-            values = standard.measured(vessel, plan)[1]
+            values = planning.run_and_measure(vessel, plan)[1]
             length = float(vessel.rigid_body.length)
             rows.append({"side": side, "model": label} | {
                 k: float(values[k]) / length for k in ("advance", "tactical_diameter")

@@ -24,7 +24,8 @@ from jaxtyping import Array, Float
 
 from diffsea.identification.objectives.trial_numbers import TrialNumbers
 from diffsea.parameters import replace
-from diffsea.simulation import standard
+from diffsea.simulation import planning
+from diffsea.simulation.standard import TrialPlan
 
 
 SPREAD = 0.7  # of the draws, in prior widths: half to twice, about
@@ -59,13 +60,13 @@ def circles(coordinates: Float[np.ndarray, "draw coordinate"]) -> dict[str, np.n
 
 
 @eqx.filter_jit
-def _circles(vessel, coordinates: Array, plan: standard.TrialPlan) -> dict[str, Array]:
+def _circles(vessel, coordinates: Array, plan: TrialPlan) -> dict[str, Array]:
     parameters = marus_vessel.parameters()
 
     def one(at: Array) -> dict[str, Array]:
         values = {p.name: p.decode(at[k]) for k, p in enumerate(parameters)}
-        trial = standard.run(replace(vessel, values), plan)
-        numbers = standard.numbers(plan, trial)
+        trial = planning.run_plan(replace(vessel, values), plan)
+        numbers = planning.trial_numbers(plan, trial)
         last = trial.trajectory
         keep = ("tactical_diameter", "steady_turning_diameter", "speed_loss", "final_speed",
                 "steady_yaw_rate")  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 from diffsea.identification.estimates import Estimate, normal_interval
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.standard import TrialPlan
 from diffsea.vessel.base import Vessel
 
@@ -33,7 +33,7 @@ SEED = 0
 
 def plan_of(run: published.Run, vessel: Vessel) -> TrialPlan:
     """The trial as the paper ran it, from its mean approach speed."""
-    plan = standard.plan_trial(
+    plan = planning.plan_trial(
         vessel, run.manoeuvre, math.radians(run.angle), math.radians(run.heading) or None,
         float(run.side), run.speed, seconds=SECONDS[run.manoeuvre], step=STEP, executes=3,
     )  # fmt: skip

@@ -20,7 +20,8 @@ from diffsea.metrics.recorded import recording_metrics
 from diffsea.recordings import resample
 from diffsea.scales import HARD_OVER
 from diffsea.segments import Segment, find_segments, traceability
-from diffsea.simulation import standard
+from diffsea.simulation import planning
+from diffsea.simulation.standard import TrialPlan
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import Table, build
@@ -114,9 +115,9 @@ def _orders(runs: list[published.Run]) -> dict[str, jax.Array]:
 
 
 @eqx.filter_jit
-def _all(vessels: Vessel, orders: dict[str, jax.Array], plan: standard.TrialPlan):
+def _all(vessels: Vessel, orders: dict[str, jax.Array], plan: TrialPlan):
     def one(vessel: Vessel, order: dict[str, jax.Array]):
-        return standard.run(vessel, dataclasses.replace(plan, **order))
+        return planning.run_plan(vessel, dataclasses.replace(plan, **order))
 
     return jax.vmap(lambda vessel: jax.vmap(lambda order: one(vessel, order))(orders))(vessels)
 

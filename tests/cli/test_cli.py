@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT, SWELL
 
-from diffsea.cli import fit, main, options, recordings, trial
+from diffsea.cli import fit, main, options, recordings
 from diffsea.errors import UserError
 from diffsea.identification.study import ANCHORS, OBJECTIVES
-from diffsea.metrics import MANOEUVRES
-from diffsea.simulation.standard import STANDARDS
+from diffsea.metrics import RECORDED_TRIALS
+from diffsea.simulation.standard import STANDARD_TRIALS
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -78,9 +78,21 @@ def test_version(capsys):
     assert capsys.readouterr().out.startswith("diffsea ")
 
 
+def test_trials_that_the_library_knows_are_named_in_the_help_and_others_refused(capsys):
+    for command, library in (("trial", STANDARD_TRIALS), ("metrics", RECORDED_TRIALS)):
+        assert run(command, "--help") == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert all(name in text for name in library)
+    assert run("trial", "otter", "--manoeuvre", "zigzagg") == 2
+    assert "did you mean 'zigzag'" in capsys.readouterr().err
+
+
+def test_a_parser_does_without_jax():
+    code = "import sys, diffsea.cli as c; c.main(['--help']); sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+
+
 def test_names_written_out_for_the_help_are_the_librarys():
-    assert trial.MANOEUVRES == tuple(STANDARDS)
-    assert recordings.MANOEUVRES == MANOEUVRES
     assert (fit.OBJECTIVES, fit.ANCHORS) == (OBJECTIVES, ANCHORS)
 
 

@@ -18,7 +18,7 @@ from diffsea.identification.objectives.output_error import OutputError, Shooting
 from diffsea.identification.objectives.trial_numbers import TrialNumbers, read_trial_table
 from diffsea.identification.problem import default_priors, make_problem
 from diffsea.identification.study import FitSettings, identify
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -185,11 +185,11 @@ def test_an_effect_comes_out_of_trial_numbers_run_side_by_side(document, tmp_pat
     orders = [(35.0, "port", 1.0), (35.0, "starboard", 1.1), (20.0, "starboard", 1.0)]
     texts, expected = ["format = 1"], []
     for angle, side, speed in orders:
-        plan = standard.plan_trial(
+        plan = planning.plan_trial(
             uneven, "turning-circle", np.deg2rad(angle), side=1.0 if side == "starboard" else -1.0,
             speed=speed, seconds=150.0, step=0.2,
         )  # fmt: skip
-        numbers = standard.measured(uneven, plan)[1]
+        numbers = planning.run_and_measure(uneven, plan)[1]
         expected.append(numbers)
         texts.append(CIRCLE.format(angle=angle, side=side, speed=speed, **numbers))
     path = tmp_path / "circles.toml"

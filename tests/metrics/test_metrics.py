@@ -14,14 +14,15 @@ from tests.paths import DATA
 
 from diffsea.errors import UserError
 from diffsea.metrics import (
+    RECORDED_TRIALS,
     crossing_time,
     curve,
     find_orders,
     first_crossing,
     highest,
-    identify,
     imo_verdicts,
-    prepared,
+    prepare_recording,
+    recognise_trial,
     recording_metrics,
     slopes,
     stopping_metrics,
@@ -490,7 +491,7 @@ def test_orders_of_a_zigzag_are_found_where_they_were_given(kind, channels, rate
     run, times = zigzag_recording(kind, channels, rate)
     orders = find_orders(run)
     np.testing.assert_allclose(orders.times, times, atol=0.11)
-    assert identify(run, orders) == "zigzag"
+    assert recognise_trial(run, orders).name == "zigzag"
     assert orders.channel.startswith(kind)
     np.testing.assert_array_equal(np.sign(orders.angles), [1, -1, 1, -1, 1])
 
@@ -607,7 +608,7 @@ def test_what_was_not_recorded_is_derived_or_left_out_and_told():
 
 def test_preparation_keeps_what_is_clean():
     run, _ = zigzag_recording()
-    same, notes = prepared(run)
+    same, notes = prepare_recording(run)
     assert notes == []
     np.testing.assert_array_equal(same.psi, run.psi)
     np.testing.assert_array_equal(same.commanded["rudder"], run.commanded["rudder"])
@@ -639,7 +640,7 @@ def degrees(value):
 def test_imo_limits_of_the_10_10_zigzag(ratio, first, second):
     metrics = {"overshoot_1": math.radians(14), "overshoot_2": math.radians(32)}
     ten = math.radians(10)
-    got = imo_verdicts(metrics, ratio, 1.0, "zigzag", ten, ten)
+    got = imo_verdicts(metrics, ratio, 1.0, RECORDED_TRIALS["zigzag"].criteria, ten, ten)
     assert got["overshoot_1"]["limit"] == degrees(first)
     assert got["overshoot_2"]["limit"] == degrees(second)
     assert got["overshoot_1"]["verdict"] == ("pass" if first >= 14 else "fail")
@@ -653,7 +654,8 @@ def test_imo_criteria_apply_to_their_own_trial_only():
     ) | {"overshoot_1": math.radians(26), "overshoot_2": 0.1}
 
     def verdicts(manoeuvre, *angles):
-        got = imo_verdicts(metrics, 100.0, 8.0, manoeuvre, *(math.radians(a) for a in angles))
+        criteria = RECORDED_TRIALS[manoeuvre].criteria
+        got = imo_verdicts(metrics, 100.0, 8.0, criteria, *(math.radians(a) for a in angles))
         return {name: entry["verdict"] for name, entry in got.items()}
 
     assert verdicts("turning-circle", 35) == {"advance": "fail", "tactical_diameter": "pass"}

@@ -12,7 +12,7 @@ import scipy.signal
 from tests.runs import state_of
 
 from diffsea.errors import UserError
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control import (
     Autopilot,
@@ -308,8 +308,8 @@ def test_bad_requests_are_refused():
 def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
     vessel, wanted = build(read_vessel("esso_osaka").document), 0.25
     slow, kept = (
-        standard.measured(
-            vessel, standard.plan_trial(vessel, "turning-circle", speed=wanted, keep_speed=keep)
+        planning.run_and_measure(
+            vessel, planning.plan_trial(vessel, "turning-circle", speed=wanted, keep_speed=keep)
         )[0]
         for keep in (False, True)
     )
@@ -317,4 +317,4 @@ def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
               for run in (slow, kept)]  # fmt: skip
     assert speeds[1] > 0.9 * wanted and speeds[0] < 0.6 * wanted
     with pytest.raises(UserError, match="keep the speed"):
-        standard.plan_trial(vessel, "zigzag", thrust=3.0, keep_speed=True)
+        planning.plan_trial(vessel, "zigzag", thrust=3.0, keep_speed=True)

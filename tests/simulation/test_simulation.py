@@ -30,7 +30,7 @@ from diffsea.parameters import named, replace
 from diffsea.simulation.control import ControlAllocation, speed_for, throttle_for
 from diffsea.simulation.integrate import advance
 from diffsea.simulation.manoeuvres import turning_circle, zigzag
-from diffsea.simulation.trials import Settings, run_trial
+from diffsea.simulation.trials import TrialSettings, run_trial
 from diffsea.trajectory import MOTION_CHANNELS, Outcome
 from diffsea.types import Environment, State
 from diffsea.vessel.base import Vessel
@@ -345,7 +345,7 @@ def test_a_run_without_compilation_is_the_compiled_one():
 
 @functools.partial(jax.jit, static_argnames="settings")
 def trial_of(vessel, heading=ANGLE, settings=None, **options):
-    settings = settings or Settings(step=0.2, seconds=30.0)
+    settings = settings or TrialSettings(step=0.2, seconds=30.0)
     stages = zigzag(ANGLE, heading, 3)
     return run_trial(vessel, stages, settings=settings, approach_seconds=100.0, **options)
 
@@ -398,7 +398,7 @@ def test_the_outcome_says_how_a_trial_ended():
 
 def test_a_trial_with_delayed_actuators_can_be_compiled():
     document = varied(USV, servo={"delay": 0.33})
-    settings = Settings(step=0.1, seconds=12.0, longest_delay=0.5)
+    settings = TrialSettings(step=0.1, seconds=12.0, longest_delay=0.5)
     trial = trial_of(build(document), settings=settings, speed=SPEED)
     total = oracle.thrust_for_speed(document, SPEED)
     reference = oracle.zigzag(document, total, executes=2, speed=SPEED)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsea.errors import UserError
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.control import full_throttle, speed_for, throttle_for, throttle_for_thrust
 from diffsea.trajectory import Outcome
 from diffsea.vessel.files import build, read_vessel, shipped_vessels
@@ -25,10 +25,10 @@ def boat():
 
 
 def measured(boat, manoeuvre, **options):
-    plan = standard.plan_trial(boat, manoeuvre, speed=2.0, step=0.1, **options)
-    trial, numbers = standard.measured(boat, plan)
+    plan = planning.plan_trial(boat, manoeuvre, speed=2.0, step=0.1, **options)
+    trial, numbers = planning.run_and_measure(boat, plan)
     assert int(trial.trajectory.outcome) == Outcome.COMPLETED
-    return standard.summary(boat, plan, trial, numbers)
+    return planning.summarise_trial(boat, plan, trial, numbers)
 
 
 def test_acceleration_is_a_first_order_lag(boat):
@@ -90,7 +90,7 @@ def test_a_pull_out_to_port_comes_to_rest_after_a_full_turn(boat):
     ("length", "step"), [(1.2, 0.02), (4.9, 0.05), (7.0, 0.05), (20.0, 0.1), (160.0, 0.2)]
 )
 def test_the_default_step_is_round_and_follows_the_length(length, step):
-    assert standard.default_step(length) == step
+    assert planning.default_step(length) == step
     assert 0.6 < step / (0.05 * math.sqrt(length / 9.81)) < 1.6
 
 
@@ -98,13 +98,13 @@ def test_the_default_speed_is_within_reach_of_every_shipped_vessel():
     for name in shipped_vessels():
         vessel = read_vessel(name).vessel
         froude = 0.2 * math.sqrt(9.81 * float(vessel.rigid_body.length))
-        speed = standard.default_speed(vessel)
+        speed = planning.default_speed(vessel)
         if name == "mariner":
             assert speed == 7.7175
         else:
-            assert speed == pytest.approx(min(froude, 0.8 * standard.top_speed(vessel)))
+            assert speed == pytest.approx(min(froude, 0.8 * planning.top_speed(vessel)))
             assert throttle_for(vessel, speed) < full_throttle(vessel)
-    assert standard.default_speed(read_vessel("esso_osaka").vessel) < 0.6
+    assert planning.default_speed(read_vessel("esso_osaka").vessel) < 0.6
 
 
 def test_full_throttle_is_that_of_all_thrusters_together():
@@ -127,10 +127,10 @@ def test_a_thrust_sets_the_speed_at_which_drag_takes_it_up(boat):
 
 def test_plans_that_make_no_sense_are_told(boat):
     with pytest.raises(UserError, match="no manoeuvre 'zigzagg'; did you mean 'zigzag'"):
-        standard.plan_trial(boat, "zigzagg")
+        planning.plan_trial(boat, "zigzagg")
     mariner = read_vessel("mariner").vessel
     with pytest.raises(UserError, match="no propulsion to command, so it cannot run stopping"):
-        standard.plan_trial(mariner, "stopping")
+        planning.plan_trial(mariner, "stopping")
     with pytest.raises(UserError, match="a thrust cannot be set"):
-        standard.plan_trial(mariner, "zigzag", thrust=10.0)
-    assert standard.plan_trial(mariner, "zigzag").throttle == 0.0
+        planning.plan_trial(mariner, "zigzag", thrust=10.0)
+    assert planning.plan_trial(mariner, "zigzag").throttle == 0.0

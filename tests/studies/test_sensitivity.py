@@ -12,7 +12,7 @@ from tests.boats import BOAT, CROSS_FLOW
 from diffsea.cli import main
 from diffsea.errors import UserError
 from diffsea.parameters import designed, spread
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.studies.sensitivity import elasticities, parameter_names
 from diffsea.vessel.files import build, read_vessel
 
@@ -53,10 +53,10 @@ def derivatives(tmp_path_factory):
 @pytest.fixture(scope="module")
 def numbers():
     """The numbers of the same trial of a document, by the code of `diffsea trial`."""
-    plan = standard.plan_trial(build(DOCUMENT), "zigzag", np.radians(15), np.radians(10), speed=1.3)
+    plan = planning.plan_trial(build(DOCUMENT), "zigzag", np.radians(15), np.radians(10), speed=1.3)
 
     def measured(document):
-        found = standard.measured(build(document), plan)[1]
+        found = planning.run_and_measure(build(document), plan)[1]
         return {name: float(value) for name, value in found.items()}
 
     return measured

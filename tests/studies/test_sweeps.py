@@ -13,7 +13,7 @@ from tests.boats import BOAT
 from diffsea.cli import main
 from diffsea.errors import UserError
 from diffsea.report.pictures import save_map
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.studies import sweep
 from diffsea.vessel.files import build, read_vessel
 
@@ -45,9 +45,9 @@ def single(speed, **hull):
     document = tomllib.loads(BOAT)
     document["hull"] |= hull
     vessel = build(document)
-    plan = standard.plan_trial(vessel, "zigzag", speed=speed, executes=2, step=0.1)
-    trial, numbers = standard.measured(vessel, plan)
-    return standard.summary(vessel, plan, trial, numbers)
+    plan = planning.plan_trial(vessel, "zigzag", speed=speed, executes=2, step=0.1)
+    trial, numbers = planning.run_and_measure(vessel, plan)
+    return planning.summarise_trial(vessel, plan, trial, numbers)
 
 
 def test_a_grid_has_every_combination_once(swept):

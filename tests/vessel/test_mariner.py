@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from tests.runs import CALM, columns, run, staged, staged_turn, state_of, trajectory
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
-from diffsea.metrics.imo import imo_verdicts
+from diffsea.metrics.imo import imo_verdicts, turning_criteria, zigzag_criteria
 from diffsea.simulation.manoeuvres import zigzag
 from diffsea.vessel.files import read_vessel
 
@@ -158,7 +158,7 @@ def test_the_mariner_fails_the_tactical_diameter(side):
     for degrees in (15, 20, 35):
         numbers = {k: float(x) for k, x in turned(side * degrees).items()}
         verdicts = imo_verdicts(
-            numbers, LENGTH, SPEED, "turning-circle", math.radians(degrees), hard_over=True
+            numbers, LENGTH, SPEED, turning_criteria, math.radians(degrees), hard_over=True
         )
         diameter = verdicts["tactical_diameter"]
         assert (diameter["limit"], diameter["unit"]) == (5.0, "L")
@@ -173,7 +173,7 @@ def test_the_mariner_fails_the_tactical_diameter(side):
 def test_the_mariner_passes_the_zigzag():
     numbers = {k: float(x) for k, x in zigzagged(10)[1].items()}
     ten = math.radians(10)
-    verdicts = imo_verdicts(numbers, LENGTH, SPEED, "zigzag", angle=ten, heading=ten)
+    verdicts = imo_verdicts(numbers, LENGTH, SPEED, zigzag_criteria, angle=ten, heading=ten)
     limits = [5 + 0.5 * LENGTH / SPEED, 17.5 + 0.75 * LENGTH / SPEED]  # deg, L / V = 20.9 s
     for number, limit in enumerate(limits, 1):
         assert verdicts[f"overshoot_{number}"]["verdict"] == "pass"

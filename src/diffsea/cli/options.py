@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import functools
 import json
 import math
 import os
@@ -9,10 +10,11 @@ import pathlib
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.errors import UserError
+from diffsea.runtime import prepare_jax
 
 
 if TYPE_CHECKING:
@@ -104,10 +106,34 @@ def angle(text: str) -> float:
     return value
 
 
-def one_of(names: Sequence[str], what: str) -> Callable[[str], str]:
+class LazyChoices:
+    """Names that the library knows, with what they mean, asked for only where they are needed.
+
+    Asking imports JAX, which takes a second that a parser must not take for other commands.
+    Iterated, as argparse does for `%(choices)s`, they are as they stand in the help.
+    """
+
+    def __init__(self, load: Callable[[], dict[str, str]]) -> None:
+        self._load = load
+
+    @functools.cached_property
+    def named(self) -> dict[str, str]:
+        """Meaning by name; without one it is empty."""
+        prepare_jax()
+        return self._load()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.named
+
+    def __iter__(self) -> Iterator[str]:
+        return (f"{name} ({text})" if text else name for name, text in self.named.items())
+
+
+def one_of(choices: Sequence[str] | LazyChoices, what: str) -> Callable[[str], str]:
     """One of some names; the message has the nearest one and the list."""
 
     def chosen(text: str) -> str:
+        names = list(choices.named) if isinstance(choices, LazyChoices) else choices
         if text not in names:
             near = difflib.get_close_matches(text, names, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from diffsea.recordings.auditing.repair import Repair
 
 
-# Written out because asking the library would import JAX; a test compares the two.
-MANOEUVRES = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
 _UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 
 _METRICS = """\
@@ -65,10 +63,14 @@ def register(commands) -> None:
     size = metrics.add_mutually_exclusive_group()
     size.add_argument("--vessel", metavar="V", help="vessel whose length and thrust curves count")
     size.add_argument("--length", metavar="M", type=options.positive, help="L_pp as recorded")
+    trials = options.LazyChoices(_recorded_trials)
     metrics.add_argument(
-        "--manoeuvre", metavar="NAME", type=options.one_of(MANOEUVRES, "manoeuvre"),
-        help=f"what was run, if known better ({' | '.join(MANOEUVRES)})",
-    )  # fmt: skip
+        "--manoeuvre",
+        metavar="NAME",
+        type=options.one_of(trials, "manoeuvre"),
+        choices=trials,
+        help="what was run, if known better: %(choices)s",
+    )
     metrics.add_argument(
         "--scale", metavar="S", type=options.positive, default=1.0,
         help="full-scale over recorded length, for the verdicts on a model (default: 1)",
@@ -96,6 +98,12 @@ def register(commands) -> None:
         "--environment-from", metavar="SECONDS", type=options.positive,
         help="estimate current (and wind) on the start of the run and predict the rest",
     )  # fmt: skip
+
+
+def _recorded_trials() -> dict[str, str]:
+    from diffsea.metrics import RECORDED_TRIALS
+
+    return dict.fromkeys(RECORDED_TRIALS, "")
 
 
 def _metrics(args: argparse.Namespace) -> None:

@@ -72,14 +72,14 @@ def register(commands) -> None:
 
 def _sensitivity(args: argparse.Namespace) -> None:
     from diffsea.report.pictures import save_tornado
-    from diffsea.simulation import standard
+    from diffsea.simulation import planning
     from diffsea.studies.sensitivity import elasticities, parameter_names, sensitivities
 
     vessel = options.read_vessel(args).vessel
     parameter_names(vessel, args.parameters)
     plan = plan_of(args, vessel)
     with options.Outputs(args.output) as out:
-        trial, _ = standard.measured(vessel, plan)
+        trial, _ = planning.run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
         options.progress("differentiating; the first time takes a while to compile")
         numbers, derivatives = sensitivities(vessel, plan, args.parameters)

@@ -13,11 +13,6 @@ if TYPE_CHECKING:
     from diffsea.vessel.base import Vessel
 
 
-# Written out because asking the library would import JAX; a test compares the two.
-MANOEUVRES = (
-    "turning-circle", "zigzag", "modified-zigzag", "acceleration", "stopping", "coasting",
-    "pull-out", "spiral",
-)  # fmt: skip
 _DESCRIPTION = """\
 Run a standard trial: an approach at steady speed, the execute, the manoeuvre to its end.
 
@@ -45,10 +40,15 @@ def register(commands) -> None:
 def add_trial_options(parser: argparse.ArgumentParser) -> None:
     """The options that describe a trial."""
     group = parser.add_argument_group("trial")
+    trials = options.LazyChoices(_standard_trials)
     group.add_argument(
-        "--manoeuvre", metavar="NAME", required=True, help=" | ".join(MANOEUVRES),
-        type=options.one_of(MANOEUVRES, "manoeuvre"),
-    )  # fmt: skip
+        "--manoeuvre",
+        metavar="NAME",
+        required=True,
+        type=options.one_of(trials, "manoeuvre"),
+        choices=trials,
+        help="%(choices)s",
+    )
     group.add_argument(
         "--angle", metavar="DEG", type=options.angle,
         help="rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a "
@@ -90,11 +90,17 @@ def add_trial_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _standard_trials() -> dict[str, str]:
+    from diffsea.simulation.standard import STANDARD_TRIALS
+
+    return {name: trial.help for name, trial in STANDARD_TRIALS.items()}
+
+
 def plan_of(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
     """The trial that the options describe; tells the defaults that were taken."""
-    from diffsea.simulation import standard
+    from diffsea.simulation import planning
 
-    plan = standard.plan_trial(
+    plan = planning.plan_trial(
         vessel,
         args.manoeuvre,
         angle=None if args.angle is None else math.radians(args.angle),
@@ -139,14 +145,14 @@ def require_run(trial, plan: "TrialPlan", vessel: "Vessel") -> None:
 def _run(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report import pictures
-    from diffsea.simulation import standard
+    from diffsea.simulation import planning
 
     vessel = options.read_vessel(args).vessel
     plan = plan_of(args, vessel)
     with options.Outputs(args.output) as out:
-        trial, numbers = standard.measured(vessel, plan)
+        trial, numbers = planning.run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
-        metrics = standard.summary(vessel, plan, trial, numbers)
+        metrics = planning.summarise_trial(vessel, plan, trial, numbers)
         if metrics["outcome"] != "completed":
             options.progress(f"{metrics['outcome_message']}; give it more with --seconds")
         write_recording(trial.trajectory, out.path("recording.csv"))

@@ -13,11 +13,12 @@ from diffsea.metrics.imo import imo_verdicts as imo_verdicts
 from diffsea.metrics.manoeuvres import stopping_metrics as stopping_metrics
 from diffsea.metrics.manoeuvres import turning_metrics as turning_metrics
 from diffsea.metrics.manoeuvres import zigzag_metrics as zigzag_metrics
-from diffsea.metrics.orders import MANOEUVRES as MANOEUVRES
 from diffsea.metrics.orders import Orders as Orders
 from diffsea.metrics.orders import find_orders as find_orders
-from diffsea.metrics.orders import identify as identify
-from diffsea.metrics.preparation import prepared as prepared
+from diffsea.metrics.preparation import prepare_recording as prepare_recording
+from diffsea.metrics.recorded import RECORDED_TRIALS as RECORDED_TRIALS
+from diffsea.metrics.recorded import RecordedTrial as RecordedTrial
+from diffsea.metrics.recorded import recognise_trial as recognise_trial
 from diffsea.metrics.recorded import recording_metrics as recording_metrics
 from diffsea.metrics.repeats import fit_percent as fit_percent
 from diffsea.metrics.repeats import mean_and_half_width as mean_and_half_width

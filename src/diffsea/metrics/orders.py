@@ -1,19 +1,22 @@
-"""What was ordered in a recorded run: the execute, the later switchings, the manoeuvre.
+"""What was ordered in a recorded run: when, to which side, how far, and for how long.
 
 The steering order is a rudder angle or, for twin thrusters, its equivalent
 
     delta = 35 deg * (T_port - T_starboard) / |T_port + T_starboard|.
 
-A trial holds its angle, so the angle that the run holds longest (its plateau) sets every
-threshold, and hand steering before the execute does not reach it or does not stay. A
-realised rudder moves slowly: it was ordered away when it left its plateau.
+Orders show as plateaus of that angle. In a recording of one trial (`find_orders`) the angle that
+the run holds longest sets every threshold, and hand steering before the execute does not reach it
+or does not stay. In a long recording of many (`find_plateaus`, `alternating_chains`) any angle
+that stays counts. A realised rudder moves slowly: it was ordered away when it left its plateau.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping
 
 import numpy as np
+from scipy import ndimage
 
 from diffsea.scales import HARD_OVER
 from diffsea.series import hold_last
@@ -21,15 +24,18 @@ from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory
 
 
-MANOEUVRES = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
-
-_BAND = 0.08  # of the plateau: closer than this to it counts as being on it
-_SMALLEST_ORDER = math.radians(1)
-_TURN = math.radians(120)  # change of heading under one order that makes it a turn
-_LONG_LEG = math.radians(150)  # as much of one order among several: no zig-zag leg
-_LARGEST_REVERSAL = math.radians(60)
-_PULL_OUT = math.radians(20)
-_STRAIGHT = math.radians(15)
+# A plateau is left by more than this part of its angle: no helmsman or servo holds better.
+_PLATEAU_BAND = 0.08
+_SMALLEST_ORDER = math.radians(1)  # no trial is run at less
+_NEUTRAL = 0.3  # of the order: steering within it is that of a straight course
+_PORT, _STARBOARD = ("port", "left"), ("starboard", "stbd", "right")
+_OUTLIER_ROWS = 5  # of the median filter that removes outliers
+_NARROWEST_BAND = math.radians(0.5)  # what rudder indicators resolve
+_INSIDE_SHARE = 0.9  # of the rows of a plateau that lie within its band
+_CREEP = 0.3  # of the level: a lag comes this near quickly, and creeps from there
+_UNCHANGED = 0.005  # of the level: smaller changes are none
+_PEAK = 0.7  # of its largest angle: a swing is near its peak
+_UNLIKE = 0.2  # relative difference of size up to which two orders are a zig-zag's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,193 +52,49 @@ class Orders:
     channel: str = "none"  # what they were read from, for notes
 
 
+@dataclasses.dataclass(frozen=True)
+class Plateau:
+    """A stretch of rows, both ends included, in which the steering stays at one angle (rad)."""
+
+    first: int
+    last: int
+    level: float
+
+    @property
+    def side(self) -> float:
+        """+1 or -1, the sign of the angle."""
+        return math.copysign(1.0, self.level)
+
+    def seconds(self, t: Samples) -> float:
+        """How long it lasts, by the time stamps (s) of the rows."""
+        return t[self.last] - t[self.first]
+
+
+def steers(channel: str) -> bool:
+    """Whether a channel is an angle of steering by its name."""
+    return "rudder" in channel.lower() or channel.lower().endswith(".angle")
+
+
 def steering(trajectory: Trajectory) -> tuple[Samples, str] | None:
     """Steering angle (rad) in every row and the channel it is from; none if not recorded.
 
     Commands come before executed values. A channel with "rudder" in its name is taken
     first, then a pair named port / starboard or left / right, then an azimuth angle.
     """
-    for kind, channels in (
-        ("commanded", trajectory.commanded),
-        ("executed", trajectory.executed),
-    ):
-        usable = {
-            name: hold_last(np.asarray(values, float))
-            for name, values in channels.items()
-            if np.isfinite(np.asarray(values, float)).any()
-        }
-        angle = _angle(usable)
-        if angle is not None:
-            return angle[0], f"{kind} {angle[1]}"
+    for kind, group in (("commanded", trajectory.commanded), ("executed", trajectory.executed)):
+        channels = _held_channels(group)
+        rudders = [name for name in channels if "rudder" in name.lower()]
+        port, starboard = (
+            next((n for n in channels if any(w in n.lower() for w in side) and not steers(n)), None)
+            for side in (_PORT, _STARBOARD)
+        )
+        if not rudders and port and starboard:
+            angle = equivalent_angle(channels[port], channels[starboard])
+            return angle, f"{kind} {port}, {starboard}"
+        angles = rudders or [name for name in channels if name.lower().endswith(".angle")]
+        if angles:
+            return np.mean([channels[n] for n in angles], axis=0), f"{kind} {', '.join(angles)}"
     return None
-
-
-def as_thrust(trajectory: Trajectory, units: Mapping[str, str]) -> Trajectory:
-    """The run with shaft speeds as what they push at rest, whose ratio gives the equivalent angle.
-
-    `units` are those of the channels, as a vessel has them.
-    """
-
-    def pushed(group: Mapping[str, Samples]) -> dict[str, Samples]:
-        return {c: s * np.abs(s) if units.get(c) == "rev/s" else s for c, s in group.items()}
-
-    return dataclasses.replace(
-        trajectory, commanded=pushed(trajectory.commanded), executed=pushed(trajectory.executed)
-    )
-
-
-def propulsion(trajectory: Trajectory) -> Samples | None:
-    """Sum of the driving channels, each over its largest value; none if not recorded."""
-    for channels in (trajectory.commanded, trajectory.executed):
-        driving = [
-            hold_last(np.asarray(values, float))
-            for name, values in channels.items()
-            if not _steers(name) and np.isfinite(np.asarray(values, float)).any()
-        ]
-        if driving:
-            return np.sum([d / max(np.max(np.abs(d)), 1e-12) for d in driving], axis=0)
-    return None
-
-
-def find_orders(trajectory: Trajectory) -> Orders:
-    """The longest chain of alternating orders held at the plateau.
-
-    The trajectory is a prepared one: every row counts and has a heading.
-    """
-    steered = steering(trajectory)
-    if steered is None:
-        return Orders()
-    angle, channel = steered
-    t = np.asarray(trajectory.t, float)
-    plateau = _plateau(t, angle)
-    if plateau < _SMALLEST_ORDER:
-        return Orders(channel=channel)
-    chains: list[list[tuple[int, int, int]]] = []
-    for run in _held_runs(angle, plateau):
-        if chains and _follows(t, angle, plateau, chains[-1][-1], run):
-            chains[-1].append(run)
-        else:
-            chains.append([run])
-    if not chains:
-        return Orders(channel=channel)
-    chain = max(chains, key=lambda c: t[c[-1][1]] - t[c[0][0]])
-    return Orders(
-        times=tuple(_order_time(t, angle, first) for first, _, _ in chain),
-        angles=tuple(float(np.median(angle[a : b + 1])) for a, b, _ in chain),
-        end=float(t[chain[-1][1]]),
-        channel=channel,
-    )
-
-
-def the_turn(trajectory: Trajectory, orders: Orders) -> Orders:
-    """The one order under which the heading changed most, as orders of their own."""
-    change = np.abs(_changes(trajectory, orders))
-    k = int(np.argmax(change))
-    end = orders.times[k + 1] if k + 1 < len(orders.times) else orders.end
-    return dataclasses.replace(
-        orders, times=orders.times[k : k + 1], angles=orders.angles[k : k + 1], end=end
-    )
-
-
-def identify(trajectory: Trajectory, orders: Orders) -> str:
-    """The manoeuvre, one of `MANOEUVRES`, from the orders and what the heading did."""
-    named = "unknown"
-    if orders.times and _stands_out(trajectory, orders) and _approached(trajectory, orders):
-        named = _steered_manoeuvre(trajectory, orders)
-    if named == "unknown" and _stopped(trajectory):
-        return "stopping"
-    if named == "unknown" and np.ptp(trajectory.psi) < _STRAIGHT:
-        return "straight"
-    return named
-
-
-def _steered_manoeuvre(trajectory: Trajectory, orders: Orders) -> str:
-    change = _changes(trajectory, orders)
-    if np.max(np.abs(change)) >= (_TURN if len(change) == 1 else _LONG_LEG):
-        return "turning-circle"
-    if len(change) == 1:
-        released = _neutral_share(trajectory, orders) > 0.7
-        return "pull-out" if released and abs(change[0]) > _PULL_OUT else "unknown"
-    reached = np.cumsum(change)[:-1]
-    size = np.abs(reached)
-    alternate = np.all(reached[1:] * reached[:-1] < 0) and np.min(size) > 0
-    alike = np.ptp(size) <= 0.5 * np.mean(size) and np.mean(size) < _LARGEST_REVERSAL
-    return "zigzag" if alternate and alike else "unknown"
-
-
-def _changes(trajectory: Trajectory, orders: Orders) -> Samples:
-    """Change of heading (rad) under each order."""
-    return np.diff(np.interp([*orders.times, orders.end], trajectory.t, trajectory.psi))
-
-
-def _approached(trajectory: Trajectory, orders: Orders) -> bool:
-    """Whether the vessel was under way before the order; a turn on the spot is no trial."""
-    start = orders.times[0]
-    speed = np.hypot(trajectory.u, trajectory.v)
-    if not np.isfinite(speed).any():
-        return True
-    after = np.quantile(speed[trajectory.t >= start], 0.95)
-    return bool(np.interp(start, trajectory.t, speed) >= 0.5 * after)
-
-
-def _stands_out(trajectory: Trajectory, orders: Orders) -> bool:
-    """Whether the orders fill much of the record, or hardly anything else was ordered."""
-    share = (orders.end - orders.times[0]) / (trajectory.t[-1] - trajectory.t[0])
-    return bool(share > 0.4 or _neutral_share(trajectory, orders) > 0.7)
-
-
-def _neutral_share(trajectory: Trajectory, orders: Orders) -> float:
-    """Share of the rows before and after the orders in which the steering is near zero."""
-    steered = steering(trajectory)
-    if steered is None:
-        return 0.0
-    t = np.asarray(trajectory.t)
-    others = np.abs(steered[0][(t < orders.times[0]) | (t > orders.end)])
-    return float(np.mean(others < 0.3 * abs(orders.angles[0]))) if others.size else 0.0
-
-
-def stop_order(trajectory: Trajectory) -> float | None:
-    """When the propulsion ahead was cut or reversed for good (s), else none."""
-    t, drive = np.asarray(trajectory.t, float), propulsion(trajectory)
-    if drive is None or np.max(drive) <= 0:
-        return None
-    last = int(np.flatnonzero(drive > 0.5 * np.max(drive))[-1])
-    if last + 1 >= len(t) or np.max(drive[last + 1 :]) > 0.1 * np.max(drive):
-        return None
-    return float(t[last + 1])
-
-
-def _stopped(trajectory: Trajectory) -> bool:
-    start = stop_order(trajectory)
-    if start is None or not np.isfinite(trajectory.u).any():
-        return False
-    at_order = np.interp(start, trajectory.t, trajectory.u)
-    after = np.asarray(trajectory.u)[trajectory.t >= start]
-    return bool(at_order > 0.8 * np.max(trajectory.u) and np.min(after) <= 0)
-
-
-def _steers(name: str) -> bool:
-    return "rudder" in name.lower() or name.lower().endswith(".angle")
-
-
-def _angle(channels: dict[str, Samples]) -> tuple[Samples, str] | None:
-    rudders = [name for name in channels if "rudder" in name.lower()]
-    pair = [
-        _on_side(channels, words) for words in (("port", "left"), ("starboard", "stbd", "right"))
-    ]
-    azimuths = [name for name in channels if name.lower().endswith(".angle")]
-    if rudders:
-        return np.mean([channels[name] for name in rudders], axis=0), ", ".join(rudders)
-    if pair[0] and pair[1]:
-        return equivalent_angle(channels[pair[0]], channels[pair[1]]), f"{pair[0]}, {pair[1]}"
-    if azimuths:
-        return np.mean([channels[name] for name in azimuths], axis=0), ", ".join(azimuths)
-    return None
-
-
-def _on_side(channels: dict[str, Samples], words: tuple[str, ...]) -> str | None:
-    named = (n for n in channels if any(w in n.lower() for w in words) and not _steers(n))
-    return next(named, None)
 
 
 def equivalent_angle(port: Samples, starboard: Samples) -> Samples:
@@ -246,8 +108,105 @@ def equivalent_angle(port: Samples, starboard: Samples) -> Samples:
     return HARD_OVER * (port - starboard) / total
 
 
-def _plateau(t: Samples, angle: Samples) -> float:
-    """The size of angle (rad) that the run holds for the longest time."""
+def as_thrust(trajectory: Trajectory, units: Mapping[str, str]) -> Trajectory:
+    """The run with shaft speeds as what they push at rest, whose ratio gives the equivalent angle.
+
+    `units` are those of the channels, as a vessel has them.
+    """
+
+    def in_thrust(group: Mapping[str, Samples]) -> dict[str, Samples]:
+        return {c: s * np.abs(s) if units.get(c) == "rev/s" else s for c, s in group.items()}
+
+    return dataclasses.replace(
+        trajectory,
+        commanded=in_thrust(trajectory.commanded),
+        executed=in_thrust(trajectory.executed),
+    )
+
+
+def propulsion(trajectory: Trajectory) -> Samples | None:
+    """Sum of the driving channels, each over its largest value; none if not recorded."""
+    for group in (trajectory.commanded, trajectory.executed):
+        driving = [values for name, values in _held_channels(group).items() if not steers(name)]
+        if driving:
+            return np.sum([d / max(np.max(np.abs(d)), 1e-12) for d in driving], axis=0)
+    return None
+
+
+def stop_order(trajectory: Trajectory) -> float | None:
+    """When the propulsion ahead was cut or reversed for good (s), else none."""
+    t, drive = np.asarray(trajectory.t, float), propulsion(trajectory)
+    if drive is None or np.max(drive) <= 0:
+        return None
+    last = int(np.flatnonzero(drive > 0.5 * np.max(drive))[-1])
+    if last + 1 >= len(t) or np.max(drive[last + 1 :]) > 0.1 * np.max(drive):
+        return None
+    return float(t[last + 1])
+
+
+def _held_channels(group: Mapping[str, Samples]) -> dict[str, Samples]:
+    """The channels that have values, gaps holding the sample before."""
+    arrays = {name: np.asarray(values, float) for name, values in group.items()}
+    return {name: hold_last(v) for name, v in arrays.items() if np.isfinite(v).any()}
+
+
+# Orders of a recording that is one trial
+
+
+def find_orders(trajectory: Trajectory) -> Orders:
+    """The longest chain of alternating orders at the angle that the run holds for longest.
+
+    The trajectory is a prepared one: every row counts and has a heading.
+    """
+    steered = steering(trajectory)
+    if steered is None:
+        return Orders()
+    angle, channel = steered
+    t = np.asarray(trajectory.t, float)
+    level = _longest_level(t, angle)
+    chains: list[list[Plateau]] = []
+    for plateau in _plateaus_at(angle, level) if level >= _SMALLEST_ORDER else ():
+        if chains and _goes_straight_over(t, angle, chains[-1][-1], plateau):
+            chains[-1].append(plateau)
+        else:
+            chains.append([plateau])
+    if not chains:
+        return Orders(channel=channel)
+    chain = max(chains, key=lambda c: t[c[-1].last] - t[c[0].first])
+    return Orders(
+        times=tuple(_order_time(t, angle, plateau.first) for plateau in chain),
+        angles=tuple(float(np.median(angle[p.first : p.last + 1])) for p in chain),
+        end=float(t[chain[-1].last]),
+        channel=channel,
+    )
+
+
+def heading_changes(trajectory: Trajectory, orders: Orders) -> Samples:
+    """Change of heading (rad) under each order."""
+    return np.diff(np.interp([*orders.times, orders.end], trajectory.t, trajectory.psi))
+
+
+def largest_turn(trajectory: Trajectory, orders: Orders) -> Orders:
+    """The one order under which the heading changed most, as orders of their own."""
+    k = int(np.argmax(np.abs(heading_changes(trajectory, orders))))
+    end = orders.times[k + 1] if k + 1 < len(orders.times) else orders.end
+    return dataclasses.replace(
+        orders, times=orders.times[k : k + 1], angles=orders.angles[k : k + 1], end=end
+    )
+
+
+def neutral_share(trajectory: Trajectory, orders: Orders) -> float:
+    """Share of the rows before and after the orders in which the steering is near zero."""
+    steered = steering(trajectory)
+    if steered is None:
+        return 0.0
+    t = np.asarray(trajectory.t)
+    others = np.abs(steered[0][(t < orders.times[0]) | (t > orders.end)])
+    return float(np.mean(others < _NEUTRAL * abs(orders.angles[0]))) if others.size else 0.0
+
+
+def _longest_level(t: Samples, angle: Samples) -> float:
+    """The size of angle (rad) that the run holds for the longest time; zero below any order."""
     size, weight = np.abs(angle), np.gradient(t)
     top = float(np.quantile(size, 0.995))
     if top < _SMALLEST_ORDER:
@@ -258,38 +217,32 @@ def _plateau(t: Samples, angle: Samples) -> float:
     return float(np.median(size[around])) if around.any() else 0.0
 
 
-def _held_runs(angle: Samples, plateau: float) -> list[tuple[int, int, int]]:
-    """First row, last row and sign of every stretch at the plateau, small gaps closed."""
-    noise = noise_scale(angle, 1)
-    band = max(_BAND * plateau, 3 * noise)
-    state = np.where(np.abs(np.abs(angle) - plateau) <= band, np.sign(angle), 0).astype(int)
-    starts = np.flatnonzero(np.diff(state, prepend=0) * (state != 0))
-    runs: list[tuple[int, int, int]] = []
+def _plateaus_at(angle: Samples, level: float) -> list[Plateau]:
+    """Every stretch of three rows or more at a size of angle (rad), small gaps closed."""
+    band = max(_PLATEAU_BAND * level, 3 * noise_scale(angle, 1))
+    side = np.where(np.abs(np.abs(angle) - level) <= band, np.sign(angle), 0).astype(int)
+    starts = np.flatnonzero(np.diff(side, prepend=0) * (side != 0))
+    found: list[Plateau] = []
     for first in starts:
-        after = np.flatnonzero(state[first:] != state[first])
+        after = np.flatnonzero(side[first:] != side[first])
         last = int(first + after[0] - 1) if after.size else len(angle) - 1
-        if runs and runs[-1][2] == state[first] and _stays(angle[runs[-1][1] : first], runs[-1][2]):
-            runs[-1] = (runs[-1][0], last, runs[-1][2])
-        else:
-            runs.append((int(first), last, int(state[first])))
-    return [run for run in runs if run[1] - run[0] >= 2]
+        begin = int(first)
+        if found and found[-1].side == side[first]:
+            gap = angle[found[-1].last : first]
+            # A flicker, not a new order.
+            if len(gap) <= 5 or np.min(side[first] * gap) > 0.7 * abs(gap[0]):
+                begin = found.pop().first
+        found.append(Plateau(begin, last, side[first] * level))
+    return [plateau for plateau in found if plateau.last - plateau.first >= 2]
 
 
-def _stays(angle: Samples, sign: int) -> bool:
-    """Whether a gap between two stretches on one side is a flicker, not a new order."""
-    return len(angle) <= 5 or bool(np.min(sign * angle) > 0.7 * abs(angle[0]))
-
-
-def _follows(
-    t: Samples, angle: Samples, plateau: float, run: tuple[int, int, int],
-    following: tuple[int, int, int],
-) -> bool:  # fmt: skip
-    """Whether the steering went straight from one plateau to the opposite one."""
-    transit = following[2] * angle[run[1] : following[0] + 1]
+def _goes_straight_over(t: Samples, angle: Samples, before: Plateau, after: Plateau) -> bool:
+    """Whether the steering went straight from one plateau to the opposite one, and soon."""
+    transit = after.side * angle[before.last : after.first + 1]
     back = np.max(np.maximum.accumulate(transit) - transit)
-    longer = max(t[last] - t[first] for first, last, _ in (run, following))
-    soon = t[following[0]] - t[run[1]] <= 2 * longer
-    return bool(run[2] != following[2] and soon and back <= 2 * _BAND * plateau)
+    soon = t[after.first] - t[before.last] <= 2 * max(before.seconds(t), after.seconds(t))
+    straight = back <= 2 * _PLATEAU_BAND * abs(after.level)
+    return bool(before.side != after.side and soon and straight)
 
 
 def _order_time(t: Samples, angle: Samples, arrived: int) -> float:
@@ -310,3 +263,126 @@ def _order_time(t: Samples, angle: Samples, arrived: int) -> float:
         return float(t[left])
     slope, offset = np.polyfit(t[rising] - t[left], angle[rising] - angle[left], 1)
     return float(np.clip(t[left] - offset / slope, t[left], t[left + 1]))
+
+
+# Orders of a long recording
+
+
+def find_plateaus(angle: Samples, count: int, breaks: tuple[int, ...] = ()) -> list[Plateau]:
+    """Every stretch of at least `count` rows in which the angle (rad) stays, zero included.
+
+    No plateau goes across one of the `breaks`, rows that follow a hole of the recording.
+    """
+    noise = noise_scale(angle)
+    found: list[Plateau] = []
+    for start, end in itertools.pairwise([0, *breaks, len(angle)]):
+        if end - start > count:
+            found += _plateaus_between(angle, start, end, count, noise)
+    return found
+
+
+def _band_about(level: float, noise: float) -> float:
+    """How far (rad) from its level a held angle may be."""
+    return max(_PLATEAU_BAND * abs(level), 4 * noise, _NARROWEST_BAND)
+
+
+def _plateaus_between(
+    angle: Samples, start: int, end: int, count: int, noise: float
+) -> list[Plateau]:
+    """Plateaus in the rows from `start` to before `end`; one goes on after a short flicker."""
+    calm = ndimage.median_filter(angle[start:end], _OUTLIER_ROWS, mode="nearest")
+    high = ndimage.maximum_filter1d(calm, count, mode="nearest")
+    low = ndimage.minimum_filter1d(calm, count, mode="nearest")
+    middle = _PLATEAU_BAND * np.abs(high + low) / 2
+    widest = 2 * np.maximum(np.maximum(middle, 4 * noise), _NARROWEST_BAND)
+    centres, number = ndimage.label(high - low <= widest)
+    found: list[Plateau] = []
+    for (rows,) in ndimage.find_objects(centres, number):
+        first = start + max(rows.start - count // 2, 0)
+        last = start + min(rows.stop - 1 + count // 2, len(calm) - 1)
+        level = float(np.median(angle[first : last + 1]))
+        off = np.abs(calm[first - start : last + 1 - start] - level)
+        on = np.flatnonzero(off <= _band_about(level, noise))
+        first, last = int(first + on[0]), int(first + on[-1])
+        if on.size < max(_INSIDE_SHARE * (last - first + 1), 0.5 * count):
+            continue
+        old = found[-1] if found else None
+        if old and first - old.last <= count:
+            if abs(level - old.level) <= _band_about(old.level, noise):
+                first = found.pop().first
+                level = float(np.median(angle[first : last + 1]))
+        found.append(Plateau(first, last, level))
+    return found
+
+
+def find_swings(angle: Samples, least: float, breaks: tuple[int, ...] = ()) -> list[Plateau]:
+    """Swings of the angle (rad) beyond `least` to either side, as if held near their peaks.
+
+    Actuators that are slow beside the legs of a zig-zag never stay anywhere.
+    """
+    calm = ndimage.median_filter(angle, _OUTLIER_ROWS, mode="nearest")
+    side = np.where(np.abs(calm) > least, np.sign(calm), 0).astype(int)
+    edges = np.unique([0, *(np.flatnonzero(np.diff(side)) + 1), *breaks, len(side)])
+    swings = []
+    for start, stop in itertools.pairwise(edges):
+        size = np.abs(calm[start:stop])
+        if side[start] and stop - start > _OUTLIER_ROWS:
+            near = np.flatnonzero(size >= _PEAK * np.max(size)) + start
+            swings.append(Plateau(int(near[0]), int(near[-1]), side[start] * float(np.max(size))))
+    return swings
+
+
+def alternating_chains(plateaus: list[Plateau], t: Samples, least: float) -> list[list[Plateau]]:
+    """Consecutive plateaus of alternating side and like size, above `least` rad."""
+    chains: list[list[Plateau]] = []
+    for before, plateau in zip([None, *plateaus[:-1]], plateaus, strict=True):
+        if abs(plateau.level) < least:
+            continue
+        if before and chains and chains[-1][-1] is before and _reverses(before, plateau, t):
+            chains[-1].append(plateau)
+        else:
+            chains.append([plateau])
+    return chains
+
+
+def _reverses(before: Plateau, after: Plateau, t: Samples) -> bool:
+    sizes = abs(before.level), abs(after.level)
+    alike = abs(sizes[0] - sizes[1]) <= _UNLIKE * max(sizes)
+    longer = max(before.seconds(t), after.seconds(t))
+    return before.level * after.level < 0 and alike and t[after.first] - t[before.last] <= longer
+
+
+def last_row_before_move(
+    angle: Samples, plateau: Plateau, count: int, noise: float, earliest: int
+) -> int:
+    """The last row before the steering began to move to a plateau, found backwards from it.
+
+    It has been found where the angle stops falling back from the plateau, or stays for `count`
+    rows. Rows before `earliest` are not looked at.
+    """
+    level = abs(plateau.level)
+    moving = angle[earliest : plateau.first + 1]
+    calm = plateau.side * ndimage.median_filter(moving, 3, mode="nearest")
+    # A lag creeps at the end of its way: that part is not looked at.
+    off = np.flatnonzero(np.abs(calm - level) > _CREEP * level)
+    at = lowest = int(off[-1]) if off.size else len(calm) - 1
+    tolerance = max(3 * noise, _UNCHANGED * level)
+    while at > 0 and lowest - at <= count:
+        at -= 1
+        if calm[at] < calm[lowest] - tolerance:
+            lowest = at
+        elif calm[at] > calm[lowest] + max(tolerance, _PLATEAU_BAND * level):
+            break
+    return earliest + lowest
+
+
+def departure_row(
+    angle: Samples, before: float, threshold: float, arrived: int, earliest: int
+) -> int:
+    """The first row in which the angle is beyond `threshold` rad of `before`, for good.
+
+    It is then on its way to the place where it has `arrived` (a row). Rows before `earliest`
+    are not looked at.
+    """
+    near = np.flatnonzero(np.abs(angle[earliest : arrived + 1] - before) <= threshold)
+    return earliest + int(near[-1]) + 1 if near.size else earliest

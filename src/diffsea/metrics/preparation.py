@@ -35,7 +35,7 @@ class Derivation(NamedTuple):
     note: str
 
 
-def prepared(trajectory: Trajectory) -> tuple[Trajectory, list[Derivation]]:
+def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivation]]:
     """The valid rows of a run with all motion filled in, and what that took.
 
     Missing samples are interpolated; heading is unwrapped, or the integral of the yaw rate

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from diffsea.metrics.orders import departure_row
 from diffsea.segments.approach import Approach, approach_to
-from diffsea.segments.plateaus import departure
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import MEASURED, NOTHING, Signals, signals_of
 from diffsea.segments.spans import NOISE, ONSET, Span, approach_row, scatter_of, window_of
@@ -161,7 +161,7 @@ def _onset(signals: Signals, settings: Settings, span: Span) -> tuple[int, float
     # Steering that does not move before the vessel turns is not what turned it.
     if abs(angle[span.first] - before) <= threshold:
         return span.first, math.nan
-    return departure(angle, before, threshold, span.first, earliest), threshold
+    return departure_row(angle, before, threshold, span.first, earliest), threshold
 
 
 def _ordered(signals: Signals, settings: Settings, span: Span) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.metrics.orders import propulsion, steering
+from diffsea.metrics.orders import propulsion, steering, steers
 from diffsea.recordings.motion import motion_of
 from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import recorded_actuation
@@ -243,7 +243,7 @@ def _steered(
         return None
     angle, names = found[0], found[1].removeprefix("commanded ")
     pair = [grouped[name] for name in names.split(", ") if name in grouped]
-    if len(pair) == 2 and not any(map(_steers, names.split(", "))):
+    if len(pair) == 2 and not any(map(steers, names.split(", "))):
         largest = max(np.nanmax(np.abs(side)) for side in pair)
         angle = np.where(np.max(np.abs(pair), axis=0) < _SLACK * largest, 0.0, angle)
     return angle, names
@@ -251,7 +251,7 @@ def _steered(
 
 def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
     """Sum of the push of a group, about one at its largest; None where nothing pushes."""
-    driving = {n: s for n, s in grouped.items() if not _steers(n) and np.isfinite(s).any()}
+    driving = {n: s for n, s in grouped.items() if not steers(n) and np.isfinite(s).any()}
     if len(driving) == 2 and all(any(w in n.lower() for w in _SIDES) for n in driving):
         push = np.nan_to_num(sum(driving.values()))  # one unit: what is more to port is push too
     else:
@@ -267,10 +267,6 @@ def _working(channels: dict[str, Samples], rows: int) -> np.ndarray:
     loads = [
         np.abs(series) / max(np.nanmax(np.abs(series)), 1e-12)
         for name, series in channels.items()
-        if not _steers(name) and np.isfinite(series).any()
+        if not steers(name) and np.isfinite(series).any()
     ]
     return np.max(loads, axis=0) > _SLACK if loads else np.ones(rows, bool)
-
-
-def _steers(name: str) -> bool:
-    return "rudder" in name.lower() or name.lower().endswith(".angle")

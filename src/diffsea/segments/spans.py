@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.segments.plateaus import Hold
+from diffsea.metrics.orders import Plateau
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import Signals
 from diffsea.statistics import noise_scale
@@ -23,7 +23,7 @@ class Span:
     last: int
     why: str
     manoeuvre: str = "unknown"
-    holds: tuple[Hold, ...] = ()
+    holds: tuple[Plateau, ...] = ()
 
 
 def window_of(settings: Settings) -> float:

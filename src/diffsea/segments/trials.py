@@ -9,14 +9,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffsea.metrics.orders import Orders, identify
-from diffsea.segments.plateaus import (
-    Hold,
-    chains,
-    departure,
-    find_holds,
-    find_lobes,
-    foot,
+from diffsea.metrics import recognise_trial
+from diffsea.metrics.orders import (
+    Orders,
+    Plateau,
+    alternating_chains,
+    departure_row,
+    find_plateaus,
+    find_swings,
+    last_row_before_move,
 )
 from diffsea.segments.settings import Settings
 from diffsea.segments.signals import Samples, Signals
@@ -39,25 +40,27 @@ def trials_in(signals: Signals, settings: Settings) -> list[Span]:
     if angle is None or signals.steer is None:
         return []
     least = max(settings.order, NOISE * noise_scale(angle))
-    holds = find_holds(angle, hold_rows(signals, settings), signals.breaks)
-    found = _named(signals, settings, chains(holds, signals.t, least))
+    holds = find_plateaus(angle, hold_rows(signals, settings), signals.breaks)
+    found = _named(signals, settings, alternating_chains(holds, signals.t, least))
     if signals.commanded is not None:
         return found
-    swings = chains(find_lobes(angle, least, signals.breaks), signals.t, least)
+    swings = alternating_chains(find_swings(angle, least, signals.breaks), signals.t, least)
     more = _named(signals, settings, [chain for chain in swings if len(chain) > 1])
     apart = [m for m in more if all(m.last < f.first or m.first > f.last for f in found)]
     return [*found, *apart]
 
 
-def _named(signals: Signals, settings: Settings, found: list[list[Hold]]) -> list[Span]:
+def _named(signals: Signals, settings: Settings, found: list[list[Plateau]]) -> list[Span]:
     parts = (part for chain in found for part in _parted(signals, settings, chain))
     trials = (_trial(signals, settings, part) for part in parts)
     return [span for span in trials if span is not None]
 
 
-def _parted(signals: Signals, settings: Settings, chain: list[Hold]) -> Iterator[tuple[Hold, ...]]:
+def _parted(
+    signals: Signals, settings: Settings, chain: list[Plateau]
+) -> Iterator[tuple[Plateau, ...]]:
     """A chain without its full turns, each of which is a trial of its own."""
-    legs: list[Hold] = []
+    legs: list[Plateau] = []
     for hold in chain:
         if abs(signals.psi[hold.last] - signals.psi[hold.first]) < settings.circle:
             legs.append(hold)
@@ -70,7 +73,7 @@ def _parted(signals: Signals, settings: Settings, chain: list[Hold]) -> Iterator
         yield tuple(legs)
 
 
-def _trial(signals: Signals, settings: Settings, holds: tuple[Hold, ...]) -> Span | None:
+def _trial(signals: Signals, settings: Settings, holds: tuple[Plateau, ...]) -> Span | None:
     if 1 < len(holds) < settings.legs:
         return None
     first, last = switches_of(signals, settings, holds[:1])[0], holds[-1].last
@@ -85,12 +88,12 @@ def _trial(signals: Signals, settings: Settings, holds: tuple[Hold, ...]) -> Spa
     reversals = np.abs(signals.psi[ordered[1:]] - signals.psi[first])
     if len(holds) > 1 and np.mean(reversals) < settings.reversal:
         return None
-    named = identify(_excerpt(signals, settings, first, last), orders)
-    if named == "zigzag":
-        return Span("zigzag", first, last, f"{len(holds)} alternating orders", named, holds)
-    if named == "turning-circle":
-        return Span("turning", first, last, "one order was held throughout", named, holds)
-    return None
+    trial = recognise_trial(_excerpt(signals, settings, first, last), orders)
+    if trial.segment is None:
+        return None
+    many = f"{len(holds)} alternating orders"
+    why = "one order was held throughout" if len(holds) == 1 else many
+    return Span(trial.segment, first, last, why, trial.name, holds)
 
 
 def _excerpt(signals: Signals, settings: Settings, first: int, last: int) -> Trajectory:
@@ -106,13 +109,13 @@ def _excerpt(signals: Signals, settings: Settings, first: int, last: int) -> Tra
     )  # fmt: skip
 
 
-def switches_of(signals: Signals, settings: Settings, holds: tuple[Hold, ...]) -> list[int]:
+def switches_of(signals: Signals, settings: Settings, holds: tuple[Plateau, ...]) -> list[int]:
     """Rows in which the executed angle left for each of some holds."""
     return [leaving(signals, settings, hold, first=hold is holds[0])[0] for hold in holds]
 
 
 def leaving(
-    signals: Signals, settings: Settings, hold: Hold, first: bool = True
+    signals: Signals, settings: Settings, hold: Plateau, first: bool = True
 ) -> tuple[int, float]:
     """Row in which the executed angle left for a hold, and the threshold (rad) it passed.
 
@@ -132,7 +135,7 @@ def leaving(
 
 
 def _before(
-    signals: Signals, settings: Settings, hold: Hold, angle: Samples, row: int, first: bool
+    signals: Signals, settings: Settings, hold: Plateau, angle: Samples, row: int, first: bool
 ) -> tuple[float, float]:
     """The angle (rad) before a hold, up to a row, and the threshold of leaving it."""
     earliest = approach_row(signals, settings, hold.first)
@@ -143,10 +146,10 @@ def _before(
     return before, min(max(NOISE * scatter, ONSET * step), 0.5 * step)
 
 
-def given(signals: Signals, settings: Settings, hold: Hold) -> tuple[int, int]:
+def given(signals: Signals, settings: Settings, hold: Plateau) -> tuple[int, int]:
     """Row in which the order of a hold was given, and the last row before it moved at all."""
     angle, count = np.asarray(signals.orders), hold_rows(signals, settings)
     earliest = approach_row(signals, settings, hold.first)
-    began = foot(angle, hold, count, noise_scale(angle), earliest)
+    began = last_row_before_move(angle, hold, count, noise_scale(angle), earliest)
     before, threshold = _before(signals, settings, hold, angle, began, True)
-    return departure(angle, before, threshold, hold.first, max(earliest, began - count)), began
+    return departure_row(angle, before, threshold, hold.first, max(earliest, began - count)), began

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
-from diffsea.metrics.preparation import prepared
+from diffsea.metrics.preparation import prepare_recording
 from diffsea.scales import plausible_motion, time_scale
 from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
 from diffsea.simulation.integrate import rk4
@@ -285,7 +285,7 @@ def _true_motion(
     unmeasured = [c for c in MOTION_CHANNELS if not np.isfinite(motion[c]).any()]
     derivable = [c for c in unmeasured if c not in ("x", "y")]
     if derivable:
-        whole, derivations = prepared(recording)
+        whole, derivations = prepare_recording(recording)
         notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
     true = {}
     for channel in MOTION_CHANNELS:

@@ -28,7 +28,7 @@ from diffsea.vessel.base import Vessel
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class TrialSettings:
     """How a trial is run.
 
     `steady` is the criterion of the approach: relative speed error, and yaw rate times
@@ -59,7 +59,7 @@ def approach(
     speed: Scalar,
     throttle: Scalar,
     environment: Environment,
-    settings: Settings,
+    settings: TrialSettings,
     duration: float,
 ) -> tuple[Motion, Scalar, Scalar, Bool[Array, ""], Bool[Array, ""], Row]:
     """Straight run until speed and yaw rate are steady, for at most `duration` s.
@@ -104,7 +104,7 @@ def approach(
     return motion, throttle, jax.lax.stop_gradient(t), calm >= needed, wild, rows
 
 
-def _memories(vessel: Vessel, settings: Settings) -> dict[str, int]:
+def _memories(vessel: Vessel, settings: TrialSettings) -> dict[str, int]:
     """How many orders each channel remembers."""
     step, longest = settings.step, settings.longest_delay
     return {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
@@ -117,7 +117,7 @@ def _steady(
     speed: Scalar,
     scale: Scalar,
     environment: Environment,
-    settings: Settings,
+    settings: TrialSettings,
 ) -> Bool[Array, ""]:
     """Speed at its target, or unchanging where none is held; no yawing, no sway building up."""
     change = jnp.abs(after.u - before.u) / settings.step * scale / jnp.maximum(speed, 1e-6)
@@ -132,7 +132,7 @@ def run_trial(
     stages: Stages,
     speed: Scalar | None = None,
     throttle: Scalar | None = None,
-    settings: Settings = Settings(),
+    settings: TrialSettings = TrialSettings(),
     environment: Environment | None = None,
     approach_seconds: float | None = None,
     governor: AbstractSpeedLaw | None = None,
@@ -207,7 +207,7 @@ def _trial(
     return Trial(trajectory, began, switches, rows.stage)
 
 
-def approach_limit(vessel: Vessel, speed: float, settings: Settings) -> float:
+def approach_limit(vessel: Vessel, speed: float, settings: TrialSettings) -> float:
     """Longest approach in s: `approach_lengths` ship lengths at `speed` m/s."""
     lengths = settings.approach_lengths * float(vessel.rigid_body.length)
     return lengths / max(abs(speed), 1e-3)

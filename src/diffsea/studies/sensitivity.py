@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import designed, named, replace, spread
-from diffsea.simulation import standard
-from diffsea.simulation.standard import TrialPlan
+from diffsea.simulation import planning
+from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.vessel.base import Vessel
 
 
@@ -82,10 +82,10 @@ def _tangents(
 ) -> tuple[dict[str, Array], dict[str, Float[Array, "tangent"]]]:
     plan, places = trial
 
-    def numbers(values: Float[Array, "parameter"]) -> standard.Numbers:
+    def numbers(values: Float[Array, "parameter"]) -> Numbers:
         chosen = {name: values[k] for k, (name, _) in enumerate(places)}
         changed = replace(vessel, spread(dict(places), chosen))
-        return standard.numbers(plan, standard.run(changed, plan))
+        return planning.trial_numbers(plan, planning.run_plan(changed, plan))
 
     def along(tangent: Float[Array, "parameter"]) -> tuple:
         return jax.jvp(numbers, (at,), (tangent,))

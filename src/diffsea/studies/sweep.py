@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import designed, replace, spread
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.trajectory import Outcome
@@ -145,7 +145,7 @@ def _shortened(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
 
     A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
     """
-    trial, _ = standard.measured(vessel, plan)
+    trial, _ = planning.run_and_measure(vessel, plan)
     run = trial.trajectory
     if int(run.outcome) != Outcome.COMPLETED:
         return [plan]
@@ -153,10 +153,10 @@ def _shortened(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     after = float(np.max(np.asarray(run.t)[np.asarray(run.valid)])) - before
     plans = []
     for factor in (2.0, 8.0):
-        seconds = standard.rounded_up(factor * after)
+        seconds = planning.round_up(factor * after)
         if seconds > 0.7 * plan.settings.seconds:  # timed stages end by the clock
             seconds = plan.settings.seconds
-        approach = standard.rounded_up(factor * before) if before > 0 else plan.approach_seconds
+        approach = planning.round_up(factor * before) if before > 0 else plan.approach_seconds
         shorter = dataclasses.replace(
             plan,
             settings=dataclasses.replace(plan.settings, seconds=seconds),
@@ -215,10 +215,10 @@ def _block(
         throttle = chosen.get("thrust")
         if throttle is not None:
             throttle = throttle_for_thrust(changed, throttle)
-        done = standard.run(changed, plan, chosen.get("speed"), throttle)
+        done = planning.run_plan(changed, plan, chosen.get("speed"), throttle)
         run = done.trajectory
         return _Found(
-            standard.numbers(plan, done), run.outcome, _possible(changed), jnp.sum(run.valid)
+            planning.trial_numbers(plan, done), run.outcome, _possible(changed), jnp.sum(run.valid)
         )
 
     return jax.vmap(one)(values)
@@ -245,7 +245,9 @@ def _put(rows: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 def _table(vessel: Vessel, plan: TrialPlan, designs: Designs, found: _Found) -> pd.DataFrame:
     """Parameters, numbers, verdicts and outcome of every design; nulls where it failed."""
-    outcome = np.array([standard.label(Outcome(int(o))) for o in found.outcome], dtype=object)
+    outcome = np.array(
+        [planning.outcome_label(Outcome(int(o))) for o in found.outcome], dtype=object
+    )
     outcome[~found.possible] = IMPOSSIBLE
     failed = np.isin(outcome, (IMPOSSIBLE, "diverged", "approach-unsteady"))
     numbers = {name: np.where(failed, np.nan, column) for name, column in found.numbers.items()}
@@ -269,4 +271,4 @@ def _table(vessel: Vessel, plan: TrialPlan, designs: Designs, found: _Found) -> 
 
 def _verdicts(plan: TrialPlan, numbers: dict[str, float], length: float) -> dict[str, str]:
     found = {name: value for name, value in numbers.items() if math.isfinite(value)}
-    return {name: v["verdict"] for name, v in standard.verdicts(plan, found, length).items()}
+    return {name: v["verdict"] for name, v in planning.trial_verdicts(plan, found, length).items()}

@@ -45,8 +45,8 @@ from diffsea.identification.least_squares import (
     with_known_jacobian,
 )
 from diffsea.parameters import Parameter, designed, replace
-from diffsea.simulation import standard
-from diffsea.simulation.standard import TrialPlan
+from diffsea.simulation import planning
+from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
@@ -115,7 +115,7 @@ def _sheet(where: str, entry: dict, relative: float, vessel: Vessel) -> Measured
     orders = {key: _number(entry[key], f"{where}: {key}") for key in _ORDERS if key in entry}
     for key in ("angle", "heading"):
         orders |= {key: math.radians(orders[key])} if key in orders else {}
-    plan = standard.plan_trial(
+    plan = planning.plan_trial(
         vessel, entry["manoeuvre"], side=1.0 if side == "starboard" else -1.0,
         executes=int(entry.get("executes", _executes(entry["numbers"]))), **orders,
     )  # fmt: skip
@@ -314,9 +314,9 @@ def _numbers(coordinates: Array, given: tuple) -> Array:
     found: dict[int, Array] = {}
     for (kind, rows), ordered in zip(kinds, orders, strict=True):
 
-        def one(order: dict[str, Array], kind: TrialPlan = kind) -> standard.Numbers:
+        def one(order: dict[str, Array], kind: TrialPlan = kind) -> Numbers:
             plan = dataclasses.replace(kind, **order)
-            return standard.numbers(plan, standard.run(changed, plan))
+            return planning.trial_numbers(plan, planning.run_plan(changed, plan))
 
         table = jax.vmap(one)(ordered)
         for place, row in enumerate(rows):
@@ -325,7 +325,7 @@ def _numbers(coordinates: Array, given: tuple) -> Array:
     return jnp.concatenate([found[row] for row in range(len(names))])
 
 
-def _picked(plan: TrialPlan, found: standard.Numbers, wanted: tuple[str, ...]) -> Array:
+def _picked(plan: TrialPlan, found: Numbers, wanted: tuple[str, ...]) -> Array:
     for name in wanted:
         if name not in found:
             raise UserError(

@@ -1,7 +1,6 @@
 """Which manoeuvre to record next: D-optimal over a library within the vessel's limits."""
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ from diffsea.identification.problem import Problem, jacobian, make_problem, sele
 from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
 from diffsea.simulation.replay import replay
+from diffsea.simulation.standard import STANDARD_TRIALS, Schedule, Times, alternating_schedule
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -22,19 +22,10 @@ from diffsea.vessel.base import Vessel
 SECONDS = 170.0  # of an imagined recording, in sqrt(L / g)
 SAMPLES = 600
 
-Times = Float[np.ndarray, "time"]
-Schedule = Callable[[Times], tuple[Times, Times]]  # sqrt(L / g) to throttle share and angle (rad)
-
-
-def _alternating(period: float, angle: float) -> Schedule:
-    return lambda t: (np.full_like(t, 0.6), np.where((t // period) % 2 == 0, angle, -angle))
-
-
 # Times in sqrt(L / g) of the vessel, so that they suit a model as well as a ship.
 LIBRARY: dict[str, Schedule] = {
-    "turning-circle": lambda t: (np.full_like(t, 0.6), np.full_like(t, 0.35)),
-    "zigzag": _alternating(17.0, 0.35),
-    "fast steps": _alternating(4.0, 0.45),
+    **{name: trial.schedule for name, trial in STANDARD_TRIALS.items() if trial.schedule},
+    "fast steps": alternating_schedule(4.0, 0.45),
     "speed steps": lambda t: (0.2 + 0.2 * ((t // 21.0) % 4), np.zeros_like(t)),
     "sprint and coast": lambda t: (np.where((t // 28.0) % 2 == 0, 0.9, 0.0), 0.05 * np.sin(t / 10)),
     "crash stop": lambda t: (np.where((t // 28.0) % 2 == 0, 0.8, -0.5), np.zeros_like(t)),
