@@ -11,7 +11,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.presentation import Tabulated
 from diffsea.recordings import Mapping as ColumnMapping
-from diffsea.simulation import standard
+from diffsea.simulation import planning
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import sensitivity
 from diffsea.studies import sweep as designs
@@ -40,7 +40,7 @@ class TrialResult(Tabulated):
     """
 
     vessel: Vessel
-    plan: standard.TrialPlan
+    plan: planning.TrialPlan
     trajectory: Trajectory
     metrics: dict[str, Any]
 
@@ -77,12 +77,12 @@ def trial(
             or was never executed.
     """
     boat = as_vessel(vessel)
-    plan = standard.plan_trial(boat, manoeuvre, **options)
-    found, numbers = standard.measured(boat, plan)
+    plan = planning.plan_trial(boat, manoeuvre, **options)
+    found, numbers = planning.run_and_measure(boat, plan)
     outcome = Outcome(int(found.trajectory.outcome))
     if outcome in (Outcome.DIVERGED, Outcome.APPROACH_UNSTEADY):
         raise UserError(f"{manoeuvre} of {boat.name!r}: {outcome.sentence}")
-    summary = standard.summary(boat, plan, found, numbers)
+    summary = planning.summarise_trial(boat, plan, found, numbers)
     return TrialResult(boat, plan, found.trajectory, summary)
 
 
@@ -176,7 +176,7 @@ def sweep(
         for k, name in enumerate(chosen.names)
         if name in designs.OF_THE_TRIAL
     }
-    plan = standard.plan_trial(boat, manoeuvre, **{**options, **lowest})
+    plan = planning.plan_trial(boat, manoeuvre, **{**options, **lowest})
     return designs.sweep(boat, plan, chosen, progress)[0]
 
 
@@ -227,7 +227,7 @@ def sensitivities(
         UserError: an unknown name, or a trial that the vessel cannot run.
     """
     boat = as_vessel(vessel)
-    plan = standard.plan_trial(boat, manoeuvre, **options)
+    plan = planning.plan_trial(boat, manoeuvre, **options)
     numbers, derivatives = sensitivity.sensitivities(boat, plan, parameters)
     relative = sensitivity.elasticities(boat, numbers, derivatives)
     known = {name: value for name, value in numbers.items() if math.isfinite(value)}
