@@ -19,10 +19,10 @@ from .runtime import prepare_jax as prepare_jax
 from .segments.segments import find_segments as find_segments
 from .simulation.closed_loop import run_controlled as run_controlled
 from .simulation.control.autopilot import AbstractController as AbstractController
+from .simulation.planning import plan_trial as plan_trial
 from .simulation.replay import horizon_errors as horizon_errors
 from .simulation.replay import replay as replay
 from .simulation.standard import TrialPlan as TrialPlan
-from .simulation.standard import plan_trial as plan_trial
 from .simulation.trials import Trial as Trial
 from .simulation.trials import run_trial as run_trial
 from .trajectory import Outcome as Outcome
