@@ -175,7 +175,7 @@ def _given(problem: Problem, runs: list[Trajectory]) -> np.ndarray:
     place = problem.layout.slices()["wind"]
     sizes = np.array(effect.sizes(problem.base))
     for number, run in enumerate(runs):
-        flow = np.array(effect.coordinates(problem.base, measured(run)))
+        flow = np.array(effect.encode(problem.base, measured(run)))
         first = place.start + number * len(sizes)
         out[first : first + len(sizes)] = flow / sizes
     return out

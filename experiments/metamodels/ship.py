@@ -14,7 +14,7 @@ import numpy as np
 
 from diffsea.parameters import replace
 from diffsea.types import Environment, State
-from diffsea.vessel.effects import default_wind
+from diffsea.vessel.effects.environment import default_wind
 from diffsea.vessel.files import build, read_vessel
 
 

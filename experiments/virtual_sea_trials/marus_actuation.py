@@ -121,7 +121,7 @@ def effects_of(found: Diagnosis) -> list[dict]:
     for one in found.effects:
         effect = next(e for e in problem.layout.effects if e.name == one.name)
         physical = problem.layout.physical(one.name, found.final.coordinates)[0]
-        said = effect.parameters(problem.base, physical)
+        said = effect.decode(problem.base, physical)
         inflation = one.fitted.inflation
         rows.append(
             {

@@ -63,7 +63,7 @@ def _refitted(objective: TrialNumbers, even: Estimate, effect: Effect) -> Candid
     volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(even.precision)[1]
     occam = float(volume + 2 * np.log(objective.spreads[places]).sum())
     sizes = np.array(objective.sizes[effect.name])
-    said = effect.parameters(marus_vessel.start(), fitted.coordinates[places] * sizes)
+    said = effect.decode(marus_vessel.start(), fitted.coordinates[places] * sizes)
     parameters = {name: float(value) for name, value in said.items()}
     drop = even.deviance - fitted.deviance
     return Candidate(effect.name, fitted, parameters, drop, occam, len(places))

@@ -13,7 +13,7 @@ import marus_published as published
 
 from diffsea.parameters import Parameter, hull_prior
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS, Effect
+from diffsea.vessel.effects import EFFECTS, Effect, Size
 from diffsea.vessel.files import Table, build
 from diffsea.vessel.hull import Damping
 
@@ -84,13 +84,19 @@ def _trimmed(vessel: Vessel, at) -> Vessel:
 
 
 OFF_CENTRE = Effect(
-    "off-centre", "hull", {"y": "m"}, _off_centre, lambda v: (0.02 * float(v.rigid_body.beam),),
+    "off-centre",
+    "hull",
+    (Size("y", "m", lambda vessel: 0.02 * float(vessel.rigid_body.beam)),),
+    _off_centre,
     law="the centre of gravity off the middle between the thrusters by -y",
-)  # fmt: skip
+)
 BENT_HULL = Effect(
-    "bent-hull", "hull", {"N_uu": "N m s^2/m^2"}, _trimmed, lambda v: (5.0,),
+    "bent-hull",
+    "hull",
+    (Size("N_uu", "N m s^2/m^2", 5.0),),
+    _trimmed,
     law="N = N_uu u^2, as of a skewed hull or a fixed fin",
-)  # fmt: skip
+)
 
 # What the catalogue has that can tell port from starboard on this vessel, and two of our own.
 CANDIDATES: tuple[Effect, ...] = (

@@ -112,7 +112,7 @@ def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat
     size = effect.sizes(boat)[1]
     times = np.array([look.at[1] for look in tried]) * size
     assert np.all((times > 100.0) & (times < 220.0)) and np.ptp(times) == pytest.approx(100.0)
-    assert all(look.at[0] == 0 and look.moved == (0,) for look in tried)
+    assert all(look.at[0] == 0 and look.directions == (0,) for look in tried)
     spacing = shape_spacings((effect, EFFECTS["gyro-bias"]), boat, tried, 0.01)
     assert spacing["drag-change"] * size == pytest.approx(10.0)
     assert spacing["gyro-bias"] == 0
@@ -124,7 +124,7 @@ def test_a_change_is_looked_for_within_the_recordings_and_then_more_closely(boat
 def test_a_wind_is_looked_for_with_several_superstructures(boat):
     effect = EFFECTS["wind:coefficients"]
     tried = expansion_points(effect, boat, [(0.0, 100.0)])
-    assert [look.moved for look in tried] == [(0, 1)] * 3
+    assert [look.directions for look in tried] == [(0, 1)] * 3
     added = [look.at[2] * effect.sizes(boat)[2] for look in tried]
     assert added == pytest.approx([0.0, -0.1, -0.2])
     sizes = (effect.sizes(boat),)
@@ -404,9 +404,9 @@ def test_what_answers_late_is_looked_at_from_afar_too(boat):
     seen = lambda name: expansion_points(EFFECTS[f"{name}:propulsion"], boat, [(0.0, 9.0)])
     for name in ("thrust-lag", "thrust-delay", "rate-limit", "backlash"):
         tried = seen(name)
-        assert [look.finite for look in tried] == [False, True, True, True], name
+        assert [look.secant for look in tried] == [False, True, True, True], name
     assert all(
-        look.finite
+        look.secant
         for look in expansion_points(EFFECTS["thrust-saturation:propulsion"], boat, [(0.0, 9.0)])
     )
 
@@ -431,7 +431,8 @@ def _copied(amounts, stds, recorded):
     layout = SimpleNamespace(instances=lambda effect: count, indices=every)
     run, known = np.arange(count), np.zeros((count, 6), bool)
     known[recorded] = True
-    problem = SimpleNamespace(layout=layout, dataset=SimpleNamespace(run=run, known=known))
+    dataset = SimpleNamespace(run=run, known=known)
+    problem = SimpleNamespace(layout=layout, dataset=dataset, base=None)
     fitted = SimpleNamespace(
         coordinates=np.array(amounts), precision=np.diag(1 / np.array(stds) ** 2),
         covariance=np.diag(4.0 * np.array(stds) ** 2), index=np.arange(count),
@@ -584,11 +585,15 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in():
 @pytest.mark.parametrize(
     ("time", "possible"), [(-2.0, False), (0.0, False), (30.0, True), (99.5, False), (100.0, False)]
 )
-def test_a_change_happens_while_something_is_recorded(time, possible):
-    effect, size = EFFECTS["drag-change"], 7.0
-    layout = CoordinateLayout((), (effect,), ((0.2, size),), 1, False, 100.0)
+def test_a_change_happens_while_something_is_recorded(boat, time, possible):
+    effect = EFFECTS["drag-change"]
+    layout = CoordinateLayout((), (effect,), (effect.sizes(boat),), 1, False, 100.0)
     known = np.zeros((101, 6), bool)
     known[:100] = True  # the last row has no value
     dataset = SimpleNamespace(run_time=np.arange(101.0), known=known)
-    problem = SimpleNamespace(layout=layout, dataset=dataset)
-    assert refit._while_recorded(problem, effect, time / size) == possible
+    problem = SimpleNamespace(layout=layout, dataset=dataset, base=boat)
+    at = (1.0, time / effect.sizes(boat)[1])
+    fitted = SimpleNamespace(coordinates=np.array(at), index=np.arange(2), precision=np.eye(2))
+    point = ExpansionPoint(effect.name, (0.0, at[1]), (0,))
+    seen = Seen(point, None, None, 0.0, reach=1.0)
+    assert refit.possible(problem, effect, fitted, seen) == possible

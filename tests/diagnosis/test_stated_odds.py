@@ -26,7 +26,7 @@ PROBLEMS, VALUES = 1500, 40
 @pytest.fixture(scope="module")
 def problem():
     effects = tuple(EFFECTS[name] for name in NAMES)
-    sizes = tuple((1.0,) * len(effect.coordinate_names or effect.units) for effect in effects)
+    sizes = tuple((1.0,) * len(effect.coordinates) for effect in effects)
     layout = CoordinateLayout(PARAMETERS, effects, sizes, 1, False)
     return SimpleNamespace(base=None, layout=layout)
 

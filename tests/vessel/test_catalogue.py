@@ -10,11 +10,16 @@ from scipy.optimize import brentq, fsolve
 from tests.paths import ORACLE
 
 from diffsea.errors import UserError
-from diffsea.identification import effect_records
 from diffsea.identification.coordinates import CoordinateLayout
+from diffsea.identification.effect_records import (
+    is_known,
+    parameter_records,
+    parameters_with_errors,
+)
 from diffsea.parameters import named, replace
 from diffsea.types import Environment, State
-from diffsea.vessel.effects import EFFECTS, default_wind
+from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.effects.environment import default_wind
 from diffsea.vessel.files import build, dump, read_vessel, shipped_vessels, updated_document
 
 
@@ -695,11 +700,10 @@ def test_channels_say_in_what_they_are_commanded():
 @pytest.mark.parametrize(("vessel", "unit"), [("kvlcc2", "rev/s"), ("pytheas", "N")])
 def test_a_number_of_the_propulsion_is_reported_in_the_vessels_own_unit(vessel, unit):
     boat = read_vessel(vessel).vessel
-    found = effect_records._with_errors(boat, EFFECTS["deadband:propulsion"], np.ones(1), np.eye(1))
+    one, known = np.ones(1), 1e-6 * np.eye(1)
+    found = parameters_with_errors(boat, EFFECTS["deadband:propulsion"], one, known)
     assert found["width"]["unit"] == unit
-    rate = effect_records._with_errors(
-        boat, EFFECTS["rate-limit:propulsion"], np.ones(1), np.eye(1)
-    )
+    rate = parameters_with_errors(boat, EFFECTS["rate-limit:propulsion"], one, known)
     assert rate["rate_limit"]["unit"] == f"{unit} per s"
 
 
@@ -716,17 +720,18 @@ def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
 ):
     boat = read_vessel(ORACLE / "usv.toml").vessel
     for value in (0.0, -0.5):
-        found = effect_records._unseen(boat, EFFECTS[name], np.array([value]), np.eye(1))
-        assert not effect_records.is_known(found)
+        found = parameters_with_errors(boat, EFFECTS[name], np.array([value]), np.eye(1))
+        assert not is_known(found)
         assert found[parameter]["beyond"] == pytest.approx(beyond)
-        assert effect_records._unseen(boat, EFFECTS[name], np.array([2.0]), np.eye(1)) is None
+        seen = parameters_with_errors(boat, EFFECTS[name], np.array([2.0]), np.eye(1))
+        assert is_known(seen) and "beyond" not in seen[parameter]
     effect, fitted = EFFECTS[name], SimpleNamespace(coordinates=np.zeros(1), index=np.arange(1))
     layout = CoordinateLayout((), (effect,), ((1.0,),), 1, False)
     fitted.covariance = np.eye(1)
-    told = effect_records.parameter_records(SimpleNamespace(layout=layout, base=boat), fitted, name)
+    told = parameter_records(SimpleNamespace(layout=layout, base=boat), fitted, name)
     assert [entry[parameter]["value"] for entry in told] == [None]
     of_lag = EFFECTS["thrust-lag:propulsion"]
-    assert effect_records._unseen(boat, of_lag, np.array([0.0]), np.eye(1)) is None
+    assert is_known(parameters_with_errors(boat, of_lag, np.array([0.0]), np.eye(1)))
 
 
 def test_every_possible_effect_applies_to_a_tug_with_all_kinds_of_thruster():

@@ -6,9 +6,10 @@ from scipy import stats
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
-from diffsea.identification.coordinates import PRIOR_SPREAD, TAIL_DEGREES, CoordinateLayout
+from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.parameters import Parameter
 from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.effects.coordinates import PRIOR_SPREAD
 from diffsea.vessel.files import build
 
 

@@ -19,6 +19,7 @@ from diffsea.simulation.replay import heeled
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import State
 from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.effects.coordinates import ScannedCoordinate
 from diffsea.vessel.files import build
 from diffsea.vessel.sensors import Sensors
 from diffsea.vessel.servo import OrderHistory, Servo
@@ -54,7 +55,7 @@ def at_zero(name):
     return jnp.zeros(len(EFFECTS[name].sizes(VESSEL)))
 
 
-@pytest.mark.parametrize("name", [name for name in POSSIBLE if EFFECTS[name].bounds])
+@pytest.mark.parametrize("name", POSSIBLE)
 def test_a_vessel_without_an_effect_and_with_a_noticeable_one_is_within_its_bounds(name):
     effect = EFFECTS[name]
     least, most = np.array(effect.bounds(VESSEL)).T
@@ -89,8 +90,8 @@ def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
 
 
 PLACES = [(name, k) for name in POSSIBLE for k in range(at_zero(name).size)]
-# Coordinates that do nothing while the effect is absent: shapes, and what has finite sizes only.
-FLAT = [(n, k) for n, k in PLACES if k in (EFFECTS[n].shape, *EFFECTS[n].idle) or EFFECTS[n].flat]
+# Coordinates that do nothing while the effect is absent, and amounts without a tangent there.
+FLAT = [(n, k) for n, k in PLACES if not EFFECTS[n].amounts[k] or not EFFECTS[n].leading.tangent]
 SIZES = np.array([EFFECTS[name].sizes(VESSEL)[k] for name, k in PLACES])
 
 
@@ -136,7 +137,7 @@ def test_every_effect_has_a_derivative_at_zero():
 def test_derivatives_away_from_zero_are_finite_differences():
     # Slower than the lag, so that the slew rate acts; a limit below the orders.
     larger = [
-        0.3 if EFFECTS[name].shape == k
+        0.3 if isinstance(EFFECTS[name].coordinates[k], ScannedCoordinate)
         else {"rate-limit": 20.0, "thrust-saturation": 10.0}.get(name.split(":")[0], 1.0)
         for name, k in PLACES
     ]  # fmt: skip

@@ -120,7 +120,7 @@ def _one_way(
 ) -> float:
     """Evidence against `other` if the vessel is as estimated with `name`.
 
-    The other has the shape with which it was fitted: a change happens when it was found to.
+    The other has the onset with which it was fitted: a change happens when it was found to.
     """
     train = diagnosis.split.train
     coordinates = first_run_coordinates(train, true.coordinates)
@@ -134,9 +134,9 @@ def _one_way(
         least=train.dataset.shape,
     )  # fmt: skip
     effects = {effect.name: effect for effect in problem.layout.effects}
-    if effects[other].shape is not None:
-        shape = problem.layout.indices((other,))[effects[other].shape]
-        coordinates[shape] = first_run_coordinates(train, otherwise.coordinates)[shape]
+    if effects[other].scanned is not None:
+        scanned = problem.layout.indices((other,))[effects[other].scanned[0]]
+        coordinates[scanned] = first_run_coordinates(train, otherwise.coordinates)[scanned]
     at = dataclasses.replace(true, coordinates=coordinates)
     gains = problem.run_filter(coordinates, true.noise).gains
     nuisance = tuple(n for n in true.free if n not in (name, other))
@@ -148,9 +148,7 @@ def _one_way(
     A = projection.efficient(columns)
     B = projection.efficient(columns_at(problem, gains, at, (other,))[1])
     eta = coordinates[place].copy()
-    if effects[name].shape is not None:
-        eta[effects[name].shape] = 0.0  # it is gone without its size, whatever its time
-    eta[list(effects[name].idle)] = 0.0
+    eta[~effects[name].amounts] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())

@@ -97,7 +97,7 @@ def look_columns(
             position += size
     base = None
     for number, look in enumerate(looks):
-        if not look.finite:
+        if not look.secant:
             continue
         if base is None:
             base = residual_at(problem, gains, np.asarray(fitted.coordinates))
@@ -118,17 +118,17 @@ def _places(problem: Problem, effect: str) -> list[int]:
 def _moved(problem: Problem, look: ExpansionPoint) -> list[int]:
     """Coordinates that a look differentiates by, in every copy of its effect."""
     places, size = _places(problem, look.effect), len(look.at)
-    return [k for position, k in enumerate(places) if position % size in look.moved]
+    return [k for position, k in enumerate(places) if position % size in look.directions]
 
 
 def _batches(problem: Problem, looks: list[ExpansionPoint]) -> list[list[int]]:
     """Looks packed into runs of the compiled program, no effect twice in one."""
     batches: list[tuple[list[int], set[str], int]] = []
     for number, look in enumerate(looks):
-        if look.finite:
+        if look.secant:
             continue
         width = len(_moved(problem, look))
-        size = len(look.moved)
+        size = len(look.directions)
         for k, (members, effects, used) in enumerate(batches):
             total = sum(len(_moved(problem, looks[m])) for m in members) + width
             room = used + size <= problem.seeds and total <= problem.width

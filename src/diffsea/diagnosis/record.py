@@ -20,20 +20,17 @@ from diffsea.identification.effect_records import (
     effect_table,
     is_known,
     parameter_records,
-    place_of,
 )
 from diffsea.identification.estimates import Estimate, parameter_estimates
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import Effect, catalogue_name
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.files import Table, updated_document
 
 
 ERRORS = 3.0  # standard errors that make a size detectable
 PLAUSIBLE = 30.0  # prior sizes beyond which nothing is expected
 _NOTHING = 1e-12  # information that is none
-_INVERSE = ("rate_limit", "limit", "depth")  # parameters that are lower for larger effects
-_NOT_A_SIZE = ("direction", "phase", "time", "frequency")
 
 
 def detection_limits(problem: Problem, screening: Screening, found: tuple[str, ...]) -> list[dict]:
@@ -51,11 +48,11 @@ def detection_limits(problem: Problem, screening: Screening, found: tuple[str, .
 
 
 def _limit(problem: Problem, effect: Effect, seen: Seen) -> dict:
-    size = len(seen.look.moved)
+    size = len(seen.look.directions)
     columns = seen.columns[: problem.dataset.measured.size]  # not the prior's rows
     copies = columns.shape[1] // size
-    parameter = next(key for key in effect.units if key not in _NOT_A_SIZE)
-    row: dict = {"name": catalogue_name(effect.name), **place_of(problem.base, effect.name)}
+    parameter = effect.stated_key
+    row: dict = {"name": catalogue_name(effect.name), **effect.place_in(problem.base)}
     row |= {"parameter": parameter, "unit": effect.units[parameter], "limit": None}
     V = columns.T @ columns / seen.score.inflation
     found = [
@@ -65,8 +62,8 @@ def _limit(problem: Problem, effect: Effect, seen: Seen) -> dict:
     ]
     if not found:
         return row | {"note": "these runs would not have shown it at any plausible size"}
-    row["limit"] = max(found) if parameter in _INVERSE else min(found)
-    if parameter in _INVERSE:
+    row["limit"] = max(found) if effect.stated_inversely else min(found)
+    if effect.stated_inversely:
         row["note"] = "anything lower would have shown"
     return row
 
@@ -80,14 +77,14 @@ def _shown(problem: Problem, effect: Effect, seen: Seen, V: np.ndarray) -> float
     values, vectors = np.linalg.eigh(V)
     spread = ERRORS / np.sqrt(np.maximum(values, _NOTHING))
     steps = [*np.diag(np.sqrt((vectors**2) @ spread**2)), spread[0] * vectors[:, 0]]
-    parameter = next(key for key in effect.units if key not in _NOT_A_SIZE)
+    parameter = effect.stated_key
     sizes = np.array(effect.sizes(problem.base))
     named = []
     for step in steps:
         at = np.array(seen.look.at, float)
-        at[list(seen.look.moved)] = step * (np.sign(step[np.abs(step).argmax()]) or 1.0)
-        named.append((abs(float(effect.parameters(problem.base, at * sizes)[parameter])), step))
-    value, step = (min if parameter in _INVERSE else max)(named, key=lambda pair: pair[0])
+        at[list(seen.look.directions)] = step * (np.sign(step[np.abs(step).argmax()]) or 1.0)
+        named.append((abs(float(effect.decode(problem.base, at * sizes)[parameter])), step))
+    value, step = (min if effect.stated_inversely else max)(named, key=lambda pair: pair[0])
     return None if np.linalg.norm(step) > PLAUSIBLE else value
 
 
@@ -267,7 +264,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
             "evidence": evidence,
             "alternatives": list(accepted.rivals),
         }
-        record |= place_of(problem.base, accepted.name)
+        record |= EFFECTS[accepted.name].place_in(problem.base)
         if len(copies) > 1:
             if number >= len(diagnosis.split.recordings):
                 break
@@ -329,7 +326,7 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
 def _which(problem: Problem, name: str) -> dict:
     """What tells a candidate from others of its name: where it acts, or which terms it has."""
     variant = name.partition(":")[2]
-    return place_of(problem.base, name) or ({"variant": variant} if variant else {})
+    return EFFECTS[name].place_in(problem.base) or ({"variant": variant} if variant else {})
 
 
 def _reason(problem: Problem, one: Fitted, inflation: float) -> str:

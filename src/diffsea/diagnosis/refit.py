@@ -28,17 +28,19 @@ def possible(problem: Problem, effect: Effect, fitted: Estimate, seen: Seen) -> 
     Sizes count as physical as far as their standard errors tell.
     """
     values, stds = _sizes(problem, effect, fitted)
-    if effect.positive and not _positive(values[:, 0], stds[:, 0]):
+    if effect.leading.positive and not _positive(values[:, 0], stds[:, 0]):
         return False
-    if effect.bounds is not None:
-        least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
-        if not ((values > least - ABSENT * stds) & (values < most + ABSENT * stds)).all():
-            return False
-    if effect.shape is None:
+    least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
+    if not ((values > least - ABSENT * stds) & (values < most + ABSENT * stds)).all():
+        return False
+    if effect.scanned is None:
         return True
-    shape = float(values[0, effect.shape])
-    near = abs(shape - seen.look.at[effect.shape]) < seen.reach
-    return near and (effect.periodic or _while_recorded(problem, effect, shape))
+    place, scanned = effect.scanned
+    value = float(values[0, place])
+    size = problem.layout.sizes[problem.layout.effects.index(effect)][place]
+    times = np.asarray(problem.dataset.run_time)[np.asarray(problem.dataset.known).any(1)]
+    near = abs(value - seen.look.at[place]) < seen.reach
+    return near and scanned.lies_within(value * size, times.min(), times.max())
 
 
 def _sizes(problem: Problem, effect: Effect, fitted: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -55,13 +57,6 @@ def _positive(amounts: np.ndarray, stds: np.ndarray) -> bool:
     if len(amounts) == 1:
         return bool(amounts[0] > 0)
     return bool((amounts > -ABSENT * stds).all() and (amounts > 0).any())
-
-
-def _while_recorded(problem: Problem, effect: Effect, shape: float) -> bool:
-    """Whether a change happens between the first and the last row: else nothing changes."""
-    size = problem.layout.sizes[problem.layout.effects.index(effect)][effect.shape]
-    times = np.asarray(problem.dataset.run_time)[np.asarray(problem.dataset.known).any(1)]
-    return bool(times.min() < shape * size < times.max())
 
 
 def recorded_copies(problem: Problem, effect: Effect) -> list[int]:
@@ -280,12 +275,12 @@ def _starts(problem: Problem, current: Estimate, effect: Effect, seen: Seen) -> 
 def first_guess(effect: Effect, seen: Seen) -> np.ndarray:
     """Coordinates of the effect, in every copy, from its one-step estimate."""
     look: ExpansionPoint = seen.look
-    step = np.clip(seen.score.step, -3.0, 3.0).reshape(-1, len(look.moved))
+    step = np.clip(seen.score.step, -3.0, 3.0).reshape(-1, len(look.directions))
     out = np.tile(np.array(look.at, float), (len(step), 1))
-    out[:, list(look.moved)] = step
-    if look.finite:
+    out[:, list(look.directions)] = step
+    if look.secant:
         out[:, 0] = look.at[0]
-    if effect.positive:
+    if effect.leading.positive:
         out[:, 0] = np.maximum(out[:, 0], 0.1)
     return out.ravel()
 

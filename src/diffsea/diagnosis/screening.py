@@ -10,7 +10,6 @@ import numpy as np
 from diffsea.diagnosis.jacobians import columns_at, gains_at, look_columns, peaks
 from diffsea.diagnosis.localisation import Cell, bin_columns, cells
 from diffsea.diagnosis.score import Null, Projection, Score, joint_null
-from diffsea.identification.coordinates import PRIOR_SPREAD
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
 from diffsea.identification.fit import estimate
@@ -18,6 +17,7 @@ from diffsea.identification.problem import Problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+from diffsea.vessel.effects.coordinates import PRIOR_SPREAD
 
 
 def candidates(
@@ -40,37 +40,35 @@ def candidates(
         for effect in EFFECTS.values()
         if effect.possible(vessel)
         and (not effect.needs or recorded(effect.needs))
-        and not (per_run and effect.own and effect.idle)
+        and not (per_run and effect.per_run and effect.has_coefficients)
     )
 
 
 def shape_spacings(
     effects: tuple[Effect, ...], vessel: Vessel, tried: list[ExpansionPoint], resolution: float
 ) -> dict[str, float]:
-    """Distance between neighbouring shapes to look at for each effect, in prior sizes.
+    """Distance between neighbouring onsets or frequencies to try for each effect, in prior sizes.
 
-    Between its looks, or the `resolution` (Hz) of a frequency; zero without a shape.
+    `resolution` (Hz) is that of a frequency; the distance is zero where nothing is scanned.
     """
     out = {}
     for effect in effects:
         out[effect.name] = 0.0
-        if effect.shape is None:
-            continue
-        values = [look.at[effect.shape] for look in tried if look.effect == effect.name]
-        out[effect.name] = float(np.median(np.diff(np.sort(values)))) if len(values) > 1 else 0.0
-        if effect.periodic:
-            out[effect.name] = resolution / effect.sizes(vessel)[effect.shape]
+        if effect.scanned is not None:
+            place, scanned = effect.scanned
+            values = [point.at[place] for point in tried if point.effect == effect.name]
+            out[effect.name] = scanned.spacing(values, effect.sizes(vessel)[place], resolution)
     return out
 
 
 def nearby(effect: Effect, look: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
-    """Looks at shapes around one, three to each side."""
-    if effect.shape is None or spacing == 0:
+    """Points at onsets or frequencies around one, three to each side."""
+    if effect.scanned is None or spacing == 0:
         return []
-    out = []
+    place, out = effect.scanned[0], []
     for step in (-3, -2, -1, 1, 2, 3):
         at = list(look.at)
-        at[effect.shape] += step * spacing
+        at[place] += step * spacing
         out.append(dataclasses.replace(look, at=tuple(at)))
     return out
 

@@ -306,7 +306,7 @@ def _doubtful(problem: Problem, current: Estimate) -> set[str]:
     for effect in problem.layout.effects:
         if effect.name in current.free:
             place = problem.layout.indices((effect.name,))[0]
-            if abs(current.coordinates[place]) > effect.valid:
+            if abs(current.coordinates[place]) > effect.leading.valid_to:
                 names |= set(effect.confusables)
     return names
 

@@ -1,85 +1,72 @@
-"""Where an effect may first show itself: the sizes, shapes and times at which it is looked for."""
+"""Where the residuals are expanded in an effect: the sizes and times at which it is looked for.
+
+An absent effect is screened by derivatives. These need a point: its onset or frequency has to be
+chosen, and what is strong soon is better seen by a secant than by the tangent at zero.
+"""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import Effect
-
-
-Span = tuple[float, float]  # s, on the runs' clocks: start and end
+from diffsea.vessel.effects import Coefficient, Effect
+from diffsea.vessel.effects.coordinates import TimeSpan
 
 
 @dataclasses.dataclass(frozen=True)
 class ExpansionPoint:
-    """One way in which an effect may first be seen.
+    """One point at which the residuals are expanded in an effect.
 
-    `at` are its coordinates in prior sizes: zero but for a shape, which does nothing while the
-    effect is absent, or for a finite size.
+    `at` are its coordinates in noticeable sizes: amounts are zero, unless this is a `secant` from
+    the effect's absence to its size there. `directions` are the coordinates to differentiate by.
     """
 
     effect: str
     at: tuple[float, ...]
-    moved: tuple[int, ...]  # coordinates to differentiate by; the first one where it is finite
-    finite: bool = False
+    directions: tuple[int, ...]
+    secant: bool = False
 
 
 def expansion_points(
-    effect: Effect, vessel: Vessel, spans: list[Span], frequencies: np.ndarray | None = None
+    effect: Effect,
+    vessel: Vessel,
+    spans: Sequence[TimeSpan],
+    frequencies: Float[np.ndarray, "peak"] | None = None,
 ) -> list[ExpansionPoint]:
-    """All ways to look at one effect in what was recorded during these spans.
+    """All points for one effect in what was recorded during these spans of time.
 
-    `frequencies` (Hz) are those at which a periodic effect is looked at.
+    `frequencies` (Hz) are those at which an effect that swings is looked for.
     """
-    sizes = effect.sizes(vessel)
-    zero = [0.0] * len(sizes)
-    moved = tuple(k for k in range(len(sizes)) if k not in (effect.shape, *effect.idle))
-    secants = [ExpansionPoint(effect.name, (size, *zero[1:]), (0,), True) for size in effect.finite]
-    if effect.flat:
-        return secants
-    if effect.shape is None or effect.grid is None:
-        return [ExpansionPoint(effect.name, at, moved) for at in _at_rest(effect, zero)] + secants
-    values = effect.grid(vessel, 0.0, sum(end - start for start, end in spans))
-    if effect.periodic:
-        values = tuple(() if frequencies is None else np.asarray(frequencies) - values[0])
-    else:
-        values = tuple(_recorded(spans, value) for value in values)
-    out = []
-    for value in values:
-        at = list(zero)
-        at[effect.shape] = value / sizes[effect.shape]
-        out.append(ExpansionPoint(effect.name, tuple(at), moved))
-    return out
+    absent = [0.0] * len(effect.coordinates)
+
+    def at(place: int, value: float) -> tuple[float, ...]:
+        return (*absent[:place], value, *absent[place + 1 :])
+
+    tangents: list[tuple[float, ...]] = []
+    if effect.scanned is not None:
+        place, scanned = effect.scanned
+        size = effect.sizes(vessel)[place]
+        tangents += [at(place, v / size) for v in scanned.scan(vessel, spans, frequencies)]
+    elif effect.leading.tangent:
+        tangents.append(tuple(absent))
+        for place, one in enumerate(effect.coordinates):
+            trials = one.trials if isinstance(one, Coefficient) else ()
+            tangents += [at(place, trial) for trial in trials]
+    amounts = tuple(np.flatnonzero(effect.amounts).tolist())
+    return [
+        *(ExpansionPoint(effect.name, point, amounts) for point in tangents),
+        *(ExpansionPoint(effect.name, at(0, s), (0,), True) for s in effect.leading.secants),
+    ]
 
 
-def _at_rest(effect: Effect, zero: list[float]) -> list[tuple[float, ...]]:
-    """Coordinates of an absent effect, with its idle ones at zero and at their places."""
-    out = [tuple(zero)]
-    for values in effect.places:
-        at = list(zero)
-        for k, value in zip(effect.idle, values, strict=True):
-            at[k] = value
-        out.append(tuple(at))
-    return out
-
-
-def merge_spans(spans: Iterable[Span]) -> list[Span]:
+def merge_spans(spans: Iterable[TimeSpan]) -> list[TimeSpan]:
     """Spans in the order of time, those that overlap made one."""
-    out: list[Span] = []
+    out: list[TimeSpan] = []
     for start, end in sorted(spans):
         if out and start <= out[-1][1]:
             out[-1] = out[-1][0], max(out[-1][1], end)
         else:
             out.append((start, end))
     return out
-
-
-def _recorded(spans: list[Span], after: float) -> float:
-    """The time at which so many seconds have been recorded."""
-    for start, end in spans:
-        if after <= end - start:
-            return start + after
-        after -= end - start
-    return spans[-1][1]

@@ -133,7 +133,7 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> np.ndarray:
     out[: len(test.parameters)] = fitted.coordinates[: len(train.parameters)]
     own = []
     for effect in train.effects:
-        if not effect.own:
+        if not effect.per_run:
             place = test.slices()[effect.name]
             out[place] = fitted.coordinates[train.slices()[effect.name]]
         elif effect.name in fitted.free:

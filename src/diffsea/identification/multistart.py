@@ -43,7 +43,7 @@ def effect_starts(problem: Problem) -> Starts:
     rows = [np.zeros(layout.size)]
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
         places = [look.at for look in expansion_points(effect, problem.base, spans)]
-        if effect.positive and not effect.finite:
+        if effect.leading.positive and not effect.leading.secants:
             places.append((1.0, *(0.0 for _ in sizes[1:])))
         for place in filter(any, places):
             row = np.zeros(layout.size)

@@ -153,7 +153,7 @@ class Study:
         """What was fitted and runs held out, as problems of one kind."""
         problem = self.recorded
         layout = problem.layout
-        own = layout.per_run and any(e.own for e in layout.effects)
+        own = layout.per_run and any(e.per_run for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
         room = problem.seeds - len(priors)
 
@@ -301,7 +301,7 @@ def _objective(
         return TrialNumbers(vessel, parameters, sheets)
     priors = {p.name: p for p in parameters}
     effects = effects_to_estimate(vessel, settings.effects)
-    shared = [effect.name for effect in effects if effect.own and effect.idle]
+    shared = [effect.name for effect in effects if effect.per_run and effect.has_coefficients]
     if settings.per_recording and shared:
         raise UserError(
             f"{shared[0]} has coefficients that all recordings share, and each recording cannot "

@@ -67,7 +67,7 @@ def _in_own_environment(
     the held-out run itself, everything else as it was.
     """
     layout, count = split.train.layout, len(split.held_out)
-    own = {effect.name: effect.own for effect in layout.effects}
+    own = {effect.name: effect.per_run for effect in layout.effects}
     if not layout.per_run or not any(own[name] for name in effects):
         return [diagnosed] * count
     coordinates = jax.numpy.asarray(held_out_coordinates(split, final))

@@ -3,8 +3,9 @@
 The same sentences stand in the terminal and at the head of a page, so that they never differ.
 """
 
+import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from diffsea.identification.holdout import HeldOut
@@ -17,40 +18,16 @@ from diffsea.report.quantities import (
     significant,
     with_error,
 )
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+from diffsea.vessel.effects.sensors import MeasuredChannels
 
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json
 
-_TEMPLATES = {
-    "current": "a steady current of {speed} flowing to {direction}",
-    "wind": "a steady wind of {speed} from {direction}",
-    "wave-force": "a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
-    "shallow-water": "shallow water, {depth} deep,",
-    "hard-iron": "a compass error of {amplitude} that changes with heading",
-    "lever-arm": "a sensor {x} forward and {y} to starboard of the reference point",
-    "clock-drift": "clocks of motion and orders that are {offset} apart and drift by {rate}",
-    "thrust-lag": "a lag with a time constant of {time_constant} in {actuators}",
-    "thrust-delay": "a dead time of {delay} between order and action",
-    "rate-limit": "a slew limit of {rate_limit} in {actuators}",
-    "deadband": "a dead band of {width} in {actuators}",
-    "backlash": "a play of {width} in {actuators}",
-    "thrust-saturation": "thrust that clips at {limit}",
-    "actuator-bias": "a neutral point of {actuators} that is off by {bias}",
-    "propeller-side-force": "a side force of the propeller",
-    "rudder-interaction": "an interaction of hull, propeller and rudder",
-    "quadratic-damping": "a drag that grows with the square of speed",
-    "crossflow-drag": "a cross-flow drag of the hull with coefficient {cd}",
-    "sway-yaw-coupling": "a linear coupling of sway and yaw",
-    "speed-dependent-damping": "a damping that grows with forward speed",
-    "added-mass-coupling": "an added mass that couples sway and yaw",
-    "munk-moment": "a Munk moment other than the model's",
-    "roll-coupling": "a coupling of roll into sway and yaw",
-}
 _CHANNELS = {
     frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
     frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
 }  # fmt: skip
-_BUT_POSITION = frozenset(("psi", "u", "v", "r"))
 
 
 def as_words(name: str) -> str:
@@ -67,88 +44,57 @@ def _value(effect: Record, parameter: str) -> float:
     return float(effect["parameters"].get(parameter, {}).get("value") or 0.0)
 
 
-def _size(effect: Record, parameter: str, scale: float = 1.0, unit: str | None = None) -> str:
-    """Absolute value of a parameter, rounded."""
-    entry = effect["parameters"].get(parameter, {"value": None})
-    if not is_known(entry["value"]):
-        return "an unknown amount"
-    std = entry.get("std")
-    unit = entry.get("unit", "") if unit is None else unit
-    return round_to_error(abs(entry["value"]) * scale, std * scale if is_known(std) else None, unit)
+class _Said:
+    """A parameter of an effect, said as the braces of the effect's phrase ask for it."""
+
+    def __init__(self, entry: Record) -> None:
+        self.value, self.std, self.unit = entry["value"], entry.get("std"), entry.get("unit", "")
+
+    def __format__(self, how: str) -> str:
+        if not how:
+            return round_to_error(self.value, self.std, self.unit)
+        if "|" in how:
+            positive, other = how.split("|")
+            return positive if self.value is not None and self.value > 0 else other
+        if not is_known(self.value):
+            return "an unknown amount"
+        scale, unit = {"%": (100.0, "%"), "%/deg": (math.radians(100.0), "%")}.get(
+            how, (1.0, self.unit)
+        )
+        std = self.std * scale if is_known(self.std) else None
+        return round_to_error(abs(self.value) * scale, std, unit)
 
 
-def _asymmetry(effect: Record) -> str:
-    strong, weak = ("starboard", "port") if _value(effect, "ratio") > 0 else ("port", "starboard")
-    share = _size(effect, "ratio", 100.0, "%")
-    return f"thrust {share} stronger than stated on the {strong} side and weaker on the {weak} side"
-
-
-def _misalignment(effect: Record) -> str:
-    side = "starboard" if _value(effect, "angle") > 0 else "port"
-    return f"a thrust line turned {_size(effect, 'angle')} to {side}"
-
-
-def _reading(what: str, parameter: str) -> Callable[[Record], str]:
-    def phrase(effect: Record) -> str:
-        way = "high" if _value(effect, parameter) > 0 else "low"
-        return f"{what} that reads {_size(effect, parameter)} too {way}"
-
-    return phrase
-
-
-def _loss(per: str, scale: float) -> Callable[[Record], str]:
-    def phrase(effect: Record) -> str:
-        way = "falls" if _value(effect, "slope") > 0 else "rises"
-        return f"a thrust that {way} by {_size(effect, 'slope', 100 * scale, '%')} {per}"
-
-    return phrase
-
-
-def _change(what: str, parameter: str, scale: float, unit: str | None) -> Callable[[Record], str]:
-    def phrase(effect: Record) -> str:
-        way = "larger" if _value(effect, parameter) > 0 else "smaller"
-        amount = _size(effect, parameter, scale, unit)
-        return f"a {what} that is {amount} {way} from {_size(effect, 'time')} on"
-
-    return phrase
-
-
-def _latency(effect: Record) -> str:
-    late = frozenset(effect.get("channels", ()))
-    if late == _BUT_POSITION:
-        return f"a measured position that is {_size(effect, 'delay')} ahead of all else measured"
-    channels = _CHANNELS.get(late, "signal")
-    return f"a measured {channels} that arrives {_size(effect, 'delay')} late"
-
-
-_PHRASES: dict[str, Callable[[Record], str]] = {
-    "thrust-asymmetry": _asymmetry,
-    "thruster-misalignment": _misalignment,
-    "heading-offset": _reading("a compass", "angle"),
-    "thrust-change": _change("thrust", "factor", 100.0, "%"),
-    "drag-change": _change("drag", "factor", 100.0, "%"),
-    "mass-change": _change("mass", "mass", 1.0, None),
-    "gyro-bias": _reading("a yaw-rate sensor", "bias"),
-    "sensor-latency": _latency,
-    "thrust-loss-with-speed": _loss("for every m/s of speed", 1.0),
-    "thrust-loss-in-turns": _loss("for every deg/s of yaw rate", 0.017453292519943295),
-}
+def _entry_of(effect: Record) -> Effect | None:
+    """The entry of the catalogue, of several variants the one with these channels."""
+    variants = [
+        entry
+        for entry in EFFECTS.values()
+        if effect["name"] in (entry.name, catalogue_name(entry.name))
+    ]
+    late = set(effect.get("channels", ()))
+    alike = [
+        entry
+        for entry in variants
+        if isinstance(entry.place, MeasuredChannels) and set(entry.place.names) == late
+    ]
+    return (alike or variants or [None])[0]
 
 
 def phrase(effect: Record) -> str:
     """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
-    name = effect["name"]
-    if name in _PHRASES:
-        return _PHRASES[name](effect)
-    values = {
-        key: round_to_error(entry["value"], entry.get("std"), entry.get("unit", ""))
-        for key, entry in effect["parameters"].items()
-    }
-    values["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
+    said: dict[str, object] = {key: _Said(one) for key, one in effect["parameters"].items()}
+    said["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
+    said["channels"] = _CHANNELS.get(frozenset(effect.get("channels", ())), "signal")
+    entry = _entry_of(effect)
     try:
-        return _TEMPLATES[name].format(**values)
+        return entry.phrase.format(**said) if entry and entry.phrase else _unknown(effect)
     except KeyError:
-        return f"the effect {as_words(name)!r}"
+        return _unknown(effect)
+
+
+def _unknown(effect: Record) -> str:
+    return f"the effect {as_words(effect['name'])!r}"
 
 
 def group_phrase(group: list[Record]) -> str:
@@ -344,8 +290,10 @@ def effect_lines(name: str, runs: Sequence[Record]) -> list[str]:
 
 def direction_note(effect: Record, parameter: str) -> str:
     """Whether a direction is where something flows to or comes from."""
-    notes = {"current": " (flows to)", "wind": " (comes from)"}
-    return notes.get(effect["name"], "") if parameter == "direction" else ""
+    entry = _entry_of(effect)
+    form = None if entry is None else entry.parametrisation
+    note = "" if form is None else form.notes.get(parameter, "")
+    return f" ({note})" if note else ""
 
 
 def verdict_text(summary: Record) -> str:

@@ -16,7 +16,7 @@ import tomli_w
 from diffsea.errors import UserError, nearest
 from diffsea.vessel.actuators import ACTUATORS
 from diffsea.vessel.base import AbstractForce, AddedMass, RigidBody, Vessel
-from diffsea.vessel.effects.tables import with_effect
+from diffsea.vessel.effects import with_effect
 from diffsea.vessel.hull import POWERS, Damping, PrimeDamping, Scaling, is_derivative
 from diffsea.vessel.servo import Servo
 from diffsea.vessel.tables import Table as Table

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.data.batching import BatchLayout, batch_layout
 from diffsea.identification.data.heel import predicted_heel
-from diffsea.identification.expansion_points import Span, merge_spans
+from diffsea.identification.expansion_points import TimeSpan, merge_spans
 from diffsea.scales import time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
@@ -51,7 +51,7 @@ class Dataset(eqx.Module):
         return self.known.sum()
 
     @property
-    def spans(self) -> list[Span]:
+    def spans(self) -> list[TimeSpan]:
         """When anything was recorded, on the runs' clocks."""
         known = np.asarray(self.known).any(1)
         run, time = np.asarray(self.run)[known], np.asarray(self.run_time)[known]

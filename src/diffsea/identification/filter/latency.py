@@ -17,7 +17,7 @@ from diffsea.kinematics import to_earth
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.actuators import on_channels
+from diffsea.vessel.effects.actuators import change_servos
 from diffsea.vessel.servo import Servo
 
 
@@ -130,7 +130,7 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
         executed=executed,
     )
     right = dataclasses.replace(vessel.sensors, clock=None)
-    vessel = on_channels(vessel, vessel.channels, _delayed)
+    vessel = change_servos(vessel, vessel.channels, _delayed)
     return dataclasses.replace(vessel, sensors=right), moved
 
 

@@ -37,7 +37,7 @@ from diffsea.simulation.integrate import Motion, advance, begin, history_length
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.actuators import on_channels
+from diffsea.vessel.effects.actuators import change_servos
 from diffsea.vessel.servo import OrderHistory, Servo
 
 
@@ -274,7 +274,7 @@ def with_direct(vessel: Vessel, measured: tuple[str, ...]) -> Vessel:
                 f"{channel!r} is said to be measured, but the vessel has no such actuator "
                 f"channel; it has: {', '.join(vessel.channels)}"
             )
-    return on_channels(vessel, measured, lambda servo, actuator: Servo())
+    return change_servos(vessel, measured, lambda servo, actuator: Servo())
 
 
 def _drifts(

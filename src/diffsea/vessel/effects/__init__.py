@@ -1,34 +1,17 @@
-"""The catalogue of effects: physics that can be added to a vessel by name."""
+"""The catalogue of effects: physics that can be added to a vessel by name.
 
-from diffsea.errors import UserError, nearest
-from diffsea.vessel.effects.actuators import ACTUATORS, COMMANDED, STAGES, channels_of
-from diffsea.vessel.effects.entry import Coordinates, Effect, catalogue_name
-from diffsea.vessel.effects.environment import ENVIRONMENT, default_wind
-from diffsea.vessel.effects.hull import HULL
-from diffsea.vessel.effects.sensors import LATENCY_CHANNELS, SENSORS
-from diffsea.vessel.effects.thrust import THRUST
+An entry is an `Effect`, in the module of what it acts on; files state it, fits estimate it and
+diagnoses look for it. May import the rest of `vessel`, `kinematics` and `types`.
+"""
 
-
-__all__ = [
-    "COMMANDED", "EFFECTS", "LATENCY_CHANNELS", "STAGES", "Coordinates", "Effect",
-    "catalogue_name", "channels_of", "default_wind", "find_effects",
-]  # fmt: skip
-
-EFFECTS: dict[str, Effect] = {
-    effect.name: effect for effect in (*SENSORS, *ENVIRONMENT, *ACTUATORS, *THRUST, *HULL)
-}
-
-
-def find_effects(name: str) -> tuple[Effect, ...]:
-    """The catalogue's entries of that name, its variants among them.
-
-    Raises:
-        UserError: no such entry, with the nearest one.
-    """
-    found = tuple(e for e in EFFECTS.values() if name in (e.name, catalogue_name(e.name)))
-    if not found:
-        known = sorted({catalogue_name(effect) for effect in EFFECTS})
-        raise UserError(
-            f"unknown effect {name!r}{nearest(name, known)}; the catalogue has: {', '.join(known)}"
-        )
-    return found
+from diffsea.vessel.effects.catalogue import EFFECTS as EFFECTS
+from diffsea.vessel.effects.catalogue import find_effects as find_effects
+from diffsea.vessel.effects.catalogue import with_effect as with_effect
+from diffsea.vessel.effects.coordinates import Coefficient as Coefficient
+from diffsea.vessel.effects.coordinates import Coordinate as Coordinate
+from diffsea.vessel.effects.coordinates import Frequency as Frequency
+from diffsea.vessel.effects.coordinates import Onset as Onset
+from diffsea.vessel.effects.coordinates import Size as Size
+from diffsea.vessel.effects.entry import Effect as Effect
+from diffsea.vessel.effects.entry import Parametrisation as Parametrisation
+from diffsea.vessel.effects.entry import catalogue_name as catalogue_name

@@ -3,74 +3,97 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea.errors import UserError, nearest
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import AbstractActuator, Vessel
-from diffsea.vessel.effects.entry import Bound, Coordinates, Effect, time_scale
+from diffsea.vessel.effects.coordinates import Bound, Size, vessel_time
+from diffsea.vessel.effects.entry import (
+    CoordinateValues,
+    Effect,
+    Numbers,
+    Parametrisation,
+    Place,
+)
+from diffsea.vessel.effects.tables import read_names
 from diffsea.vessel.servo import Servo
+from diffsea.vessel.tables import Table, check_keys, needed
 
 
-KINDS = ("propulsion", "steering")
-COMMANDED = "N or rev/s"  # the unit of a number on any vessel's propulsion
-SIDES = {"port": -1, "starboard": 1}  # sign of y
+Kind = Literal["propulsion", "steering", "port", "starboard"]
+KINDS: tuple[Kind, ...] = ("propulsion", "steering")
+SIDES: dict[Kind, int] = {"port": -1, "starboard": 1}  # sign of y
+ORDER_UNIT = "N or rev/s"  # the unit of a number on any vessel's propulsion
+RUDDER_ANGLE = 0.6  # rad, the largest of a vessel that states none: 35 deg
+FROUDE_NUMBER = 0.3  # of a vessel that needs all the revolutions that its propeller makes
+ADVANCE_RATIO = 0.7  # of a propeller at that speed
+THRUST_TO_WEIGHT = 0.05  # of a vessel that states no largest thrust
 
 
-def channels_of(vessel: Vessel, kind: str) -> tuple[str, ...]:
-    """Channels that push (thrusts and shaft speeds), or that steer (angles), or push on a side."""
-    if kind in SIDES:
-        pushing, parts = channels_of(vessel, "propulsion"), vessel.actuators.values()
-        beside = [part for part in parts if SIDES[kind] * float(part.y) > 0]
-        return tuple(c for part in beside for c in part.servos if c in pushing)
-    return tuple(
-        channel
-        for part in vessel.actuators.values()
-        for channel in part.servos
-        if (part.channels[channel].role == "steering") == (kind == "steering")
-    )
+@dataclasses.dataclass(frozen=True)
+class OrderedChannels(Place):
+    """Channels that push (thrusts and shaft speeds), or steer (angles), or push on one side."""
+
+    kind: Kind
+
+    def all_on(self, vessel: Vessel) -> tuple[str, ...]:
+        """Their names on a vessel."""
+        if self.kind in SIDES:
+            pushing = OrderedChannels("propulsion").all_on(vessel)
+            side, parts = SIDES[self.kind], vessel.actuators.values()
+            beside = [part for part in parts if side * float(part.y) > 0]
+            return tuple(c for part in beside for c in part.servos if c in pushing)
+        steers = self.kind == "steering"
+        return tuple(
+            channel
+            for part in vessel.actuators.values()
+            for channel in part.servos
+            if (part.channels[channel].role == "steering") == steers
+        )
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """Them by name, where the vessel has others."""
+        channels = self.all_on(vessel)
+        return {} if len(channels) == len(vessel.channels) else {"actuators": list(channels)}
+
+    def unit_on(self, vessel: Vessel, unit: str) -> str:
+        """The unit in which they are ordered in the place of `ORDER_UNIT`, if they share one."""
+        own = {vessel.units[channel] for channel in self.all_on(vessel)}
+        return unit.replace(ORDER_UNIT, own.pop()) if len(own) == 1 else unit
 
 
-def full(vessel: Vessel, channels: Iterable[str]) -> Scalar:
-    """The largest order of some channels: their widest limit, or a plausible number."""
-    servos = vessel.servos
-    limits = [
-        jnp.abs(end)
-        for channel in channels
-        for end in (servos[channel].lower, servos[channel].upper)
-        if end is not None
-    ]
-    if not limits:
-        return _plausible(vessel, tuple(channels))
-    return functools.reduce(jnp.maximum, limits)
+def largest_order(vessel: Vessel, channels: Sequence[str]) -> Scalar:
+    """The widest limit of some channels, or a plausible number where none is stated.
 
-
-def _plausible(vessel: Vessel, channels: tuple[str, ...]) -> Scalar:
-    """0.6 rad, the shaft speed for Froude number 0.3, or a twentieth of the weight."""
-    if set(channels) <= set(channels_of(vessel, "steering")):
-        return 0.6
+    That is 0.6 rad, the shaft speed for Froude number 0.3, or a twentieth of the weight.
+    """
+    servos = [vessel.servos[channel] for channel in channels]
+    ends = [end for servo in servos for end in (servo.lower, servo.upper) if end is not None]
+    if ends:
+        return functools.reduce(jnp.maximum, [jnp.abs(end) for end in ends])
+    if set(channels) <= set(OrderedChannels("steering").all_on(vessel)):
+        return RUDDER_ANGLE
     body = vessel.rigid_body
     for part in vessel.propulsors.values():
         if part.diameter is not None and set(part.servos) & set(channels):
-            return froude_speed(body.length, 0.3) / (0.7 * part.diameter)
-    return 0.05 * GRAVITY * body.mass
+            return froude_speed(body.length, FROUDE_NUMBER) / (ADVANCE_RATIO * part.diameter)
+    return THRUST_TO_WEIGHT * GRAVITY * body.mass
 
 
-def on_channels(
+def change_servos(
     vessel: Vessel, channels: Iterable[str], change: Callable[[Servo, AbstractActuator], Servo]
 ) -> Vessel:
     """The vessel with the servos of some channels changed; `change` sees their actuator, too."""
-    chosen = set(channels)
-
-    def changed(actuator: AbstractActuator) -> AbstractActuator:
+    chosen, parts = set(channels), {}
+    for name, actuator in vessel.actuators.items():
         servos = {c: change(s, actuator) if c in chosen else s for c, s in actuator.servos.items()}
-        return eqx.tree_at(lambda a: a.servos, actuator, servos)
-
-    parts = {name: changed(actuator) for name, actuator in vessel.actuators.items()}
+        parts[name] = eqx.tree_at(lambda a: a.servos, actuator, servos)
     return eqx.tree_at(lambda v: v.actuators, vessel, parts)
 
 
@@ -78,104 +101,125 @@ def on_channels(
 class Stage:
     """An effect that is a stage of a servo: how a size of it changes the servo.
 
-    `size` is what would be noticeable, for channels with a largest order on a vessel with a time
-    scale. A file says some stages by the inverse of their size: a rate limit, a limit.
+    `add` takes the servo, the size and the largest order of the channels. `size` is what would be
+    noticeable, for channels with a largest order on a vessel with a time scale (s); `kind_of_size`
+    makes its coordinate. A file states most stages by their size, some by its inverse (a rate
+    limit, a limit): these have `state`, the servo with what a file says, `inverse`, which makes a
+    parametrisation for channels of one kind, and the `coordinate_unit`.
     """
 
     name: str
-    parameter: str
-    timed: bool  # its unit is s, the same for all channels; otherwise that of the orders
-    change: Callable[[Servo, Scalar, Scalar], Servo]  # of the servo, the size, the largest order
-    size: Callable[[Scalar, float], Scalar]  # of the largest order and the time scale
+    key: str
+    unit: str  # braces stand for that of the orders; without them it is one for all channels
+    add: Callable[[Servo, Scalar, Scalar], Servo]
+    size: Callable[[Scalar, Scalar], Scalar]
     law: str
+    phrase: str
     confusables: tuple[str, ...]
-    stated: Callable[[Servo, Scalar], Servo]  # the servo with what a file says
-    positive: bool = True
-    finite: tuple[float, ...] = ()
-    flat: bool = False
-    limited: bool = False  # only where limits are stated
+    kind_of_size: Callable[..., Size] = functools.partial(Size, positive=True)
+    kinds: tuple[Kind, ...] = KINDS
     in_orders: bool = False  # its coordinate counts orders, and cannot be more than the largest
+    limited: bool = False  # only where limits are stated
+    state: Callable[[Servo, Scalar], Servo] | None = None
+    inverse: Callable[[dict[str, str], OrderedChannels], Parametrisation] | None = None
+    coordinate_unit: str = ""
 
-    def apply(
-        self, vessel: Vessel, channels: tuple[str, ...], value: Scalar, side: int = 0
-    ) -> Vessel:
-        """The vessel with the stage on some channels; `value` is the coordinate.
+    def effect(self, kind: Kind) -> Effect:
+        """The catalogue's entry for channels of one kind."""
+        place, side = OrderedChannels(kind), SIDES.get(kind, 0)
+        alike = OrderedChannels("propulsion") if side else place
+        order_unit = "rad" if kind == "steering" else ORDER_UNIT
+        unit = self.unit.format(order_unit)
 
-        `side` restricts it to actuators whose y has that sign.
-        """
-        largest = full(vessel, channels)
+        def apply(vessel: Vessel, at: CoordinateValues) -> Vessel:
+            largest = largest_order(vessel, alike.all_on(vessel))
+
+            def change(servo: Servo, actuator: AbstractActuator) -> Servo:
+                if side == 0:
+                    return self.add(servo, at[0], largest)
+                beside = jnp.sign(actuator.y) == side
+                return self.add(servo, jnp.where(beside, at[0], 0.0), largest)
+
+            return change_servos(vessel, alike.all_on(vessel), change)
+
+        def size(vessel: Vessel) -> Scalar:
+            return self.size(largest_order(vessel, alike.all_on(vessel)), vessel_time(vessel))
+
+        def bounds(vessel: Vessel) -> Bound:
+            largest = math.inf
+            if self.in_orders:
+                largest = float(largest_order(vessel, alike.all_on(vessel)))
+            return -largest, largest
+
+        def is_possible(vessel: Vessel) -> bool:
+            servos = [vessel.servos[channel] for channel in alike.all_on(vessel)]
+            stated = any(s.upper is not None or s.lower is not None for s in servos)
+            return bool(servos and place.all_on(vessel)) and (stated or not self.limited)
+
+        coordinate = (self.key, unit)
+        if self.inverse is not None:
+            coordinate = ("size", self.coordinate_unit.format(order_unit))
+        return Effect(
+            f"{self.name}:{kind}",
+            "actuator",
+            (self.kind_of_size(*coordinate, size, bounds),),
+            apply,
+            law=self.law,
+            phrase=self.phrase,
+            confusables=self.confusables,
+            possible=is_possible,
+            parametrisation=self.inverse and self.inverse({self.key: unit}, alike),
+            place=place,
+            read=self.read,
+        )
+
+    def read(self, vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+        """The stage on the actuators that a table names, on all of them where it names none."""
+        check_keys(table, ("name", self.key, "actuators"), where)
+        value = needed(table, self.key, where)
+        if variants[0].leading.positive and value < 0:
+            raise UserError(f"{where}: {self.key} = {value:g} is negative")
+        channels = _named_channels(vessel, table, where)
+        angles = set(OrderedChannels("steering").all_on(vessel)) & set(channels)
+        if "{}" in self.unit and 0 < len(angles) < len(set(channels)):
+            raise UserError(
+                f"{where}: {self.key} is in the unit of the orders, and the vessel has thrusts and "
+                "angles; say which with actuators = [...] (it has: "
+                f"{', '.join(vessel.channels)})"
+            )
+        if value == 0 and self.inverse is not None:
+            raise UserError(f"{where}: {self.key} must be positive; leave it out for none")
 
         def change(servo: Servo, actuator: AbstractActuator) -> Servo:
-            if side == 0:
-                return self.change(servo, value, largest)
-            beside = jnp.sign(actuator.y) == side
-            return self.change(servo, jnp.where(beside, value, 0.0), largest)
+            return self.add(servo, value, value) if self.state is None else self.state(servo, value)
 
-        return on_channels(vessel, channels, change)
+        return change_servos(vessel, channels, change)
 
-    def say(self, vessel: Vessel, channels: tuple[str, ...], value: Scalar) -> Vessel:
-        """The vessel with what a file says of the stage on some channels."""
-        return on_channels(vessel, channels, lambda servo, _: self.stated(servo, value))
 
-    def to_file(self, value: Any, vessel: Vessel, channels: tuple[str, ...]) -> Any:
-        """What a file says, from the coordinate."""
-        if self.name == "rate-limit":
-            own = vessel.servos[channels[0]].slew
-            return 1 / ((0.0 if own is None else own) + value)
-        return full(vessel, channels) / (1 + value) if self.name == "thrust-saturation" else value
-
-    def effect(self, kind: str) -> Effect:
-        """The catalogue's entry for channels of one kind."""
-
-        def channels(vessel: Vessel) -> tuple[str, ...]:
-            return channels_of(vessel, "propulsion" if kind in SIDES else kind)
-
-        def decode(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
-            return {self.parameter: self.to_file(at[0], vessel, channels(vessel))}
-
-        def bounds(vessel: Vessel) -> tuple[Bound, ...]:
-            largest = float(full(vessel, channels(vessel))) if self.in_orders else math.inf
-            return ((-largest, largest),)
-
-        def possible(vessel: Vessel) -> bool:
-            servos = [vessel.servos[c] for c in channels(vessel)]
-            stated = any(s.upper is not None or s.lower is not None for s in servos)
-            there = bool(servos) and (kind not in SIDES or bool(channels_of(vessel, kind)))
-            return there and (stated or not self.limited)
-
-        return Effect(
-            f"{self.name}:{kind}", "actuator", {self.parameter: self._unit(kind)},
-            lambda v, at: self.apply(v, channels(v), at[0], SIDES.get(kind, 0)),
-            lambda v: (self.size(full(v, channels(v)), time_scale(v)),),
-            possible, self.positive, bounds=bounds, decode=decode, coordinate_names=("size",),
-            finite=self.finite, flat=self.flat, where={"kind": kind}, law=self.law,
-            confusables=self.confusables,
-        )  # fmt: skip
-
-    def _unit(self, kind: str) -> str:
-        if self.timed:
-            return "s"
-        unit = "rad" if kind == "steering" else COMMANDED
-        return f"{unit} per s" if self.name == "rate-limit" else unit
+def _named_channels(vessel: Vessel, table: Table, where: str) -> tuple[str, ...]:
+    """Channels by their own names or those of their actuators; all of them for none."""
+    names = read_names(table, "actuators", where)
+    if names is None:
+        return vessel.channels
+    known = {c: (c,) for c in vessel.channels}
+    known |= {name: tuple(part.servos) for name, part in vessel.actuators.items()}
+    for name in names:
+        if name not in known:
+            raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
+    return tuple(channel for name in names for channel in known[name])
 
 
 def _plus(field: str) -> Callable[[Servo, Scalar, Scalar], Servo]:
     """Adds to one number of a servo, which starts from zero where it is None."""
 
-    def change(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
+    def add(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
         now = getattr(servo, field)
         return dataclasses.replace(servo, **{field: (0.0 if now is None else now) + by})
 
-    return change
+    return add
 
 
-def _limited(servo: Servo, limit: Scalar) -> Servo:
-    upper = limit if servo.upper is None else jnp.minimum(servo.upper, limit)
-    lower = -limit if servo.lower is None else jnp.maximum(servo.lower, -limit)
-    return dataclasses.replace(servo, upper=upper, lower=lower)
-
-
-def _slowed(servo: Servo, rate_limit: Scalar) -> Servo:
+def _with_rate_limit(servo: Servo, rate_limit: Scalar) -> Servo:
     """The lower of the rate limit and the servo's own holds."""
     own = 0.0 if servo.rate_limit is None else 1 / servo.rate_limit
     more = jnp.maximum(1 / rate_limit - own, 0.0)
@@ -183,71 +227,147 @@ def _slowed(servo: Servo, rate_limit: Scalar) -> Servo:
     return dataclasses.replace(servo, slowness=jnp.maximum(now, more))
 
 
-def _added(field: str) -> Callable[[Servo, Scalar], Servo]:
-    return lambda servo, value: _plus(field)(servo, value, value)
+def _rate_limit(units: dict[str, str], place: OrderedChannels) -> Parametrisation:
+    """The rate limit of which the coordinate adds to the inverse."""
+    key = next(iter(units))
+
+    def inverse(vessel: Vessel) -> Scalar:
+        slew = vessel.servos[place.all_on(vessel)[0]].slew
+        return 0.0 if slew is None else slew
+
+    def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
+        return {key: 1 / (inverse(vessel) + at[0])}
+
+    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+        return (float(1 / numbers[key] - inverse(vessel)) if key in numbers else 0.0,)
+
+    return Parametrisation(units, decode, encode, inverse=True)
 
 
-def _clipped(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
+def _with_limit(servo: Servo, limit: Scalar) -> Servo:
+    """Limits on both sides, the servo's own where these are narrower."""
+    upper = limit if servo.upper is None else jnp.minimum(servo.upper, limit)
+    lower = -limit if servo.lower is None else jnp.maximum(servo.lower, -limit)
+    return dataclasses.replace(servo, upper=upper, lower=lower)
+
+
+def _narrow_limits(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
+    """Stated limits no wider than the largest order over one plus the size."""
     limit = largest / (1 + by)
     upper = None if servo.upper is None else jnp.minimum(servo.upper, limit)
     lower = None if servo.lower is None else jnp.maximum(servo.lower, -limit)
     return dataclasses.replace(servo, upper=upper, lower=lower)
 
 
+def _limit(units: dict[str, str], place: OrderedChannels) -> Parametrisation:
+    """The limit of which the coordinate is the stated one over it, less one."""
+    key = next(iter(units))
+
+    def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
+        return {key: largest_order(vessel, place.all_on(vessel)) / (1 + at[0])}
+
+    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+        largest = largest_order(vessel, place.all_on(vessel))
+        return (float(largest / numbers[key] - 1) if key in numbers else 0.0,)
+
+    return Parametrisation(units, decode, encode, inverse=True)
+
+
 # A response that is late by several rows is nothing like the derivative for one that is not.
-LATE = (0.3, 1.0, 3.0)
+_SECANTS = (0.3, 1.0, 3.0)
+_late_size = functools.partial(Size, positive=True, secants=_SECANTS)
 
-STAGES = {
-    stage.name: stage
-    for stage in (
-        Stage(
-            "thrust-lag", "time_constant", True, _plus("time_constant"), lambda n, t: t,
-            "dn/dt = (order - n) / time_constant, exact for orders that hold between samples",
-            ("thrust-delay", "rate-limit", "backlash", "sensor-latency", "clock-drift"),
-            _added("time_constant"), finite=LATE,
-        ),
-        Stage(
-            "thrust-delay", "delay", True, _plus("delay"), lambda n, t: t,
-            "an order takes effect `delay` later",
-            ("thrust-lag", "clock-drift", "sensor-latency", "rate-limit"), _added("delay"),
-            finite=LATE,
-        ),
-        Stage(
-            "rate-limit", "rate_limit", False, _plus("slowness"), lambda n, t: t / n,
-            "|dn/dt| <= rate_limit; the coordinate is its inverse, zero for none",
-            ("thrust-lag", "thrust-delay", "backlash"), _slowed, finite=LATE,
-        ),
-        Stage(
-            "deadband", "width", False, _plus("deadband"), lambda n, t: 0.05 * n,
-            "no action for |order| < width, order - width sign(order) beyond",
-            ("backlash", "thrust-loss-with-speed", "drag-change"), _added("deadband"),
-            in_orders=True,
-        ),
-        Stage(
-            "backlash", "width", False, _plus("backlash"), lambda n, t: 0.05 * n,
-            "play operator: the actuator stays while the order is within `width` of it",
-            ("deadband", "thrust-lag", "rate-limit"), _added("backlash"), finite=LATE,
-            in_orders=True,
-        ),
-        Stage(
-            "thrust-saturation", "limit", False, _clipped, lambda n, t: 0.3,
-            "realised values clip at +-limit below the stated one (first coordinate: stated limit "
-            "over limit less one)",
-            ("thrust-loss-with-speed", "drag-change", "thrust-change"), _limited,
-            finite=(0.3, 1.0, 3.0), flat=True, limited=True,
-        ),
-        Stage(
-            "actuator-bias", "bias", False, _plus("bias"), lambda n, t: 0.03 * n,
-            "orders act as order + bias: rudder trim, a thruster's neutral point",
-            ("thrust-asymmetry", "thruster-misalignment", "gyro-bias", "wind"), _added("bias"),
-            positive=False, in_orders=True,
-        ),
-    )
-}  # fmt: skip
-
-# A fault of one side is as likely as one of all where an actuator's neutral point is concerned.
-ACTUATORS = tuple(
-    stage.effect(kind)
-    for stage in STAGES.values()
-    for kind in ((*KINDS, *SIDES) if stage.name == "actuator-bias" else KINDS)
+STAGES = (
+    Stage(
+        "thrust-lag",
+        "time_constant",
+        "s",
+        _plus("time_constant"),
+        lambda order, time: time,
+        law="dn/dt = (order - n) / time_constant, exact for orders that hold between samples",
+        phrase="a lag with a time constant of {time_constant} in {actuators}",
+        confusables=("thrust-delay", "rate-limit", "backlash", "sensor-latency", "clock-drift"),
+        kind_of_size=_late_size,
+    ),
+    Stage(
+        "thrust-delay",
+        "delay",
+        "s",
+        _plus("delay"),
+        lambda order, time: time,
+        law="an order takes effect `delay` later",
+        phrase="a dead time of {delay} between order and action",
+        confusables=("thrust-lag", "clock-drift", "sensor-latency", "rate-limit"),
+        kind_of_size=_late_size,
+    ),
+    Stage(
+        "rate-limit",
+        "rate_limit",
+        "{} per s",
+        _plus("slowness"),
+        lambda order, time: time / order,
+        law="|dn/dt| <= rate_limit; the coordinate is its inverse, zero for none",
+        phrase="a slew limit of {rate_limit} in {actuators}",
+        confusables=("thrust-lag", "thrust-delay", "backlash"),
+        kind_of_size=_late_size,
+        state=_with_rate_limit,
+        inverse=_rate_limit,
+        coordinate_unit="s per ({})",
+    ),
+    Stage(
+        "deadband",
+        "width",
+        "{}",
+        _plus("deadband"),
+        lambda order, time: 0.05 * order,
+        law="no action for |order| < width, order - width sign(order) beyond",
+        phrase="a dead band of {width} in {actuators}",
+        confusables=("backlash", "thrust-loss-with-speed", "drag-change"),
+        in_orders=True,
+    ),
+    Stage(
+        "backlash",
+        "width",
+        "{}",
+        _plus("backlash"),
+        lambda order, time: 0.05 * order,
+        law="play operator: the actuator stays while the order is within `width` of it",
+        phrase="a play of {width} in {actuators}",
+        confusables=("deadband", "thrust-lag", "rate-limit"),
+        kind_of_size=_late_size,
+        in_orders=True,
+    ),
+    Stage(
+        "thrust-saturation",
+        "limit",
+        "{}",
+        _narrow_limits,
+        lambda order, time: 0.3,
+        law="realised values clip at +-limit below the stated one (first coordinate: stated limit "
+        "over limit less one)",
+        phrase="thrust that clips at {limit}",
+        confusables=("thrust-loss-with-speed", "drag-change", "thrust-change"),
+        # A limit above all orders does nothing, however little above.
+        kind_of_size=functools.partial(_late_size, tangent=False),
+        limited=True,
+        state=_with_limit,
+        inverse=_limit,
+        coordinate_unit="1",
+    ),
+    Stage(
+        "actuator-bias",
+        "bias",
+        "{}",
+        _plus("bias"),
+        lambda order, time: 0.03 * order,
+        law="orders act as order + bias: rudder trim, a thruster's neutral point",
+        phrase="a neutral point of {actuators} that is off by {bias}",
+        confusables=("thrust-asymmetry", "thruster-misalignment", "gyro-bias", "wind"),
+        kind_of_size=Size,
+        # A fault of one side is as likely as one of all.
+        kinds=(*KINDS, *SIDES),
+        in_orders=True,
+    ),
 )
+
+ACTUATORS = tuple(stage.effect(kind) for stage in STAGES for kind in stage.kinds)

@@ -1,103 +1,171 @@
 """What an entry of the catalogue of effects says of itself.
 
 An effect is an ordinary part of the vessel once applied: a force, a servo stage, a field
-of the environment or a term of the sensors. Its `coordinates` are numbers that are zero
-when it is absent and in which the motion has a derivative there; its `parameters` are
+of the environment or a term of the sensors. Its coordinates are numbers that are zero
+when it is absent and in which the motion has a derivative there; its parameters are
 what people and files say (a current's speed and direction).
 """
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from diffsea import scales
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.coordinates import (
+    Bound,
+    Coefficient,
+    Coordinate,
+    ScannedCoordinate,
+    Size,
+)
+from diffsea.vessel.tables import Table
 
 
-Coordinates = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
-Numbers = dict[str, Any]  # parameter name to a number
-Bound = tuple[float, float]
-ANY: Bound = (-math.inf, math.inf)
-ALL_LOST_AT_MOST: Bound = (-1.0, math.inf)  # of a share that is added
+CoordinateValues = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
+Numbers = dict[str, Any]  # parameter name to a number, of a file or traced
+Family = Literal["sensor", "environment", "actuator", "hull"]
 
 
-def _always(vessel: Vessel) -> bool:
+def is_always_possible(vessel: Vessel) -> bool:
+    """Whether a vessel could have an effect that every vessel could have: it could."""
     return True
+
+
+@dataclasses.dataclass(frozen=True)
+class Parametrisation:
+    """The parameters in which files and reports state an effect, where they are no coordinates.
+
+    The first of `units` states how much of the effect there is; it is lower for larger effects
+    where `inverse` (a depth, a limit). `notes` say in reports what a parameter is measured from.
+    """
+
+    units: dict[str, str] = dataclasses.field(hash=False)  # parameter to unit, in order
+    decode: Callable[[Vessel, CoordinateValues], Numbers]  # parameters, in the order of `units`
+    encode: Callable[[Vessel, Numbers], tuple[float, ...]]
+    inverse: bool = False
+    notes: dict[str, str] = dataclasses.field(default_factory=dict, hash=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """What a variant of an effect acts on: some channels of sensors, or some actuators."""
+
+    def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
+        """The key and the names by which a vessel file says it."""
+        raise NotImplementedError
+
+    def unit_on(self, vessel: Vessel, unit: str) -> str:
+        """A unit of the catalogue on this vessel."""
+        return unit
 
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
     """One entry of the catalogue.
 
-    `name` may have a variant after a colon (`sensor-latency:position`): variants share the
-    name that files and reports say. Where `decode` is None the coordinates are the parameters.
+    The `name` may have a variant after a colon (`sensor-latency:position`): variants share the
+    name that files and reports say. Where there is no `parametrisation`, the coordinates are the
+    parameters.
 
-    A `shape` is a coordinate that does nothing while the others are zero (the time of a
-    change); `grid` gives its values to look at in recordings from one time to another. A
-    `periodic` one is a frequency, looked at where a spectrum has peaks; its coordinate counts
-    from the one value of `grid`. At the `finite` sizes of its first coordinate, in prior sizes,
-    an effect is looked at, too: one that far from zero looks like its derivative there no more,
-    and a `flat` one has none. No vessel is beyond its `bounds`.
-
-    `idle` coordinates do nothing while the others are zero, as a shape, but about as much is known
-    of them as their sizes say (the coefficients of a superstructure in a wind). They are zero at
-    first, and as each of `places` says, where the effect is looked at, too.
+    The `phrase` names the effect with its size in a sentence of a report. Braces hold a parameter
+    and how to say it: `{speed}` its value, `{angle:size}` without its sign, `{ratio:%}` in per
+    cent without its sign, `{slope:%/deg}` in per cent per degree, `{angle:high|low}` one word where
+    it is positive and another where not. `{actuators}` and `{channels}` are what it acts on.
     """
 
     name: str
-    group: str  # "sensor", "environment", "actuator" or "hull"
-    units: dict[str, str]  # parameter name to unit, in order
-    add: Callable[[Vessel, Coordinates], Vessel]
-    size: Callable[[Vessel], tuple[Scalar, ...]]  # of each coordinate that would be noticeable
-    when: Callable[[Vessel], bool] = _always  # whether a vessel could have it and lacks it
-    positive: bool = False  # only positive values of the first coordinate are physical
-    bounds: Callable[[Vessel], tuple[Bound, ...]] | None = None  # of each coordinate
-    own: bool = False  # whether each recording may have its own: a field of the environment
-    decode: Callable[[Vessel, Coordinates], Numbers] | None = None
-    encode: Callable[[Vessel, Numbers], tuple[float, ...]] | None = None
-    shape: int | None = None
-    grid: Callable[[Vessel, float, float], tuple[float, ...]] | None = None
-    periodic: bool = False
-    finite: tuple[float, ...] = ()
-    flat: bool = False  # no derivative at zero
-    idle: tuple[int, ...] = ()
-    places: tuple[tuple[float, ...], ...] = ()  # values of the idle ones, in prior sizes
-    valid: float = math.inf  # size of the first coordinate, in prior sizes, up to which it holds
-    needs: str = ""  # extra channel that recordings must have
-    coordinate_names: tuple[str, ...] = ()  # where they are not the parameters
-    where: dict[str, Any] = dataclasses.field(default_factory=dict, hash=False)  # said in files
+    family: Family
+    coordinates: tuple[Coordinate, ...]
+    apply: Callable[[Vessel, CoordinateValues], Vessel]  # exactly the same motion at zero
     law: str = ""  # equation, validity, source
+    phrase: str = ""
     confusables: tuple[str, ...] = ()  # names of the catalogue
+    possible: Callable[[Vessel], bool] = is_always_possible  # could a vessel have it, and lacks it?
+    parametrisation: Parametrisation | None = None
+    place: Place | None = None
+    per_run: bool = False  # whether each recording may have its own: a field of the environment
+    needs: str = ""  # extra channel that recordings must have
+    refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
+    read: "Callable[[Vessel, Table, Sequence[Effect], str], Vessel] | None" = None  # own table keys
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter, in the order in which they are said: when, then how much."""
+        if self.parametrisation is not None:
+            return self.parametrisation.units
+        scanned = [one for one in self.coordinates if isinstance(one, ScannedCoordinate)]
+        rest = [one for one in self.coordinates if one not in scanned]
+        return {one.key: one.unit for one in (*scanned, *rest)}
+
+    @property
+    def stated_key(self) -> str:
+        """The parameter that states how much of the effect there is."""
+        return next(iter(self.units)) if self.parametrisation else self.coordinates[0].key
+
+    @property
+    def stated_inversely(self) -> bool:
+        """Whether that parameter is lower for larger effects."""
+        return self.parametrisation is not None and self.parametrisation.inverse
+
+    @property
+    def amounts(self) -> Bool[np.ndarray, "coordinate"]:
+        """Which coordinates say how much of the effect there is, not when, where or how."""
+        return np.array([one.is_amount for one in self.coordinates])
+
+    @property
+    def has_coefficients(self) -> bool:
+        """Whether it comes with coefficients of the vessel's own, which all runs share."""
+        return any(isinstance(one, Coefficient) for one in self.coordinates)
+
+    @property
+    def leading(self) -> Size:
+        """The first coordinate: the one amount whose sign and secants matter."""
+        first = self.coordinates[0]
+        assert isinstance(first, Size), f"the first coordinate of {self.name} is no size"
+        return first
+
+    @property
+    def scanned(self) -> tuple[int, ScannedCoordinate] | None:
+        """The coordinate that is tried over a range, with its position; None without one."""
+        for k, one in enumerate(self.coordinates):
+            if isinstance(one, ScannedCoordinate):
+                return k, one
+        return None
 
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
-        """Size of each coordinate that would be noticeable on this vessel (its prior)."""
-        return tuple(float(size) for size in self.size(vessel))
+        """Size of each coordinate that would be noticeable on this vessel, in SI units."""
+        return tuple(one.size_on(vessel) for one in self.coordinates)
 
-    def apply(self, vessel: Vessel, coordinates: Coordinates) -> Vessel:
-        """The vessel with the effect; exactly the same motion at zero coordinates."""
-        return self.add(vessel, coordinates)
+    def bounds(self, vessel: Vessel) -> tuple[Bound, ...]:
+        """Least and largest value of each coordinate that this vessel could have, in SI units."""
+        return tuple(one.bounds_on(vessel) for one in self.coordinates)
 
-    def parameters(self, vessel: Vessel, coordinates: Coordinates) -> dict[str, Scalar]:
-        """What a file says, from coordinates."""
-        if self.decode is not None:
-            return self.decode(vessel, coordinates)
-        return dict(zip(self.units, coordinates, strict=True))
+    def decode(self, vessel: Vessel, values: CoordinateValues) -> Numbers:
+        """Parameters from coordinates in SI units, in the order of `units`."""
+        if self.parametrisation is not None:
+            return self.parametrisation.decode(vessel, values)
+        numbers = dict(zip((one.key for one in self.coordinates), values, strict=True))
+        return {key: numbers[key] for key in self.units}
 
-    def coordinates(self, vessel: Vessel, parameters: Numbers) -> tuple[float, ...]:
-        """Coordinates, from what a file says."""
-        if self.encode is not None:
-            return self.encode(vessel, parameters)
-        return tuple(parameters.get(name, 0.0) for name in self.units)
+    def encode(self, vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+        """Coordinates in SI units from parameters; those not given say that nothing is there."""
+        if self.parametrisation is not None:
+            return self.parametrisation.encode(vessel, numbers)
+        return tuple(numbers.get(one.key, 0.0) for one in self.coordinates)
 
-    def possible(self, vessel: Vessel) -> bool:
-        """Whether the vessel could have it and does not have it in its base model."""
-        return self.when(vessel)
+    def units_on(self, vessel: Vessel) -> dict[str, str]:
+        """Unit of each parameter on this vessel, of orders in what its channels are ordered in."""
+        where = self.place or Place()
+        return {key: where.unit_on(vessel, unit) for key, unit in self.units.items()}
+
+    def place_in(self, vessel: Vessel) -> dict[str, list[str]]:
+        """What the variant acts on, as a file of this vessel says it; empty for all there is."""
+        return {} if self.place is None else self.place.in_file(vessel)
 
 
 def catalogue_name(effect: str) -> str:
@@ -105,7 +173,7 @@ def catalogue_name(effect: str) -> str:
     return effect.split(":")[0]
 
 
-def shifted(vessel: Vessel, where: Callable, by: Scalar) -> Vessel:
+def add_to(vessel: Vessel, where: Callable[[Vessel], Any], by: Scalar) -> Vessel:
     """The vessel with something added to one of its numbers."""
     return eqx.tree_at(where, vessel, replace_fn=lambda value: value + by)
 
@@ -120,27 +188,7 @@ def with_secondary(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
     return eqx.tree_at(lambda v: v.secondary, vessel, vessel.secondary | {name: force})
 
 
-def fresh(name: str, taken: Iterable[str]) -> str:
+def free_name(name: str, taken: Iterable[str]) -> str:
     """The name, or a numbered one where it is taken: effects given twice add up."""
     names = [name, *(f"{name} {k}" for k in range(2, 100))]
     return next(n for n in names if n not in taken)
-
-
-def time_scale(vessel: Vessel) -> Scalar:
-    """The time gravity takes over a ship's length, s."""
-    return scales.time_scale(vessel.rigid_body.length)
-
-
-def speed_scale(vessel: Vessel) -> float:
-    """A tenth of the speed at Froude number 0.3, m/s."""
-    return float(scales.froude_speed(vessel.rigid_body.length, 0.03))
-
-
-def onsets(vessel: Vessel, first: float, last: float) -> tuple[float, ...]:
-    """Times at which a change may have happened: eleven, evenly within the recordings."""
-    return tuple(first + (last - first) * k / 12 for k in range(1, 12))
-
-
-def onset_size(vessel: Vessel) -> Scalar:
-    """Size of a time of change, s: with its prior, some hundred times sqrt(L / g)."""
-    return 40 * time_scale(vessel)

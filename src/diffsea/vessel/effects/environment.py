@@ -1,6 +1,7 @@
 """Effects of the environment: current, wind, waves and shallow water."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,47 +11,45 @@ from diffsea.scales import GRAVITY
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.dependent_forces import ShallowDamping
+from diffsea.vessel.effects.coordinates import Coefficient, Frequency, OfVessel, Size, vessel_time
 from diffsea.vessel.effects.entry import (
-    Coordinates,
+    CoordinateValues,
     Effect,
     Numbers,
-    fresh,
-    shifted,
-    time_scale,
+    Parametrisation,
+    add_to,
+    free_name,
     with_force,
     with_secondary,
 )
+from diffsea.vessel.effects.tables import read_table
 from diffsea.vessel.environment import EarthForce, Wind
+from diffsea.vessel.tables import Table, needed
 
 
-SCALE = 0.8  # spread of a logarithm: what is known of a superstructure that nobody measured
+# Spread of the logarithm of a wind coefficient: what is known of an unmeasured superstructure.
+LOG_COEFFICIENT_SPREAD = 0.8
+C_N_SPREAD = 0.1  # of the coefficient of the wind's moment: as large as its usual value
+CURRENT_SIZE = 0.3  # m/s
+WIND_SIZE = 5.0  # m/s
+_SUPERSTRUCTURE_KEYS = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
 
 
-def default_wind(vessel: Vessel) -> Wind:
-    """Wind areas of a vessel that states none: as much above the water as below."""
-    body = vessel.rigid_body
-    return Wind(body.beam * body.draught, body.length * body.draught, body.length)
+def _components(unit: str, size: OfVessel, of: str = "") -> tuple[Size, Size]:
+    """Coordinates of a vector fixed in the earth, north and east."""
+    return Size(f"{of}north", unit, size), Size(f"{of}east", unit, size)
 
 
-def _current(vessel: Vessel, flow: Coordinates) -> Vessel:
-    vessel = shifted(vessel, lambda v: v.environment.current_north, flow[0])
-    return shifted(vessel, lambda v: v.environment.current_east, flow[1])
+# -- uniform flows -----------------------------------------------------------------------
 
 
-def _wind(vessel: Vessel, flow: Coordinates) -> Vessel:
-    if "wind" not in vessel.forces:
-        vessel = with_force(vessel, "wind", default_wind(vessel))
-    vessel = shifted(vessel, lambda v: v.environment.wind_north, flow[0])
-    return shifted(vessel, lambda v: v.environment.wind_east, flow[1])
+def _flow_parametrisation(turn: float, note: str) -> Parametrisation:
+    """Speed and direction of a flow whose coordinates are its components north and east.
 
-
-def _flow(name: str, turn: float, add, size: float, law: str, confusables: tuple) -> Effect:
-    """A uniform flow, named by speed and direction, moved by its components.
-
-    `turn` is added to the direction in which the fluid moves to get the one that is named.
+    `turn` (rad) is added to the direction in which the fluid moves to get the one that is named.
     """
 
-    def decode(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+    def decode(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
         speed, direction = speed_and_direction(at[0], at[1])
         return {"speed": speed, "direction": jnp.mod(direction + turn, 2 * jnp.pi)}
 
@@ -59,67 +58,91 @@ def _flow(name: str, turn: float, add, size: float, law: str, confusables: tuple
         north, east = components_towards(speed, direction - turn)
         return float(north), float(east)
 
-    return Effect(
-        name, "environment", {"speed": "m/s", "direction": "rad"}, add, lambda v: (size, size),
-        own=True, decode=decode, encode=encode, coordinate_names=("north", "east"), law=law,
-        confusables=confusables,
-    )  # fmt: skip
+    units = {"speed": "m/s", "direction": "rad"}
+    return Parametrisation(units, decode, encode, notes={"direction": note})
 
 
-_PLAIN_WIND = _flow(
-    "wind", np.pi, _wind, 5.0,
-    "quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
-    ("current", "wave-force", "thrust-asymmetry"),
-)  # fmt: skip
+_CURRENT = _flow_parametrisation(0.0, "flows to")
+_WIND = _flow_parametrisation(np.pi, "comes from")
+
+
+def _add_current(vessel: Vessel, flow: CoordinateValues) -> Vessel:
+    vessel = add_to(vessel, lambda v: v.environment.current_north, flow[0])
+    return add_to(vessel, lambda v: v.environment.current_east, flow[1])
+
+
+def _add_wind(vessel: Vessel, flow: CoordinateValues) -> Vessel:
+    if "wind" not in vessel.forces:
+        vessel = with_force(vessel, "wind", default_wind(vessel))
+    vessel = add_to(vessel, lambda v: v.environment.wind_north, flow[0])
+    return add_to(vessel, lambda v: v.environment.wind_east, flow[1])
+
+
+def default_wind(vessel: Vessel) -> Wind:
+    """Wind areas of a vessel that states none: as much above the water as below."""
+    body = vessel.rigid_body
+    return Wind(body.beam * body.draught, body.length * body.draught, body.length)
 
 
 def _superstructure(vessel: Vessel) -> Wind:
+    """The wind's force on a vessel, of the usual areas and coefficients where it states none."""
     return vessel.forces.get("wind", default_wind(vessel))
 
 
-def _wind_and_superstructure(vessel: Vessel, at: Coordinates) -> Vessel:
-    """Coordinates: flow north and east, added C_N, logarithms of the factors of C_X and C_Y."""
+def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """A wind and the superstructure that it acts on.
+
+    What an earlier table says of the superstructure holds for a wind that is added.
+    """
+    given = {key: needed(table, key, where) for key in _SUPERSTRUCTURE_KEYS if key in table}
+    vessel = with_force(vessel, "wind", dataclasses.replace(_superstructure(vessel), **given))
+    return read_table(vessel, table, variants, where, _SUPERSTRUCTURE_KEYS)
+
+
+def _add_wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """A flow north and east, C_N added, and the logarithms of factors of C_X and C_Y."""
     meant = _superstructure(vessel)
     changed = dataclasses.replace(
         meant, C_N=meant.C_N + at[2], C_X=meant.C_X * jnp.exp(at[3]), C_Y=meant.C_Y * jnp.exp(at[4])
     )
-    return _wind(with_force(vessel, "wind", changed), at[:2])
+    return _add_wind(with_force(vessel, "wind", changed), at[:2])
 
 
-def _wind_and_superstructure_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+def _wind_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     meant = _superstructure(vessel)
-    return _PLAIN_WIND.parameters(vessel, at[:2]) | {
-        "C_X": meant.C_X * jnp.exp(at[3]), "C_Y": meant.C_Y * jnp.exp(at[4]),
+    return _WIND.decode(vessel, at[:2]) | {
+        "C_X": meant.C_X * jnp.exp(at[3]),
+        "C_Y": meant.C_Y * jnp.exp(at[4]),
         "C_N": meant.C_N + at[2],
-    }  # fmt: skip
+    }
 
 
-def _wind_and_superstructure_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     meant = _superstructure(vessel)
     ratios = (numbers.get(key, getattr(meant, key)) / getattr(meant, key) for key in ("C_X", "C_Y"))
-    return (
-        *_PLAIN_WIND.coordinates(vessel, numbers),
-        float(numbers.get("C_N", meant.C_N) - meant.C_N), *(float(np.log(r)) for r in ratios),
-    )  # fmt: skip
+    added = float(numbers.get("C_N", meant.C_N) - meant.C_N)
+    return (*_WIND.encode(vessel, numbers), added, *(float(np.log(ratio)) for ratio in ratios))
 
 
-def _waves(vessel: Vessel, at: Coordinates) -> Vessel:
-    train = EarthForce(*at[:6], frequency=_base_frequency(vessel) + at[6])
-    return with_force(vessel, fresh("wave-force", vessel.forces), train)
+# -- waves -------------------------------------------------------------------------------
 
 
 def _base_frequency(vessel: Vessel) -> Scalar:
     """Frequency (Hz) from which the one of a wave train is counted."""
-    return 0.5 / (2 * np.pi * time_scale(vessel))
+    return 0.5 / (2 * np.pi * vessel_time(vessel))
 
 
-def _wave_sizes(vessel: Vessel) -> tuple[Scalar, ...]:
-    """Accelerations of a thousandth of gravity."""
-    force = 1e-3 * GRAVITY * float(vessel.rigid_body.mass)
-    return (*(force,) * 6, _base_frequency(vessel))
+def _thousandth_of_weight(vessel: Vessel) -> Scalar:
+    """Force of an acceleration of a thousandth of gravity, N."""
+    return 1e-3 * GRAVITY * float(vessel.rigid_body.mass)
 
 
-def _wave_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+def _add_waves(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    train = EarthForce(*at[:6], frequency=_base_frequency(vessel) + at[6])
+    return with_force(vessel, free_name("wave-force", vessel.forces), train)
+
+
+def _wave_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     """One direction for mean and swing: the principal axis of both."""
     north, east = jnp.asarray(at[0:6:2]), jnp.asarray(at[1:6:2])
     twice = 2 * jnp.sum(north * east), jnp.sum(north**2) - jnp.sum(east**2)
@@ -137,6 +160,7 @@ def _wave_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
 
 
 def _wave_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    """Mean, sine and cosine north and east, and the frequency above the vessel's base."""
     get = {"bias": 0.0, "amplitude": 0.0, "frequency": 0.1, "phase": 0.0, "direction": 0.0}
     get |= numbers
     ahead = np.array([np.cos(get["direction"]), np.sin(get["direction"])])
@@ -145,66 +169,114 @@ def _wave_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     return (*map(float, forces), float(get["frequency"] - _base_frequency(vessel)))
 
 
-def _wave_frequencies(vessel: Vessel, first: float, last: float) -> tuple[float, ...]:
-    return (float(_base_frequency(vessel)),)
+# -- shallow water -----------------------------------------------------------------------
 
 
-def _shallow(vessel: Vessel, ratio: Coordinates) -> Vessel:
-    vessel = shifted(vessel, lambda v: v.environment.shallowness, ratio[0])
+def _add_shallowness(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
+    vessel = add_to(vessel, lambda v: v.environment.shallowness, shallowness[0])
     return with_secondary(vessel, "shallow-water", ShallowDamping())
 
 
-def _depth(vessel: Vessel, ratio: Coordinates) -> dict[str, Scalar]:
-    return {"depth": -vessel.rigid_body.draught / jnp.expm1(-ratio[0])}
+def _depth(vessel: Vessel, shallowness: CoordinateValues) -> dict[str, Scalar]:
+    """The depth h (m) of which -log(1 - T / h) is the shallowness."""
+    return {"depth": -vessel.rigid_body.draught / jnp.expm1(-shallowness[0])}
 
 
-def _depth_ratio(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+def _shallowness(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     depth = numbers.get("depth", 0.0)
     return (-float(np.log1p(-float(vessel.rigid_body.draught) / depth)) if depth else 0.0,)
 
 
+def _is_aground(vessel: Vessel, numbers: Numbers) -> str:
+    """Why there is no water of that depth below the vessel."""
+    draught = float(vessel.rigid_body.draught)
+    if numbers.get("depth", 2 * draught) > draught:
+        return ""
+    return f"depth = {numbers['depth']:g} m is not more than the draught of {draught:g} m"
+
+
 ENVIRONMENT = (
-    _flow(
-        "current", 0.0, _current, 0.3,
-        "forces by velocity through the water nu_r = nu - R'(psi) V_c, V_c steady and uniform "
-        "(Fossen 2021, section 10.3)",
-        ("wind", "hard-iron", "heading-offset", "wave-force"),
-    ),
-    _PLAIN_WIND,
     Effect(
-        "wind:coefficients", "environment",
-        {"speed": "m/s", "direction": "rad", "C_X": "1", "C_Y": "1", "C_N": "1"},
-        _wind_and_superstructure, lambda v: (5.0, 5.0, 0.1, SCALE, SCALE),
-        # What a file states of the superstructure is believed.
-        lambda v: "wind" not in v.forces, own=True,
-        decode=_wind_and_superstructure_parameters, encode=_wind_and_superstructure_coordinates,
-        idle=(2, 3, 4), places=((-1.0, 0.0, 0.0), (-2.0, 0.0, 0.0)),
-        coordinate_names=("north", "east", "C_N added", "log C_X factor", "log C_Y factor"),
+        "current",
+        "environment",
+        _components("m/s", CURRENT_SIZE),
+        _add_current,
+        law="forces by velocity through the water nu_r = nu - R'(psi) V_c, V_c steady and uniform "
+        "(Fossen 2021, section 10.3)",
+        phrase="a steady current of {speed} flowing to {direction}",
+        confusables=("wind", "hard-iron", "heading-offset", "wave-force"),
+        parametrisation=_CURRENT,
+        per_run=True,
+    ),
+    Effect(
+        "wind",
+        "environment",
+        _components("m/s", WIND_SIZE),
+        _add_wind,
+        law="quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
+        phrase="a steady wind of {speed} from {direction}",
+        confusables=("current", "wave-force", "thrust-asymmetry"),
+        parametrisation=_WIND,
+        per_run=True,
+        read=_read_wind,
+    ),
+    Effect(
+        "wind:coefficients",
+        "environment",
+        (
+            *_components("m/s", WIND_SIZE),
+            Coefficient("C_N added", "1", C_N_SPREAD, trials=(-1.0, -2.0)),
+            Coefficient("log C_X factor", "1", LOG_COEFFICIENT_SPREAD),
+            Coefficient("log C_Y factor", "1", LOG_COEFFICIENT_SPREAD),
+        ),
+        _add_wind_and_coefficients,
         law="wind on a superstructure of which only what is usual is known: C_X and C_Y within a "
         "factor of 2.2, C_N within 0.1 (one standard deviation)",
+        phrase="a steady wind of {speed} from {direction}",
         confusables=("current", "wave-force", "thrust-asymmetry"),
+        # What a file states of the superstructure is believed.
+        possible=lambda vessel: "wind" not in vessel.forces,
+        parametrisation=Parametrisation(
+            _WIND.units | {"C_X": "1", "C_Y": "1", "C_N": "1"},
+            _wind_parameters,
+            _wind_coordinates,
+            notes=_WIND.notes,
+        ),
+        per_run=True,
     ),
     Effect(
-        "wave-force", "environment",
-        {"bias": "N", "amplitude": "N", "frequency": "Hz", "phase": "rad", "direction": "rad"},
-        _waves, _wave_sizes, decode=_wave_parameters, encode=_wave_coordinates, shape=6,
-        grid=_wave_frequencies, periodic=True,
-        coordinate_names=(
-            "bias north", "bias east", "sine north", "sine east", "cosine north", "cosine east",
-            "frequency",
+        "wave-force",
+        "environment",
+        (
+            *_components("N", _thousandth_of_weight, "bias "),
+            *_components("N", _thousandth_of_weight, "sine "),
+            *_components("N", _thousandth_of_weight, "cosine "),
+            Frequency("frequency", "Hz", _base_frequency, origin=_base_frequency),
         ),
+        _add_waves,
         law="bias + amplitude sin(2 pi frequency t + phase) towards `direction`, fixed in the "
         "earth, at amidships: one regular wave train with its mean drift, or a tow, of one phase "
         "on the clocks of all runs",
+        phrase="a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
         confusables=("wind", "current"),
+        parametrisation=Parametrisation(
+            {"bias": "N", "amplitude": "N", "frequency": "Hz", "phase": "rad", "direction": "rad"},
+            _wave_parameters,
+            _wave_coordinates,
+        ),
     ),
     Effect(
-        "shallow-water", "environment", {"depth": "m"}, _shallow, lambda v: (0.3,),
-        positive=True, own=True, decode=_depth, encode=_depth_ratio,
-        coordinate_names=("shallowness",),
+        "shallow-water",
+        "environment",
+        (Size("shallowness", "1", 0.3, positive=True),),
+        _add_shallowness,
         law="with q = T / h: added masses times (1 - q)^-1/2, lateral damping (1 - q)^-1, "
         "longitudinal (1 - q)^-1/4: of the size that tests of full hulls show down to h = 1.3 T; "
         "hulls differ by tens of per cent",
+        phrase="shallow water, {depth} deep,",
         confusables=("drag-change", "added-mass-coupling", "crossflow-drag"),
+        parametrisation=Parametrisation({"depth": "m"}, _depth, _shallowness, inverse=True),
+        per_run=True,
+        refusal=_is_aground,
     ),
-)  # fmt: skip
+)

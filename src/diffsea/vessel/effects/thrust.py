@@ -6,185 +6,226 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea.scales import froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import FixedThruster, Propeller, Rudder
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.dependent_forces import Change, ScrewSideForce
+from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Bound, Onset, Size
 from diffsea.vessel.effects.entry import (
-    ALL_LOST_AT_MOST,
-    ANY,
-    Bound,
-    Coordinates,
+    CoordinateValues,
     Effect,
     Numbers,
-    fresh,
-    onset_size,
-    onsets,
-    speed_scale,
+    Parametrisation,
+    free_name,
     with_secondary,
 )
 
 
-def _of(vessel: Vessel, kind: type) -> dict[str, eqx.Module]:
+def _of_kind(vessel: Vessel, kind: type[eqx.Module]) -> dict[str, eqx.Module]:
+    """Actuators of one kind by name."""
     return {n: part for n, part in vessel.actuators.items() if isinstance(part, kind)}
 
 
-def _map(vessel: Vessel, parts: dict, change: Callable[[eqx.Module], eqx.Module]) -> Vessel:
+def _change_parts(
+    vessel: Vessel, parts: dict[str, eqx.Module], change: Callable[[eqx.Module], eqx.Module]
+) -> Vessel:
+    """The vessel with some of its actuators changed."""
     changed = {name: change(part) for name, part in parts.items()}
     return eqx.tree_at(lambda v: v.actuators, vessel, vessel.actuators | changed)
 
 
-def _sided(vessel: Vessel) -> bool:
+def _has_two_sides(vessel: Vessel) -> bool:
     """Whether thrusters stand on both sides of the centreline."""
     sides = [float(part.y) for part in vessel.propulsors.values()]
     return any(y < 0 for y in sides) and any(y > 0 for y in sides)
 
 
-def _asymmetry(vessel: Vessel, ratio: Coordinates) -> Vessel:
-    def change(part: eqx.Module) -> eqx.Module:
-        by = jnp.sign(part.y) * ratio[0]
-        return eqx.tree_at(lambda p: p.losses.asymmetry, part, part.losses.asymmetry + by)
+def _add_loss(
+    field: str, by: Callable[[eqx.Module, Scalar], Scalar]
+) -> Callable[[Vessel, CoordinateValues], Vessel]:
+    """Adds to a field of every thruster's losses; `by` makes it of the thruster and coordinate."""
 
-    return _map(vessel, vessel.propulsors, change)
+    def apply(vessel: Vessel, at: CoordinateValues) -> Vessel:
+        def change(part: eqx.Module) -> eqx.Module:
+            now = getattr(part.losses, field)
+            return eqx.tree_at(lambda p: getattr(p.losses, field), part, now + by(part, at[0]))
+
+        return _change_parts(vessel, vessel.propulsors, change)
+
+    return apply
 
 
-def _misalignment(vessel: Vessel, angle: Coordinates) -> Vessel:
+def _turn_thrusters(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     def change(part: eqx.Module) -> eqx.Module:
         return eqx.tree_at(lambda p: p.angle, part, part.angle + angle[0])
 
-    return _map(vessel, _of(vessel, FixedThruster), change)
+    return _change_parts(vessel, _of_kind(vessel, FixedThruster), change)
 
 
-def _loss(field: str) -> Callable[[Vessel, Coordinates], Vessel]:
-    def add(vessel: Vessel, slope: Coordinates) -> Vessel:
-        def change(part: eqx.Module) -> eqx.Module:
-            now = getattr(part.losses, field)
-            return eqx.tree_at(lambda p: getattr(p.losses, field), part, now + slope[0])
-
-        return _map(vessel, vessel.propulsors, change)
-
-    return add
-
-
-def _ordered_in_newtons(vessel: Vessel) -> bool:
+def _is_ordered_in_newtons(vessel: Vessel) -> bool:
     """Whether some thruster's force does not depend on the speed of advance."""
     return any(part.bollard_coefficient is None for part in vessel.propulsors.values())
 
 
-def _with_speed_bounds(vessel: Vessel) -> tuple[Bound, ...]:
+def _falls_with_speed(vessel: Vessel) -> Bound:
     """No thruster pushes harder the faster it goes, at one order."""
     own = [float(part.losses.with_speed) for part in vessel.propulsors.values()]
-    return ((-min(own), math.inf),)
+    return -min(own), math.inf
 
 
-def _change(vessel: Vessel, at: Coordinates) -> Vessel:
+def _slope_size(vessel: Vessel) -> Scalar:
+    """A fiftieth of the thrust at a tenth of the speed at Froude number 0.3, s/m."""
+    return 0.02 / float(froude_speed(vessel.rigid_body.length, 0.03))
+
+
+def _change_thrust(vessel: Vessel, at: CoordinateValues) -> Vessel:
     change = Change(at[0], at[1], True)
-    return with_secondary(vessel, fresh("thrust-change", vessel.secondary), change)
+    return with_secondary(vessel, free_name("thrust-change", vessel.secondary), change)
 
 
-def _screw(vessel: Vessel) -> list[str]:
-    return list(_of(vessel, Propeller))
+def _add_side_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    name = free_name("propeller-side-force", vessel.secondary)
+    screw = next(iter(_of_kind(vessel, Propeller)))
+    return with_secondary(vessel, name, ScrewSideForce(screw, *at))
 
 
-def _side_force(vessel: Vessel, at: Coordinates) -> Vessel:
-    name = fresh("propeller-side-force", vessel.secondary)
-    return with_secondary(vessel, name, ScrewSideForce(_screw(vessel)[0], *at))
+def _lacks(kind: type[eqx.Module]) -> Callable[[Vessel, Numbers], str]:
+    """Why a vessel without an actuator of that kind has no such effect."""
+
+    def refusal(vessel: Vessel, numbers: Numbers) -> str:
+        return "" if _of_kind(vessel, kind) else f"the vessel has no [[{kind.__name__.lower()}]]"
+
+    return refusal
 
 
-def _lone_rudders(vessel: Vessel) -> bool:
+def _has_plain_rudders(vessel: Vessel) -> bool:
     """Whether there are rudders that neither act on the hull nor have their flow straightened."""
-    rudders = _of(vessel, Rudder).values()
-    alone = [float(p.a_H) == 0 and float(p.gamma_R_port) == 1 for p in rudders]
-    return bool(alone) and all(alone)
+    rudders = _of_kind(vessel, Rudder).values()
+    plain = [float(p.a_H) == 0 and float(p.gamma_R_port) == 1 for p in rudders]
+    return bool(plain) and all(plain)
 
 
-def _interaction(vessel: Vessel, at: Coordinates) -> Vessel:
+def _add_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Coordinates a_H, a_H x_H / L and 1 - gamma_R."""
     length = vessel.rigid_body.length
 
     def change(part: eqx.Module) -> eqx.Module:
-        port, starboard = part.gamma_R_port - at[2], part.gamma_R_starboard - at[2]
         return eqx.tree_at(
             lambda p: (p.a_H, p.hull_lever, p.gamma_R_port, p.gamma_R_starboard),
             part,
             (
                 part.a_H + at[0],
                 part.hull_lever + at[1] * length - at[0] * part.x_H,
-                port,
-                starboard,
+                part.gamma_R_port - at[2],
+                part.gamma_R_starboard - at[2],
             ),
         )
 
-    return _map(vessel, _of(vessel, Rudder), change)
+    return _change_parts(vessel, _of_kind(vessel, Rudder), change)
 
 
-def _interaction_bounds(vessel: Vessel) -> tuple[Bound, ...]:
-    """Twice what was measured on models: a_H 0.5, a force near x_H = -0.5 L, gamma_R 0.2 to 0.7."""
-    return (0.0, 1.0), (-1.0, 0.0), (-0.5, 1.0)
-
-
-def _interaction_parameters(vessel: Vessel, at: Coordinates) -> dict[str, Scalar]:
+def _interaction_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     x_H = at[1] * vessel.rigid_body.length / jnp.where(jnp.abs(at[0]) > 1e-9, at[0], 1.0)
     return {"a_H": at[0], "x_H": x_H, "gamma_R": 1 - at[2]}
 
 
 def _interaction_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     a_H, length = numbers.get("a_H", 0.0), float(vessel.rigid_body.length)
-    own = next((float(part.x_H) for part in _of(vessel, Rudder).values()), 0.0)
+    own = next((float(part.x_H) for part in _of_kind(vessel, Rudder).values()), 0.0)
     return a_H, a_H * numbers.get("x_H", own) / length, 1 - numbers.get("gamma_R", 1.0)
 
 
 THRUST = (
     Effect(
-        "thrust-asymmetry", "actuator", {"ratio": "1"}, _asymmetry, lambda v: (0.1,), _sided,
-        bounds=lambda v: ((-1.0, 1.0),),
+        "thrust-asymmetry",
+        "actuator",
+        (Size("ratio", "1", 0.1, (-1.0, 1.0)),),
+        _add_loss("asymmetry", lambda part, ratio: jnp.sign(part.y) * ratio),
         law="port and starboard thrust times (1 - ratio) and (1 + ratio)",
+        phrase="thrust {ratio:%} stronger than stated on the {ratio:starboard|port} side and "
+        "weaker on the {ratio:port|starboard} side",
         confusables=("thruster-misalignment", "actuator-bias", "gyro-bias", "wind"),
+        possible=_has_two_sides,
     ),
     Effect(
-        "thruster-misalignment", "actuator", {"angle": "rad"}, _misalignment, lambda v: (0.05,),
-        lambda v: _sided(v) and bool(_of(v, FixedThruster)),
-        bounds=lambda v: ((-math.pi / 2, math.pi / 2),),
+        "thruster-misalignment",
+        "actuator",
+        (Size("angle", "rad", 0.05, (-math.pi / 2, math.pi / 2)),),
+        _turn_thrusters,
         law="the push of every fixed thruster turned by `angle`, clockwise from above",
+        phrase="a thrust line turned {angle:size} to {angle:starboard|port}",
         confusables=("thrust-asymmetry", "actuator-bias", "heading-offset", "gyro-bias"),
+        possible=lambda vessel: _has_two_sides(vessel) and bool(_of_kind(vessel, FixedThruster)),
     ),
     Effect(
-        "thrust-loss-with-speed", "actuator", {"slope": "s/m"}, _loss("with_speed"),
-        lambda v: (0.02 / speed_scale(v),), _ordered_in_newtons, bounds=_with_speed_bounds,
+        "thrust-loss-with-speed",
+        "actuator",
+        (Size("slope", "s/m", _slope_size, _falls_with_speed),),
+        _add_loss("with_speed", lambda part, slope: slope),
         law="T (1 - slope u_r): the tangent of a propeller's falling K_T(J)",
+        phrase="a thrust that {slope:falls|rises} by {slope:%} for every m/s of speed",
         confusables=("quadratic-damping", "deadband", "drag-change", "thrust-saturation"),
+        possible=_is_ordered_in_newtons,
     ),
     Effect(
-        "thrust-loss-in-turns", "actuator", {"slope": "s/rad"}, _loss("in_turns"),
-        lambda v: (0.3,), lambda v: bool(v.propulsors), positive=True,
+        "thrust-loss-in-turns",
+        "actuator",
+        (Size("slope", "s/rad", 0.3, positive=True),),
+        _add_loss("in_turns", lambda part, slope: slope),
         law="T (1 - slope |r|): ventilation and shadowing in turns",
+        phrase="a thrust that {slope:falls|rises} by {slope:%/deg} for every deg/s of yaw rate",
         confusables=("crossflow-drag", "quadratic-damping", "speed-dependent-damping"),
+        possible=lambda vessel: bool(vessel.propulsors),
     ),
     Effect(
-        "thrust-change", "actuator", {"time": "s", "factor": "1"}, _change,
-        lambda v: (0.1, onset_size(v)), lambda v: bool(v.propulsors),
-        bounds=lambda v: (ALL_LOST_AT_MOST, ANY), shape=1, grid=onsets,
-        decode=lambda v, at: {"time": at[1], "factor": at[0]},
-        encode=lambda v, n: (n.get("factor", 0.0), n.get("time", 0.0)),
-        coordinate_names=("factor", "time"),
+        "thrust-change",
+        "actuator",
+        (Size("factor", "1", 0.1, ALL_LOST_AT_MOST), Onset()),
+        _change_thrust,
         law="all thrusts times (1 + factor) from `time` on the run's clock",
+        phrase="a thrust that is {factor:%} {factor:larger|smaller} from {time:size} on",
         confusables=("drag-change", "mass-change"),
+        possible=lambda vessel: bool(vessel.propulsors),
     ),
     Effect(
-        "propeller-side-force", "actuator",
-        {"Y_ahead": "1", "N_ahead": "1", "Y_astern": "1", "N_astern": "1"}, _side_force,
-        lambda v: (0.02, 0.01, 0.05, 0.025), lambda v: len(_screw(v)) == 1,
+        "propeller-side-force",
+        "actuator",
+        (
+            Size("Y_ahead", "1", 0.02),
+            Size("N_ahead", "1", 0.01),
+            Size("Y_astern", "1", 0.05),
+            Size("N_astern", "1", 0.025),
+        ),
+        _add_side_force,
         law="Y = Y_a |X_P|, N = N_a L |X_P| with X_P the screw's own force, other coefficients "
         "ahead and astern (Brix 1993, section 1.3)",
+        phrase="a side force of the propeller",
         confusables=("actuator-bias", "wind"),
+        possible=lambda vessel: len(_of_kind(vessel, Propeller)) == 1,
+        refusal=_lacks(Propeller),
     ),
     Effect(
-        "rudder-interaction", "actuator", {"a_H": "1", "x_H": "m", "gamma_R": "1"}, _interaction,
-        lambda v: (0.1, 0.05, 0.2), _lone_rudders, bounds=_interaction_bounds,
-        decode=_interaction_parameters, encode=_interaction_coordinates,
-        coordinate_names=("a_H", "a_H x_H / L", "1 - gamma_R"),
+        "rudder-interaction",
+        "actuator",
+        # Bounds: twice what was measured on models, a_H 0.5, a force near x_H = -0.5 L, gamma_R
+        # 0.2 to 0.7.
+        (
+            Size("a_H", "1", 0.1, (0.0, 1.0)),
+            Size("a_H x_H / L", "1", 0.05, (-1.0, 0.0)),
+            Size("1 - gamma_R", "1", 0.2, (-0.5, 1.0)),
+        ),
+        _add_interaction,
         law="MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle "
         "straightened by gamma_R (Yasukawa and Yoshimura 2015)",
+        phrase="an interaction of hull, propeller and rudder",
         confusables=("sway-yaw-coupling", "munk-moment"),
+        possible=_has_plain_rudders,
+        parametrisation=Parametrisation(
+            {"a_H": "1", "x_H": "m", "gamma_R": "1"},
+            _interaction_parameters,
+            _interaction_coordinates,
+        ),
+        refusal=_lacks(Rudder),
     ),
-)  # fmt: skip
+)
