@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup demo test lint experiments clean
+.PHONY: setup demo test quick lint experiments clean
 
 setup: $(BIN)/.installed
 
@@ -25,6 +25,11 @@ lint: setup
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+quick: setup
+	$(BIN)/ruff check src tests experiments
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not experiment"
 
 experiments: setup
 	$(BIN)/python experiments/every.py
