@@ -2,7 +2,7 @@
 
 import math
 
-from .effects import Effect, _sided, _timed
+from .effect import Effect, sided, timed
 from .hulls import Hull
 from .model import Actuator, Channel, Model, build
 
@@ -26,7 +26,7 @@ def effects(hull: Hull) -> list[Effect]:
         Effect("actuator-bias", "", ("bias",), turning, 0.01, 0.3, bias, _one),
         Effect("thrust-loss-in-turns", "", ("slope",), ("surge", "yaw"), 0.05 / hull.yaw,
                0.4 / hull.yaw, loss_turn),
-        Effect("thrust-change", "", ("factor",), ("surge", "yaw"), 0.05, 0.7, change, _timed,
+        Effect("thrust-change", "", ("factor",), ("surge", "yaw"), 0.05, 0.7, change, timed,
                onset=True),
     ]  # fmt: skip
     kinds = {a.kind for a in build(hull.document).actuators}
@@ -37,15 +37,15 @@ def effects(hull: Hull) -> list[Effect]:
                             0.05 / hull.speed, 0.4 / hull.speed, loss_speed))  # fmt: skip
     if any(d.get("y") for p in ("thruster", "azimuth_thruster") for d in hull.document.get(p, [])):
         found.append(
-            Effect("thrust-asymmetry", "", ("ratio",), ("yaw",), 0.02, 0.5, asymmetry, _sided)
+            Effect("thrust-asymmetry", "", ("ratio",), ("yaw",), 0.02, 0.5, asymmetry, sided)
         )
     if "thruster" in kinds:
         found.append(Effect("thruster-misalignment", "", ("angle",), ("sway", "yaw"), 0.02, 0.4,
-                            misalign, _sided))  # fmt: skip
+                            misalign, sided))  # fmt: skip
     if ship:
         found += [
             Effect("propeller-side-force", "", ("Y_ahead",), ("sway", "yaw"), 0.01, 0.4,
-                   side_force, _sided),
+                   side_force, sided),
             Effect("rudder-interaction", "a_H", ("a_H",), ("sway", "yaw"), 0.05, 0.6, hull_force),
             Effect("rudder-interaction", "gamma_R", ("gamma_R",), ("yaw",), 0.05, 0.7, straighten),
         ]  # fmt: skip

@@ -1,6 +1,6 @@
 """Hull and inertia."""
 
-from .effects import Effect, _sided, _timed
+from .effect import Effect, sided, timed
 from .effects_sensors import weight
 from .hulls import Hull
 from .model import HEEL, Model
@@ -13,21 +13,21 @@ def effects(hull: Hull) -> list[Effect]:
     F, yaw = weight(hull), hull.yaw
     ship = hull.kind == "ship"
     found = [
-        Effect("mass-change", "", ("mass",), ("surge", "sway"), 0.1 * m, 1.5 * m, mass, _timed,
+        Effect("mass-change", "", ("mass",), ("surge", "sway"), 0.1 * m, 1.5 * m, mass, timed,
                onset=True),
-        Effect("drag-change", "", ("factor",), ("surge", "sway", "yaw"), 0.1, 2.0, drag, _timed,
+        Effect("drag-change", "", ("factor",), ("surge", "sway", "yaw"), 0.1, 2.0, drag, timed,
                onset=True),
         Effect("added-mass-coupling", "Y_rdot", ("Y_rdot",), ("sway", "yaw"), 0.02 * m * L,
-               0.5 * m * L, _added("Y_rdot"), _sided),
+               0.5 * m * L, _added("Y_rdot"), sided),
         Effect("added-mass-coupling", "N_vdot", ("N_vdot",), ("sway", "yaw"), 0.02 * m * L,
-               0.5 * m * L, _added("N_vdot"), _sided),
+               0.5 * m * L, _added("N_vdot"), sided),
         Effect("added-mass-coupling", "x_G", ("x_G",), ("sway", "yaw"), 0.02 * L, 0.25 * L,
-               _added("x_G"), _sided),
+               _added("x_G"), sided),
     ]  # fmt: skip
     # A file without the moment says that its N_v or N_uv holds all of it.
     if h.get("added_mass_coriolis", "full") == "full":
         found.append(Effect("munk-moment", "", ("Y_vdot - X_udot",), ("yaw",), 0.1 * m, 3.0 * m,
-                            munk, _sided))  # fmt: skip
+                            munk, sided))  # fmt: skip
     if not ship:
         found += _damping(h, F, L, U, yaw)
     if "Y_vv" not in h and "Y_vvv" not in h:
@@ -36,7 +36,7 @@ def effects(hull: Hull) -> list[Effect]:
         heel = HEEL * U * yaw / 9.81
         for name, scale in (("Y_phi", F / heel), ("N_phi", F * L / heel)):
             found.append(Effect("roll-coupling", name, (name,), ("sway", "yaw"), 0.03 * scale,
-                                5.0 * scale, _roll(name), _sided))  # fmt: skip
+                                5.0 * scale, _roll(name), sided))  # fmt: skip
     return found
 
 
@@ -53,7 +53,7 @@ def _damping(h: dict, F: float, L: float, U: float, yaw: float) -> list[Effect]:
     for name, dof, scale in (("Y_r", "sway", F / yaw), ("N_v", "yaw", F * L / v)):
         if name not in h:
             found.append(Effect("sway-yaw-coupling", name, (name,), (dof,), 0.1 * scale,
-                                2.0 * scale, _derivative(name), _sided))  # fmt: skip
+                                2.0 * scale, _derivative(name), sided))  # fmt: skip
     for name, dof, scale in (
         ("Y_ur", "sway", F / U / yaw), ("N_ur", "yaw", F * L / U / yaw),
         ("Y_uv", "sway", F / U / v),  # N_uv is the Munk moment by another name
@@ -62,7 +62,7 @@ def _damping(h: dict, F: float, L: float, U: float, yaw: float) -> list[Effect]:
             # Damping of one's own motion is a drag; the cross terms have either sign.
             own = name in ("N_ur", "Y_uv")
             put = _derivative(name, -1.0) if own else _derivative(name)
-            draw = (lambda rng, hull: {}) if own else _sided
+            draw = (lambda rng, hull: {}) if own else sided
             found.append(Effect("speed-dependent-damping", name, (name,), (dof,), 0.1 * scale,
                                 3.0 * scale, put, draw))  # fmt: skip
     return found

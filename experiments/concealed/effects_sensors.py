@@ -2,7 +2,7 @@
 
 import math
 
-from .effects import Effect, _sided, _turned
+from .effect import Effect, sided, turned
 from .hulls import Hull
 from .model import Model
 
@@ -11,12 +11,12 @@ def effects(hull: Hull) -> list[Effect]:
     """The sensor and environment entries for this hull."""
     L, U = hull.document["hull"]["length"], hull.speed
     found = [
-        Effect("heading-offset", "", ("angle",), (), 0.01, 0.5, heading, _sided),
-        Effect("hard-iron", "", ("amplitude",), (), 0.01, 0.5, iron, _turned, ("phase",)),
-        Effect("gyro-bias", "", ("bias",), (), 0.001, 0.3, gyro, _sided),
-        Effect("lever-arm", "", ("x", "y"), (), 0.02 * L, 0.6 * L, lever, _turned),
-        Effect("clock-drift", "", ("rate",), (), 0.001, 0.05, clock, _sided),
-        Effect("current", "", ("speed",), ("surge", "sway"), 0.02 * U, 0.6 * U, current, _turned,
+        Effect("heading-offset", "", ("angle",), (), 0.01, 0.5, heading, sided),
+        Effect("hard-iron", "", ("amplitude",), (), 0.01, 0.5, iron, turned, ("phase",)),
+        Effect("gyro-bias", "", ("bias",), (), 0.001, 0.3, gyro, sided),
+        Effect("lever-arm", "", ("x", "y"), (), 0.02 * L, 0.6 * L, lever, turned),
+        Effect("clock-drift", "", ("rate",), (), 0.001, 0.05, clock, sided),
+        Effect("current", "", ("speed",), ("surge", "sway"), 0.02 * U, 0.6 * U, current, turned,
                ("direction",)),
         Effect("wind", "", ("speed",), ("surge", "sway", "yaw"), 2.0, 18.0, wind, _blown,
                ("direction",)),
@@ -82,7 +82,7 @@ def _blown(rng, hull) -> dict:
     """Nobody measured the superstructure: its coefficients differ from the usual ones."""
     C_X, C_Y = (usual * math.exp(0.5 * rng.normal()) for usual in (0.7, 0.85))
     C_N = float(rng.normal(0.05, 0.1))
-    return _turned(rng, hull) | {"superstructure": (C_X, C_Y, C_N)}
+    return turned(rng, hull) | {"superstructure": (C_X, C_Y, C_N)}
 
 
 def wind(model: Model, hull: Hull, size: float, extra: dict) -> dict:
