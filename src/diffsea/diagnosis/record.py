@@ -52,7 +52,7 @@ def _limit(problem: Problem, effect: Effect, seen: Seen) -> dict:
     columns = seen.columns[: problem.dataset.measured.size]  # not the prior's rows
     copies = columns.shape[1] // size
     parameter = effect.stated_key
-    row: dict = {"name": catalogue_name(effect.name), **effect.place_in(problem.base)}
+    row: dict = {"name": catalogue_name(effect.name), **effect.place.in_file(problem.base)}
     row |= {"parameter": parameter, "unit": effect.units[parameter], "limit": None}
     V = columns.T @ columns / seen.score.inflation
     found = [
@@ -264,7 +264,7 @@ def _effect(diagnosis: Diagnosis, accepted: Accepted) -> list[dict]:
             "evidence": evidence,
             "alternatives": list(accepted.rivals),
         }
-        record |= EFFECTS[accepted.name].place_in(problem.base)
+        record |= EFFECTS[accepted.name].place.in_file(problem.base)
         if len(copies) > 1:
             if number >= len(diagnosis.split.recordings):
                 break
@@ -326,7 +326,7 @@ def candidate_table(diagnosis: Diagnosis) -> list[dict]:
 def _which(problem: Problem, name: str) -> dict:
     """What tells a candidate from others of its name: where it acts, or which terms it has."""
     variant = name.partition(":")[2]
-    return EFFECTS[name].place_in(problem.base) or ({"variant": variant} if variant else {})
+    return EFFECTS[name].place.in_file(problem.base) or ({"variant": variant} if variant else {})
 
 
 def _reason(problem: Problem, one: Fitted, inflation: float) -> str:

@@ -52,7 +52,7 @@ def parameters_with_errors(
     limit, a depth) and not told from none has neither value nor error, but the `beyond` that it
     exceeds with a probability of 95 %.
     """
-    units = effect.units_on(vessel)
+    units = {key: effect.place.unit_on(vessel, unit) for key, unit in effect.units.items()}
     absent = effect.decode(vessel, jnp.zeros(len(values)))
     error = ONE_SIDED_95 * math.sqrt(covariance[0, 0])
     endless = len(values) == 1 and not np.isfinite(list(absent.values())).all()
@@ -84,4 +84,4 @@ def is_known(parameters: Mapping[str, ParameterRecord]) -> bool:
 def effect_table(vessel: Vessel, name: str, parameters: Mapping[str, ParameterRecord]) -> Table:
     """An `[[effect]]` table for a vessel file."""
     values = {key: float(entry["value"]) for key, entry in parameters.items()}
-    return {"name": catalogue_name(name), **values, **EFFECTS[name].place_in(vessel)}
+    return {"name": catalogue_name(name), **values, **EFFECTS[name].place.in_file(vessel)}

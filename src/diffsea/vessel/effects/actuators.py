@@ -104,8 +104,8 @@ class Stage:
     `add` takes the servo, the size and the largest order of the channels. `size` is what would be
     noticeable, for channels with a largest order on a vessel with a time scale (s); `kind_of_size`
     makes its coordinate. A file states most stages by their size, some by its inverse (a rate
-    limit, a limit): these have `state`, the servo with what a file says, `inverse`, which makes a
-    parametrisation for channels of one kind, and the `coordinate_unit`.
+    limit, a limit): these have `state`, the servo with what a file says, `inverse`, which makes
+    that of the vessel, its channels and the size, and the `coordinate_unit`.
     """
 
     name: str
@@ -121,7 +121,7 @@ class Stage:
     in_orders: bool = False  # its coordinate counts orders, and cannot be more than the largest
     limited: bool = False  # only where limits are stated
     state: Callable[[Servo, Scalar], Servo] | None = None
-    inverse: Callable[[dict[str, str], OrderedChannels], Parametrisation] | None = None
+    inverse: Callable[[Vessel, Sequence[str], Scalar], Scalar] | None = None
     coordinate_unit: str = ""
 
     def effect(self, kind: Kind) -> Effect:
@@ -156,9 +156,14 @@ class Stage:
             stated = any(s.upper is not None or s.lower is not None for s in servos)
             return bool(servos and place.all_on(vessel)) and (stated or not self.limited)
 
-        coordinate = (self.key, unit)
+        def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
+            assert self.inverse is not None
+            return {self.key: self.inverse(vessel, alike.all_on(vessel), at[0])}
+
+        coordinate, form = (self.key, unit), None
         if self.inverse is not None:
             coordinate = ("size", self.coordinate_unit.format(order_unit))
+            form = Parametrisation({self.key: unit}, decode, inverse=True)
         return Effect(
             f"{self.name}:{kind}",
             "actuator",
@@ -168,7 +173,7 @@ class Stage:
             phrase=self.phrase,
             confusables=self.confusables,
             possible=is_possible,
-            parametrisation=self.inverse and self.inverse({self.key: unit}, alike),
+            parametrisation=form,
             place=place,
             read=self.read,
         )
@@ -227,21 +232,10 @@ def _with_rate_limit(servo: Servo, rate_limit: Scalar) -> Servo:
     return dataclasses.replace(servo, slowness=jnp.maximum(now, more))
 
 
-def _rate_limit(units: dict[str, str], place: OrderedChannels) -> Parametrisation:
+def _rate_limit(vessel: Vessel, channels: Sequence[str], slowness: Scalar) -> Scalar:
     """The rate limit of which the coordinate adds to the inverse."""
-    key = next(iter(units))
-
-    def inverse(vessel: Vessel) -> Scalar:
-        slew = vessel.servos[place.all_on(vessel)[0]].slew
-        return 0.0 if slew is None else slew
-
-    def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
-        return {key: 1 / (inverse(vessel) + at[0])}
-
-    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-        return (float(1 / numbers[key] - inverse(vessel)) if key in numbers else 0.0,)
-
-    return Parametrisation(units, decode, encode, inverse=True)
+    own = vessel.servos[channels[0]].slew
+    return 1 / ((0.0 if own is None else own) + slowness)
 
 
 def _with_limit(servo: Servo, limit: Scalar) -> Servo:
@@ -259,18 +253,9 @@ def _narrow_limits(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
     return dataclasses.replace(servo, upper=upper, lower=lower)
 
 
-def _limit(units: dict[str, str], place: OrderedChannels) -> Parametrisation:
+def _limit(vessel: Vessel, channels: Sequence[str], size: Scalar) -> Scalar:
     """The limit of which the coordinate is the stated one over it, less one."""
-    key = next(iter(units))
-
-    def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
-        return {key: largest_order(vessel, place.all_on(vessel)) / (1 + at[0])}
-
-    def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-        largest = largest_order(vessel, place.all_on(vessel))
-        return (float(largest / numbers[key] - 1) if key in numbers else 0.0,)
-
-    return Parametrisation(units, decode, encode, inverse=True)
+    return largest_order(vessel, channels) / (1 + size)
 
 
 # A response that is late by several rows is nothing like the derivative for one that is not.

@@ -51,18 +51,11 @@ class Coordinate:
     size: OfVessel
     bounds: Bound | Callable[[Vessel], Bound] = ANY
     is_amount: ClassVar[bool] = False
-
-    def size_on(self, vessel: Vessel) -> float:
-        """What would be noticeable on this vessel, in `unit`."""
-        return value_on(self.size, vessel)
-
-    def bounds_on(self, vessel: Vessel) -> Bound:
-        """The least and the largest value that this vessel could have, in `unit`."""
-        return self.bounds(vessel) if callable(self.bounds) else self.bounds
+    spread: ClassVar[float] = PRIOR_SPREAD
 
     def prior_spread(self, size: float, latest: float) -> float:
         """Scale of the prior in noticeable sizes, of runs whose clocks reach `latest` s."""
-        return PRIOR_SPREAD
+        return self.spread
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,10 +84,7 @@ class Coefficient(Coordinate):
     """
 
     trials: tuple[float, ...] = ()
-
-    def prior_spread(self, size: float, latest: float) -> float:
-        """One standard deviation: the size itself."""
-        return 1.0
+    spread: ClassVar[float] = 1.0
 
 
 def vessel_time(vessel: Vessel) -> Scalar:

@@ -8,7 +8,7 @@ what people and files say (a current's speed and direction).
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -22,18 +22,15 @@ from diffsea.vessel.effects.coordinates import (
     Coordinate,
     ScannedCoordinate,
     Size,
+    value_on,
 )
 from diffsea.vessel.tables import Table
 
 
 CoordinateValues = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
 Numbers = dict[str, Any]  # parameter name to a number, of a file or traced
+Part = TypeVar("Part", bound=eqx.Module)
 Family = Literal["sensor", "environment", "actuator", "hull"]
-
-
-def is_always_possible(vessel: Vessel) -> bool:
-    """Whether a vessel could have an effect that every vessel could have: it could."""
-    return True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,18 +43,18 @@ class Parametrisation:
 
     units: dict[str, str] = dataclasses.field(hash=False)  # parameter to unit, in order
     decode: Callable[[Vessel, CoordinateValues], Numbers]  # parameters, in the order of `units`
-    encode: Callable[[Vessel, Numbers], tuple[float, ...]]
+    encode: Callable[[Vessel, Numbers], tuple[float, ...]] | None = None  # None: read otherwise
     inverse: bool = False
     notes: dict[str, str] = dataclasses.field(default_factory=dict, hash=False)
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """What a variant of an effect acts on: some channels of sensors, or some actuators."""
+    """What a variant of an effect acts on: the whole vessel, some channels or some actuators."""
 
     def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
-        """The key and the names by which a vessel file says it."""
-        raise NotImplementedError
+        """The key and the names by which a file of this vessel says it; empty for all there is."""
+        return {}
 
     def unit_on(self, vessel: Vessel, unit: str) -> str:
         """A unit of the catalogue on this vessel."""
@@ -85,9 +82,9 @@ class Effect:
     law: str = ""  # equation, validity, source
     phrase: str = ""
     confusables: tuple[str, ...] = ()  # names of the catalogue
-    possible: Callable[[Vessel], bool] = is_always_possible  # could a vessel have it, and lacks it?
+    possible: Callable[[Vessel], bool] = lambda vessel: True  # could it have it, and lacks it?
     parametrisation: Parametrisation | None = None
-    place: Place | None = None
+    place: Place = Place()
     per_run: bool = False  # whether each recording may have its own: a field of the environment
     needs: str = ""  # extra channel that recordings must have
     refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
@@ -139,11 +136,12 @@ class Effect:
 
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
         """Size of each coordinate that would be noticeable on this vessel, in SI units."""
-        return tuple(one.size_on(vessel) for one in self.coordinates)
+        return tuple(value_on(one.size, vessel) for one in self.coordinates)
 
     def bounds(self, vessel: Vessel) -> tuple[Bound, ...]:
         """Least and largest value of each coordinate that this vessel could have, in SI units."""
-        return tuple(one.bounds_on(vessel) for one in self.coordinates)
+        bounds = (one.bounds for one in self.coordinates)
+        return tuple(bound(vessel) if callable(bound) else bound for bound in bounds)
 
     def decode(self, vessel: Vessel, values: CoordinateValues) -> Numbers:
         """Parameters from coordinates in SI units, in the order of `units`."""
@@ -154,18 +152,24 @@ class Effect:
 
     def encode(self, vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
         """Coordinates in SI units from parameters; those not given say that nothing is there."""
-        if self.parametrisation is not None:
+        if self.parametrisation is not None and self.parametrisation.encode is not None:
             return self.parametrisation.encode(vessel, numbers)
         return tuple(numbers.get(one.key, 0.0) for one in self.coordinates)
 
-    def units_on(self, vessel: Vessel) -> dict[str, str]:
-        """Unit of each parameter on this vessel, of orders in what its channels are ordered in."""
-        where = self.place or Place()
-        return {key: where.unit_on(vessel, unit) for key, unit in self.units.items()}
 
-    def place_in(self, vessel: Vessel) -> dict[str, list[str]]:
-        """What the variant acts on, as a file of this vessel says it; empty for all there is."""
-        return {} if self.place is None else self.place.in_file(vessel)
+def entry(
+    family: Family, name: str, *coordinates: Coordinate, **fields: Any
+) -> Callable[[Callable[[Vessel, CoordinateValues], Vessel]], Effect]:
+    """Decorates the function that applies an effect: its docstring is the law.
+
+    `fields` are those of the `Effect` that are named here.
+    """
+
+    def make(apply: Callable[[Vessel, CoordinateValues], Vessel]) -> Effect:
+        law = " ".join((apply.__doc__ or "").split())
+        return Effect(name, family, coordinates, apply, law, **fields)
+
+    return make
 
 
 def catalogue_name(effect: str) -> str:
@@ -173,9 +177,9 @@ def catalogue_name(effect: str) -> str:
     return effect.split(":")[0]
 
 
-def add_to(vessel: Vessel, where: Callable[[Vessel], Any], by: Scalar) -> Vessel:
-    """The vessel with something added to one of its numbers."""
-    return eqx.tree_at(where, vessel, replace_fn=lambda value: value + by)
+def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
+    """A vessel, or a part of one, with something added to one of its numbers."""
+    return eqx.tree_at(where, part, replace_fn=lambda value: value + by)
 
 
 def with_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:

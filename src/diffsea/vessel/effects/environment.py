@@ -1,6 +1,7 @@
 """Effects of the environment: current, wind, waves and shallow water."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from diffsea.vessel.effects.entry import (
     Numbers,
     Parametrisation,
     add_to,
+    entry,
     free_name,
     with_force,
     with_secondary,
@@ -32,6 +34,7 @@ LOG_COEFFICIENT_SPREAD = 0.8
 C_N_SPREAD = 0.1  # of the coefficient of the wind's moment: as large as its usual value
 CURRENT_SIZE = 0.3  # m/s
 WIND_SIZE = 5.0  # m/s
+environment_effect = functools.partial(entry, "environment")
 _SUPERSTRUCTURE_KEYS = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
 
 
@@ -66,18 +69,6 @@ _CURRENT = _flow_parametrisation(0.0, "flows to")
 _WIND = _flow_parametrisation(np.pi, "comes from")
 
 
-def _add_current(vessel: Vessel, flow: CoordinateValues) -> Vessel:
-    vessel = add_to(vessel, lambda v: v.environment.current_north, flow[0])
-    return add_to(vessel, lambda v: v.environment.current_east, flow[1])
-
-
-def _add_wind(vessel: Vessel, flow: CoordinateValues) -> Vessel:
-    if "wind" not in vessel.forces:
-        vessel = with_force(vessel, "wind", default_wind(vessel))
-    vessel = add_to(vessel, lambda v: v.environment.wind_north, flow[0])
-    return add_to(vessel, lambda v: v.environment.wind_east, flow[1])
-
-
 def default_wind(vessel: Vessel) -> Wind:
     """Wind areas of a vessel that states none: as much above the water as below."""
     body = vessel.rigid_body
@@ -99,15 +90,6 @@ def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: 
     return read_table(vessel, table, variants, where, _SUPERSTRUCTURE_KEYS)
 
 
-def _add_wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    """A flow north and east, C_N added, and the logarithms of factors of C_X and C_Y."""
-    meant = _superstructure(vessel)
-    changed = dataclasses.replace(
-        meant, C_N=meant.C_N + at[2], C_X=meant.C_X * jnp.exp(at[3]), C_Y=meant.C_Y * jnp.exp(at[4])
-    )
-    return _add_wind(with_force(vessel, "wind", changed), at[:2])
-
-
 def _wind_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     meant = _superstructure(vessel)
     return _WIND.decode(vessel, at[:2]) | {
@@ -124,6 +106,71 @@ def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     return (*_WIND.encode(vessel, numbers), added, *(float(np.log(ratio)) for ratio in ratios))
 
 
+@environment_effect(
+    "current",
+    *_components("m/s", CURRENT_SIZE),
+    phrase="a steady current of {speed} flowing to {direction}",
+    confusables=("wind", "hard-iron", "heading-offset", "wave-force"),
+    parametrisation=_CURRENT,
+    per_run=True,
+)
+def current(vessel: Vessel, flow: CoordinateValues) -> Vessel:
+    """Forces by velocity through the water nu_r = nu - R'(psi) V_c, V_c steady and uniform
+    (Fossen 2021, section 10.3).
+    """
+    vessel = add_to(vessel, lambda v: v.environment.current_north, flow[0])
+    return add_to(vessel, lambda v: v.environment.current_east, flow[1])
+
+
+@environment_effect(
+    "wind",
+    *_components("m/s", WIND_SIZE),
+    phrase="a steady wind of {speed} from {direction}",
+    confusables=("current", "wave-force", "thrust-asymmetry"),
+    parametrisation=_WIND,
+    per_run=True,
+    read=_read_wind,
+)
+def wind(vessel: Vessel, flow: CoordinateValues) -> Vessel:
+    """Quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)."""
+    if "wind" not in vessel.forces:
+        vessel = with_force(vessel, "wind", default_wind(vessel))
+    vessel = add_to(vessel, lambda v: v.environment.wind_north, flow[0])
+    return add_to(vessel, lambda v: v.environment.wind_east, flow[1])
+
+
+@environment_effect(
+    "wind:coefficients",
+    *_components("m/s", WIND_SIZE),
+    Coefficient("C_N added", "1", C_N_SPREAD, trials=(-1.0, -2.0)),
+    Coefficient("log C_X factor", "1", LOG_COEFFICIENT_SPREAD),
+    Coefficient("log C_Y factor", "1", LOG_COEFFICIENT_SPREAD),
+    phrase=wind.phrase,
+    confusables=wind.confusables,
+    # What a file states of the superstructure is believed.
+    possible=lambda vessel: "wind" not in vessel.forces,
+    parametrisation=Parametrisation(
+        _WIND.units | {"C_X": "1", "C_Y": "1", "C_N": "1"},
+        _wind_parameters,
+        _wind_coordinates,
+        notes=_WIND.notes,
+    ),
+    per_run=True,
+)
+def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """Wind on a superstructure of which only what is usual is known: C_X and C_Y within a
+    factor of 2.2, C_N within 0.1 (one standard deviation).
+    """
+    meant, (C_N, log_C_X, log_C_Y) = _superstructure(vessel), at[2:]
+    changed = dataclasses.replace(
+        meant,
+        C_N=meant.C_N + C_N,
+        C_X=meant.C_X * jnp.exp(log_C_X),
+        C_Y=meant.C_Y * jnp.exp(log_C_Y),
+    )
+    return wind.apply(with_force(vessel, "wind", changed), at[:2])
+
+
 # -- waves -------------------------------------------------------------------------------
 
 
@@ -135,11 +182,6 @@ def _base_frequency(vessel: Vessel) -> Scalar:
 def _thousandth_of_weight(vessel: Vessel) -> Scalar:
     """Force of an acceleration of a thousandth of gravity, N."""
     return 1e-3 * GRAVITY * float(vessel.rigid_body.mass)
-
-
-def _add_waves(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    train = EarthForce(*at[:6], frequency=_base_frequency(vessel) + at[6])
-    return with_force(vessel, free_name("wave-force", vessel.forces), train)
 
 
 def _wave_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
@@ -169,12 +211,30 @@ def _wave_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     return (*map(float, forces), float(get["frequency"] - _base_frequency(vessel)))
 
 
+@environment_effect(
+    "wave-force",
+    *_components("N", _thousandth_of_weight, "bias "),
+    *_components("N", _thousandth_of_weight, "sine "),
+    *_components("N", _thousandth_of_weight, "cosine "),
+    Frequency("frequency", "Hz", _base_frequency, origin=_base_frequency),
+    phrase="a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
+    confusables=("wind", "current"),
+    parametrisation=Parametrisation(
+        {"bias": "N", "amplitude": "N", "frequency": "Hz", "phase": "rad", "direction": "rad"},
+        _wave_parameters,
+        _wave_coordinates,
+    ),
+)
+def wave_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """Bias + amplitude sin(2 pi frequency t + phase) towards `direction`, fixed in the
+    earth, at amidships: one regular wave train with its mean drift, or a tow, of one phase
+    on the clocks of all runs.
+    """
+    train = EarthForce(*at[:6], frequency=_base_frequency(vessel) + at[6])
+    return with_force(vessel, free_name("wave-force", vessel.forces), train)
+
+
 # -- shallow water -----------------------------------------------------------------------
-
-
-def _add_shallowness(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
-    vessel = add_to(vessel, lambda v: v.environment.shallowness, shallowness[0])
-    return with_secondary(vessel, "shallow-water", ShallowDamping())
 
 
 def _depth(vessel: Vessel, shallowness: CoordinateValues) -> dict[str, Scalar]:
@@ -195,88 +255,22 @@ def _is_aground(vessel: Vessel, numbers: Numbers) -> str:
     return f"depth = {numbers['depth']:g} m is not more than the draught of {draught:g} m"
 
 
-ENVIRONMENT = (
-    Effect(
-        "current",
-        "environment",
-        _components("m/s", CURRENT_SIZE),
-        _add_current,
-        law="forces by velocity through the water nu_r = nu - R'(psi) V_c, V_c steady and uniform "
-        "(Fossen 2021, section 10.3)",
-        phrase="a steady current of {speed} flowing to {direction}",
-        confusables=("wind", "hard-iron", "heading-offset", "wave-force"),
-        parametrisation=_CURRENT,
-        per_run=True,
-    ),
-    Effect(
-        "wind",
-        "environment",
-        _components("m/s", WIND_SIZE),
-        _add_wind,
-        law="quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)",
-        phrase="a steady wind of {speed} from {direction}",
-        confusables=("current", "wave-force", "thrust-asymmetry"),
-        parametrisation=_WIND,
-        per_run=True,
-        read=_read_wind,
-    ),
-    Effect(
-        "wind:coefficients",
-        "environment",
-        (
-            *_components("m/s", WIND_SIZE),
-            Coefficient("C_N added", "1", C_N_SPREAD, trials=(-1.0, -2.0)),
-            Coefficient("log C_X factor", "1", LOG_COEFFICIENT_SPREAD),
-            Coefficient("log C_Y factor", "1", LOG_COEFFICIENT_SPREAD),
-        ),
-        _add_wind_and_coefficients,
-        law="wind on a superstructure of which only what is usual is known: C_X and C_Y within a "
-        "factor of 2.2, C_N within 0.1 (one standard deviation)",
-        phrase="a steady wind of {speed} from {direction}",
-        confusables=("current", "wave-force", "thrust-asymmetry"),
-        # What a file states of the superstructure is believed.
-        possible=lambda vessel: "wind" not in vessel.forces,
-        parametrisation=Parametrisation(
-            _WIND.units | {"C_X": "1", "C_Y": "1", "C_N": "1"},
-            _wind_parameters,
-            _wind_coordinates,
-            notes=_WIND.notes,
-        ),
-        per_run=True,
-    ),
-    Effect(
-        "wave-force",
-        "environment",
-        (
-            *_components("N", _thousandth_of_weight, "bias "),
-            *_components("N", _thousandth_of_weight, "sine "),
-            *_components("N", _thousandth_of_weight, "cosine "),
-            Frequency("frequency", "Hz", _base_frequency, origin=_base_frequency),
-        ),
-        _add_waves,
-        law="bias + amplitude sin(2 pi frequency t + phase) towards `direction`, fixed in the "
-        "earth, at amidships: one regular wave train with its mean drift, or a tow, of one phase "
-        "on the clocks of all runs",
-        phrase="a wave force with mean {bias} and amplitude {amplitude} at {frequency}",
-        confusables=("wind", "current"),
-        parametrisation=Parametrisation(
-            {"bias": "N", "amplitude": "N", "frequency": "Hz", "phase": "rad", "direction": "rad"},
-            _wave_parameters,
-            _wave_coordinates,
-        ),
-    ),
-    Effect(
-        "shallow-water",
-        "environment",
-        (Size("shallowness", "1", 0.3, positive=True),),
-        _add_shallowness,
-        law="with q = T / h: added masses times (1 - q)^-1/2, lateral damping (1 - q)^-1, "
-        "longitudinal (1 - q)^-1/4: of the size that tests of full hulls show down to h = 1.3 T; "
-        "hulls differ by tens of per cent",
-        phrase="shallow water, {depth} deep,",
-        confusables=("drag-change", "added-mass-coupling", "crossflow-drag"),
-        parametrisation=Parametrisation({"depth": "m"}, _depth, _shallowness, inverse=True),
-        per_run=True,
-        refusal=_is_aground,
-    ),
+@environment_effect(
+    "shallow-water",
+    Size("shallowness", "1", 0.3, positive=True),
+    phrase="shallow water, {depth} deep,",
+    confusables=("drag-change", "added-mass-coupling", "crossflow-drag"),
+    parametrisation=Parametrisation({"depth": "m"}, _depth, _shallowness, inverse=True),
+    per_run=True,
+    refusal=_is_aground,
 )
+def shallow_water(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
+    """With q = T / h: added masses times (1 - q)^-1/2, lateral damping (1 - q)^-1,
+    longitudinal (1 - q)^-1/4: of the size that tests of full hulls show down to h = 1.3 T;
+    hulls differ by tens of per cent.
+    """
+    vessel = add_to(vessel, lambda v: v.environment.shallowness, shallowness[0])
+    return with_secondary(vessel, "shallow-water", ShallowDamping())
+
+
+ENVIRONMENT = (current, wind, wind_and_coefficients, wave_force, shallow_water)

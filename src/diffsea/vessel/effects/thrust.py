@@ -1,7 +1,9 @@
 """Effects on what thrusters, propellers and rudders make of an executed order."""
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,26 +11,31 @@ import jax.numpy as jnp
 from diffsea.scales import froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import FixedThruster, Propeller, Rudder
-from diffsea.vessel.base import Vessel
+from diffsea.vessel.base import AbstractActuator, Vessel
 from diffsea.vessel.dependent_forces import Change, ScrewSideForce
-from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Bound, Onset, Size
+from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
-    Effect,
     Numbers,
     Parametrisation,
+    add_to,
+    entry,
     free_name,
     with_secondary,
 )
 
 
-def _of_kind(vessel: Vessel, kind: type[eqx.Module]) -> dict[str, eqx.Module]:
+Actuator = TypeVar("Actuator", bound=AbstractActuator)
+thrust_effect = functools.partial(entry, "actuator")
+
+
+def _of_kind(vessel: Vessel, kind: type[Actuator]) -> dict[str, Actuator]:
     """Actuators of one kind by name."""
     return {n: part for n, part in vessel.actuators.items() if isinstance(part, kind)}
 
 
 def _change_parts(
-    vessel: Vessel, parts: dict[str, eqx.Module], change: Callable[[eqx.Module], eqx.Module]
+    vessel: Vessel, parts: Mapping[str, Actuator], change: Callable[[Actuator], Actuator]
 ) -> Vessel:
     """The vessel with some of its actuators changed."""
     changed = {name: change(part) for name, part in parts.items()}
@@ -41,62 +48,113 @@ def _has_two_sides(vessel: Vessel) -> bool:
     return any(y < 0 for y in sides) and any(y > 0 for y in sides)
 
 
-def _add_loss(
-    field: str, by: Callable[[eqx.Module, Scalar], Scalar]
-) -> Callable[[Vessel, CoordinateValues], Vessel]:
-    """Adds to a field of every thruster's losses; `by` makes it of the thruster and coordinate."""
-
-    def apply(vessel: Vessel, at: CoordinateValues) -> Vessel:
-        def change(part: eqx.Module) -> eqx.Module:
-            now = getattr(part.losses, field)
-            return eqx.tree_at(lambda p: getattr(p.losses, field), part, now + by(part, at[0]))
-
-        return _change_parts(vessel, vessel.propulsors, change)
-
-    return apply
-
-
-def _turn_thrusters(vessel: Vessel, angle: CoordinateValues) -> Vessel:
-    def change(part: eqx.Module) -> eqx.Module:
-        return eqx.tree_at(lambda p: p.angle, part, part.angle + angle[0])
-
-    return _change_parts(vessel, _of_kind(vessel, FixedThruster), change)
+@thrust_effect(
+    "thrust-asymmetry",
+    Size("ratio", "1", 0.1, (-1.0, 1.0)),
+    phrase="thrust {ratio:%} stronger than stated on the {ratio:starboard|port} side and weaker on "
+    "the {ratio:port|starboard} side",
+    confusables=("thruster-misalignment", "actuator-bias", "gyro-bias", "wind"),
+    possible=_has_two_sides,
+)
+def thrust_asymmetry(vessel: Vessel, ratio: CoordinateValues) -> Vessel:
+    """Port and starboard thrust times (1 - ratio) and (1 + ratio)."""
+    return _change_parts(
+        vessel,
+        vessel.propulsors,
+        lambda part: add_to(part, lambda p: p.losses.asymmetry, jnp.sign(part.y) * ratio[0]),
+    )
 
 
-def _is_ordered_in_newtons(vessel: Vessel) -> bool:
-    """Whether some thruster's force does not depend on the speed of advance."""
-    return any(part.bollard_coefficient is None for part in vessel.propulsors.values())
+@thrust_effect(
+    "thruster-misalignment",
+    Size("angle", "rad", 0.05, (-math.pi / 2, math.pi / 2)),
+    phrase="a thrust line turned {angle:size} to {angle:starboard|port}",
+    confusables=("thrust-asymmetry", "actuator-bias", "heading-offset", "gyro-bias"),
+    possible=lambda vessel: _has_two_sides(vessel) and bool(_of_kind(vessel, FixedThruster)),
+)
+def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
+    """The push of every fixed thruster turned by `angle`, clockwise from above."""
+    fixed = _of_kind(vessel, FixedThruster)
+    return _change_parts(vessel, fixed, lambda part: add_to(part, lambda p: p.angle, angle[0]))
 
 
-def _falls_with_speed(vessel: Vessel) -> Bound:
-    """No thruster pushes harder the faster it goes, at one order."""
-    own = [float(part.losses.with_speed) for part in vessel.propulsors.values()]
-    return -min(own), math.inf
+@thrust_effect(
+    "thrust-loss-with-speed",
+    Size(
+        "slope",
+        "s/m",
+        # A fiftieth of the thrust at a tenth of the speed at Froude number 0.3.
+        lambda vessel: 0.02 / float(froude_speed(vessel.rigid_body.length, 0.03)),
+        # No thruster pushes harder the faster it goes, at one order.
+        lambda v: (-min(float(p.losses.with_speed) for p in v.propulsors.values()), math.inf),
+    ),
+    phrase="a thrust that {slope:falls|rises} by {slope:%} for every m/s of speed",
+    confusables=("quadratic-damping", "deadband", "drag-change", "thrust-saturation"),
+    # Where some thruster's force does not depend on the speed of advance.
+    possible=lambda v: any(part.bollard_coefficient is None for part in v.propulsors.values()),
+)
+def thrust_loss_with_speed(vessel: Vessel, slope: CoordinateValues) -> Vessel:
+    """T (1 - slope u_r): the tangent of a propeller's falling K_T(J)."""
+    return _change_parts(
+        vessel,
+        vessel.propulsors,
+        lambda part: add_to(part, lambda p: p.losses.with_speed, slope[0]),
+    )
 
 
-def _slope_size(vessel: Vessel) -> Scalar:
-    """A fiftieth of the thrust at a tenth of the speed at Froude number 0.3, s/m."""
-    return 0.02 / float(froude_speed(vessel.rigid_body.length, 0.03))
+@thrust_effect(
+    "thrust-loss-in-turns",
+    Size("slope", "s/rad", 0.3, positive=True),
+    phrase="a thrust that {slope:falls|rises} by {slope:%/deg} for every deg/s of yaw rate",
+    confusables=("crossflow-drag", "quadratic-damping", "speed-dependent-damping"),
+    possible=lambda vessel: bool(vessel.propulsors),
+)
+def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
+    """T (1 - slope |r|): ventilation and shadowing in turns."""
+    return _change_parts(
+        vessel,
+        vessel.propulsors,
+        lambda part: add_to(part, lambda p: p.losses.in_turns, slope[0]),
+    )
 
 
-def _change_thrust(vessel: Vessel, at: CoordinateValues) -> Vessel:
+@thrust_effect(
+    "thrust-change",
+    Size("factor", "1", 0.1, ALL_LOST_AT_MOST),
+    Onset(),
+    phrase="a thrust that is {factor:%} {factor:larger|smaller} from {time:size} on",
+    confusables=("drag-change", "mass-change"),
+    possible=lambda vessel: bool(vessel.propulsors),
+)
+def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """All thrusts times (1 + factor) from `time` on the run's clock."""
     change = Change(at[0], at[1], True)
     return with_secondary(vessel, free_name("thrust-change", vessel.secondary), change)
 
 
-def _add_side_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    name = free_name("propeller-side-force", vessel.secondary)
-    screw = next(iter(_of_kind(vessel, Propeller)))
-    return with_secondary(vessel, name, ScrewSideForce(screw, *at))
-
-
-def _lacks(kind: type[eqx.Module]) -> Callable[[Vessel, Numbers], str]:
+def _lacks(kind: type[AbstractActuator]) -> Callable[[Vessel, Numbers], str]:
     """Why a vessel without an actuator of that kind has no such effect."""
+    why = f"the vessel has no [[{kind.__name__.lower()}]]"
+    return lambda vessel, numbers: "" if _of_kind(vessel, kind) else why
 
-    def refusal(vessel: Vessel, numbers: Numbers) -> str:
-        return "" if _of_kind(vessel, kind) else f"the vessel has no [[{kind.__name__.lower()}]]"
 
-    return refusal
+@thrust_effect(
+    "propeller-side-force",
+    Size("Y_ahead", "1", 0.02),
+    Size("N_ahead", "1", 0.01),
+    Size("Y_astern", "1", 0.05),
+    Size("N_astern", "1", 0.025),
+    phrase="a side force of the propeller",
+    confusables=("actuator-bias", "wind"),
+    possible=lambda vessel: len(_of_kind(vessel, Propeller)) == 1,
+    refusal=_lacks(Propeller),
+)
+def propeller_side_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """Y = Y_a |X_P|, N = N_a L |X_P| with X_P the screw's own force, other coefficients ahead and
+    astern (Brix 1993, section 1.3).
+    """
+    force = ScrewSideForce(next(iter(_of_kind(vessel, Propeller))), *at)
+    return with_secondary(vessel, free_name("propeller-side-force", vessel.secondary), force)
 
 
 def _has_plain_rudders(vessel: Vessel) -> bool:
@@ -106,11 +164,39 @@ def _has_plain_rudders(vessel: Vessel) -> bool:
     return bool(plain) and all(plain)
 
 
-def _add_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
-    """Coordinates a_H, a_H x_H / L and 1 - gamma_R."""
+def _interaction_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
+    x_H = at[1] * vessel.rigid_body.length / jnp.where(jnp.abs(at[0]) > 1e-9, at[0], 1.0)
+    return {"a_H": at[0], "x_H": x_H, "gamma_R": 1 - at[2]}
+
+
+def _interaction_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    a_H, length = numbers.get("a_H", 0.0), float(vessel.rigid_body.length)
+    own = next((float(part.x_H) for part in _of_kind(vessel, Rudder).values()), 0.0)
+    return a_H, a_H * numbers.get("x_H", own) / length, 1 - numbers.get("gamma_R", 1.0)
+
+
+@thrust_effect(
+    "rudder-interaction",
+    # Bounds: twice what was measured on models, a_H 0.5, a force near x_H = -0.5 L, gamma_R 0.2
+    # to 0.7.
+    Size("a_H", "1", 0.1, (0.0, 1.0)),
+    Size("a_H x_H / L", "1", 0.05, (-1.0, 0.0)),
+    Size("1 - gamma_R", "1", 0.2, (-0.5, 1.0)),
+    phrase="an interaction of hull, propeller and rudder",
+    confusables=("sway-yaw-coupling", "munk-moment"),
+    possible=_has_plain_rudders,
+    parametrisation=Parametrisation(
+        {"a_H": "1", "x_H": "m", "gamma_R": "1"}, _interaction_parameters, _interaction_coordinates
+    ),
+    refusal=_lacks(Rudder),
+)
+def rudder_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle
+    straightened by gamma_R (Yasukawa and Yoshimura 2015).
+    """
     length = vessel.rigid_body.length
 
-    def change(part: eqx.Module) -> eqx.Module:
+    def change(part: Rudder) -> Rudder:
         return eqx.tree_at(
             lambda p: (p.a_H, p.hull_lever, p.gamma_R_port, p.gamma_R_starboard),
             part,
@@ -125,107 +211,12 @@ def _add_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return _change_parts(vessel, _of_kind(vessel, Rudder), change)
 
 
-def _interaction_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
-    x_H = at[1] * vessel.rigid_body.length / jnp.where(jnp.abs(at[0]) > 1e-9, at[0], 1.0)
-    return {"a_H": at[0], "x_H": x_H, "gamma_R": 1 - at[2]}
-
-
-def _interaction_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-    a_H, length = numbers.get("a_H", 0.0), float(vessel.rigid_body.length)
-    own = next((float(part.x_H) for part in _of_kind(vessel, Rudder).values()), 0.0)
-    return a_H, a_H * numbers.get("x_H", own) / length, 1 - numbers.get("gamma_R", 1.0)
-
-
 THRUST = (
-    Effect(
-        "thrust-asymmetry",
-        "actuator",
-        (Size("ratio", "1", 0.1, (-1.0, 1.0)),),
-        _add_loss("asymmetry", lambda part, ratio: jnp.sign(part.y) * ratio),
-        law="port and starboard thrust times (1 - ratio) and (1 + ratio)",
-        phrase="thrust {ratio:%} stronger than stated on the {ratio:starboard|port} side and "
-        "weaker on the {ratio:port|starboard} side",
-        confusables=("thruster-misalignment", "actuator-bias", "gyro-bias", "wind"),
-        possible=_has_two_sides,
-    ),
-    Effect(
-        "thruster-misalignment",
-        "actuator",
-        (Size("angle", "rad", 0.05, (-math.pi / 2, math.pi / 2)),),
-        _turn_thrusters,
-        law="the push of every fixed thruster turned by `angle`, clockwise from above",
-        phrase="a thrust line turned {angle:size} to {angle:starboard|port}",
-        confusables=("thrust-asymmetry", "actuator-bias", "heading-offset", "gyro-bias"),
-        possible=lambda vessel: _has_two_sides(vessel) and bool(_of_kind(vessel, FixedThruster)),
-    ),
-    Effect(
-        "thrust-loss-with-speed",
-        "actuator",
-        (Size("slope", "s/m", _slope_size, _falls_with_speed),),
-        _add_loss("with_speed", lambda part, slope: slope),
-        law="T (1 - slope u_r): the tangent of a propeller's falling K_T(J)",
-        phrase="a thrust that {slope:falls|rises} by {slope:%} for every m/s of speed",
-        confusables=("quadratic-damping", "deadband", "drag-change", "thrust-saturation"),
-        possible=_is_ordered_in_newtons,
-    ),
-    Effect(
-        "thrust-loss-in-turns",
-        "actuator",
-        (Size("slope", "s/rad", 0.3, positive=True),),
-        _add_loss("in_turns", lambda part, slope: slope),
-        law="T (1 - slope |r|): ventilation and shadowing in turns",
-        phrase="a thrust that {slope:falls|rises} by {slope:%/deg} for every deg/s of yaw rate",
-        confusables=("crossflow-drag", "quadratic-damping", "speed-dependent-damping"),
-        possible=lambda vessel: bool(vessel.propulsors),
-    ),
-    Effect(
-        "thrust-change",
-        "actuator",
-        (Size("factor", "1", 0.1, ALL_LOST_AT_MOST), Onset()),
-        _change_thrust,
-        law="all thrusts times (1 + factor) from `time` on the run's clock",
-        phrase="a thrust that is {factor:%} {factor:larger|smaller} from {time:size} on",
-        confusables=("drag-change", "mass-change"),
-        possible=lambda vessel: bool(vessel.propulsors),
-    ),
-    Effect(
-        "propeller-side-force",
-        "actuator",
-        (
-            Size("Y_ahead", "1", 0.02),
-            Size("N_ahead", "1", 0.01),
-            Size("Y_astern", "1", 0.05),
-            Size("N_astern", "1", 0.025),
-        ),
-        _add_side_force,
-        law="Y = Y_a |X_P|, N = N_a L |X_P| with X_P the screw's own force, other coefficients "
-        "ahead and astern (Brix 1993, section 1.3)",
-        phrase="a side force of the propeller",
-        confusables=("actuator-bias", "wind"),
-        possible=lambda vessel: len(_of_kind(vessel, Propeller)) == 1,
-        refusal=_lacks(Propeller),
-    ),
-    Effect(
-        "rudder-interaction",
-        "actuator",
-        # Bounds: twice what was measured on models, a_H 0.5, a force near x_H = -0.5 L, gamma_R
-        # 0.2 to 0.7.
-        (
-            Size("a_H", "1", 0.1, (0.0, 1.0)),
-            Size("a_H x_H / L", "1", 0.05, (-1.0, 0.0)),
-            Size("1 - gamma_R", "1", 0.2, (-0.5, 1.0)),
-        ),
-        _add_interaction,
-        law="MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle "
-        "straightened by gamma_R (Yasukawa and Yoshimura 2015)",
-        phrase="an interaction of hull, propeller and rudder",
-        confusables=("sway-yaw-coupling", "munk-moment"),
-        possible=_has_plain_rudders,
-        parametrisation=Parametrisation(
-            {"a_H": "1", "x_H": "m", "gamma_R": "1"},
-            _interaction_parameters,
-            _interaction_coordinates,
-        ),
-        refusal=_lacks(Rudder),
-    ),
+    thrust_asymmetry,
+    thruster_misalignment,
+    thrust_loss_with_speed,
+    thrust_loss_in_turns,
+    thrust_change,
+    propeller_side_force,
+    rudder_interaction,
 )
