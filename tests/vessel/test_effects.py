@@ -247,8 +247,8 @@ def test_an_order_at_the_end_of_a_step_is_the_next_ones(stage, early):
 
     def mean(size, t):
         servo = Servo(**({"delay": jnp.zeros(())} | {stage: size}))
-        breaks, values = servo.segments(history, jnp.asarray(t), jnp.asarray(step))
-        response = servo.answer(jnp.zeros(()), breaks, values, jnp.asarray(step))
+        breaks, values = servo.order_segments(history, jnp.asarray(t), jnp.asarray(step))
+        response = servo.respond_to(jnp.zeros(()), breaks, values, jnp.asarray(step))
         return (response.start + 4 * response.middle + response.end) / 6
 
     slope = lambda t: float(jax.jacfwd(lambda size: mean(size, t))(jnp.zeros(())))

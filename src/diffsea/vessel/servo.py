@@ -17,12 +17,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea.types import Scalar
-from diffsea.vessel.tables import Table, number
+from diffsea.vessel.tables import Table, optional_number
 
 
-SEGMENTS = 4  # orders that can fall within one step after a delay
-SHORTEST = 1e-12  # s
-ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of orders
+ORDERS_PER_STEP = 4  # that can take effect within one step after a delay
+SHORTEST_STEP = 1e-12  # s, far below any clock's resolution
+BREAK_ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of orders
 
 # Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
 _SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
@@ -59,13 +59,7 @@ class Servo(eqx.Module):
     it where the order equals the limit; None means the hard limit.
     """
 
-    KEYS: ClassVar[tuple[str, ...]] = (
-        "time_constant",
-        "rate_limit",
-        "delay",
-        "deadband",
-        "sharpness",
-    )
+    KEYS: ClassVar = ("time_constant", "rate_limit", "delay", "deadband", "sharpness")
 
     delay: Scalar | None = None  # s
     deadband: Scalar | None = None  # unit of the channel, half width
@@ -80,9 +74,12 @@ class Servo(eqx.Module):
 
     @classmethod
     def from_table(cls, table: Table, where: str, lower: str, upper: str) -> "Servo":
-        """The stages that an actuator's table states; `lower` and `upper` are keys of limits."""
-        stages = {key: number(table, key, where) for key in cls.KEYS}
-        return cls(lower=number(table, lower, where), upper=number(table, upper, where), **stages)
+        """The stages that an actuator's table states; `lower` and `upper` are keys of limits.
+
+        Raises `UserError` for a value that is no number; `where` is the table's name in it.
+        """
+        keys = {key: key for key in cls.KEYS} | {"lower": lower, "upper": upper}
+        return cls(**{stage: optional_number(table, key, where) for stage, key in keys.items()})
 
     @property
     def direct(self) -> bool:
@@ -102,9 +99,6 @@ class Servo(eqx.Module):
         value = order if self.bias is None else order + self.bias
         if self.deadband is not None:
             value = _dead_band(value, self.deadband)
-        return self._limited(value)
-
-    def _limited(self, value: Scalar) -> Scalar:
         if self.sharpness is None or self.lower is None or self.upper is None:
             value = value if self.lower is None else jnp.maximum(value, self.lower)
             return value if self.upper is None else jnp.minimum(value, self.upper)
@@ -118,28 +112,31 @@ class Servo(eqx.Module):
         if self.direct:
             held = self.target(history.values[-1])
             return Response(held, held, held, held)
-        length = self.usable(dt)
-        return self.answer(executed, *self.segments(history, t, length), length)
+        length = self.usable_length(dt)
+        return self.respond_to(executed, *self.order_segments(history, t, length), length)
 
     @staticmethod
-    def usable(dt: Scalar) -> Scalar:
+    def usable_length(dt: Scalar) -> Scalar:
         """The length of a step, or a tiny one instead of none.
 
         A step of no length (an event on the step's boundary) is as good as that, which keeps
         its derivative.
         """
-        shortest = SHORTEST + (dt - jax.lax.stop_gradient(dt))
-        return jnp.where(dt > SHORTEST, dt, shortest)
+        shortest = SHORTEST_STEP + (dt - jax.lax.stop_gradient(dt))
+        return jnp.where(dt > SHORTEST_STEP, dt, shortest)
 
-    def answer(
+    def respond_to(
         self, executed: Scalar, breaks: list[Scalar], orders: list[Scalar], dt: Scalar
     ) -> Response:
-        """Response over a step of `usable` length to the orders of its segments."""
+        """Response over a step of `usable_length` to the orders of its segments."""
         targets = [self.target(order) for order in orders]
         moments, final = self._moments(executed, targets, breaks, dt)
-        return _quadratic(moments, final)
+        # The quadratic with these moments, by shifted Legendre polynomials, at its nodes.
+        m0, m1, m2 = moments
+        c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
+        return Response(m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2, final)
 
-    def segments(
+    def order_segments(
         self, history: OrderHistory, t: Scalar, dt: Scalar
     ) -> tuple[list[Scalar], list[Scalar]]:
         """Fractions of the step at which the effective order changes, and the orders.
@@ -153,9 +150,9 @@ class Servo(eqx.Module):
         method = "compare_all" if history.times.size <= 64 else "scan"
         first = jnp.searchsorted(history.times, t - self.delay, method=method) - 1
         last = history.times.size - 1
-        index = [jnp.clip(first + k, 0, last) for k in range(SEGMENTS)]
+        index = [jnp.clip(first + k, 0, last) for k in range(ORDERS_PER_STEP)]
         inner = [
-            jnp.where(first + k <= last, _break(history.times[i], self.delay, t, dt), 1.0)
+            jnp.where(first + k <= last, _break_fraction(history.times[i], self.delay, t, dt), 1.0)
             for k, i in enumerate(index)
         ]
         none = jnp.zeros_like(inner[0])
@@ -178,33 +175,26 @@ class Servo(eqx.Module):
             target, begin, end = part
             goal = target if self.backlash is None else _play(value, target, self.backlash)
             error, span = value - goal, end - begin
-            slewing, rest = (0.0, error) if slow is None else _slewed(error, span, slow, tau)
-            decay = _shifted(_exponential_moments(span - slewing, tau), slewing)
+            slewing, rest = (0.0, error) if slow is None else _slewing_phase(error, span, slow, tau)
+            decay = _moments_from(_exponential_moments(span - slewing, tau), slewing)
             moments = tuple(rest * m for m in decay)
             if slow is not None:
                 ramp = _ramp_moments(error, rest, slewing, slow)
                 moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
             held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
-            deviation = _shifted(moments, begin)
+            deviation = _moments_from(moments, begin)
             after = (s + goal * h + d for s, h, d in zip(sums, held, deviation, strict=True))
-            return (goal + rest * _remaining(span - slewing, tau), tuple(after)), None
+            return (goal + rest * _decay(span - slewing, tau), tuple(after)), None
 
-        begun = executed, (jnp.zeros(()),) * 3
+        begun = jnp.asarray(executed, float), (jnp.zeros(()),) * 3
         if len(targets) == 1:
             (value, moments), _ = segment(begun, (targets[0], breaks[0], breaks[1]))
         else:
             # Written out, every segment repeats the code of all before it when it is compiled.
-            parts = _stacked(targets), _stacked(breaks[:-1]), _stacked(breaks[1:])
-            (value, moments), _ = jax.lax.scan(segment, jax.tree.map(_float, begun), parts)
+            stack = (targets, breaks[:-1], breaks[1:])
+            parts = tuple(jnp.stack([jnp.asarray(p, float) for p in part]) for part in stack)
+            (value, moments), _ = jax.lax.scan(segment, begun, parts)
         return moments, value
-
-
-def _float(value: Scalar) -> Array:
-    return jnp.asarray(value, float)
-
-
-def _stacked(parts: list[Scalar]) -> Array:
-    return jnp.stack([_float(part) for part in parts])
 
 
 def _ramp_moments(error: Scalar, rest: Scalar, slewing: Scalar, slow: Scalar) -> Moments:
@@ -215,13 +205,13 @@ def _ramp_moments(error: Scalar, rest: Scalar, slewing: Scalar, slow: Scalar) ->
     return m0, m1, m2
 
 
-def _shifted(moments: Moments, by: Array) -> Moments:
-    """Moments about an origin `by` earlier."""
+def _moments_from(moments: Moments, by: Array) -> Moments:
+    """Moments about an origin `by` earlier than the one of `moments`."""
     m0, m1, m2 = moments
     return m0, by * m0 + m1, by**2 * m0 + 2 * by * m1 + m2
 
 
-def _slewed(error: Scalar, span: Scalar, slow: Scalar, tau: Scalar) -> tuple[Scalar, Scalar]:
+def _slewing_phase(error: Scalar, span: Scalar, slow: Scalar, tau: Scalar) -> tuple[Scalar, Scalar]:
     """Time that a deviation falls at its limiting rate `1 / slow`, and what is left of it then."""
     size = jnp.abs(error)
     some = slow > 0
@@ -241,7 +231,7 @@ def _play(value: Scalar, target: Scalar, width: Scalar) -> Scalar:
     return jnp.where(value > high, high, jnp.where(value < low, low, value))
 
 
-def _break(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scalar:
+def _break_fraction(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scalar:
     """Fraction of the step at which an order takes effect.
 
     Delays only grow from zero, and the derivative by them is that of growth. A step may move
@@ -249,21 +239,21 @@ def _break(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scalar:
     takes effect just at the beginning or the end.
     """
     hold = jax.lax.stop_gradient
-    grown = _fraction((order + delay - hold(t)) / hold(dt))
+    grown = _clip_fraction((order + delay - hold(t)) / hold(dt))
     moved = (order + hold(delay) - t) / dt
     place = hold(moved)
-    inside = (place > -ROUNDING) & (place < 1 + ROUNDING)
-    sides = jnp.where((place < ROUNDING) | (place > 1 - ROUNDING), 0.5, 1.0)
+    inside = (place > -BREAK_ROUNDING) & (place < 1 + BREAK_ROUNDING)
+    sides = jnp.where((place < BREAK_ROUNDING) | (place > 1 - BREAK_ROUNDING), 0.5, 1.0)
     return grown + jnp.where(inside, sides, 0.0) * (moved - place)
 
 
-def _fraction(value: Scalar) -> Scalar:
+def _clip_fraction(value: Scalar) -> Scalar:
     """Clip to [0, 1], with the derivative on the lower end (jnp.clip halves it there).
 
     What takes effect at the end of a step, to rounding, is the next step's alone: it must have no
     derivative in this one, however short the time left.
     """
-    return jnp.where(value < 0, 0.0, jnp.where(value > 1 - ROUNDING, 1.0, value))
+    return jnp.where(value < 0, 0.0, jnp.where(value > 1 - BREAK_ROUNDING, 1.0, value))
 
 
 def _dead_band(value: Scalar, width: Scalar) -> Scalar:
@@ -272,7 +262,7 @@ def _dead_band(value: Scalar, width: Scalar) -> Scalar:
     return jnp.where(acts, value - jnp.sign(value) * width, 0.0)
 
 
-def _remaining(span: Scalar, tau: Scalar) -> Scalar:
+def _decay(span: Scalar, tau: Scalar) -> Scalar:
     """exp(-span / tau), which is exactly one over no span and zero for no tau."""
     # Below a thousandth of the span it is zero to rounding.
     slow = tau > 1e-3 * span
@@ -287,7 +277,7 @@ def _exponential_moments(span: Array, tau: Scalar) -> Moments:
     I_0 that cancels where tau is long against the span; there I_2 is its power series in
     span / tau and the others follow downwards.
     """
-    left, flat = _remaining(span, tau), tau > 4 * span
+    left, flat = _decay(span, tau), tau > 4 * span
     short, long = jnp.where(flat, 0.0, tau), jnp.where(flat, tau, 1.0)
     zeroth = short * (1 - left)
     first = short * (zeroth - span * left)
@@ -302,10 +292,3 @@ def _exponential_moments(span: Array, tau: Scalar) -> Moments:
         jnp.where(flat, down, up) for down, up in zip(downwards, upwards, strict=True)
     )
     return zeroth, first, second
-
-
-def _quadratic(moments: Moments, final: Scalar) -> Response:
-    """Nodes of the quadratic with these moments, by shifted Legendre polynomials."""
-    m0, m1, m2 = moments
-    c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
-    return Response(m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2, final)

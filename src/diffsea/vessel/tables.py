@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, overload
+from typing import Any
 
 from diffsea.errors import UserError, nearest
 
@@ -10,7 +10,7 @@ from diffsea.errors import UserError, nearest
 Table = dict[str, Any]
 
 
-def check_keys(table: Mapping, keys: tuple[str, ...], where: str) -> None:
+def check_keys(table: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
     """Raise `UserError` for a key that is not known, with the nearest one, or else all."""
     for key in table:
         if key not in keys:
@@ -26,19 +26,9 @@ def tables_of(document: Table, kind: str) -> list[Table]:
     return tables
 
 
-@overload
-def number(table: Mapping[str, Any], key: str, where: str, default: float) -> float: ...
-
-
-@overload
-def number(table: Mapping[str, Any], key: str, where: str) -> float | None: ...
-
-
-def number(
-    table: Mapping[str, Any], key: str, where: str, default: float | None = None
-) -> float | None:
-    """A finite number, or the default where the key is missing."""
-    value = table.get(key, default)
+def optional_number(table: Mapping[str, Any], key: str, where: str) -> float | None:
+    """A finite number, None where the key is missing. Raises `UserError` for anything else."""
+    value = table.get(key)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -46,15 +36,21 @@ def number(
     return float(value)
 
 
-def needed(table: Table, key: str, where: str) -> float:
+def number(table: Mapping[str, Any], key: str, where: str, default: float) -> float:
+    """A finite number, or the default where the key is missing."""
+    value = optional_number(table, key, where)
+    return default if value is None else value
+
+
+def needed(table: Mapping[str, Any], key: str, where: str) -> float:
     """A finite number that must be there."""
-    value = number(table, key, where)
+    value = optional_number(table, key, where)
     if value is None:
         raise UserError(f"{where}: {key} is missing")
     return value
 
 
-def positive(table: Table, key: str, where: str) -> float:
+def positive(table: Mapping[str, Any], key: str, where: str) -> float:
     """A number above zero that must be there."""
     value = needed(table, key, where)
     if not value > 0:

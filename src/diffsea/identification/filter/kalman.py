@@ -97,14 +97,14 @@ def _servo_response(vessel: Vessel, channel: str, dataset: Dataset) -> Response:
 
     # Which orders fall into a row does not depend on the rows before: found for all at once.
     history = OrderHistory(dataset.order_times, dataset.order_values[channel])
-    dt = servo.usable(dataset.dt)
-    given = servo.segments(history, dataset.t, dt) if servo.delay is not None else None
+    dt = servo.usable_length(dataset.dt)
+    given = servo.order_segments(history, dataset.t, dt) if servo.delay is not None else None
 
     def body(executed: Scalar, row: tuple) -> tuple[Scalar, Response]:
         starts, order, dt, given = row
         executed = jnp.where(starts, servo.target(order), executed)
         breaks, values = ([0.0, 1.0], [order]) if given is None else given
-        response = servo.answer(executed, breaks, values, dt)
+        response = servo.respond_to(executed, breaks, values, dt)
         return response.final, response
 
     rows = (dataset.starts, orders, dt, given)

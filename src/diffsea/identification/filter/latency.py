@@ -114,7 +114,7 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
 
     A state stamped t is that of t - (offset + rate t) on the clock of the orders: the rows are
     moved there, however far the two clocks have parted. Orders within a row are met at their
-    times, up to `servo.SEGMENTS` of them.
+    times, up to `servo.ORDERS_PER_STEP` of them.
     """
     clock = vessel.sensors.clock
     if clock is None:

@@ -56,9 +56,8 @@ class OutputError:
         self.problem = problem
         self.windows: ShootingWindows = shooting_windows(problem.dataset, seconds)
         cut = self.windows.number, self.windows.begins, self.windows.joins
-        self._fixed = (
-            problem.base, Static(problem.layout), problem.dataset, tuple(jnp.asarray(c) for c in cut),
-        )  # fmt: skip
+        windows = tuple(jnp.asarray(c) for c in cut)
+        self._fixed = (problem.base, Static(problem.layout), problem.dataset, windows)
         # A first state is known from the filter and what was measured, and otherwise hardly.
         self._broad = np.sqrt(np.asarray(first_variance(problem.base)))
         starts = np.asarray(problem.dataset.starts)

@@ -18,7 +18,7 @@ from diffsea.vessel.base import (
     Vessel,
 )
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, number, positive
+from diffsea.vessel.tables import Table, check_keys, needed, number, optional_number, positive
 
 
 class FixedThruster(AbstractPropulsor):
@@ -99,7 +99,7 @@ def _read_curve(curve: object, where: str) -> tuple[float, float]:
 
 def _speeds_at_bollard(table: Table, d: float, where: str) -> Table:
     """Limits of speed (rev/s) that make the limits of force at rest."""
-    forces = {end: number(table, f"{end}_force", where) for end in ("min", "max")}
+    forces = {end: optional_number(table, f"{end}_force", where) for end in ("min", "max")}
     return {
         f"{end}_speed": math.copysign(math.sqrt(abs(force) / d), force)
         for end, force in forces.items()
@@ -154,10 +154,10 @@ class AzimuthThruster(AbstractPropulsor):
         check_keys(table, (*keys, *angle_keys), where)
         force = Servo.from_table(table, where, "min_force", "max_force")
         angle = Servo(
-            lower=number(table, "min_angle", where),
-            upper=number(table, "max_angle", where),
-            time_constant=number(table, "angle_time_constant", where),
-            rate_limit=number(table, "angle_rate_limit", where),
+            lower=optional_number(table, "min_angle", where),
+            upper=optional_number(table, "max_angle", where),
+            time_constant=optional_number(table, "angle_time_constant", where),
+            rate_limit=optional_number(table, "angle_rate_limit", where),
             delay=force.delay,
         )
         return cls(
@@ -203,6 +203,6 @@ class TunnelThruster(AbstractActuator):
         return cls(
             {name: Servo.from_table(table, where, *limits)},
             x=needed(table, "x", where),
-            fading_speed=number(table, "fading_speed", where),
+            fading_speed=optional_number(table, "fading_speed", where),
             effectiveness=number(table, "effectiveness", where, 1.0),
         )
