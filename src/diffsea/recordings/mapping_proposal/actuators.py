@@ -26,6 +26,8 @@ _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
 # gradually may also be an order from a lever that somebody moves, or from a controller.
 _JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
 _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
+_UNNAMED = 0.5  # probability that what yaw answers best of the unnamed columns is a rudder
+_ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,49 +63,39 @@ def find_actuators(
     found = []
     for role in ROLES:
         columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > _NAMED]
-        for column in _chosen(role, columns, suggestions, runs):
-            found.append(_judged(column, role, suggestions[column], runs))
-    found = _paired(found, runs)
+        for column in _order_and_answer(role, columns, suggestions, runs):
+            ordered, reason, chance = _is_order(column, suggestions[column], runs)
+            push = 0
+            if role in ("rudder", "propeller"):
+                push = _vote([_push_of(run, role, run.commanded[column]) for run in runs])
+            sure = chance * suggestions[column].weights[role]
+            unit = _unit(column, role, suggestions[column], runs)
+            found.append(ActuatorColumn(column, role, sure, unit, ordered, reason, push))
+    found = _with_sides(found, runs)
     if not any(actuator.turns for actuator in found):
-        found += _guessed(runs, [c for c in unnamed if c in runs[0].commanded], suggestions)
+        free = [column for column in unnamed if column in runs[0].commanded]
+        found += _unnamed_rudder(runs, free, suggestions)
     return found
 
 
-def _chosen(
+def _order_and_answer(
     role: str, columns: list[str], suggestions: dict[str, Suggestion], runs: list[Trajectory]
 ) -> list[str]:
     """At most one order and one realised value of a role; forces before pulse widths."""
 
-    def rank(column: str) -> tuple:
+    def rank(column: str) -> tuple[bool, bool, float]:
         words = set(suggestions[column].words)
-        return (
-            "force" in words or suggestions[column].unit in ("N", "kN"),
-            "pwm" not in words,
-            suggestions[column].weights[role],
-        )
+        force = "force" in words or suggestions[column].unit in ("N", "kN")
+        return force, "pwm" not in words, suggestions[column].weights[role]
 
     kept: dict[bool, str] = {}
     for column in sorted(columns, key=rank, reverse=True):
-        ordered, _, _ = _ordered(column, suggestions[column], runs)
-        kept.setdefault(ordered, column)
+        kept.setdefault(_is_order(column, suggestions[column], runs)[0], column)
     best = max(kept.values(), key=rank, default=None)
     if best is None:
         return []
     # Of different dimensions they are not order and answer of one actuator.
     return [c for c in kept.values() if c == best or rank(c)[:2] == rank(best)[:2]]
-
-
-def _judged(
-    column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]
-) -> ActuatorColumn:
-    ordered, reason, chance = _ordered(column, suggestion, runs)
-    push = 0
-    if role in ("rudder", "propeller"):
-        push = _vote([_alone(run, role, run.commanded[column]) for run in runs])
-    return ActuatorColumn(
-        column, role, chance * suggestion.weights[role], _unit(column, role, suggestion, runs),
-        ordered, reason, push,
-    )  # fmt: skip
 
 
 def _unit(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> str:
@@ -112,14 +104,12 @@ def _unit(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]
     largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
     if role == "rudder":
         return "deg" if largest > _LARGEST_RADIANS else "rad"
-    if role == "propeller" and suggestion.unit != "?":
-        rotates = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
-        if rotates & set(suggestion.words):
-            return "rpm" if largest > _FASTEST else "rev/s"
+    if role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
+        return "rpm" if largest > _FASTEST else "rev/s"
     return ""
 
 
-def _ordered(
+def _is_order(
     column: str, suggestion: Suggestion, runs: list[Trajectory]
 ) -> tuple[bool, str, float]:
     """Whether the column holds orders, why, and how probable that is."""
@@ -140,7 +130,7 @@ def _ordered(
     return False, "it moves gradually, as what was realised does", _GRADUAL
 
 
-def _alone(run: Trajectory, role: str, series: Series) -> tuple[int, float]:
+def _push_of(run: Trajectory, role: str, series: Series) -> tuple[int, float]:
     """Which way an actuator pushes, and how many standard errors that is sure."""
     values = np.asarray(series, dtype=float)
     size = float(np.nanmax(values) - np.nanmin(values))
@@ -148,16 +138,15 @@ def _alone(run: Trajectory, role: str, series: Series) -> tuple[int, float]:
         return 0, 0.0
     for sign in (1, -1):
         # The audit tells only what is wrong: both signs are shown to it.
-        found = _tested(run, {role: sign * values / size})
+        found = _audit_responses(run, {role: sign * values / size})
         if found:
             return -sign, abs(found[0].value) / max(found[0].std, 1e-12)
     return 0, 0.0
 
 
-def _tested(run: Trajectory, commanded: dict[str, Series]) -> list[Finding]:
-    return response_findings(
-        dataclasses.replace(run, commanded=commanded, executed={}), motion_of(run)
-    )
+def _audit_responses(run: Trajectory, commanded: dict[str, Series]) -> list[Finding]:
+    ordered = dataclasses.replace(run, commanded=commanded, executed={})
+    return response_findings(ordered, motion_of(run))
 
 
 def _vote(verdicts: list[tuple[int, float]]) -> int:
@@ -165,7 +154,7 @@ def _vote(verdicts: list[tuple[int, float]]) -> int:
     return int(np.sign(sum(push * certainty for push, certainty in verdicts)))
 
 
-def _paired(found: list[ActuatorColumn], runs: list[Trajectory]) -> list[ActuatorColumn]:
+def _with_sides(found: list[ActuatorColumn], runs: list[Trajectory]) -> list[ActuatorColumn]:
     """Thrusters on either side, with which way their difference turns the vessel."""
     port = [a for a in found if a.role == "port"]
     starboard = [a for a in found if a.role == "starboard"]
@@ -175,28 +164,24 @@ def _paired(found: list[ActuatorColumn], runs: list[Trajectory]) -> list[Actuato
     for run in runs:
         left, right = run.commanded[port[0].column], run.commanded[starboard[0].column]
         for push, pair in ((-1, (left, right)), (1, (right, left))):
-            findings = _tested(run, dict(zip(("port", "starboard"), pair, strict=True)))
+            findings = _audit_responses(run, dict(zip(("port", "starboard"), pair, strict=True)))
             swapped = [f for f in findings if f.kind == "swapped-actuators"]
             verdicts += [(push, abs(f.value) / max(f.std, 1e-12)) for f in swapped]
     push = _vote(verdicts)
     return [dataclasses.replace(a, push=push) if a in (*port, *starboard) else a for a in found]
 
 
-def _guessed(
+def _unnamed_rudder(
     runs: list[Trajectory], columns: list[str], suggestions: dict[str, Suggestion]
 ) -> list[ActuatorColumn]:
     """The unnamed column that yaw answers best, as a rudder, if any is answered at all."""
-    verdicts = {
-        column: [_alone(run, "rudder", run.commanded[column]) for run in runs] for column in columns
-    }
+    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in runs] for c in columns}
     strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
     best = max(strength, key=lambda column: strength[column], default=None)
     if best is None or strength[best] <= 0:
         return []
-    ordered, reason, chance = _ordered(best, suggestions[best], runs)
-    return [
-        ActuatorColumn(
-            best, "rudder", 0.5 * chance, _unit(best, "rudder", suggestions[best], runs), ordered,
-            f"yaw rate answers it best of the unnamed columns; {reason}", _vote(verdicts[best]),
-        )
-    ]  # fmt: skip
+    ordered, reason, chance = _is_order(best, suggestions[best], runs)
+    unit = _unit(best, "rudder", suggestions[best], runs)
+    why = f"yaw rate answers it best of the unnamed columns; {reason}"
+    push = _vote(verdicts[best])
+    return [ActuatorColumn(best, "rudder", _UNNAMED * chance, unit, ordered, why, push)]

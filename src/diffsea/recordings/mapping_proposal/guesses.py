@@ -1,67 +1,35 @@
-"""Latitude and longitude among the columns, and the positions in metres they stand for.
-
-Guesses: one per channel, with how it is read, how sure that is, and why.
-"""
+"""Guesses of channels: one per channel, with how it is read, how sure that is, and why."""
 
 import dataclasses
 import math
 
 import numpy as np
 
-from diffsea.recordings.geodesy import local_position
-from diffsea.recordings.mapping_proposal.clock import ColumnRecord, TimeColumn
-from diffsea.recordings.mapping_proposal.names import Suggestion
-from diffsea.recordings.mapping_proposal.readings import Hypothesis, HypothesisPrior, ratio_penalty
+from diffsea.recordings.mapping_proposal.columns import (
+    ColumnWindows,
+    TimeColumn,
+    relate_to_integral,
+)
+from diffsea.recordings.mapping_proposal.hypotheses import (
+    Hypothesis,
+    HypothesisPrior,
+    ratio_penalty,
+    unit_probabilities,
+)
 from diffsea.recordings.mapping_proposal.search import ScoredHypothesis
-from diffsea.recordings.mapping_proposal.units import SettledUnits
-from diffsea.recordings.mapping_proposal.windows import ColumnWindows, relate_to_integral
 from diffsea.recordings.mappings import UNITS, Column
+from diffsea.trajectory import Samples
 
 
+_ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
+_SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
 _NAMED = 0.5  # weight of a label above which a name is believed
-_WIDEST = 2.0  # deg that a run may span
-
-
-def find_geographic(
-    table: dict[str, np.ndarray], suggestions: dict[str, Suggestion]
-) -> tuple[str, str] | None:
-    """Columns of latitude and longitude in degrees, if the file has them and they move."""
-    found = []
-    for label, limit in (("lat", 90.0), ("lon", 180.0)):
-        named = [name for name in table if suggestions[name].weights[label] > _NAMED]
-        named = [n for n in named if 0 < np.nanmax(np.abs(table[n])) <= limit]
-        named = [n for n in named if 0 < np.nanmax(table[n]) - np.nanmin(table[n]) < _WIDEST]
-        if len(named) != 1:
-            return None
-        found += named
-    return found[0], found[1]
-
-
-def origin_of(table: dict[str, np.ndarray], place: tuple[str, str]) -> tuple[float, float]:
-    """The first fix (deg) of a file, rounded to a millionth of a degree."""
-    first = [table[name][np.isfinite(table[name])][0] for name in place]
-    return round(float(first[0]), 6), round(float(first[1]), 6)
-
-
-def with_metres(
-    record: ColumnRecord, place: tuple[str, str] | None, origin: tuple[float, float]
-) -> ColumnRecord:
-    """The record with latitude and longitude (deg) replaced by metres north and east."""
-    if place is None or not set(place) <= set(record.columns):
-        return record
-    latitude, longitude = (np.radians(record.columns[name]) for name in place)
-    north, east = local_position(
-        latitude, longitude, (float(np.radians(origin[0])), float(np.radians(origin[1])))
-    )
-    return ColumnRecord(record.t, record.columns | {place[0]: north, place[1]: east})
-
-
-_CERTAIN = 0.999  # nothing is surer than the model of sensors that it rests on
+_STATED_UNIT = 0.97  # probability that a stated unit is right
 
 
 @dataclasses.dataclass(frozen=True)
 class ChannelGuess:
-    """One proposed channel: how it is read, how sure that is (0 to 1), and why."""
+    """One proposed channel: how it is read, how probable that is (0 to 1), and why."""
 
     channel: str
     column: Column
@@ -69,102 +37,165 @@ class ChannelGuess:
     why: str
 
 
-def hypothesis_columns(reading: Hypothesis) -> dict[str, str | None]:
-    """The columns of a reading by channel."""
-    return {channel: getattr(reading, channel) for channel in ("x", "y", "psi", "u", "v", "r")}
+@dataclasses.dataclass(frozen=True)
+class UnitCombination:
+    """Units of time, yaw rate, position and velocity; empty where there is no such column."""
+
+    tick: str
+    r: str
+    x: str
+    u: str
 
 
-def probabilities(weighed: list[ScoredHypothesis]) -> np.ndarray:
-    """Probabilities (N,) of readings that exclude one another."""
-    odds = np.array([item.odds for item in weighed])
-    weights = np.exp(odds - odds.max())
-    return weights / weights.sum()
+class SettledUnits:
+    """Units of the best hypothesis: those whose ratios are the measured ones.
+
+    `units` are the likeliest, `sure` has their probabilities by channel, and `step` is the
+    sampling interval (s) of a file without time, NaN where nothing tells it.
+    """
+
+    def __init__(self, prior: HypothesisPrior, clock: TimeColumn, best: ScoredHypothesis):
+        columns = best.hypothesis.columns
+        options = {
+            channel: unit_probabilities(prior, channel, columns[channel])
+            if columns[channel]
+            else {"": 1.0}
+            for channel in ("r", "x", "u")
+        }
+        table: dict[UnitCombination, float] = {}
+        for tick, likely in clock.units.items():
+            for r, rate in options["r"].items():
+                for x, length in options["x"].items():
+                    for u, speed in options["u"].items():
+                        units = UnitCombination(tick, r, x, u)
+                        odds = math.log(max(likely * rate * length * speed, 1e-12))
+                        table[units] = odds - sum(_unit_penalties(best, clock, units))
+        self.units = max(table, key=lambda units: table[units])
+        top = table[self.units]
+        total = sum(math.exp(odds - top) for odds in table.values())
+        self.sure = {"psi": 1.0}
+        for channel, field in (("t", "tick"), ("r", "r"), ("x", "x"), ("u", "u")):
+            chosen = getattr(self.units, field)
+            alike = [odds for units, odds in table.items() if getattr(units, field) == chosen]
+            self.sure[channel] = sum(math.exp(odds - top) for odds in alike) / total
+        yaw, speed = _unit_penalties(best, clock, self.units)
+        # Against a scale that nobody has a name for.
+        self.sure["r"] *= 1 / (1 + math.exp(yaw - _ODD_SCALE))
+        for name in ("x", "u"):
+            self.sure[name] *= 1 / (1 + math.exp(speed - _ODD_SCALE))
+        self.sure |= {"y": self.sure["x"], "v": self.sure["u"]}
+        self.step = clock.step
+        if clock.column is None and not math.isfinite(clock.step):
+            self.step = self._kinematic_step(best)
+
+    def _kinematic_step(self, best: ScoredHypothesis) -> float:
+        """The sampling interval (s) that makes the kinematics right, NaN where none tells."""
+        steps, units = [], self.units
+        if best.yaw is not None and best.hypothesis.r is not None and best.yaw.evidence > 5:
+            turn = 2 * math.pi / best.hypothesis.period
+            steps.append(abs(best.yaw.gain) * turn / UNITS[units.r][1])
+        if math.isfinite(best.scale) and best.scale > 0 and min(best.left) < 0.2 and units.u:
+            steps.append(best.scale * UNITS[units.x][1] / UNITS[units.u][1])
+        if not steps or max(steps) > 1.2 * min(steps):
+            return math.nan
+        return float(f"{sum(steps) / len(steps):.2g}")
 
 
-def _key(reading: Hypothesis, channel: str):
-    """What a reading says of a channel, for the sum over all that say the same."""
-    column = getattr(reading, channel)
-    if column is None:
-        return None
-    return {
-        "x": (column, reading.signs[0]),
-        "y": (column, reading.signs[1]),
-        "psi": (column, reading.period, reading.turn, reading.quarter),
-        "u": (column, reading.speeds[0], reading.earth),
-        "v": (column, reading.speeds[1], reading.earth),
-        "r": (column, reading.spin),
-    }[channel]
+def _unit_penalties(
+    best: ScoredHypothesis, clock: TimeColumn, units: UnitCombination
+) -> tuple[float, float]:
+    """Log odds against these units, given the measured ratios of yaw and of displacement."""
+    yaw = speed = 0.0
+    if clock.column is None:
+        return yaw, speed
+    second = UNITS[units.tick][1]
+    if units.r and best.yaw is not None and best.hypothesis.psi and best.yaw.evidence > 0:
+        expected = UNITS[units.r][1] * second * best.hypothesis.period / (2 * math.pi)
+        yaw = min(ratio_penalty(abs(best.yaw.gain), expected, best.yaw.error), best.yaw.evidence)
+    if units.u and units.x and min(best.left) < 1:
+        expected = UNITS[units.u][1] * second / UNITS[units.x][1]
+        speed = ratio_penalty(best.scale, expected, best.error)
+    return yaw, speed
 
 
 def motion_guesses(
-    weighed: list[ScoredHypothesis],
+    scored: list[ScoredHypothesis],
     settled: SettledUnits,
     clock: TimeColumn,
     place: tuple[str, str] | None,
 ) -> list[ChannelGuess]:
-    """Time and motion as the best reading has them, sure as all readings together make them.
+    """Time and motion as the best hypothesis has them, sure as all together make them.
 
     `place` names columns of latitude and longitude.
     """
-    chances, best = probabilities(weighed), weighed[0]
+    odds = np.array([item.log_odds for item in scored])
+    weights = np.exp(odds - odds.max())
+    chances, best = weights / weights.sum(), scored[0]
     found = []
     if clock.column is not None:
-        sure = min(clock.sure * settled.sure["t"], _CERTAIN)
-        unit = None if settled.tick == "s" else settled.tick
+        sure = min(clock.sure * settled.sure["t"], _SUREST)
+        tick = settled.units.tick
+        unit = None if tick == "s" else tick
         found.append(ChannelGuess("t", Column(clock.column, unit), sure, clock.why))
-    columns = hypothesis_channels(best.reading, settled, place)
-    for name, column in columns.items():
+    for name, column in motion_columns(best.hypothesis, settled, place).items():
         channel = {"latitude": "x", "longitude": "y"}.get(name, name)
-        key = _key(best.reading, channel)
-        agree = [
-            p for p, w in zip(chances, weighed, strict=True) if _key(w.reading, channel) == key
-        ]
-        sure = min(float(np.sum(agree)) * settled.sure[channel], _CERTAIN)
-        found.append(ChannelGuess(name, column, sure, _why(best, channel)))
+        said = _said_of(best.hypothesis, channel)
+        pairs = zip(chances, scored, strict=True)
+        agree = [p for p, item in pairs if _said_of(item.hypothesis, channel) == said]
+        sure = min(float(np.sum(agree)) * settled.sure[channel], _SUREST)
+        found.append(ChannelGuess(name, column, sure, _reason(best, channel)))
     return found
 
 
-def hypothesis_channels(
-    reading: Hypothesis, settled: SettledUnits, place: tuple[str, str] | None
+def _said_of(h: Hypothesis, channel: str) -> tuple | None:
+    """What a hypothesis says of a channel, for the sum over all that say the same."""
+    if h.columns[channel] is None:
+        return None
+    return {
+        "x": (h.x, h.signs[0]),
+        "y": (h.y, h.signs[1]),
+        "psi": (h.psi, h.period, h.turn, h.quarter),
+        "u": (h.u, h.speeds[0], h.earth),
+        "v": (h.v, h.speeds[1], h.earth),
+        "r": (h.r, h.spin),
+    }[channel]
+
+
+def motion_columns(
+    h: Hypothesis, settled: SettledUnits, place: tuple[str, str] | None
 ) -> dict[str, Column]:
-    """The channels of a mapping that reads motion so."""
-    columns = {
-        channel: _read_as(reading, channel, name, settled)
-        for channel, name in hypothesis_columns(reading).items()
-        if name is not None
-    }
-    if place is None or (reading.x, reading.y) != place:
-        return columns
-    fixes = {"latitude": Column(place[0], "deg"), "longitude": Column(place[1], "deg")}
-    return fixes | {name: c for name, c in columns.items() if name not in ("x", "y")}
-
-
-def _read_as(reading: Hypothesis, channel: str, name: str, settled: SettledUnits) -> Column:
-    if channel in ("x", "y"):
-        return Column(name, _plain(settled.x), reading.signs[channel == "y"])
-    if channel == "psi":
-        degrees = reading.period == 360.0
-        size = 90.0 if degrees else 0.5 * math.pi
+    """The channels of a mapping that reads motion as the hypothesis does."""
+    units, found = settled.units, {}
+    for axis, name in enumerate((h.x, h.y)):
+        if name is not None:
+            found["xy"[axis]] = Column(name, _unless_si(units.x), h.signs[axis])
+    if h.psi is not None:
+        degrees = h.period == 360.0
         # A quarter turn is added after the sign: sign * (number + offset).
-        quarter = reading.quarter if reading.quarter < 3 else -1
-        return Column(
-            name, "deg" if degrees else "rad" if quarter else None, reading.turn,
-            offset=reading.turn * quarter * size,
-        )  # fmt: skip
-    if channel == "r":
-        return Column(name, _plain(settled.r), reading.spin)
-    return Column(name, _plain(settled.u), reading.speeds[channel == "v"])
+        quarter = h.quarter if h.quarter < 3 else -1
+        offset = h.turn * quarter * (90.0 if degrees else 0.5 * math.pi)
+        unit = "deg" if degrees else "rad" if quarter else None
+        found["psi"] = Column(h.psi, unit, h.turn, offset=offset)
+    for axis, name in enumerate((h.u, h.v)):
+        if name is not None:
+            found["uv"[axis]] = Column(name, _unless_si(units.u), h.speeds[axis])
+    if h.r is not None:
+        found["r"] = Column(h.r, _unless_si(units.r), h.spin)
+    if place is None or (h.x, h.y) != place:
+        return found
+    fixes = {"latitude": Column(place[0], "deg"), "longitude": Column(place[1], "deg")}
+    return fixes | {name: c for name, c in found.items() if name not in ("x", "y")}
 
 
-def _plain(unit: str) -> str | None:
+def _unless_si(unit: str) -> str | None:
     """None for a unit of SI, which needs no mention."""
     return None if not unit or UNITS[unit][1] == 1.0 else unit
 
 
-def _why(best: ScoredHypothesis, channel: str) -> str:
-    reading = best.reading
-    if channel in ("psi", "r") and reading.psi and reading.r and best.yaw and best.yaw.evidence > 3:
-        other = reading.r if channel == "psi" else reading.psi
+def _reason(best: ScoredHypothesis, channel: str) -> str:
+    h = best.hypothesis
+    if channel in ("psi", "r") and h.psi and h.r and best.yaw and best.yaw.evidence > 3:
+        other = h.r if channel == "psi" else h.psi
         return f"heading is the integral of yaw rate: agrees with {other!r}"
     if channel != "r" and min(best.left) < 0.5:
         left = [max(100 * share, 0.01) for share in best.left]
@@ -175,41 +206,39 @@ def _why(best: ScoredHypothesis, channel: str) -> str:
     return "by its name"
 
 
-def other_guesses(
-    prior: HypothesisPrior, table, windows: ColumnWindows, used: set[str]
+def wind_and_roll_guesses(
+    prior: HypothesisPrior, table: dict[str, Samples], windows: ColumnWindows, used: set[str]
 ) -> list[ChannelGuess]:
     """Wind and roll, which nothing but their names and ranges tells."""
-    found = []
+    found: dict[str, ChannelGuess] = {}
     for channel in ("wind_speed", "wind_direction", "phi", "p"):
-        named = [
-            (prior.suggestions[n].weights[channel], n) for n in table if n not in used
-            and prior.suggestions[n].weights[channel] > 0.5
-        ]  # fmt: skip
+        weights = {n: prior.suggestions[n].weights[channel] for n in table if n not in used}
+        named = [(weight, name) for name, weight in weights.items() if weight > _NAMED]
         if not named:
             continue
         weight, name = max(named)
-        unit, sure = _named_unit(prior.suggestions[name].unit, channel, table[name])
-        if channel == "p" and prior.suggestions[name].unit not in UNITS:
-            unit, sure = _roll_unit(found, name, windows)
-        found.append(ChannelGuess(channel, Column(name, unit), weight * sure, "by its name"))
-    return found
+        stated = prior.suggestions[name].unit
+        if stated in UNITS:
+            unit, sure = _unless_si(stated), _STATED_UNIT
+        elif channel == "p":
+            unit, sure = _roll_rate_unit(found.get("phi"), name, windows)
+        else:
+            unit, sure = _unit_by_range(channel, float(np.nanmax(np.abs(table[name]))))
+        found[channel] = ChannelGuess(channel, Column(name, unit), weight * sure, "by its name")
+    return list(found.values())
 
 
-def _named_unit(stated: str, channel: str, values: np.ndarray) -> tuple[str | None, float]:
-    if stated in UNITS:
-        return _plain(stated), 0.97
-    largest = float(np.nanmax(np.abs(values)))
+def _unit_by_range(channel: str, largest: float) -> tuple[str | None, float]:
     if channel in ("phi", "wind_direction"):
         limit = 1.0 if channel == "phi" else 2 * math.pi + 0.05
         return ("deg", 0.9) if largest > limit else (None, 0.6)
     return None, 0.7
 
 
-def _roll_unit(
-    found: list[ChannelGuess], name: str, windows: ColumnWindows
+def _roll_rate_unit(
+    roll: ChannelGuess | None, name: str, windows: ColumnWindows
 ) -> tuple[str | None, float]:
     """The unit of roll rate, from its ratio to the change of roll."""
-    roll = next((guess for guess in found if guess.channel == "phi"), None)
     if roll is None or not {name, roll.column.column} <= set(windows.records[0].columns):
         return None, 0.5
     relation = relate_to_integral(
@@ -218,7 +247,8 @@ def _roll_unit(
     if relation.evidence < 3:
         return None, 0.5
     ratio = abs(relation.gain)
-    degrees = ratio_penalty(ratio, 1.0, relation.error) < ratio_penalty(ratio, 57.3, relation.error)
+    like_roll = ratio_penalty(ratio, 1.0, relation.error)
+    degrees = like_roll < ratio_penalty(ratio, 57.3, relation.error)
     if roll.column.unit != "deg":
-        degrees = not ratio_penalty(ratio, 1.0, relation.error) < 2.0
+        degrees = not like_roll < 2.0
     return ("deg/s" if degrees else None), 0.9

@@ -6,8 +6,8 @@ column are regressed on integrals of every pair of columns, turned by a candidat
 units, what belongs together is explained.
 
 A relation between columns may have another reason than the one looked for (roll and roll rate
-are related as well), so what it counts for a choice of columns saturates at `WORTH`; between
-explanations of the same column the likelihood decides in full.
+are related as well), so what it counts for a choice of columns saturates; between explanations
+of the same column the likelihood decides in full.
 """
 
 import dataclasses
@@ -16,64 +16,63 @@ import itertools
 import math
 
 import numpy as np
+from jaxtyping import Float
 
-from diffsea.recordings.mapping_proposal.clock import TimeColumn
-from diffsea.recordings.mapping_proposal.readings import (
+from diffsea.recordings.mapping_proposal.columns import (
+    ColumnWindows,
+    IntegralRelation,
+    TimeColumn,
+    relate_to_integral,
+)
+from diffsea.recordings.mapping_proposal.hypotheses import (
     HypothesisPrior,
     period_log_odds,
     ratio_penalty,
     unit_probabilities,
 )
-from diffsea.recordings.mapping_proposal.windows import (
-    ColumnWindows,
-    IntegralRelation,
-    relate_to_integral,
-)
 from diffsea.recordings.mappings import UNITS
 
 
-SATURATION = 12.0  # log odds of a perfect relation of one column to others
-ASSUMED_INCREMENTS = 20.0  # effective increments assumed in this pass
-_HEADINGS = 6  # candidates for heading that are looked at closely
-_DRAFTS = 60
-_PAIRS = 40  # of position, by name and by how well they are explained
+_SATURATION = 12.0  # log odds of a perfect relation of one column to others
+ASSUMED_INCREMENTS = 20.0  # effective ones in this pass, of about sixty per file
+_MOST_HEADINGS = 6  # candidates that are looked at closely; the right one is hardly ever later
+_MOST_COLUMN_SETS = 60  # that the second pass can afford
+_MOST_PAIRS = 40  # of position, by name and by how well they are explained
 _FINEST = 1e-4  # share of variance that is taken for unexplained at least
 
 
 @dataclasses.dataclass(frozen=True)
 class HeadingCandidate:
-    """A candidate for heading: column, period, log odds of its numbers, and yaw rates for it.
-
-    `rates` are (column, relation, log odds of the relation without the name).
-    """
+    """A column that may be the heading, None for no heading, and yaw rates for it."""
 
     column: str | None
-    period: float
-    odds: float
+    period: float  # of its numbers
+    log_odds: float  # of its numbers
+    # Column, relation, and log odds of the relation without the name.
     rates: tuple[tuple[str | None, IntegralRelation | None, float], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class UnsignedHypothesis:
-    """Columns of a reading without their signs and order."""
+class ColumnSet:
+    """Columns of a hypothesis without their signs and order."""
 
-    headed: HeadingCandidate
-    a: str | None
+    heading: HeadingCandidate
+    a: str | None  # position
     b: str | None
     u: str | None
     v: str | None
     earth: bool
-    odds: float
+    log_odds: float
 
 
 def saturated_evidence(evidence: float, best: float) -> float:
     """What a log likelihood ratio counts where the best for the same column is `best`."""
-    return max(min(best, SATURATION) - (best - evidence), 0.0)
+    return max(min(best, _SATURATION) - (best - evidence), 0.0)
 
 
 @dataclasses.dataclass
 class ColumnScreening:
-    """The columns of a file, and what their names are worth."""
+    """The columns of a file, and what their names and numbers say that they may be."""
 
     windows: ColumnWindows
     prior: HypothesisPrior
@@ -87,102 +86,97 @@ class ColumnScreening:
             values = np.concatenate([r.columns[name] for r in self.windows.records])
             stated = self.prior.suggestions[name].unit
             for period, odds in period_log_odds(values, stated).items():
-                rates = self._rates(name, period)
-                best = max(odds + self._rate_name(r) for r, _, odds in rates)
+                rates = self._yaw_rates(name, period)
+                best = max(rate + self.prior.label(r, "r") for r, _, rate in rates)
                 total = odds + self.prior.label(name, "psi") + best
                 found.append((total, HeadingCandidate(name, period, odds, rates)))
-        found = heapq.nlargest(_HEADINGS, found, key=lambda item: item[0])
-        named = heapq.nlargest(1, self.names, key=self._rate_name)
-        none = HeadingCandidate(
-            None, 2 * math.pi, 0.0, ((None, None, 0.0), *((n, None, 0.0) for n in named))
-        )
-        return [*(headed for _, headed in found), none]
+        found = heapq.nlargest(_MOST_HEADINGS, found, key=lambda item: item[0])
+        named = heapq.nlargest(1, self.names, key=lambda name: self.prior.label(name, "r"))
+        rates = ((None, None, 0.0), *((name, None, 0.0) for name in named))
+        return [*(heading for _, heading in found), HeadingCandidate(None, 2 * math.pi, 0.0, rates)]
 
-    def _rate_name(self, column: str | None) -> float:
-        return self.prior.label(column, "r")
-
-    def _rates(self, heading: str, period: float) -> tuple:
+    def _yaw_rates(
+        self, heading: str, period: float
+    ) -> tuple[tuple[str | None, IntegralRelation | None, float], ...]:
+        """The likeliest columns of yaw rate, as `HeadingCandidate` has them, and none."""
         increments = self.windows.of("increments", heading, period)
         relations = {}
         for other in self.names:
             if other != heading:
                 integrals = self.windows.of("integrals", other)
                 relation = relate_to_integral(increments, integrals, self.windows.duration)
-                cost = min(self._rate_cost(relation, other, period), relation.evidence)
-                relations[other] = (relation, relation.evidence - cost)
+                penalty = min(self._rate_penalty(relation, other, period), relation.evidence)
+                relations[other] = (relation, relation.evidence - penalty)
         best = max((evidence for _, evidence in relations.values()), default=0.0)
         options = [
-            (n, rel, saturated_evidence(evidence, best)) for n, (rel, evidence) in relations.items()
+            (name, relation, saturated_evidence(evidence, best))
+            for name, (relation, evidence) in relations.items()
         ]
-        options = heapq.nlargest(3, options, key=lambda o: o[2] + self._rate_name(o[0]))
+        options = heapq.nlargest(3, options, key=lambda o: o[2] + self.prior.label(o[0], "r"))
         return (*options, (None, None, 0.0))
 
-    def _rate_cost(self, relation: IntegralRelation, column: str, period: float) -> float:
-        """What the ratio of heading to yaw rate costs under the best choice of units."""
+    def _rate_penalty(self, relation: IntegralRelation, column: str, period: float) -> float:
+        """Log odds against the ratio of heading to yaw rate under the best choice of units."""
         if self.clock.column is None or relation.gain == 0:
             return 0.0
-        return min(
-            ratio_penalty(
-                abs(relation.gain),
-                UNITS[unit][1] * UNITS[tick][1] * period / (2 * math.pi),
-                relation.error,
-            )
-            - math.log(odds * max(likely, 1e-9))
-            for unit, odds in unit_probabilities(self.prior, "r", column).items()
-            for tick, likely in self.clock.units.items()
-        )
+        penalties = []
+        for unit, probability in unit_probabilities(self.prior, "r", column).items():
+            for tick, likely in self.clock.units.items():
+                expected = UNITS[unit][1] * UNITS[tick][1] * period / (2 * math.pi)
+                penalty = ratio_penalty(abs(relation.gain), expected, relation.error)
+                penalties.append(penalty - math.log(probability * max(likely, 1e-9)))
+        return min(penalties)
 
-    def drafts(self, headings: list[HeadingCandidate]) -> list[UnsignedHypothesis]:
+    def column_sets(self, headings: list[HeadingCandidate]) -> list[ColumnSet]:
         """The likeliest columns of position and velocity with each heading."""
-        fits = {headed: self._fits(headed) for headed in headings}
+        fits = {heading: self._evidence_of_velocities(heading) for heading in headings}
         best: dict[str, float] = {}
         for tables in fits.values():
             for explained in tables.values():
                 for name, evidence in explained.items():
                     best[name] = max(best.get(name, 0.0), evidence)
-        drafts = []
-        for headed, tables in fits.items():
-            base = headed.odds + self.prior.label(headed.column, "psi")
-            base += max(odds + self._rate_name(r) for r, _, odds in headed.rates)
+        sets = []
+        for heading, tables in fits.items():
+            base = heading.log_odds + self.prior.label(heading.column, "psi")
+            base += max(odds + self.prior.label(r, "r") for r, _, odds in heading.rates)
             for (u, v, earth), explained in tables.items():
                 speed = base + self._velocity_names(u, v, earth)
-                gains = {
-                    n: saturated_evidence(evidence, best[n]) for n, evidence in explained.items()
-                }
-                for a, b, odds in self._pairs(headed, (u, v), gains):
-                    drafts.append(UnsignedHypothesis(headed, a, b, u, v, earth, speed + odds))
-        drafts = heapq.nlargest(20 * _DRAFTS, drafts, key=lambda draft: draft.odds)
-        return drafts[:_DRAFTS]
+                gains = {n: saturated_evidence(e, best[n]) for n, e in explained.items()}
+                for a, b, odds in self._position_pairs({heading.column, u, v}, gains):
+                    sets.append(ColumnSet(heading, a, b, u, v, earth, speed + odds))
+        return heapq.nlargest(_MOST_COLUMN_SETS, sets, key=lambda item: item.log_odds)
 
-    def _pairs(self, headed: HeadingCandidate, used: tuple, gains: dict[str, float]) -> list[tuple]:
+    def _position_pairs(
+        self, used: set[str | None], gains: dict[str, float]
+    ) -> list[tuple[str | None, str | None, float]]:
         """Pairs of position columns with log odds of names and relations, the likeliest."""
-        free = [n for n in gains if n != headed.column and n not in used]
+        free = [name for name in gains if name not in used]
         first = {n: gains[n] + self.prior.label(n, "x", "north", "lat") for n in free}
         second = {n: gains[n] + self.prior.label(n, "y", "east", "lon") for n in free}
         pairs = [
             (a, b, max(first[a] + second[b], first[b] + second[a]))
             for a, b in itertools.combinations(free, 2)
         ]
-        return [*heapq.nlargest(_PAIRS, pairs, key=lambda pair: pair[2]), (None, None, 0.0)]
+        return [*heapq.nlargest(_MOST_PAIRS, pairs, key=lambda pair: pair[2]), (None, None, 0.0)]
 
     def _velocity_names(self, u: str | None, v: str | None, earth: bool) -> float:
-        if earth:
-            north, east = ("vn", "vx", "u"), ("ve", "vy", "v")
-            north, east = (*north, "vy"), (*east, "vx")
-        else:
-            north, east = ("u", "vx"), ("v", "vy")
+        north, east = ("u", "vx"), ("v", "vy")
+        if earth:  # north may be called x or y
+            north, east = ("vn", "vx", "u", "vy"), ("ve", "vy", "v", "vx")
         if v is None:
             return self.prior.label(u, *north)
         straight = self.prior.label(u, *north) + self.prior.label(v, *east)
         return max(straight, self.prior.label(v, *north) + self.prior.label(u, *east))
 
-    def _fits(self, headed: HeadingCandidate) -> dict[tuple, dict[str, float]]:
+    def _evidence_of_velocities(
+        self, heading: HeadingCandidate
+    ) -> dict[tuple[str | None, str | None, bool], dict[str, float]]:
         """Log likelihood ratios of every column for pairs of velocities, by (u, v, earth)."""
-        free = [name for name in self.names if name != headed.column]
+        free = [name for name in self.names if name != heading.column]
         targets = np.stack([self.windows.of("increments", name) for name in free], axis=1)
         totals = np.maximum(np.sum(targets**2, axis=0), 1e-300)
-        options: list[tuple] = [(None, None, False)]
-        if headed.column is not None:
+        options: list[tuple[str | None, str | None, bool]] = [(None, None, False)]
+        if heading.column is not None:
             options += [(u, None, False) for u in free]
             options += [(u, v, False) for u, v in itertools.combinations(free, 2)]
         options += [(u, v, True) for u, v in itertools.combinations(free, 2)]
@@ -191,7 +185,7 @@ class ColumnScreening:
             if u is None:
                 tables[u, v, earth] = dict.fromkeys(free, 0.0)
                 continue
-            matrix = np.stack(self._regressors(headed, u, v, earth), axis=1)
+            matrix = self._regressors(heading, u, v, earth)
             gains = np.linalg.lstsq(matrix, targets, rcond=1e-9)[0]
             left = np.sum((targets - matrix @ gains) ** 2, axis=0) / totals
             cost = 0.5 * matrix.shape[1] * math.log(ASSUMED_INCREMENTS)
@@ -201,15 +195,13 @@ class ColumnScreening:
         return tables
 
     def _regressors(
-        self, headed: HeadingCandidate, u: str, v: str | None, earth: bool
-    ) -> list[np.ndarray]:
+        self, heading: HeadingCandidate, u: str, v: str | None, earth: bool
+    ) -> Float[np.ndarray, "window regressor"]:
         columns = []
         for name in (u, v):
-            if name is None:
-                continue
-            if earth:
+            if name is not None and earth:
                 columns.append(self.windows.of("integrals", name))
-            else:
-                flow = self.windows.of("turned", name, headed.column, headed.period)
+            elif name is not None:
+                flow = self.windows.of("turned", name, heading.column, heading.period)
                 columns += [flow.real, flow.imag]
-        return columns
+        return np.stack(columns, axis=1)

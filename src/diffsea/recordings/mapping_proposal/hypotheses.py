@@ -1,0 +1,261 @@
+"""Hypotheses of which columns are which motion channels, and what each is worth beforehand.
+
+A hypothesis says that north, east, heading, u, v and yaw rate are such columns with such signs,
+that heading has a quarter turn added, and whether velocities are along body or earth axes.
+Its prior comes from names and conventions: north-east-down as it is, east-north-up, or
+north-west-up, and what each departure from one of these costs. A whole record of mirrored
+axes is as consistent as one that is not, so between those the prior alone decides, until
+actuators or geographic positions speak. The log odds here are judgements, settled on disguised
+runs of a simulated vessel and on published data sets.
+"""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.trajectory import MOTION_CHANNELS, Samples
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """One way to read the motion of a file. Columns are names, None where there is none."""
+
+    x: str | None = None
+    y: str | None = None
+    signs: tuple[int, int] = (1, 1)  # of x and y
+    psi: str | None = None
+    period: float = 2 * math.pi  # of the heading, in the column's numbers
+    turn: int = 1  # sign of heading
+    quarter: int = 0  # quarter turns added to it, clockwise
+    u: str | None = None
+    v: str | None = None
+    speeds: tuple[int, int] = (1, 1)  # signs of u and v
+    earth: bool = False
+    r: str | None = None
+    spin: int = 1  # sign of yaw rate
+
+    @property
+    def columns(self) -> dict[str, str | None]:
+        """The columns by motion channel."""
+        return {channel: getattr(self, channel) for channel in MOTION_CHANNELS}
+
+    @property
+    def explains_displacement(self) -> bool:
+        """Whether it has positions, and velocities whose directions are known."""
+        oriented = self.psi is not None or self.earth
+        return self.x is not None and self.u is not None and oriented
+
+    @property
+    def mirror_image(self) -> "Hypothesis":
+        """The reading of the same numbers with starboard and port exchanged (y, psi, v, r)."""
+        return dataclasses.replace(
+            self,
+            signs=(self.signs[0], -self.signs[1]),
+            turn=-self.turn,
+            quarter=-self.quarter % 4,
+            speeds=(self.speeds[0], -self.speeds[1]),
+            spin=-self.spin,
+        )
+
+
+def all_orientations() -> tuple[list[tuple[bool, int, int]], list[tuple[int, int]]]:
+    """All (swapped, sign, sign) of a pair of columns, and all (turn, quarter) of a heading."""
+    pairs = list(itertools.product((False, True), (1, -1), (1, -1)))
+    return pairs, list(itertools.product((1, -1), range(4)))
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameConvention:
+    """A frame that people use; `log_odds` says how common it is against the first."""
+
+    name: str
+    log_odds: float
+    swapped: bool = False  # x is east and y north
+    signs: tuple[int, int] = (1, 1)
+    turn: int = 1
+    quarter: int = 0
+    sway: int = 1
+    spin: int = 1
+
+
+NED = FrameConvention("north-east-down", 0.0)
+CONVENTIONS = (
+    NED,
+    FrameConvention("east-north-up", -2.2, True, (1, 1), -1, 1, -1, -1),
+    FrameConvention("positions east and north, compass heading", -2.5, True),
+    FrameConvention("north-west-up", -3.5, False, (1, -1), -1, 0, -1, -1),
+    FrameConvention(
+        "east and north, heading counter-clockwise, sway and rate not", -5.0, True, (1, 1), -1, 1
+    ),
+)
+# Log odds against one departure from a convention; a forward speed is hardly ever negated.
+_DEPARTURE = {"x": 5.0, "y": 4.0, "turn": 4.0, "quarter": 4.5, "u": 5.0, "v": 3.0, "spin": 3.5}
+_OTHER_FRAME = {"ned": 4.0, "enu": 3.0}  # against another frame than the one that names state
+_LOOSE_EARTH = 2.0  # against u and v as names of velocities along earth axes
+_COMPASS = 4.0  # against a compass that is not clockwise from north
+_COMPASS_WORDS = {"heading", "hdg", "compass", "kurs", "steuerkurs", "cap", "rumbo", "head"}
+_WRAPPED_COMPASS = 1.5  # the same for a column that wraps from 360 to 0
+# Against latitude as anything but north, or with another column than longitude: by definition.
+_GEOGRAPHIC = 20.0
+_DEGREES = 1.0  # against positions in degrees beside others in metres, which are easier to check
+_NEGATED_NORTH = 4.0  # against the negative of what is called north or east
+
+
+@dataclasses.dataclass(frozen=True)
+class HypothesisPrior:
+    """Log odds of hypotheses before any number is looked at.
+
+    `wrapped` has the columns that look like a compass by their range.
+    """
+
+    suggestions: dict[str, Suggestion]
+    wrapped: frozenset[str] = frozenset()
+    _known_labels: dict[tuple, float] = dataclasses.field(default_factory=dict, repr=False)
+    _known: dict[tuple, list[float]] = dataclasses.field(default_factory=dict, repr=False)
+
+    def label(self, column: str | None, *labels: str) -> float:
+        """Log odds of a column being one of some labels against being something else."""
+        if column is None:
+            return 0.0
+        key = (column, labels)
+        if key not in self._known_labels:
+            weights = self.suggestions[column].weights
+            likely = max(weights[label] for label in labels)
+            self._known_labels[key] = math.log(likely / weights["other"])
+        return self._known_labels[key]
+
+    def log_odds(self, hypothesis: Hypothesis) -> float:
+        """Log odds of the hypothesis, under the convention that suits it best."""
+        return max(self._by_convention(hypothesis)) - self._contradictions(hypothesis)
+
+    def convention(self, hypothesis: Hypothesis) -> FrameConvention:
+        """The convention under which the hypothesis is least unusual."""
+        odds = self._by_convention(hypothesis)
+        return CONVENTIONS[odds.index(max(odds))]
+
+    def _by_convention(self, h: Hypothesis) -> list[float]:
+        """Log odds of names and signs under every convention."""
+        columns = (h.x, h.y, h.psi, h.u, h.v, h.r)
+        named = (*columns, h.earth)
+        if named not in self._known:
+            self._known[named] = [self._names(h, each) for each in CONVENTIONS]
+        there = (column is None for column in columns)
+        signs = (h.signs, h.turn, h.quarter, h.speeds, h.spin, h.earth, *there)
+        if signs not in self._known:
+            self._known[signs] = [_departures(h, each) for each in CONVENTIONS]
+        return [a - b for a, b in zip(self._known[named], self._known[signs], strict=True)]
+
+    def _names(self, h: Hypothesis, convention: FrameConvention) -> float:
+        """Log odds of the columns' names under a convention."""
+        first, second = ("y", "x") if convention.swapped else ("x", "y")
+        total = convention.log_odds - self._frame_words(h, convention)
+        total += self.label(h.x, first, "north", "lat")
+        total += self.label(h.y, second, "east", "lon")
+        total += self.label(h.psi, "psi") + self.label(h.r, "r")
+        if not h.earth:
+            return total + (self.label(h.u, "u", "vx") + self.label(h.v, "v", "vy"))
+        absolute = self.label(h.u, "vn", f"v{first}")
+        absolute += self.label(h.v, "ve", f"v{second}")
+        loose = self.label(h.u, "v" if convention.swapped else "u")
+        loose += self.label(h.v, "u" if convention.swapped else "v")
+        return total + max(absolute, loose - _LOOSE_EARTH)
+
+    def _frame_words(self, h: Hypothesis, convention: FrameConvention) -> float:
+        columns = [c for c in (h.x, h.y, h.psi, h.u, h.v) if c]
+        frames = {self.suggestions[column].frame for column in columns} - {""}
+        if "ned" in frames and convention is not NED:
+            return _OTHER_FRAME["ned"]
+        if "enu" in frames and not convention.swapped:
+            return _OTHER_FRAME["enu"]
+        return 0.0
+
+    def _contradictions(self, h: Hypothesis) -> float:
+        """Log odds against hypotheses that deny what is fixed by definition."""
+        cost, fixes = 0.0, []
+        for column, sign, label, absolute in (
+            (h.x, h.signs[0], "lat", "north"),
+            (h.y, h.signs[1], "lon", "east"),
+        ):
+            weights = {label: 0.0} if column is None else self.suggestions[column].weights
+            fixes.append(weights[label] > 0.5)
+            if column is not None:
+                cost += (_GEOGRAPHIC if sign < 0 else _DEGREES) if fixes[-1] else 0.0
+                cost += _NEGATED_NORTH if sign < 0 and weights[absolute] > 0.5 else 0.0
+        cost += _GEOGRAPHIC if fixes[0] != fixes[1] else 0.0
+        if h.psi is not None and (h.turn, h.quarter) != (1, 0):
+            named = _COMPASS_WORDS & set(self.suggestions[h.psi].words)
+            cost += _COMPASS * bool(named) + _WRAPPED_COMPASS * (h.psi in self.wrapped)
+        return cost
+
+
+def _departures(h: Hypothesis, convention: FrameConvention) -> float:
+    """Log odds against the signs of a hypothesis under a convention."""
+    sway = convention.signs[1] if h.earth else convention.sway
+    departs = {
+        "x": h.x is not None and h.signs[0] != convention.signs[0],
+        "y": h.y is not None and h.signs[1] != convention.signs[1],
+        "turn": h.psi is not None and h.turn != convention.turn,
+        "quarter": h.psi is not None and h.quarter != convention.quarter,
+        "u": h.u is not None and h.speeds[0] != 1,
+        "v": h.v is not None and h.speeds[1] != sway,
+        "spin": h.r is not None and h.spin != convention.spin,
+    }
+    return sum(_DEPARTURE[name] for name, departing in departs.items() if departing)
+
+
+_MOST_AGAINST_RATIO = 14.0  # log odds: a ratio of no two units may still have another reason
+_SCALE_ERROR = 0.04  # standard deviation of the scale errors of sensors
+_STATED_UNIT = 0.97  # probability that a stated unit is right
+# How often units are used where none is stated.
+UNIT_PROBABILITIES = {
+    "x": {"m": 0.93, "km": 0.01, "ft": 0.02, "nmi": 0.01, "cm": 0.01, "mm": 0.02},
+    "u": {"m/s": 0.8, "kn": 0.15, "km/h": 0.03, "ft/s": 0.02},
+    "r": {"rad/s": 0.55, "deg/s": 0.4, "deg/min": 0.05},
+}
+
+
+def unit_probabilities(
+    prior: HypothesisPrior, channel: str, column: str | None
+) -> dict[str, float]:
+    """Probability of every unit of a column read as x, u or r, from what its header says."""
+    odds = dict(UNIT_PROBABILITIES[channel])
+    stated = "" if column is None else prior.suggestions[column].unit
+    if stated in odds:
+        odds = {unit: (1 - _STATED_UNIT) * value for unit, value in odds.items()}
+        odds[stated] += _STATED_UNIT
+    total = sum(odds.values())
+    return {unit: value / total for unit, value in odds.items()}
+
+
+def ratio_penalty(ratio: float, expected: float, error: float) -> float:
+    """Log odds against a ratio that differs from that of two units.
+
+    `error` is the relative standard error of the ratio. The tails are heavy (Student's t with
+    four degrees of freedom): sensors have wrong scales, too.
+    """
+    if not ratio > 0 or not math.isfinite(error):
+        return 0.0
+    spread = math.hypot(_SCALE_ERROR, min(error, 2.0))
+    penalty = 2.5 * math.log1p(0.25 * (math.log(ratio / expected) / spread) ** 2)
+    return min(penalty, _MOST_AGAINST_RATIO)
+
+
+def period_log_odds(values: Samples, stated: str) -> dict[float, float]:
+    """Log odds of a column being an angle in degrees (period 360) or radians (2 pi)."""
+    finite = values[np.isfinite(values)]
+    largest = float(np.max(np.abs(finite)))
+    jumps = np.abs(np.diff(finite))
+    if np.any((jumps > 300) & (jumps <= 360)) and largest <= 360.5:
+        return {360.0: 0.0, 2 * math.pi: -12.0}
+    if largest <= 2 * math.pi + 0.05 and np.any((jumps > 5.5) & (jumps <= 2 * math.pi + 0.05)):
+        return {2 * math.pi: 0.0, 360.0: -12.0}
+    odds = {2 * math.pi: -0.2, 360.0: -1.7}
+    if largest > 4 * math.pi:
+        odds = {2 * math.pi: -4.0, 360.0: -0.02}
+    for unit, period in (("deg", 360.0), ("rad", 2 * math.pi)):
+        if stated == unit:
+            odds[period] += 4.0
+    return odds
