@@ -83,7 +83,8 @@ def case(document: dict, seed: int, gusts: bool) -> list[dict]:
     runs = [run(truth, rng, gusts) for _ in range(2)]
     problem = make_problem(nominal, runs, free_by_default(nominal))
     free = tuple(p.name for p in problem.layout.parameters)
-    table = parameter_estimates(problem.layout.parameters, estimate(problem, free))
+    found = parameter_estimates(problem.layout.parameters, estimate(problem, free))
+    table = [one.as_dict() for one in found]
     for row in table:
         low, high = row["interval"]
         row["truth"] = hull[row["name"]]

@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
-from diffsea.identification.coordinates import vessel_at
+from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
 from diffsea.identification.least_squares import with_known_jacobian
 from diffsea.identification.objectives import output_error as objective
 from diffsea.identification.objectives import shooting
-from diffsea.identification.problem import Problem, Static, make_problem
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import read_vessel
 
@@ -57,7 +57,7 @@ def free_run(data: Data) -> Outcome:
         fitted = fit.fit(NAMES)
     firsts = fit.windows.number[np.flatnonzero(np.asarray(problem.dataset.starts))]
     return Outcome(
-        decoded(problem, fitted.coordinates), fitted.noise.states[firsts], counter.shots,
+        decoded(problem, fitted.coordinates), fitted.state.states[firsts], counter.shots,
         counter.slopes, away(problem, fitted, data.truth),
     )  # fmt: skip
 
@@ -80,23 +80,23 @@ def one_shot(data: Data) -> Outcome:
     problem = problem_of(data)
     given = problem.base, problem.dataset, jnp.asarray(data.measured[:, 0])
     begin = jnp.zeros(len(NAMES) + data.measured[:, 0].size)
-    z, steps = _descended(begin, given, Static(problem.layout))
+    z, steps = _descended(begin, given, problem.layout)
     z = np.asarray(z)
     first = data.measured[:, 0] + SIGMA * z[len(NAMES) :].reshape(-1, 6)
     return Outcome(decoded(problem, z[: len(NAMES)]), first, int(steps), int(steps))
 
 
-def _misfits(at: tuple, given: tuple, layout: Static) -> jax.Array:
+def _misfits(at: tuple, given: tuple, layout: CoordinateLayout) -> jax.Array:
     """(measured - simulated) / sigma, (row, channel), from coordinates and first states."""
     base, dataset, _ = given
-    vessel, flows = vessel_at(base, layout.value, at[0])
+    vessel, flows = vessel_at(base, layout, at[0])
 
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs
-        x = jnp.where(row["starts"], first, x)
-        shown = kalman.expected_measurements(vessel, x, row, row["flow"])
-        misfit = jnp.where(row["known"], (row["measured"] - shown) / SIGMA, 0.0)
-        return kalman.propagate(vessel, x, row, row["flow"], dataset.substeps), misfit
+        x = jnp.where(row.starts, first, x)
+        shown = kalman.expected_measurements(vessel, jnp.concatenate([x, jnp.zeros(3)]), row)
+        misfit = jnp.where(row.known, (row.measured - shown) / SIGMA, 0.0)
+        return kalman.propagate(vessel, x, row, dataset.substeps), misfit
 
     inputs = kalman.filter_rows(vessel, flows, dataset), at[1][dataset.run]
     return jax.lax.scan(body, jnp.zeros(6), inputs)[1]
@@ -123,15 +123,17 @@ def _white(z: jax.Array, args: tuple) -> tuple[jax.Array, jax.Array]:
 
 
 @eqx.filter_jit
-def _descended(begin: jax.Array, given: tuple, layout: Static) -> tuple[jax.Array, jax.Array]:
+def _descended(
+    begin: jax.Array, given: tuple, layout: CoordinateLayout
+) -> tuple[jax.Array, jax.Array]:
     """Where Levenberg-Marquardt ends, and after how many steps.
 
     As identification/least_squares.py has it, whose function does not tell the steps.
     """
     solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=lx.Normal(lx.Cholesky()))
     found = optx.least_squares(
-        with_known_jacobian(_white), solver, begin, (given, layout), options={"jac": "fwd"},
-        max_steps=STEPS, throw=False,
+        with_known_jacobian(_white), solver, begin, (given, layout), has_aux=True,
+        options={"jac": "fwd"}, max_steps=STEPS, throw=False,
     )  # fmt: skip
     return found.value, found.stats["num_steps"]
 

@@ -51,7 +51,7 @@ def nothing_missing(run: Experiment, case: dict, draws: int) -> Bootstrap:
         recordings = tuple(read_recording(p) for p in sorted((here / "train").glob("*.csv")))
     free = free_by_default(vessel)
     effects = candidates(vessel, list(recordings))
-    problem = make_problem(vessel, list(recordings), free, effects, room=ROOM)
+    problem = make_problem(vessel, list(recordings), free, effects, capacity=ROOM)
     nominal = estimate(problem, free)
     tell = lambda message: run.say(f"{case['hull']}: {message}")
     return bootstrap(problem, nominal, draws, tell)

@@ -108,11 +108,11 @@ def slopes_of_ratio(objective: TrialNumbers, coordinates: np.ndarray) -> dict[st
 
 def _gradient(objective: TrialNumbers, coordinates: np.ndarray) -> np.ndarray:
     """Gradient of log(D / D_T) of the circle to starboard."""
-    white, J = objective.evaluated(coordinates)
-    values = np.concatenate([s.values + s.stds * 0 for s in objective.sheets])
-    stds = np.concatenate([s.stds for s in objective.sheets])
-    first = len(objective.sheets[0].names)
-    names = objective.sheets[1].names
+    white, J = objective.misfits_and_jacobian(coordinates)
+    values = np.concatenate([s.values + s.stds * 0 for s in objective.trials])
+    stds = np.concatenate([s.stds for s in objective.trials])
+    first = len(objective.trials[0].names)
+    names = objective.trials[1].names
     tactical = first + names.index("tactical_diameter")
     steady = first + names.index("steady_turning_diameter")
     found = values + stds * white

@@ -77,7 +77,7 @@ def misfits() -> dict[str, float]:
 
 def inflation(objective: TrialNumbers, fitted: Estimate) -> float:
     """Misfit of a fit over what its figures leave free, at least one."""
-    white = objective.evaluated(fitted.coordinates)[0]
+    white = objective.misfits_and_jacobian(fitted.coordinates)[0]
     free = len(white) - float(np.sum(fitted.shrinkage))
     return max(1.0, float(white @ white) / free)
 

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from campaign import Run
 from models import document, vessel_of
 
-from diffsea.identification.estimates import parameter_estimates
-from diffsea.identification.objectives.base import AbstractObjective, Innovations
+from diffsea.identification.estimates import ParameterEstimate, parameter_estimates
+from diffsea.identification.objectives.base import AbstractObjective
+from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.parameters import Parameter, hull_prior, named
@@ -33,20 +34,20 @@ SPREAD = 1.0  # of the priors: a factor of e is unremarkable
 class Joint:
     """A joint fit."""
 
-    rows: list[dict]  # `estimates.physical_table`
+    rows: list[ParameterEstimate]
     seconds: float  # of processor time
 
     @property
     def values(self) -> dict[str, float]:
         """The fitted numbers, c being the mean of the engines'."""
-        found = {row["name"]: row["value"] for row in self.rows}
+        found = {row.name: row.value for row in self.rows}
         slopes = [found.pop(name) for name in CURVES if name in found]
         return found | ({"c": sum(slopes) / len(slopes)} if slopes else {})
 
     @property
     def stds(self) -> dict[str, float]:
         """Standard errors of them; that of c is one engine's."""
-        found = {row["name"]: row["std"] for row in self.rows}
+        found = {row.name: row.std for row in self.rows}
         slopes = [found.pop(name) for name in CURVES if name in found]
         return found | ({"c": slopes[0]} if slopes else {})
 

@@ -271,7 +271,7 @@ def test_what_has_no_room_beside_later_effects_is_not_asked_again(monkeypatch):
     sizes = {"wind": 2, "current": 2, "wide": 3, "lever-arm": 2}
     indices = lambda names: [k for name in names for k in range(sizes.get(name, 1))]
     layout = SimpleNamespace(indices=indices, kinds=lambda: (np.arange(9), None))
-    problem = SimpleNamespace(layout=layout, width=5, seeds=5)
+    problem = SimpleNamespace(layout=layout, width=5, directions=5)
     gain = Gain(30.0, 3.0)
     tried = [
         dataclasses.replace(_refitted(name, 100.0), gain=gain)
@@ -474,10 +474,12 @@ def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
 def test_waves_beside_an_environment_for_each_run_have_no_room(boat):
     effects = (EFFECTS["wave-force"], EFFECTS["current"])
     layout = CoordinateLayout((), effects, tuple(e.sizes(boat) for e in effects), 3, True)
-    room = SimpleNamespace(layout=layout, width=8 * 3, seeds=8)
+    room = SimpleNamespace(layout=layout, width=8 * 3, directions=8)
     current = SimpleNamespace(free=("wave-force",))
-    assert not refit.has_room(room, current, "current")  # 7 + 2 kinds for 8 seeds
-    assert refit.has_room(SimpleNamespace(layout=layout, width=9 * 3, seeds=9), current, "current")
+    assert not refit.has_room(room, current, "current")  # 7 + 2 kinds for 8 directions
+    assert refit.has_room(
+        SimpleNamespace(layout=layout, width=9 * 3, directions=9), current, "current"
+    )
 
 
 def test_a_look_at_what_data_do_not_know_promises_nothing():

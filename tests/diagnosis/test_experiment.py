@@ -16,9 +16,10 @@ from tests.runs import varied
 
 from diffsea.diagnosis import experiment
 from diffsea.diagnosis.experiment import DECISIVE, LONGEST, Experiment, _one_way, commands
+from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
-from diffsea.identification.uncertainty.design import LIBRARY, SECONDS
+from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, simulate_manoeuvre
 from diffsea.scales import time_scale
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
@@ -52,7 +53,7 @@ def diagnosed(vessel, effects: tuple[str, ...] = ()):
         t, *(nothing,) * 3, np.zeros(50), *(nothing,) * 2, orders, {}, {}, np.ones(50, bool)
     )
     catalogue = tuple(EFFECTS[name] for name in effects)
-    train = make_problem(vessel, [run], FREE, catalogue, room=4)
+    train = make_problem(vessel, [run], FREE, catalogue, capacity=4)
     final = SimpleNamespace(coordinates=np.zeros(train.layout.size))
     return SimpleNamespace(split=SimpleNamespace(train=train), final=final)
 
@@ -161,4 +162,4 @@ def estimated(diagnosis, effect, physical: tuple[float, ...]):
     fitted = posterior_estimate(
         free, coordinates, 0.0, index, train.layout.spreads(), np.zeros((len(index),) * 2)
     )
-    return dataclasses.replace(fitted, noise=noise)
+    return dataclasses.replace(fitted, state=noise)

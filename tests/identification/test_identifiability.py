@@ -16,6 +16,7 @@ from diffsea.identification.estimates import (
     posterior_estimate,
 )
 from diffsea.identification.multistart import multistart
+from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import (
     LIBRARY,
@@ -32,12 +33,14 @@ from diffsea.vessel.files import build
 A, B = Parameter("A", 2.0, spread=1.0), Parameter("B", -3.0, spread=0.5, upper=0.0)
 
 
-class Cost:
+class Cost(AbstractObjective):
     """An objective in closed form; refitting is a search over a fine grid of the others."""
 
-    def __init__(self, cost, parameters=(A, B)):
-        self.function, self.parameters = cost, parameters
-        self.reach = np.linspace(-4, 4, 801)
+    parameters, problem, outliers = (A, B), None, {}
+    reach = np.linspace(-4, 4, 801)
+
+    def __init__(self, cost):
+        self.function = cost
 
     def cost(self, coordinates, fitted):
         return float(self.function(*coordinates))
@@ -150,8 +153,8 @@ def test_what_the_data_leave_to_the_prior_is_told_as_directions():
 
 def test_a_table_has_intervals_inside_the_bounds():
     rows = parameter_estimates((A, B), estimate((0.1, 0.0), np.diag([10.0, 0.01])))
-    assert rows[0]["value"] == pytest.approx(2.1) and rows[1]["interval"][1] < 0
-    assert rows[1]["determined"] < 0.01 < 0.9 < rows[0]["determined"]
+    assert rows[0].value == pytest.approx(2.1) and rows[1].interval[1] < 0
+    assert rows[1].determined < 0.01 < 0.9 < rows[0].determined
 
 
 @pytest.fixture(scope="module")
@@ -164,11 +167,11 @@ def straight():
     start, noise = problem.start()
     spreads = np.array([p.spread for p in problem.layout.parameters])
     empty = posterior_estimate(
-        free, start, 0.0, np.arange(3), spreads, np.zeros((3, 3)), noise=noise
+        free, start, 0.0, np.arange(3), spreads, np.zeros((3, 3)), state=noise
     )
     run = simulate_manoeuvre(vessel, LIBRARY["speed steps"])
-    J = manoeuvre_information(problem, run, empty, free, noise)
-    return problem, posterior_estimate(free, start, 0.0, np.arange(3), spreads, J, noise=noise)
+    J = manoeuvre_information(problem, run, empty, free)
+    return problem, posterior_estimate(free, start, 0.0, np.arange(3), spreads, J, state=noise)
 
 
 def test_straight_runs_say_nothing_of_turning_and_the_next_manoeuvre_does(straight):

@@ -14,9 +14,15 @@ import pytest
 from scipy import stats
 from scipy.linalg import expm
 from tests.oracle.simulator import load
+from tests.paths import ORACLE
 from tests.runs import varied
 
-from diffsea.identification.filter.kalman import _shown_by, deviance, expected_measurements
+from diffsea.identification.filter.kalman import (
+    FilterRow,
+    deviance,
+    expected_measurements,
+    measurement_jacobian,
+)
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.trajectory import Trajectory
@@ -84,7 +90,7 @@ def recorded(rng: np.random.Generator, rows: int, gusty: Gusty, late: int) -> tu
 @pytest.fixture(scope="module")
 def vessel(request):
     """The oracle's craft with linear drag alone ahead."""
-    document = load(str(request.path.parent / "oracle" / "usv.toml"))
+    document = load(str(ORACLE / "usv.toml"))
     return build(varied(document, {"X_uu": None}))
 
 
@@ -179,7 +185,7 @@ def expected_deviance(nu: np.ndarray, variance: np.ndarray) -> float:
 
 
 def problem_of(vessel, push: np.ndarray, shown: np.ndarray) -> Problem:
-    return make_problem(vessel, [seen(push, shown)], ("X_u",), (LATE,), room=1)
+    return make_problem(vessel, [seen(push, shown)], ("X_u",), (LATE,), capacity=1)
 
 
 def portmanteau(white: np.ndarray) -> tuple[float, float]:
@@ -206,15 +212,16 @@ def test_innovations_of_a_late_channel_are_white_at_the_truth_alone(vessel, seed
 
 
 @pytest.mark.parametrize(("lag", "off"), [(0.0, 1e-12), (0.2, 0.02)])
-def test_what_is_shown_depends_on_the_present_as_its_derivative_says(request, lag, off):
-    boat = build(load(str(request.path.parent / "oracle" / "usv.toml")))
+def test_what_is_shown_depends_on_the_present_as_its_derivative_says(lag, off):
+    boat = build(load(str(ORACLE / "usv.toml")))
     late = {"latency_yaw_rate": lag, "latency_heading": lag, "latency_velocity": lag / 2}
     boat = dataclasses.replace(boat, sensors=dataclasses.replace(boat.sensors, **late))
     z = jnp.array([3.0, 1.0, 0.7, 1.1, -0.2, 0.15, 0.01, -0.02, 0.005])
     response = {c: Response(40.0 * k, *[40.0 * k] * 3) for k, c in enumerate(boat.channels)}
-    given = {"response": response, "run_time": 0.0}, Environment()
-    found = _shown_by(boat, z, *given)
-    nudge = lambda k, by: np.asarray(expected_measurements(boat, z.at[k].add(by), *given))
+    nothing, never = jnp.zeros(6), jnp.array(False)
+    row = FilterRow(Environment(), 0.2, 0.0, nothing, jnp.zeros(6, bool), never, nothing, response)
+    found = measurement_jacobian(boat, z, row)
+    nudge = lambda k, by: np.asarray(expected_measurements(boat, z.at[k].add(by), row))
     step = 1e-5
     slopes = np.stack([(nudge(k, step) - nudge(k, -step)) / (2 * step) for k in range(9)], 1)
     np.testing.assert_allclose(found, slopes, atol=max(off, 1e-9) * np.abs(slopes).max())

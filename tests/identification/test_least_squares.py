@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from diffsea.identification.least_squares import least_squares_steps
+from diffsea.identification.least_squares import iterate_least_squares
 
 
 TIMES = np.linspace(0.0, 3.0, 40)
@@ -22,7 +22,7 @@ def decay(at, values):
 
 
 def test_steps_end_where_scipy_does():
-    steps = list(least_squares_steps(decay, jnp.array([0.5, 3.0]), jnp.asarray(VALUES), 50, 1e-8))
+    steps = list(iterate_least_squares(decay, jnp.array([0.5, 3.0]), jnp.asarray(VALUES), 50, 1e-8))
     off = lambda at: at[0] * np.exp(-at[1] * TIMES) - VALUES
     expected = optimize.least_squares(off, [0.5, 3.0], xtol=1e-12, ftol=1e-12)
     np.testing.assert_allclose(steps[-1].at, expected.x, rtol=1e-6)
@@ -39,5 +39,5 @@ def test_a_residual_that_was_called_before_is_not_compiled_again(caplog):
     with jax.log_compiles(), caplog.at_level(logging.DEBUG):
         compiled = jax.jit(slow)
         compiled(*given)
-        list(least_squares_steps(compiled, *given, 50))
+        list(iterate_least_squares(compiled, *given, 50))
     assert sum("Finished XLA compilation of jit(slow)" in text for text in caplog.messages) == 1

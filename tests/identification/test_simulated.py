@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
-from diffsea.identification.resimulation import _shocks, resimulate
+from diffsea.identification.resimulation import draw_process_noise, resimulate
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import build
 
@@ -45,7 +45,7 @@ def setting():
     log = lambda values: jnp.log(jnp.asarray(values))
     noise = Noise(log(WHITE), log(SLOW), log(MEMORY), log(SENSOR))
     fitted = posterior_estimate(
-        ("X_u",), np.zeros(1), 0.0, np.array([0]), np.ones(1), np.eye(1), noise=noise
+        ("X_u",), np.zeros(1), 0.0, np.array([0]), np.ones(1), np.eye(1), state=noise
     )
     return problem, fitted
 
@@ -88,7 +88,7 @@ def test_what_gusts_add_to_speed_and_acceleration_goes_together(setting):
     problem, fitted = setting
     white, memory = jnp.log(jnp.full(3, 1e-3)), jnp.log(jnp.full(3, 0.3))
     quiet = Noise(white, fitted.noise.slow, memory, fitted.noise.sensor)
-    found = _shocks(quiet, problem.dataset, np.random.default_rng(3))[: ROWS - 1]
+    found = draw_process_noise(quiet, problem.dataset, np.random.default_rng(3))[: ROWS - 1]
     for k in range(3):
         # Covariance of (speed, acceleration) after a step by Van Loan's exponential (1978).
         A = np.array([[0.0, 1.0], [0.0, -1 / 0.3]])

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from tests.oracle.sensors import gust
 from tests.oracle.simulator import load
+from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea.diagnosis.jacobians import columns_of, residual_at
 from diffsea.errors import UserError
-from diffsea.identification.filter.kalman import deviance
-from diffsea.identification.filter.noise_fit import LinearisedRun, RowTimes, take_excerpt
-from diffsea.identification.fit import estimate, negative_log_posterior
+from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
+from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
+from diffsea.identification.fit import estimate, posterior_deviance
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.trajectory import Trajectory
@@ -24,8 +25,8 @@ SEEN = ("x", "y", "psi", "u", "v", "r")
 
 
 @pytest.fixture(scope="module")
-def document(request) -> dict:
-    return load(str(request.path.parent / "oracle" / "usv.toml"))
+def document() -> dict:
+    return load(str(ORACLE / "usv.toml"))
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_positions_alone_tell_the_first_heading(document, run):
     values = []
     for one in (alone, turned):
         problem = make_problem(vessel, [one], ("X_u",))
-        values.append(negative_log_posterior(problem, *problem.start()))
+        values.append(posterior_deviance(problem, *problem.start()))
     assert values[0] == pytest.approx(values[1], abs=1.0)
 
 
@@ -112,7 +113,7 @@ def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
     seen = random_steps(document, 1, 160.0, 0.2, late, blow)
     effect = EFFECTS["sensor-latency:velocity"]
     free = ("X_u", "X_uu", "Y_v", "N_r")
-    problem = make_problem(vessel, [seen], free, (effect,), room=1)
+    problem = make_problem(vessel, [seen], free, (effect,), capacity=1)
     fitted = estimate(problem, (*free, effect.name))
     found = problem.layout.physical(effect.name, fitted.coordinates).item()
     assert found == pytest.approx(delay, rel=0.1)
@@ -131,7 +132,7 @@ def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
     off = {"clock-drift": {"offset": offset, "rate": 0.0}}
     late = random_steps(document, 4, 120.0, 0.5, off)
     late = dataclasses.replace(late, executed=late.commanded)
-    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), room=2)
+    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), capacity=2)
     start, noise = problem.start()
     gains = problem.run_filter(start, noise).gains
     place = problem.layout.indices(("clock-drift",))
@@ -160,8 +161,8 @@ def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, ru
 def test_noise_is_estimated_from_recorded_rows_alone(long):
     empty = np.zeros((2048, 6))
     used = np.where(np.arange(2048)[:, None] < long, 1.0, empty)
-    path = LinearisedRun(empty, empty, empty, empty, used, empty, empty, empty)
+    run = FilterRun(Gains(empty, empty, used, empty), *[empty] * 9)
     clock = RowTimes(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
-    chosen = np.asarray(take_excerpt(path, clock)[1].dt)
+    chosen = np.asarray(take_excerpt(run, clock)[1].dt)
     assert chosen.max() < long
     assert len(np.unique(chosen)) == chosen.size == 128 * min(8, long // 128)

@@ -15,7 +15,7 @@ from tests.paths import ORACLE
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import HeldOut, Split
 from diffsea.identification.multistart import Agreement
-from diffsea.identification.objectives.base import Innovations
+from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.study import Study
 from diffsea.identification.uncertainty.identifiability import identifiability

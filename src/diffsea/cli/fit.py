@@ -150,6 +150,7 @@ def _record(study: "Study", settings: "FitSettings", quality: dict, told: dict) 
         "fit": quality,
         "deviance": study.estimate.deviance,
         "path": list(study.estimate.path),
+        "outcome": study.estimate.outcome.value,
         "identifiability": study.identifiability.as_dict(),
         "next_manoeuvre": None if study.next is None else study.next.as_dict(),
         "starts": None if study.agreement is None else study.agreement.as_dict(),
@@ -159,7 +160,9 @@ def _record(study: "Study", settings: "FitSettings", quality: dict, told: dict) 
     if settings.objective == "innovation":
         record["noise"] = _noise(study)
     if settings.objective == "trial-numbers":
-        record["trial_numbers"] = study.objective.residuals(study.estimate.coordinates)
+        record["trial_numbers"] = [
+            dataclasses.asdict(one) for one in study.objective.residuals(study.estimate.coordinates)
+        ]
     return record
 
 
@@ -201,6 +204,7 @@ def _summary(study: "Study", quality: dict, warning: str) -> str:
     parts = [table(lines, header), "", f"normalised misfit (1 = noise level): {told}"]
     parts += _effect_lines(study)
     parts.append(study.anchor)
+    parts.append(study.estimate.outcome.sentence)
     if study.agreement is not None:
         parts.append(study.agreement.sentence)
     if study.outliers:

@@ -221,7 +221,7 @@ def _predict(args: argparse.Namespace) -> None:
     (recording,) = options.read_recordings([args.recording], args.mapping)
     environment = None
     if args.environment_from is not None:
-        from diffsea.identification.own_environment import environment_from
+        from diffsea.identification.holdout import environment_from
 
         options.progress(f"estimating the environment of the first {args.environment_from:g} s")
         vessel, recording, environment = environment_from(vessel, recording, args.environment_from)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from diffsea.diagnosis.jacobians import columns_at, gains_at
+from diffsea.diagnosis.jacobians import columns_at
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
@@ -49,7 +49,7 @@ class Constancy(NamedTuple):
 
 def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model; `explained` is the drop of the deviance by it."""
-    gains = gains_at(problem, fitted)
+    gains = fitted.filter_run(problem).gains
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]

@@ -16,15 +16,17 @@ from diffsea.diagnosis.refit import Fitted
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.search import Diagnosis
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.problem import make_problem
+from diffsea.identification.problem import (
+    first_run_coordinates,
+    make_problem,
+    vessel_in_environment,
+)
 from diffsea.identification.uncertainty.design import (
     LIBRARY,
     SECONDS,
     Schedule,
-    first_run_coordinates,
     manoeuvre_orders,
     simulate_manoeuvre,
-    vessel_in_environment,
 )
 from diffsea.scales import time_scale
 from diffsea.vessel.effects import catalogue_name
@@ -130,7 +132,7 @@ def _one_way(
     problem = make_problem(
         base, [simulate_manoeuvre(vessel, schedule, measured)],
         tuple(p.name for p in train.layout.parameters), train.layout.effects, False,
-        train.seeds - len(train.layout.parameters),
+        train.directions - len(train.layout.parameters),
         least=train.dataset.shape,
     )  # fmt: skip
     effects = {effect.name: effect for effect in problem.layout.effects}

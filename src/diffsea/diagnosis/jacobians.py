@@ -11,8 +11,8 @@ from jaxtyping import Float
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.filter.kalman import Gains
-from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.problem import Problem, innovations, jacobian, traced
+from diffsea.identification.problem import Problem
+from diffsea.identification.residual import innovations_at, linearise
 
 
 Columns = Float[np.ndarray, "value column"]
@@ -33,28 +33,19 @@ def columns_of(
     problem: Problem, gains: Gains, coordinates: np.ndarray, index: list[int]
 ) -> tuple[np.ndarray, Columns]:
     """Residual and Jacobian columns of some coordinates, by their positions."""
-    matrix = np.zeros((problem.layout.size, problem.width))
-    matrix[index, np.arange(len(index))] = 1.0
-    inputs, layout = traced(problem, gains, coordinates, matrix)
-    residual, J = jacobian(coordinates[index], (inputs, layout))
+    residual, J = linearise(problem, gains, coordinates, index)
     keep = int(problem.dataset.measured.size) + problem.layout.size
-    return residual[:keep], J[:keep, : len(index)]
+    return residual[:keep], J[:keep]
 
 
 def residual_at(problem: Problem, gains: Gains, coordinates: np.ndarray) -> np.ndarray:
     """Whitened innovations at some coordinates with these gains."""
-    nothing = np.zeros((problem.layout.size, problem.width))
-    return innovations(np.zeros(0), traced(problem, gains, coordinates, nothing))
-
-
-def gains_at(problem: Problem, fitted: Estimate, noise: Noise | None = None) -> Gains:
-    """The filter's gains at an estimate."""
-    return problem.run_filter(fitted.coordinates, fitted.noise if noise is None else noise).gains
+    return innovations_at(problem, gains, coordinates)
 
 
 def latent_acceleration(problem: Problem, fitted: Estimate) -> Float[np.ndarray, "row 3"]:
     """What the filter finds beside the model: lasting gusts and the rest (m/s^2, rad/s^2)."""
-    run = problem.run_filter(fitted.coordinates, fitted.noise)
+    run = fitted.filter_run(problem)
     return np.asarray(run.gust_impulse) / np.maximum(np.asarray(run.gains.gusts.half), 1e-12)
 
 
@@ -62,13 +53,11 @@ def push_columns(
     problem: Problem, gains: Gains, fitted: Estimate, push: Float[np.ndarray, "push row 3"]
 ) -> Columns:
     """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), with rows of no prior."""
-    matrix = np.zeros((problem.layout.size, problem.width))
     values, parts = int(problem.dataset.measured.size), []
-    for first in range(0, len(push), problem.seeds):
-        part = push[first : first + problem.seeds]
-        args = traced(problem, gains, np.asarray(fitted.coordinates), matrix, part)
-        J = jacobian(np.zeros(0), args)[1]
-        parts.append(J[:values, problem.width : problem.width + len(part)])
+    for first in range(0, len(push), problem.directions):
+        part = push[first : first + problem.directions]
+        J = linearise(problem, gains, np.asarray(fitted.coordinates), (), part).jacobian
+        parts.append(J[:values])
     J = np.concatenate(parts, axis=1)
     return np.concatenate([J, np.zeros((problem.layout.size, J.shape[1]))])
 
@@ -131,7 +120,7 @@ def _batches(problem: Problem, looks: list[ExpansionPoint]) -> list[list[int]]:
         size = len(look.directions)
         for k, (members, effects, used) in enumerate(batches):
             total = sum(len(_moved(problem, looks[m])) for m in members) + width
-            room = used + size <= problem.seeds and total <= problem.width
+            room = used + size <= problem.directions and total <= problem.width
             if room and look.effect not in effects:
                 batches[k] = ([*members, number], effects | {look.effect}, used + size)
                 break
@@ -154,7 +143,7 @@ def peaks(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarray, "peak"]
     """
     dataset = problem.dataset
     push = latent_acceleration(problem, fitted)
-    psi = np.asarray(problem.run_filter(fitted.coordinates, fitted.noise).state)[:, 2]
+    psi = np.asarray(fitted.filter_run(problem).state)[:, 2]
     t, dt = np.asarray(dataset.run_time), np.asarray(dataset.dt)
     rows = np.asarray(dataset.known).any(1) & (dt > 0)
     force = (push[:, 0] + 1j * push[:, 1]) * np.exp(1j * psi)

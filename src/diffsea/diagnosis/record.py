@@ -22,6 +22,7 @@ from diffsea.identification.effect_records import (
     parameter_records,
 )
 from diffsea.identification.estimates import Estimate, parameter_estimates
+from diffsea.identification.fit import normalised_rms
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
@@ -121,7 +122,10 @@ def summary(
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),
         "fit": _fit(diagnosis),
-        "parameters": parameter_estimates(diagnosis.split.train.layout.parameters, diagnosis.final),
+        "parameters": [
+            one.as_dict()
+            for one in parameter_estimates(diagnosis.split.train.layout.parameters, diagnosis.final)
+        ],
         "held_out": held_out,
         "screening": _screening(diagnosis),
         "candidates": candidate_table(diagnosis),
@@ -366,9 +370,7 @@ def _fit(diagnosis: Diagnosis) -> dict:
     data, final = diagnosis.split, diagnosis.final
 
     def rms(problem: Problem, coordinates: np.ndarray) -> float:
-        run = problem.run_filter(coordinates, final.noise)
-        count = float(np.asarray(run.gains.used).sum())
-        return math.sqrt(float((np.asarray(run.white) ** 2).sum()) / max(count, 1.0))
+        return normalised_rms(problem.run_filter(coordinates, final.noise))
 
     def both(fitted: Estimate) -> dict:
         return {
@@ -399,9 +401,7 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
     An environment of its own for each recording belongs to the recordings, not the vessel.
     """
     problem, final = diagnosis.split.train, diagnosis.final
-    values = {
-        row["name"]: row["value"] for row in parameter_estimates(problem.layout.parameters, final)
-    }
+    values = {one.name: one.value for one in parameter_estimates(problem.layout.parameters, final)}
     tables = []
     for accepted in diagnosis.effects:
         copies = parameter_records(problem, final, accepted.name)
@@ -413,4 +413,4 @@ def vessel_document(document: Table, diagnosis: Diagnosis) -> Table:
 def nominal_document(document: Table, diagnosis: Diagnosis) -> Table:
     """The vessel's document with the nominal model's own fitted derivatives."""
     rows = parameter_estimates(diagnosis.split.train.layout.parameters, diagnosis.nominal)
-    return updated_document(document, {row["name"]: row["value"] for row in rows}, [])
+    return updated_document(document, {one.name: one.value for one in rows}, [])

@@ -292,7 +292,7 @@ def has_room(problem: Problem, current: Estimate, name: str) -> bool:
     """
     index = problem.layout.indices((*current.free, name))
     kind, _ = problem.layout.kinds()
-    return len(index) <= problem.width and len(np.unique(kind[index])) <= problem.seeds
+    return len(index) <= problem.width and len(np.unique(kind[index])) <= problem.directions
 
 
 def without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:

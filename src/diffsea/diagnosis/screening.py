@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.jacobians import columns_at, gains_at, look_columns, peaks
+from diffsea.diagnosis.jacobians import columns_at, look_columns, peaks
 from diffsea.diagnosis.localisation import Cell, bin_columns, cells
 from diffsea.diagnosis.score import Null, Projection, Score, joint_null
 from diffsea.identification.estimates import Estimate
@@ -119,12 +119,12 @@ def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
     out. The better model's innovations also say how they depend on one another in time.
     """
     run = np.asarray(problem.dataset.run)
-    residual, nuisance = columns_at(problem, gains_at(problem, better), better, better.free)
+    residual, nuisance = columns_at(problem, better.filter_run(problem).gains, better, better.free)
     correlation = Projection(residual, nuisance, run).correlation
     fitted = estimate(
         problem, fitted.free, fitted.coordinates, better.noise, rounds=3, fixed_noise=True
     )
-    gains = gains_at(problem, fitted)
+    gains = fitted.filter_run(problem).gains
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
     projection = Projection(residual, nuisance, run, correlation)
     bins, J = bin_columns(problem, gains, fitted)
@@ -136,7 +136,7 @@ def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
 
 def screen(problem: Problem, fitted: Estimate) -> Screening:
     """Score every candidate that is not in the model, and locate the mismatch."""
-    gains = gains_at(problem, fitted)
+    gains = fitted.filter_run(problem).gains
     residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
     projection = Projection(residual, nuisance, np.asarray(problem.dataset.run))
     frequencies, resolution = peaks(problem, fitted)

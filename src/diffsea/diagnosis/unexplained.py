@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from diffsea.diagnosis.jacobians import columns_at, gains_at, latent_acceleration, push_columns
+from diffsea.diagnosis.jacobians import columns_at, latent_acceleration, push_columns
 from diffsea.diagnosis.localisation import DEGREES, Classes, regime_classes
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
@@ -53,7 +53,7 @@ class Remainder:
 def remainder(data: Split, final: Estimate) -> Remainder | None:
     """The quantity and degree of freedom that explain most of what is left, and a model of it."""
     problem = data.train
-    gains = gains_at(problem, final)
+    gains = final.filter_run(problem).gains
     residual, nuisance = columns_at(problem, gains, final, final.free)
     projection = Projection(residual, nuisance, np.asarray(problem.dataset.run))
     groups = regime_classes(problem)
@@ -127,7 +127,7 @@ def _gain(data: Split, final: Estimate, classes: Classes, degree: int, size: np.
     """How much better held-out innovations get with the unnamed force, to first order."""
     problem = data.test
     at = dataclasses.replace(final, coordinates=held_out_coordinates(data, final))
-    gains = gains_at(problem, at)
+    gains = at.filter_run(problem).gains
     residual, _ = columns_at(problem, gains, at, final.free)
     change = push_columns(problem, gains, at, _push(problem, classes, degree)) @ size
     rows = np.asarray(problem.dataset.known).any(1)

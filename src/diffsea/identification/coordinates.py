@@ -34,6 +34,11 @@ class CoordinateLayout:
     per_run: bool
     latest: float = dataclasses.field(default=0.0, compare=False)
 
+    def __hash__(self) -> int:
+        """Of names and counts: a layout is a static input of compiled programs."""
+        names = tuple(p.name for p in self.parameters), tuple(e.name for e in self.effects)
+        return hash((names, self.runs, self.per_run))
+
     def instances(self, effect: Effect) -> int:
         """How many sets of coordinates an effect has."""
         return self.runs if self.per_run and effect.per_run else 1

@@ -1,13 +1,17 @@
 """What every fit ends with: an estimate, its covariance, and how much of it is due to the data."""
 
 import dataclasses
+import enum
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.stats import norm
 
+from diffsea.errors import UserError
+from diffsea.identification.filter.kalman import FilterRun
+from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.parameters import Parameter, meaning
 
 
@@ -32,95 +36,195 @@ class PartialProgress(str):
         return out
 
 
-LEVEL = 0.9  # of intervals
+INTERVAL_LEVEL = 0.9  # probability of the intervals that are reported
+BOUND_SHARE = 0.01  # of the prior mean's distance to a bound: a number nearer than this is at it
 
 
 def no_progress(message: str) -> None:
     """Progress that nobody follows."""
 
 
+class FitOutcome(enum.Enum):
+    """How the optimiser of a fit ended."""
+
+    CONVERGED = "converged"
+    STALLED = "stalled"
+    BOUNDED = "bounded"
+    STEP_LIMIT = "step limit"
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return _OUTCOMES[self]
+
+
+_OUTCOMES = {
+    FitOutcome.CONVERGED: "the fit converged",
+    FitOutcome.STALLED: "the fit stalled: a step that should gain is no better than none",
+    FitOutcome.BOUNDED: "the fit converged with a number at a bound of its prior",
+    FitOutcome.STEP_LIMIT: "the fit ended at its last step, before it converged",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class ShootingState:
+    """What output error estimates beside the coordinates: first states and misfits' scales.
+
+    Units are those of the motion channels: m, rad, m/s, rad/s.
+    """
+
+    coordinates: Coordinates
+    states: Float[np.ndarray, "window 6"]  # each window's first
+    guess: Float[np.ndarray, "window 6"]  # what they were taken for beforehand
+    sigma: Float[np.ndarray, "6"]  # standard deviations of the misfits
+    joint: Float[np.ndarray, "6"]  # of the distance between windows that join
+
+
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """Where a fit ended. Coordinates are those of `priors.Parameter`, then of effects."""
+    """Where a fit ended. Coordinates are those of `parameters.Parameter`, then of effects."""
 
     free: tuple[str, ...]
-    coordinates: Float[np.ndarray, "coordinate"]
+    coordinates: Coordinates
     deviance: float  # -2 log posterior, the priors of parameters and noise included
-    index: Int[np.ndarray, "free"]  # which coordinates were free
+    index: FreeIndex  # which coordinates were free
     covariance: Float[np.ndarray, "free free"]
     information: Float[np.ndarray, "free free"]  # of the data alone
     precision: Float[np.ndarray, "free free"]  # of data and prior, misfits taken for white
     shrinkage: Float[np.ndarray, "free"]  # share that the data determine, 0 to 1
     inflation: float  # variance of the scores over the information, at least one
-    noise: Any = None  # what the objective estimated besides: scales of noise, weights
+    state: Noise | ShootingState | None = None  # what the objective estimated besides
     path: tuple[float, ...] = ()  # the cost after each round
+    outcome: FitOutcome = FitOutcome.CONVERGED
+    # Runs of the filter at this estimate, found when asked for; a changed copy has none of them.
+    _filter_runs: list[tuple[Problem, FilterRun]] = dataclasses.field(
+        init=False, default_factory=list, repr=False, compare=False
+    )
 
     @property
     def stds(self) -> Float[np.ndarray, "free"]:
         """Standard errors of the free coordinates."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def noise(self) -> Noise:
+        """Noise of the filter. Raises `UserError` where the objective has no filter."""
+        if not isinstance(self.state, Noise):
+            raise UserError("only a fit of the innovation likelihood has noise of a filter")
+        return self.state
+
+    def filter_run(self, problem: Problem) -> FilterRun:
+        """The filter's run along a problem's data at this estimate, calculated once."""
+        for known, run in self._filter_runs:
+            if known is problem:
+                return run
+        return self.keep_filter_run(problem, problem.run_filter(self.coordinates, self.noise))
+
+    def keep_filter_run(self, problem: Problem, run: FilterRun) -> FilterRun:
+        """Remember the filter's run at this estimate, which a fit has found on its way."""
+        self._filter_runs.append((problem, run))
+        return run
+
 
 def posterior_estimate(
     free: tuple[str, ...],
-    coordinates: np.ndarray,
+    coordinates: Coordinates,
     deviance: float,
-    index: np.ndarray,
-    spreads: np.ndarray,
-    information: np.ndarray,
-    coloured: np.ndarray | None = None,
-    noise: Any = None,
+    index: FreeIndex,
+    spreads: Coordinates,
+    information: Float[np.ndarray, "free free"],
+    score_variance: Float[np.ndarray, "free free"] | None = None,
+    state: Noise | ShootingState | None = None,
     path: Sequence[float] = (),
+    outcome: FitOutcome = FitOutcome.CONVERGED,
 ) -> Estimate:
     """An estimate from the information of the data and the spreads of the priors.
 
-    `coloured` is the variance of the score where misfits are not white (the middle of the
+    `score_variance` is that of the score where misfits are not white (the middle of the
     sandwich): each standard error is the larger of the two.
     """
     precision = information + np.diag(1 / spreads[index] ** 2)
     plain = np.linalg.inv(precision)
     ratio = np.ones(len(index))
-    if coloured is not None:
-        middle = coloured + np.diag(1 / spreads[index] ** 2)
+    if score_variance is not None:
+        middle = score_variance + np.diag(1 / spreads[index] ** 2)
         ratio = np.maximum(np.diag(plain @ middle @ plain) / np.diag(plain), 1.0)
     widen = np.sqrt(ratio)
-    shrinkage = np.clip(1 - np.diag(plain) / spreads[index] ** 2, 0.0, 1.0)
     return Estimate(
-        free, coordinates, deviance, index, plain * np.outer(widen, widen), information,
-        precision, shrinkage, float(np.mean(ratio)), noise, tuple(path),
-    )  # fmt: skip
+        free,
+        coordinates,
+        deviance,
+        index,
+        covariance=plain * np.outer(widen, widen),
+        information=information,
+        precision=precision,
+        shrinkage=np.clip(1 - np.diag(plain) / spreads[index] ** 2, 0.0, 1.0),
+        inflation=float(np.mean(ratio)),
+        state=state,
+        path=tuple(path),
+        outcome=outcome,
+    )
+
+
+def is_at_bound(
+    parameters: Sequence[Parameter], coordinates: Coordinates, index: FreeIndex
+) -> bool:
+    """Whether a free parameter has run into a bound of its prior, which it never quite reaches."""
+    for k in index[index < len(parameters)]:
+        parameter = parameters[k]
+        value = float(parameter.decode(float(coordinates[k])))
+        for bound in (parameter.lower, parameter.upper):
+            if abs(value - bound) < BOUND_SHARE * abs(parameter.value - bound) < np.inf:
+                return True
+    return False
 
 
 def normal_interval(parameter: Parameter, at: float, std: float) -> tuple[float, float]:
     """The central 90 % interval of a number whose coordinate is normal."""
-    off = float(norm.ppf(0.5 + LEVEL / 2)) * std
-    ends = sorted(float(parameter.decode(at + sign * off)) for sign in (-1.0, 1.0))
-    return ends[0], ends[1]
+    off = float(norm.ppf(0.5 + INTERVAL_LEVEL / 2)) * std
+    low, high = sorted(float(parameter.decode(at + sign * off)) for sign in (-1.0, 1.0))
+    return low, high
 
 
-def parameter_estimates(parameters: Sequence[Parameter], fitted: Estimate) -> list[dict]:
-    """One row per fitted vessel parameter.
+@dataclasses.dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted vessel parameter, in its own unit."""
 
-    `name`, `meaning`, `unit`, `start`, `value`, `std`, `interval` (90 %) and `determined`, the
-    share of the estimate that is due to the data.
-    """
+    name: str
+    meaning: str
+    unit: str
+    start: float  # the prior mean
+    value: float
+    std: float
+    interval: tuple[float, float]  # 90 %
+    determined: float  # share of the estimate that is due to the data, 0 to 1
+
+    def as_dict(self) -> dict[str, object]:
+        """The record of fit.json and diagnosis.json."""
+        return dataclasses.asdict(self) | {"interval": list(self.interval)}
+
+
+def parameter_estimates(
+    parameters: Sequence[Parameter], fitted: Estimate
+) -> list[ParameterEstimate]:
+    """The fitted ones among the vessel's parameters, in their order."""
     position = {int(k): n for n, k in enumerate(fitted.index)}
-    rows = []
+    found = []
     for number, parameter in enumerate(parameters):
         if number not in position:
             continue
         n, at = position[number], float(fitted.coordinates[number])
         std = float(fitted.stds[n])
-        rows.append(
-            {
-                "name": parameter.name,
-                "meaning": meaning(parameter.name),
-                "unit": parameter.unit,
-                "start": parameter.value,
-                "value": float(parameter.decode(at)),
-                "std": parameter.slope(at) * std,
-                "interval": list(normal_interval(parameter, at, std)),
-                "determined": float(fitted.shrinkage[n]),
-            }
+        found.append(
+            ParameterEstimate(
+                parameter.name,
+                meaning(parameter.name),
+                parameter.unit,
+                parameter.value,
+                float(parameter.decode(at)),
+                parameter.slope(at) * std,
+                normal_interval(parameter, at, std),
+                float(fitted.shrinkage[n]),
+            )
         )
-    return rows
+    return found

@@ -2,20 +2,23 @@
 
 import dataclasses
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
+from diffsea.identification.effect_records import Entry, parameter_records
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.fit import estimate
-from diffsea.identification.problem import Problem
+from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
 from diffsea.statistics import block_sums
 from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS
 
 
 TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given
@@ -89,38 +92,35 @@ def split_data(
     elif per_run:
         (heads, held_out), kind = cut_recordings(test, HEAD_SHARE), HeldOut.AFTER_HEAD
     shape = ANY_SHAPE
-    for _ in range(2):  # the number of lanes, then that of their steps
+    for _ in range(2):  # the number of batches, then that of their steps
         least = shape._replace(steps=0)
         shapes = [problem_of(runs, least).dataset.shape for runs in (train, held_out)]
         shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
-    _check_length(test_problem)
-    head = None if heads is None else problem_of(heads, shape)
-    return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), kind)
-
-
-def _check_length(held_out: Problem) -> None:
-    rows = int(np.asarray(held_out.dataset.known).any(1).sum())
+    rows = int(np.asarray(test_problem.dataset.known).any(1).sum())
     if rows < 2 * BLOCK:
         raise UserError(
             f"only {rows} rows are held out to judge models on, at least {2 * BLOCK} are needed: "
             "use longer recordings, or name whole ones with --test"
         )
+    head = None if heads is None else problem_of(heads, shape)
+    return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), kind)
 
 
-def cut_recordings(recordings: list[Trajectory], share: float) -> tuple[list, list]:
+def cut_recordings(
+    recordings: Sequence[Trajectory], share: float
+) -> tuple[list[Trajectory], list[Trajectory]]:
     """Every recording in two at a share of its duration."""
-    heads, tails = zip(*(_parts(recording, share) for recording in recordings), strict=True)
-    return list(heads), list(tails)
+    heads, tails = [], []
+    for recording in recordings:
+        t = np.asarray(recording.t)
+        at = float(t[0] + share * (t[-1] - t[0]))
+        heads.append(cut(recording, float(t[0]), at))
+        tails.append(cut(recording, at, float(t[-1])))
+    return heads, tails
 
 
-def _parts(recording: Trajectory, share: float) -> tuple[Trajectory, Trajectory]:
-    t = np.asarray(recording.t)
-    at = float(t[0] + share * (t[-1] - t[0]))
-    return cut(recording, float(t[0]), at), cut(recording, at, float(t[-1]))
-
-
-def held_out_coordinates(split: Split, fitted: Estimate) -> np.ndarray:
+def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
     """The fitted coordinates as coordinates of the held-out problem.
 
     An environment of its own is that of the same recording's earlier part: as fitted, or
@@ -145,15 +145,14 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> np.ndarray:
     ).coordinates
 
 
-def row_deviance(problem: Problem, coordinates: np.ndarray, fitted: Estimate) -> np.ndarray:
-    """-2 log likelihood of each row."""
-    run = problem.run_filter(coordinates, fitted.noise)
+def row_deviance(
+    problem: Problem, coordinates: Coordinates, fitted: Estimate
+) -> Float[np.ndarray, "row"]:
+    """-2 log likelihood of each row at the noise of a fit."""
+    at_fit = coordinates is fitted.coordinates
+    run = fitted.filter_run(problem) if at_fit else problem.run_filter(coordinates, fitted.noise)
     with np.errstate(invalid="ignore"):  # a model that diverges predicts nothing: NaN
-        return _rows_of(run)
-
-
-def _rows_of(run: FilterRun) -> np.ndarray:
-    return (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance))).sum(1)
+        return (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance))).sum(1)
 
 
 def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
@@ -175,3 +174,34 @@ def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
         return estimate(other.train, model.free, model.coordinates, model.noise)
 
     return held_out_gain(other, again(nominal), again(fitted))
+
+
+def environment_from(
+    vessel: Vessel, recording: Trajectory, seconds: float
+) -> tuple[Vessel, Trajectory, dict[str, dict[str, Entry]]]:
+    """The vessel in the environment of a run's first part, the rest of the run, and what it is.
+
+    A current is estimated, and wind where the vessel has a superstructure for it, with all else
+    of the vessel held fixed. Parameters by effect have value, standard error and unit.
+
+    Raises:
+        UserError: the run is not longer than that part, or the part has too few samples.
+    """
+    t = np.asarray(recording.t, float)
+    split = float(t[0]) + seconds
+    if not t[0] < split < t[-1]:
+        raise UserError(
+            f"{recording.name} lasts {t[-1] - t[0]:.4g} s: the environment cannot be estimated "
+            f"from its first {seconds:g} s and the rest predicted; give fewer seconds"
+        )
+    names = ("current", "wind") if "wind" in vessel.forces else ("current",)
+    effects = tuple(EFFECTS[name] for name in names)
+    capacity = sum(len(effect.sizes(vessel)) for effect in effects)
+    problem = make_problem(
+        vessel, [cut(recording, float(t[0]), split)], (), effects, capacity=capacity
+    )
+    found = estimate(problem, names)
+    there = vessel_in_environment(problem, found.coordinates)
+    said = {name: parameter_records(problem, found, name)[0] for name in names}
+    there = dataclasses.replace(there, name=vessel.name, source=vessel.source)
+    return there, cut(recording, split, float(t[-1])), said

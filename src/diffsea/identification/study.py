@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects, vessel_at
-from diffsea.identification.effect_records import effect_table, is_known, parameter_records
+from diffsea.identification.effect_records import Entry, effect_table, is_known, parameter_records
 from diffsea.identification.estimates import Estimate, Progress, no_progress, parameter_estimates
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
@@ -21,15 +22,11 @@ from diffsea.identification.holdout import (
     held_out_coordinates,
 )
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
-from diffsea.identification.objectives.base import AbstractObjective, Innovations
+from diffsea.identification.objectives.base import AbstractObjective
+from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
-from diffsea.identification.problem import (
-    Problem,
-    default_priors,
-    free_by_default,
-    make_problem,
-)
+from diffsea.identification.problem import Problem, default_priors, free_by_default, make_problem
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.identification.uncertainty.profile import (
@@ -84,14 +81,17 @@ class Study:
     outliers: dict[str, int]
 
     @property
-    def rows(self) -> list[dict]:
-        """The table of parameters; `interval` is the profile's where there is one."""
-        rows = parameter_estimates(self.objective.parameters, self.estimate)
-        for row in rows:
-            found = self.profiles.get(row["name"])
-            row["profiled"] = found is not None
-            if found is not None:
-                row["interval"] = list(found.interval)
+    def rows(self) -> list[dict[str, Any]]:
+        """The table of parameters as fit.json has it, and whether an interval is `profiled`.
+
+        `interval` is that of the profile likelihood where there is one.
+        """
+        rows = []
+        for one in parameter_estimates(self.objective.parameters, self.estimate):
+            profile = self.profiles.get(one.name)
+            if profile is not None:
+                one = dataclasses.replace(one, interval=profile.interval)
+            rows.append(one.as_dict() | {"profiled": profile is not None})
         return rows
 
     @property
@@ -100,29 +100,29 @@ class Study:
         return {row["name"]: row["value"] for row in self.rows}
 
     @property
-    def effects(self) -> dict[str, list[dict]]:
-        """Parameters of each effect with standard errors, one dictionary for each copy."""
+    def effects(self) -> dict[str, list[dict[str, Entry]]]:
+        """Parameters of each effect with standard errors, for each of its per-run instances."""
         problem = self.problem
-        named = () if problem is None else problem.layout.effects
+        if problem is None:
+            return {}
+        named = problem.layout.effects
         return {e.name: parameter_records(problem, self.estimate, e.name) for e in named}
 
     @property
     def effect_tables(self) -> list[dict]:
         """Tables for the vessel file of the effects seen that all recordings share."""
-        shared = {
-            name: copies[0]
-            for name, copies in self.effects.items()
-            if len(copies) == 1 and is_known(copies[0])
-        }
         if self.problem is None:
             return []
-        base = self.problem.base
-        return [effect_table(base, name, parameters) for name, parameters in shared.items()]
+        return [
+            effect_table(self.problem.base, name, instances[0])
+            for name, instances in self.effects.items()
+            if len(instances) == 1 and is_known(instances[0])
+        ]
 
     @property
     def problem(self) -> Problem | None:
         """The recordings' problem; None for trial numbers."""
-        return getattr(self.objective, "problem", None)
+        return self.objective.problem
 
     @property
     def recorded(self) -> Problem:
@@ -136,17 +136,15 @@ class Study:
         """Root-mean-square normalised misfit of what was fitted, and of runs held out."""
         problem = self.problem
         if problem is None:
-            rows = self.objective.residuals(self.estimate.coordinates)
-            white = [(row["fitted"] - row["given"]) / row["std"] for row in rows]
+            numbers = self.objective.residuals(self.estimate.coordinates)
+            white = [(one.fitted - one.given) / one.std for one in numbers]
             return {"train": float(np.sqrt(np.mean(np.square(white))))}
-        noise = self.noise
-        found = {"train": normalised_rms(problem, self.estimate.coordinates, noise)}
+        fitted = self._filtered
+        found = {"train": normalised_rms(fitted.filter_run(problem))}
         if test:
             data = self.split(test)
-            coordinates = held_out_coordinates(
-                data, dataclasses.replace(self.estimate, noise=noise)
-            )
-            found["test"] = normalised_rms(data.test, coordinates, noise)
+            coordinates = held_out_coordinates(data, fitted)
+            found["test"] = normalised_rms(data.test.run_filter(coordinates, fitted.noise))
         return found
 
     def split(self, test: Sequence[Trajectory]) -> Split:
@@ -155,11 +153,11 @@ class Study:
         layout = problem.layout
         own = layout.per_run and any(e.per_run for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
-        room = problem.seeds - len(priors)
+        capacity = problem.directions - len(priors)
 
         def problem_of(runs: list[Trajectory]) -> Problem:
             return make_problem(
-                problem.base, runs, tuple(priors), layout.effects, layout.per_run, room, priors
+                problem.base, runs, tuple(priors), layout.effects, layout.per_run, capacity, priors
             )
 
         heads, tails = cut_recordings(list(test), HEAD_SHARE) if own else ([], list(test))
@@ -174,10 +172,8 @@ class Study:
         and the rest is judged.
         """
         data = self.split(test)
-        fitted = dataclasses.replace(self.estimate, noise=self.noise)
-        vessel, flow = vessel_at(
-            data.test.base, data.test.layout, jnp.asarray(held_out_coordinates(data, fitted))
-        )
+        coordinates = jnp.asarray(held_out_coordinates(data, self._filtered))
+        vessel, flow = vessel_at(data.test.base, data.test.layout, coordinates)
         flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
         vessel = jax.tree.map(float, vessel)
         return list(data.held_out), [dataclasses.replace(vessel, environment=f) for f in flows]
@@ -185,8 +181,19 @@ class Study:
     @property
     def noise(self) -> Noise:
         """Noise of the filter, as expected beforehand where the objective has none."""
-        noise = self.estimate.noise
-        return noise if isinstance(noise, Noise) else self.recorded.start()[1]
+        return self._filtered.noise
+
+    @property
+    def _filtered(self) -> Estimate:
+        """The estimate with noise for a filter."""
+        return with_noise(self.estimate, self.recorded)
+
+
+def with_noise(fitted: Estimate, problem: Problem) -> Estimate:
+    """The estimate, with noise as expected beforehand where the objective estimates none."""
+    if isinstance(fitted.state, Noise):
+        return fitted
+    return dataclasses.replace(fitted, state=problem.start()[1])
 
 
 @one_blas_thread
@@ -206,7 +213,7 @@ def identify(
     objective = _objective(vessel, parameters, data, settings)
     agreement = None
     names += tuple(effect.name for effect in effects_to_estimate(vessel, settings.effects))
-    problem = getattr(objective, "problem", None)
+    problem = objective.problem
     besides = None if problem is None else effect_starts(problem)
     if settings.starts > 1 or (besides is not None and len(besides) > 1):
         fitted, agreement = multistart(
@@ -237,7 +244,7 @@ def identify(
         agreement,
         profiles,
         _next(objective, fitted, progress),
-        getattr(objective, "outliers", {}),
+        objective.outliers,
     )
 
 
@@ -307,9 +314,9 @@ def _objective(
             f"{shared[0]} has coefficients that all recordings share, and each recording cannot "
             f"have its own: ask for {catalogue_name(shared[0])}, or for one environment of all"
         )
-    room = sum(len(effect.sizes(vessel)) for effect in effects)
+    capacity = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(
-        vessel, list(data), tuple(priors), effects, settings.per_recording, room, priors
+        vessel, list(data), tuple(priors), effects, settings.per_recording, capacity, priors
     )
     return Innovations(problem) if name == "innovation" else OutputError(problem)
 
@@ -336,9 +343,8 @@ def _next(
     objective: AbstractObjective, fitted: Estimate, progress: Progress
 ) -> NextManoeuvre | None:
     """A manoeuvre that would tell more, where the data leave something open."""
-    problem = getattr(objective, "problem", None)
+    problem = objective.problem
     if problem is None or float(fitted.shrinkage.min()) > DETERMINED:
         return None
     progress("looking for the manoeuvre that would tell most")
-    noise = fitted.noise if isinstance(fitted.noise, Noise) else problem.start()[1]
-    return next_manoeuvre(problem, fitted, noise)
+    return next_manoeuvre(problem, with_noise(fitted, problem))

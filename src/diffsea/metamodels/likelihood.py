@@ -59,7 +59,7 @@ def identify_by_likelihood(
     runs = [_yaw_only(run, speed) for run in recordings]
     vessel = start.vessel(length, speed, wind_moment=wind_angle * float(start.b))
     problem = make_problem(
-        vessel, runs, NAMES, (EFFECTS["wind"],), per_run=True, room=2, priors=_priors(start),
+        vessel, runs, NAMES, (EFFECTS["wind"],), per_run=True, capacity=2, priors=_priors(start),
         least=least,
     )  # fmt: skip
     found = estimate(problem, (*NAMES, "wind"))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
 from diffsea.report.comparison import ComparedRun, horizon_table, predict
 from diffsea.report.page import Plot, Table, render
@@ -158,6 +159,8 @@ def _lead(rows: Sequence[Record]) -> str:
 def _open_questions(study: Study) -> list[str]:
     """What the data do not tell, and what to record next."""
     sentences = [capital(sentence) + "." for sentence in study.identifiability.sentences]
+    if study.estimate.outcome is not FitOutcome.CONVERGED:
+        sentences.append(capital(study.estimate.outcome.sentence) + ".")
     if study.outliers:
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
         sentences.append(f"Lone outliers left out of the fit: {lost}.")
@@ -171,10 +174,10 @@ def _open_questions(study: Study) -> list[str]:
 def _trial_number_table(study: Study) -> Table:
     cells = []
     for row in study.objective.residuals(study.estimate.coordinates):
-        given, fitted, std = row["given"], row["fitted"], row["std"]
+        given, fitted, std = row.given, row.fitted, row.std
         misfit = significant((fitted - given) / std, 2)
-        name, estimate = row["number"].replace("_", " "), round_to_error(fitted, 0.3 * std)
-        cells.append([row["trial"], name, with_error(given, std), estimate, misfit])
+        name, estimate = row.number.replace("_", " "), round_to_error(fitted, 0.3 * std)
+        cells.append([row.trial, name, with_error(given, std), estimate, misfit])
     columns = ["trial", "number", "given", "fitted", "difference / std"]
     return Table(columns, cells, "Trial numbers in SI units", numeric=(2, 3, 4))
 

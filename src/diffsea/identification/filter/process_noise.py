@@ -1,10 +1,12 @@
-"""Gusts and sensor noise, and the covariance of a Kalman filter that knows of both.
+"""Process and sensor noise, and the covariance of a Kalman filter that knows of both.
 
-The filter's state is the vessel's six numbers and three accelerations of gusts that last:
-first-order Gauss-Markov processes, besides gusts that are white. Were lasting gusts taken
-for white ones, the fit would bend the vessel until its own dynamics had their colour (a
+The filter's state is the vessel's six numbers and three accelerations by gusts that last:
+first-order Gauss-Markov processes, besides gusts that are white. Were lasting gusts taken for
+white ones, the fit would bend the vessel until its own dynamics had their autocorrelation (a
 thruster's lag comes out a quarter too short).
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +24,7 @@ class Noise(eqx.Module):
     sensor: Float[Array, "6"]  # of x, y (m), psi (rad), u, v (m/s), r (rad/s)
 
     @staticmethod
-    def of(scales: Float[Array, "15"] | np.ndarray) -> "Noise":
+    def of(scales: Float[Array, "15"] | Float[np.ndarray, "15"]) -> "Noise":
         """From all logarithms in one array."""
         return Noise(*(jnp.asarray(part) for part in jnp.split(jnp.asarray(scales), (3, 6, 9))))
 
@@ -37,6 +39,15 @@ class GustPropagation(eqx.Module):
 
     decay: Float[Array, "row 3"]  # share of a lasting acceleration left at the end
     half: Float[Array, "row 3"]  # half the speed it gives, per unit at the start (s)
+
+
+class MeasurementUpdate(NamedTuple):
+    """What measurements of one instant do to the filter's state and covariance."""
+
+    correction: Float[Array, "9 6"]  # C: the state's change from the joint innovation
+    whitening: Float[Array, "6 6"]  # joint innovation to unit covariance; zero where unused
+    covariance: Float[Array, "9 9"]
+    variance: Float[Array, "6"]  # of the sequential innovations; one where unused
 
 
 def gust_propagation(
@@ -66,27 +77,20 @@ def gust_propagation(
 def time_update(
     P: Float[Array, "9 9"], F: Float[Array, "6 6"], gust: GustPropagation, Q: Float[Array, "9 9"]
 ) -> Float[Array, "9 9"]:
-    """Covariance at the end of a row: gusts act half before and half after the vessel moves."""
+    """Covariance at the end of a row: gusts act half before and half after the vessel moves.
 
-    def kicked(M: Array) -> Array:
+    F is the derivative of the vessel's next state by its state, Q what gusts add.
+    """
+
+    def add_half_impulse(M: Array) -> Array:
         return jnp.concatenate([M[:3], M[3:6] + gust.half[:, None] * M[6:], M[6:]])
 
-    def moved(M: Array) -> Array:
-        M = kicked(M)
-        M = kicked(jnp.concatenate([matrix_product(F, M[:6]), M[6:]]))
+    def transition(M: Array) -> Array:
+        M = add_half_impulse(M)
+        M = add_half_impulse(jnp.concatenate([matrix_product(F, M[:6]), M[6:]]))
         return jnp.concatenate([M[:6], gust.decay[:, None] * M[6:]])
 
-    return moved(moved(P).T) + Q
-
-
-def matrix_vector(matrix: Float[Array, "n 6"], vector: Float[Array, "6"]) -> Float[Array, "n"]:
-    """Matrix times vector as fused multiplications: a library call per row costs far more."""
-    return jnp.sum(matrix * vector, axis=-1)
-
-
-def matrix_product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
-    """Matrix product as fused multiplications, for the reason of `applied`."""
-    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
+    return transition(transition(P).T) + Q
 
 
 def measurement_update(
@@ -95,24 +99,24 @@ def measurement_update(
     R: Float[Array, "6"],
     used: Bool[Array, "6"],
     Q: Float[Array, "9 9"],
-    late: Float[Array, "6"],
-) -> tuple:
-    """One channel after the other: correction, whitening, covariance and innovation variances.
+    rows_late: Float[Array, "6"],
+) -> MeasurementUpdate:
+    """Kalman's measurement update, one channel after the other.
 
     Sensors are independent, so six scalar updates equal the joint one (Bierman 1977), and their
-    innovations are the whitened ones, without any factorisation. In terms of the joint
-    innovation nu the state's correction is C nu, built up row by row.
+    innovations are the whitened ones, without any factorisation. The correction by the joint
+    innovation is built up channel by channel.
 
-    A channel that is so many rows `late` knows nothing of what gusts have added since, `Q` in
-    each. Only a share P / (P + late Q) of what is uncertain now was so then, in its direction:
-    its innovation varies by as much less, and tells of the state as if noisier by as much. Of what
-    the state's variance would lose by that, the share that is new stays: in the steady state of a
-    random walk seen late, gain and variance are exactly those of one seen at once.
+    A delayed channel knows nothing of the process noise since, `Q` in each row of its delay. Of
+    the variance of what it measures, P now, only a share P / (P + rows Q) was there then: its
+    innovation varies by as much less, and its noise counts as that much larger. Of what the
+    state's variance would lose by the update, the share that is newer stays: in the steady state
+    of a random walk measured late, gain and variance are exactly those of one measured at once.
     """
 
-    def channel(carry: tuple, one: tuple) -> tuple[tuple, tuple]:
+    def update_by_channel(carry: tuple[Array, Array], channel: tuple[Array, ...]) -> tuple:
         C, P = carry
-        h, noise, known, unit, late = one
+        h, noise, known, unit, late = channel
         h = jnp.where(known, h, 0.0)
         Ph = jnp.sum(P * h, axis=1)
         now, since = jnp.sum(h * Ph), late * jnp.sum(h * jnp.sum(Q * h, axis=1))
@@ -129,6 +133,17 @@ def measurement_update(
         P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
         return (C, P), (fresh / jnp.sqrt(variance), variance)
 
-    channels = H, R, used, np.eye(6), late
-    (C, P), (rows, variances) = jax.lax.scan(channel, (jnp.zeros((9, 6)), P), channels)
-    return C, rows, P, variances
+    channels = H, R, used, np.eye(6), rows_late
+    start = jnp.zeros((9, 6)), P
+    (C, P), (whitening, variances) = jax.lax.scan(update_by_channel, start, channels)
+    return MeasurementUpdate(C, whitening, P, variances)
+
+
+def matrix_vector(matrix: Float[Array, "n m"], vector: Float[Array, "m"]) -> Float[Array, "n"]:
+    """Matrix times vector as fused multiplications: a library call per row costs far more."""
+    return jnp.sum(matrix * vector, axis=-1)
+
+
+def matrix_product(a: Float[Array, "k n"], b: Float[Array, "n m"]) -> Float[Array, "k m"]:
+    """Matrix product as fused multiplications, for the reason of `matrix_vector`."""
+    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)

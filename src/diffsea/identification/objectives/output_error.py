@@ -1,8 +1,12 @@
-"""Free-run output error: the parameters that predict recordings best from a first state alone.
+"""Output error: the parameters that predict recordings best from a first state alone.
 
 No process noise: what gusts do is taken for sensor noise, so estimates are less sure than by
 the innovation likelihood, but they are those that an open-loop simulation needs. Multiple
 shooting keeps it convergent from far away, a soft loss keeps outliers from ruling it.
+
+Levenberg-Marquardt is written out because its normal equations are not dense: a window's data
+move with its own first state only, so that six columns hold the derivatives by all of them. A
+solver that is handed the whole Jacobian needs, with eighty windows, forty times the memory.
 """
 
 import dataclasses
@@ -11,181 +15,160 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.estimates import Estimate, Progress, no_progress, posterior_estimate
+from diffsea.identification.estimates import (
+    Estimate,
+    FitOutcome,
+    Progress,
+    ShootingState,
+    is_at_bound,
+    no_progress,
+    posterior_estimate,
+)
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.objectives import shooting
-from diffsea.identification.objectives.base import Innovations
-from diffsea.identification.objectives.shooting import (
-    ShootingWindows,
-    Shot,
-    ShotSlopes,
-    shooting_windows,
-)
-from diffsea.identification.problem import Problem, Static
-from diffsea.parameters import Parameter
+from diffsea.identification.objectives.base import AbstractObjective, Starts
+from diffsea.identification.objectives.innovation import Innovations
+from diffsea.identification.objectives.shooting import ShootingInputs, Shot, shooting_windows
+from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 
 
-WINDOW = 20.0  # sqrt(L / g)
+WINDOW = 20.0  # of a window, in sqrt(L / g): a vessel forgets its first speeds in less
 SOFT = 3.0  # standard deviations beyond which a misfit counts less and less
 JOINTS = (1.0, 0.1, 0.01)  # how far windows may be apart, in standard deviations of sensors
-STEPS = 40  # of Levenberg-Marquardt for each of them
+JOINT_ROUNDS = 3  # of descent and new scales for each of them
+SETTLED_SCALE = 0.02  # of the logarithm of a scale: below, another round changes nothing
+STEP_LIMIT = 40  # of Levenberg-Marquardt in one descent
+DAMPINGS_TRIED = 8  # in one step, each five times the one before
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9  # over the diagonal of the normal equations
+LEAST_DROP, RELATIVE_DROP = 1e-3, 1e-7  # of the cost, below which a step is the last
 
 
 @dataclasses.dataclass(frozen=True)
-class ShootingState:
-    """Parameters and first states, and the scales by which misfits are judged."""
+class NormalEquations:
+    """Gauss-Newton matrix and gradient of parameters and states, and weighed derivatives.
 
-    coordinates: Float[np.ndarray, "coordinate"]
-    states: Float[np.ndarray, "window 6"]
-    sigma: Float[np.ndarray, "6"]
-    joint: Float[np.ndarray, "6"]
+    States are counted in standard deviations of sensors.
+    """
+
+    matrix: Float[np.ndarray, "n n"]
+    gradient: Float[np.ndarray, "n"]  # half that of the cost
+    by_parameter: Float[np.ndarray, "row 6 free"]
+    by_state: Float[np.ndarray, "row 6 6"]  # by the first state of the row's own window
+    misfit: Float[np.ndarray, "row 6"]
 
 
-class OutputError:
+class OutputError(AbstractObjective):
     """The objective: `problem` says what is free, the noise scales of its filter are not used."""
 
     def __init__(self, problem: Problem, seconds: float | None = None):
         """Set up; windows of `seconds`, 20 sqrt(L / g) by default."""
-        seconds = (
-            WINDOW * time_scale(float(problem.base.rigid_body.length))
-            if seconds is None
-            else seconds
-        )
-        self.problem = problem
-        self.windows: ShootingWindows = shooting_windows(problem.dataset, seconds)
-        cut = self.windows.number, self.windows.begins, self.windows.joins
-        windows = tuple(jnp.asarray(c) for c in cut)
-        self._fixed = (problem.base, Static(problem.layout), problem.dataset, windows)
+        self._window_seconds = WINDOW * time_scale(float(problem.base.rigid_body.length))
+        seconds = self._window_seconds if seconds is None else seconds
+        self.problem: Problem = problem
+        self.parameters = problem.layout.parameters
+        self.outliers = {}  # the soft loss leaves nothing out
+        self.windows = shooting_windows(problem.dataset, seconds)
+        self._inputs = ShootingInputs.of(problem, self.windows)
+        self._joined = self.windows.number[self.windows.joins]  # windows that follow another
         # A first state is known from the filter and what was measured, and otherwise hardly.
         self._broad = np.sqrt(np.asarray(first_variance(problem.base)))
         starts = np.asarray(problem.dataset.starts)
         self._firsts = self.windows.number[np.flatnonzero(starts)]
 
+    def start(self, coordinates: Coordinates | None = None) -> ShootingState:
+        """Where a fit begins: first states as the filter finds them, scales as expected."""
+        first, noise = self.problem.start()
+        coordinates = first if coordinates is None else np.array(coordinates, float)
+        run = self.problem.run_filter(coordinates, noise)
+        states = np.asarray(run.state)[self.windows.begins]
+        sigma = np.exp(np.asarray(noise.sensor))
+        return ShootingState(coordinates, states, states.copy(), sigma, sigma)
+
     def fit(
         self,
         free: tuple[str, ...],
-        start: np.ndarray | None = None,
+        start: Coordinates | None = None,
         progress: Progress = no_progress,
     ) -> Estimate:
         """Fit the free parameters by name, from `start`."""
-        problem = self.problem
-        coordinates, noise = problem.start()
-        coordinates = coordinates if start is None else np.array(start, float)
-        index = np.array(problem.layout.indices(free), int)
-        states = np.asarray(problem.run_filter(coordinates, noise).state)[self.windows.begins]
-        self._guess = states.copy()
-        sigma = np.exp(np.asarray(noise.sensor))
-        point, path = ShootingState(coordinates, states, sigma, sigma), []
+        index = np.array(self.problem.layout.indices(free), int)
+        state, path, outcome = self.start(start), [], FitOutcome.CONVERGED
         for joint in JOINTS:
-            point = self._rescaled(point, joint)
-            for number in range(3):
-                point, cost = self._descend(point, index)
+            state = self._rescaled(state, joint)
+            for number in range(JOINT_ROUNDS):
+                state, cost, outcome = self._descend(state, index)
                 path.append(cost)
                 progress(f"windows {joint:g} apart, round {number + 1}: misfit {cost:.1f}")
-                old, point = point.sigma, self._rescaled(point, joint)
-                if np.all(np.abs(np.log(point.sigma / old)) < 0.02):
+                old, state = state.sigma, self._rescaled(state, joint)
+                if np.all(np.abs(np.log(state.sigma / old)) < SETTLED_SCALE):
                     break
-        return dataclasses.replace(self._judged(free, point, index), path=tuple(path))
+        return dataclasses.replace(
+            self._with_covariance(free, state, index, outcome), path=tuple(path)
+        )
 
-    def refit(self, fitted: Estimate, free: tuple[str, ...], start: np.ndarray) -> Estimate:
+    def refit(self, fitted: Estimate, free: tuple[str, ...], start: Coordinates) -> Estimate:
         """Fit with the scales of an earlier fit, from its first states."""
         index = np.array(self.problem.layout.indices(free), int)
-        point = dataclasses.replace(fitted.noise, coordinates=np.array(start, float))
-        point, _ = self._descend(point, index)
-        return self._judged(free, point, index)
+        state = dataclasses.replace(_state_of(fitted), coordinates=np.array(start, float))
+        state, _, outcome = self._descend(state, index)
+        return self._with_covariance(free, state, index, outcome)
 
-    def cost(self, coordinates: np.ndarray, fitted: Estimate) -> float:
+    def cost(self, coordinates: Coordinates, fitted: Estimate) -> float:
         """-2 log posterior with the scales of a fit, first states following to first order."""
-        point = dataclasses.replace(fitted.noise, coordinates=fitted.coordinates)
+        state = dataclasses.replace(_state_of(fitted), coordinates=fitted.coordinates)
         index = fitted.index
-        A, g, _ = self._normal(point, index)
-        step = np.zeros(len(g))
-        n = len(index)
+        equations = self.normal_equations(state, index)
+        A, n = equations.matrix, len(index)
+        step = np.zeros(len(A))
         step[:n] = (coordinates - fitted.coordinates)[index]
         step[n:] = -np.linalg.solve(A[n:, n:], A[n:, :n] @ step[:n])
-        return self._cost(self._moved(point, index, step))
+        return self.state_cost(self.state_after(state, index, step))
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The vessel's parameters."""
-        return self.problem.layout.parameters
-
-    def explore(self, starts: np.ndarray, free: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def explore(
+        self, starts: Starts, free: tuple[str, ...]
+    ) -> tuple[Starts, Float[np.ndarray, "start"]]:
         """As the innovation likelihood does, whose basin is wider."""
         return Innovations(self.problem).explore(starts, free)
 
-    def _shot(self, point: ShootingState) -> Shot:
-        return shooting.shoot(
-            *self._fixed, jnp.asarray(point.coordinates), jnp.asarray(point.states)
-        )
+    def window_gaps(self, state: ShootingState) -> Float[np.ndarray, "join 6"]:
+        """What the windows' ends and the next ones' first states differ by, in units of both."""
+        return np.asarray(self._shot(state).end) - state.states[self._joined]
 
-    def _rescaled(self, point: ShootingState, joint: float) -> ShootingState:
-        """Scales from the misfits themselves."""
-        misfit = np.asarray(self._shot(point).misfit)
-        known = np.asarray(self.problem.dataset.known)
-        sigma = point.sigma.copy()
-        for k in np.flatnonzero(known.any(0)):
-            sigma[k] = _scale(misfit[known[:, k], k])
-        return dataclasses.replace(point, sigma=sigma, joint=joint * sigma)
-
-    def _cost(self, point: ShootingState) -> float:
-        shot = self._shot(point)
-        white = np.asarray(shot.misfit) / point.sigma
-        gap = (np.asarray(shot.end) - point.states[self._later]) / point.joint
-        away = (point.states - self._guess)[self._firsts] / self._broad
+    def state_cost(self, state: ShootingState) -> float:
+        """-2 log posterior of parameters and first states, the soft loss for a likelihood."""
+        shot = self._shot(state)
+        white = np.asarray(shot.misfit) / state.sigma
+        gap = (np.asarray(shot.end) - state.states[self._joined]) / state.joint
+        away = (state.states - state.guess)[self._firsts] / self._broad
         layout = self.problem.layout
-        prior = np.asarray(layout.strains(point.coordinates, layout.spreads()))
+        prior = np.asarray(layout.strains(state.coordinates, layout.spreads()))
         soft = 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
         total = soft.sum() + (gap**2).sum() + (away**2).sum() + (prior**2).sum()
         known = np.asarray(self.problem.dataset.known).sum(0)
-        return float(total + 2 * known @ np.log(point.sigma))
+        return float(total + 2 * known @ np.log(state.sigma))
 
-    @property
-    def _later(self) -> np.ndarray:
-        return self.windows.number[self.windows.joins]
-
-    def _descend(self, point: ShootingState, index: np.ndarray) -> tuple[ShootingState, float]:
-        """Levenberg-Marquardt with the scales as they are."""
-        damping, cost = 1e-3, self._cost(point)
-        for _ in range(STEPS):
-            A, g, _ = self._normal(point, index)
-            for _ in range(8):
-                step = -np.linalg.solve(A + damping * np.diag(np.diag(A)), g)
-                trial = self._moved(point, index, step)
-                value = self._cost(trial)
-                if value < cost:
-                    break
-                damping *= 5
-            else:
-                return point, cost
-            drop, point, cost, damping = cost - value, trial, value, max(damping / 5, 1e-9)
-            if drop < 1e-3 + 1e-7 * abs(cost):
-                break
-        return point, cost
-
-    def _moved(self, point: ShootingState, index: np.ndarray, step: np.ndarray) -> ShootingState:
-        coordinates = point.coordinates.copy()
+    def state_after(
+        self, state: ShootingState, index: FreeIndex, step: Float[np.ndarray, "n"]
+    ) -> ShootingState:
+        """After a step of the normal equations' unknowns."""
+        coordinates = state.coordinates.copy()
         coordinates[index] += step[: len(index)]
-        states = point.states + step[len(index) :].reshape(-1, 6) * point.sigma
-        return dataclasses.replace(point, coordinates=coordinates, states=states)
+        states = state.states + step[len(index) :].reshape(-1, 6) * state.sigma
+        return dataclasses.replace(state, coordinates=coordinates, states=states)
 
-    def _normal(
-        self, point: ShootingState, index: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Gauss-Newton matrix and gradient of parameters and states, and the columns.
-
-        States are counted in standard deviations of sensors.
-        """
-        directions = jnp.eye(len(point.coordinates))[index]
+    def normal_equations(self, state: ShootingState, index: FreeIndex) -> NormalEquations:
+        """Normal equations of the free parameters and of all first states."""
+        directions = jnp.eye(len(state.coordinates))[index]
         shot, slopes = shooting.shoot_with_slopes(
-            *self._fixed, jnp.asarray(point.coordinates), jnp.asarray(point.states), directions
+            self._inputs, jnp.asarray(state.coordinates), jnp.asarray(state.states), directions
         )
-        white = np.asarray(shot.misfit) / point.sigma
-        root = np.sqrt(_weight(white))
-        r = root * white
-        P, S = _columns(slopes, root / point.sigma, point.sigma)
+        white = np.asarray(shot.misfit) / state.sigma
+        root = np.sqrt(soft_weight(white))
+        r, scale = root * white, root / state.sigma
+        P = np.moveaxis(np.asarray(slopes.by_parameter.misfit), 0, -1) * scale[..., None]
+        S = np.moveaxis(np.asarray(slopes.by_state.misfit), 0, -1) * scale[..., None] * state.sigma
         n, size = len(index), len(index) + 6 * self.windows.count
         A, g = np.zeros((size, size)), np.zeros(size)
         flat = P.reshape(-1, n)
@@ -199,89 +182,116 @@ class OutputError:
             at = slice(n + 6 * w, n + 6 * w + 6)
             A[:n, at], A[at, :n] = mixed[w], mixed[w].T
             A[at, at], g[at] = own[w], score[w]
-        self._join(A, g, point, shot, slopes, n)
-        self._regularise(A, g, point, index)
-        return A, g, (P, S, r)
-
-    def _join(
-        self,
-        A: np.ndarray,
-        g: np.ndarray,
-        point: ShootingState,
-        shot: Shot,
-        slopes: ShotSlopes,
-        n: int,
-    ) -> None:
-        """Add what windows are apart."""
-        gap = (np.asarray(shot.end) - point.states[self._later]) / point.joint
-        by_parameter = np.asarray(slopes.by_parameter.end) / point.joint
-        by_state = np.asarray(slopes.by_state.end) / point.joint * point.sigma[:, None, None]
-        for j, w in enumerate(self._later):
+        # What windows are apart.
+        gap = (np.asarray(shot.end) - state.states[self._joined]) / state.joint
+        by_parameter = np.asarray(slopes.by_parameter.end) / state.joint
+        by_state = np.asarray(slopes.by_state.end) / state.joint * state.sigma[:, None, None]
+        own_state = -np.diag(state.sigma / state.joint)
+        for j, w in enumerate(self._joined):
             columns = np.r_[0:n, n + 6 * (w - 1) : n + 6 * (w + 1)]
-            J = np.hstack(
-                [by_parameter[:, j].T, by_state[:, j].T, -np.diag(point.sigma / point.joint)]
-            )
+            J = np.hstack([by_parameter[:, j].T, by_state[:, j].T, own_state])
             A[np.ix_(columns, columns)] += J.T @ J
             g[columns] += J.T @ gap[j]
-
-    def _regularise(
-        self, A: np.ndarray, g: np.ndarray, point: ShootingState, index: np.ndarray
-    ) -> None:
-        """Add the priors of parameters and of each run's first state."""
-        n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)[index]
+        # The priors of parameters and of each run's first state.
+        spreads = self.problem.layout.local_spreads(state.coordinates)[index]
         A[np.arange(n), np.arange(n)] += 1 / spreads**2
-        g[:n] += point.coordinates[index] / spreads**2
+        g[:n] += state.coordinates[index] / spreads**2
         for w in self._firsts:
             at = np.arange(n + 6 * w, n + 6 * w + 6)
-            weight = point.sigma / self._broad
+            weight = state.sigma / self._broad
             A[at, at] += weight**2
-            g[at] += weight * (point.states[w] - self._guess[w]) / self._broad
+            g[at] += weight * (state.states[w] - state.guess[w]) / self._broad
+        return NormalEquations(A, g, P, S, r)
 
-    def _judged(self, free: tuple[str, ...], point: ShootingState, index: np.ndarray) -> Estimate:
-        """The estimate, its states eliminated, its misfits taken for as coloured as they are."""
-        A, _, (P, S, r) = self._normal(point, index)
-        n, spreads = len(index), self.problem.layout.local_spreads(point.coordinates)
+    def _shot(self, state: ShootingState) -> Shot:
+        coordinates, states = jnp.asarray(state.coordinates), jnp.asarray(state.states)
+        return shooting.shoot(self._inputs, coordinates, states)
+
+    def _rescaled(self, state: ShootingState, joint: float) -> ShootingState:
+        """Scales from the misfits themselves."""
+        misfit = np.asarray(self._shot(state).misfit)
+        known = np.asarray(self.problem.dataset.known)
+        sigma = state.sigma.copy()
+        for k in np.flatnonzero(known.any(0)):
+            sigma[k] = _bulk_scale(misfit[known[:, k], k])
+        return dataclasses.replace(state, sigma=sigma, joint=joint * sigma)
+
+    def _descend(
+        self, state: ShootingState, index: FreeIndex
+    ) -> tuple[ShootingState, float, FitOutcome]:
+        """Levenberg-Marquardt with the scales as they are."""
+        damping, cost = FIRST_DAMPING, self.state_cost(state)
+        for _ in range(STEP_LIMIT):
+            equations = self.normal_equations(state, index)
+            A, g = equations.matrix, equations.gradient
+            for _ in range(DAMPINGS_TRIED):
+                step = -np.linalg.solve(A + damping * np.diag(np.diag(A)), g)
+                trial = self.state_after(state, index, step)
+                value = self.state_cost(trial)
+                if value < cost:
+                    break
+                damping *= 5
+            else:
+                # At the minimum even the shortest step gains nothing but rounding.
+                promised = g @ np.linalg.solve(A, g)
+                stalled = not promised < LEAST_DROP + RELATIVE_DROP * abs(cost)
+                return state, cost, FitOutcome.STALLED if stalled else FitOutcome.CONVERGED
+            drop, state, cost = cost - value, trial, value
+            damping = max(damping / 5, LEAST_DAMPING)
+            if drop < LEAST_DROP + RELATIVE_DROP * abs(cost):
+                return state, cost, FitOutcome.CONVERGED
+        return state, cost, FitOutcome.STEP_LIMIT
+
+    def _with_covariance(
+        self, free: tuple[str, ...], state: ShootingState, index: FreeIndex, outcome: FitOutcome
+    ) -> Estimate:
+        """The estimate, its states eliminated, its misfits as correlated in time as they are."""
+        equations = self.normal_equations(state, index)
+        A, P, S = equations.matrix, equations.by_parameter, equations.by_state
+        n, spreads = len(index), self.problem.layout.local_spreads(state.coordinates)
         shares = np.linalg.solve(A[n:, n:], A[n:, :n]).reshape(-1, 6, n)
         E = P - np.einsum("rck,rki->rci", S, shares[self.windows.number])
         prior = np.diag(1 / spreads[index] ** 2)
         information = A[:n, :n] - A[:n, n:] @ shares.reshape(-1, n) - prior
-        t = np.asarray(self.problem.dataset.dt)
-        lags = (
-            int(
-                WINDOW
-                * time_scale(float(self.problem.base.rigid_body.length))
-                / np.median(t[t > 0])
-            )
-            + 1
-        )
-        correlation = autocorrelation(r, np.asarray(self.problem.dataset.run), lags)
-        coloured = long_run_covariance(E.reshape(-1, n), correlation)
+        dataset = self.problem.dataset
+        dt = np.asarray(dataset.dt)
+        lags = int(self._window_seconds / np.median(dt[dt > 0])) + 1
+        correlation = autocorrelation(equations.misfit, np.asarray(dataset.run), lags)
+        score_variance = long_run_covariance(E.reshape(-1, n), correlation)
+        at_bound = is_at_bound(self.parameters, state.coordinates, index)
+        if at_bound and outcome is FitOutcome.CONVERGED:
+            outcome = FitOutcome.BOUNDED
         return posterior_estimate(
-            free, point.coordinates, self._cost(point), index, spreads, information, coloured, point
+            free,
+            state.coordinates,
+            self.state_cost(state),
+            index,
+            spreads,
+            information,
+            score_variance,
+            state,
+            outcome=outcome,
         )
 
 
-def _scale(values: np.ndarray) -> float:
+def _state_of(fitted: Estimate) -> ShootingState:
+    if not isinstance(fitted.state, ShootingState):
+        raise TypeError("the estimate is no fit of output error")
+    return fitted.state
+
+
+def _bulk_scale(values: Float[np.ndarray, "value"]) -> float:
     """Standard deviation of the bulk of some misfits: each counts for nine variances at most."""
     scale = max(robust_scale(values), 1e-9)
     grid = np.linspace(-8, 8, 2001)
     normal = np.exp(-(grid**2) / 2) / np.exp(-(grid**2) / 2).sum()
-    usual = float(normal @ (grid * _weight(grid)) ** 2)
+    usual = float(normal @ (grid * soft_weight(grid)) ** 2)
     for _ in range(20):
         white = values / scale
-        scale *= float(np.sqrt(np.mean((white * _weight(white)) ** 2) / usual))
+        scale *= float(np.sqrt(np.mean((white * soft_weight(white)) ** 2) / usual))
     return scale
 
 
-def _weight(white: np.ndarray) -> np.ndarray:
+def soft_weight(white: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Weight of a squared misfit under the soft loss."""
     return 1 / np.sqrt(1 + (white / SOFT) ** 2)
-
-
-def _columns(
-    slopes: ShotSlopes, scale: np.ndarray, sigma: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weighed derivatives of the misfits, (row, channel, coordinate) and (..., state)."""
-    P = np.moveaxis(np.asarray(slopes.by_parameter.misfit), 0, -1) * scale[..., None]
-    S = np.moveaxis(np.asarray(slopes.by_state.misfit), 0, -1) * scale[..., None] * sigma
-    return P, S
