@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
-from diffsea.identification.effect_records import Entry, parameter_records
+from diffsea.identification.effect_records import ParameterRecord, parameter_records
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
@@ -178,7 +178,7 @@ def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
 
 def environment_from(
     vessel: Vessel, recording: Trajectory, seconds: float
-) -> tuple[Vessel, Trajectory, dict[str, dict[str, Entry]]]:
+) -> tuple[Vessel, Trajectory, dict[str, dict[str, ParameterRecord]]]:
     """The vessel in the environment of a run's first part, the rest of the run, and what it is.
 
     A current is estimated, and wind where the vessel has a superstructure for it, with all else

@@ -10,7 +10,12 @@ import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects, vessel_at
-from diffsea.identification.effect_records import Entry, effect_table, is_known, parameter_records
+from diffsea.identification.effect_records import (
+    ParameterRecord,
+    effect_table,
+    is_known,
+    parameter_records,
+)
 from diffsea.identification.estimates import Estimate, Progress, no_progress, parameter_estimates
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.fit import normalised_rms
@@ -100,7 +105,7 @@ class Study:
         return {row["name"]: row["value"] for row in self.rows}
 
     @property
-    def effects(self) -> dict[str, list[dict[str, Entry]]]:
+    def effects(self) -> dict[str, list[dict[str, ParameterRecord]]]:
         """Parameters of each effect with standard errors, for each of its per-run instances."""
         problem = self.problem
         if problem is None:
