@@ -29,7 +29,7 @@ Model = TypeVar("Model")
 # Containers whose names say nothing that the parameter's own name does not.
 _SILENT = {
     "rigid_body", "added_mass", "forces", "actuators", "servos", "derivatives", "damping",
-    "losses", "environment", "secondary",
+    "losses", "environment", "dependent_forces",
 }  # fmt: skip
 
 

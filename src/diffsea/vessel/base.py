@@ -46,6 +46,9 @@ class Force(eqx.Module):
         return jnp.stack([jnp.asarray(part, float) for part in (self.X, self.Y, self.N)])
 
 
+Forces = dict[str, Force]  # by name
+
+
 class Jet(eqx.Module):
     """What a rudder needs to know of the propeller ahead of it."""
 
@@ -68,7 +71,7 @@ class AbstractForce(eqx.Module):
         """The force at this instant; `state` is over ground, `t` is the run's clock in s."""
 
 
-class AbstractSecondaryForce(eqx.Module):
+class AbstractDependentForce(eqx.Module):
     """A force that follows from others: what they bring about, or a change of them.
 
     `part_of` says what it adds to, so that a change of that ("resistance", "thrust") changes it
@@ -79,12 +82,7 @@ class AbstractSecondaryForce(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self,
-        vessel: "Vessel",
-        forces: dict[str, Force],
-        water: State,
-        environment: Environment,
-        t: Scalar,
+        self, vessel: "Vessel", forces: Forces, water: State, environment: Environment, t: Scalar
     ) -> Force:
         """The force at this instant; `forces` are the vessel's others by name."""
 
@@ -261,7 +259,7 @@ class Vessel(eqx.Module):
     added_mass: AddedMass
     forces: dict[str, AbstractForce]
     actuators: dict[str, AbstractActuator]
-    secondary: dict[str, AbstractSecondaryForce] = eqx.field(default_factory=dict)
+    dependent_forces: dict[str, AbstractDependentForce] = eqx.field(default_factory=dict)
     environment: Environment = Environment()
     sensors: Sensors = Sensors()
     name: str = eqx.field(static=True, default="vessel")
@@ -329,7 +327,7 @@ class Vessel(eqx.Module):
 
     def breakdown(
         self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar
-    ) -> dict[str, Force]:
+    ) -> Forces:
         """Every force on the vessel by name (N, N m), inertial ones included."""
         water = through_water(state, environment)
         jets = {n: part.jet(executed, water) for n, part in self.actuators.items()}
@@ -344,7 +342,7 @@ class Vessel(eqx.Module):
         for last in (False, True):
             forces = forces | {
                 name: force(self, forces, water, environment, t)
-                for name, force in self.secondary.items()
+                for name, force in self.dependent_forces.items()
                 if (force.part_of == "") == last
             }
         return forces

@@ -1,4 +1,4 @@
-"""Hydrodynamic forces on the hull: derivative sets and strip-theory cross-flow drag."""
+"""Hydrodynamic forces on the hull: derivative sets, cross-flow drag, Munk moment, heel."""
 
 import re
 from typing import ClassVar
@@ -151,6 +151,26 @@ class CrossFlowDrag(AbstractForce):
         sway, yaw = _cross_flow_integrals(water.v, water.r, 0.5 * self.length)
         unit = -0.5 * self.water_density * self.draught * self.cd
         return Force(0.0, unit * sway, unit * yaw)
+
+
+class MunkMoment(AbstractForce):
+    """The moment `k u_r v_r` of added masses that are wrong relative to one another."""
+
+    difference: Scalar  # kg, of Y_vdot - X_udot
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        water = through_water(state, environment)
+        return Force(0.0, 0.0, self.difference * water.u * water.v)
+
+
+class RollCoupling(AbstractForce):
+    """Sway force and yaw moment of the recorded heel."""
+
+    Y_phi: Scalar = 0.0  # N/rad
+    N_phi: Scalar = 0.0  # N m/rad
+
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        return Force(0.0, self.Y_phi * environment.heel, self.N_phi * environment.heel)
 
 
 @jax.custom_jvp

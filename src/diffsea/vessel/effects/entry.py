@@ -187,9 +187,11 @@ def with_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
     return eqx.tree_at(lambda v: v.forces, vessel, vessel.forces | {name: force})
 
 
-def with_secondary(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
-    """The vessel with a secondary force of that name, instead of the one it may have."""
-    return eqx.tree_at(lambda v: v.secondary, vessel, vessel.secondary | {name: force})
+def with_dependent_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
+    """The vessel with a dependent force of that name, instead of the one it may have."""
+    return eqx.tree_at(
+        lambda v: v.dependent_forces, vessel, vessel.dependent_forces | {name: force}
+    )
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:

@@ -21,8 +21,8 @@ from diffsea.vessel.effects.entry import (
     add_to,
     entry,
     free_name,
+    with_dependent_force,
     with_force,
-    with_secondary,
 )
 from diffsea.vessel.effects.tables import read_table
 from diffsea.vessel.environment import EarthForce, Wind
@@ -270,7 +270,7 @@ def shallow_water(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
     hulls differ by tens of per cent.
     """
     vessel = add_to(vessel, lambda v: v.environment.shallowness, shallowness[0])
-    return with_secondary(vessel, "shallow-water", ShallowDamping())
+    return with_dependent_force(vessel, "shallow-water", ShallowDamping())
 
 
 ENVIRONMENT = (current, wind, wind_and_coefficients, wave_force, shallow_water)

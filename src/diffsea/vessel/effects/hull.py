@@ -10,7 +10,7 @@ import numpy as np
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.dependent_forces import Change, MunkMoment, RollCoupling
+from diffsea.vessel.dependent_forces import Change
 from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
@@ -19,10 +19,10 @@ from diffsea.vessel.effects.entry import (
     add_to,
     entry,
     free_name,
+    with_dependent_force,
     with_force,
-    with_secondary,
 )
-from diffsea.vessel.hull import CrossFlowDrag, Damping, PrimeDamping
+from diffsea.vessel.hull import CrossFlowDrag, Damping, MunkMoment, PrimeDamping, RollCoupling
 
 
 hull_effect = functools.partial(entry, "hull")
@@ -179,7 +179,7 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
 def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Damping of the hull times (1 + factor) from `time` on the run's clock."""
     change = Change(at[0], at[1], False)
-    return with_secondary(vessel, free_name("drag-change", vessel.secondary), change)
+    return with_dependent_force(vessel, free_name("drag-change", vessel.dependent_forces), change)
 
 
 # -- inertia -----------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from diffsea.vessel.effects.entry import (
     add_to,
     entry,
     free_name,
-    with_secondary,
+    with_dependent_force,
 )
 
 
@@ -129,7 +129,7 @@ def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """All thrusts times (1 + factor) from `time` on the run's clock."""
     change = Change(at[0], at[1], True)
-    return with_secondary(vessel, free_name("thrust-change", vessel.secondary), change)
+    return with_dependent_force(vessel, free_name("thrust-change", vessel.dependent_forces), change)
 
 
 def _lacks(kind: type[AbstractActuator]) -> Callable[[Vessel, Numbers], str]:
@@ -154,7 +154,9 @@ def propeller_side_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
     astern (Brix 1993, section 1.3).
     """
     force = ScrewSideForce(next(iter(_of_kind(vessel, Propeller))), *at)
-    return with_secondary(vessel, free_name("propeller-side-force", vessel.secondary), force)
+    return with_dependent_force(
+        vessel, free_name("propeller-side-force", vessel.dependent_forces), force
+    )
 
 
 def _has_plain_rudders(vessel: Vessel) -> bool:
