@@ -87,6 +87,7 @@ class Model:
     actuators: list = field(default_factory=list)
     current: tuple[float, float] = (0.0, 0.0)  # north, east [m/s]
     forces: list = field(default_factory=list)  # f(t, psi, u, v, u_r, v_r, r) -> (X, Y, N)
+    late_forces: list = field(default_factory=list)  # time from which it acts, such a force
     sensors: list[dict] = field(default_factory=list)
     drag_steps: list[tuple[float, float]] = field(default_factory=list)  # time, factor
     thrust_steps: list[tuple[float, float]] = field(default_factory=list)

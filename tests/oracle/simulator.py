@@ -94,7 +94,7 @@ class Simulator:
 
     # forces
 
-    def forces(self, t, psi, u, v, r, segments, drag=1.0, thrust=1.0):
+    def forces(self, t, psi, u, v, r, segments, drag=1.0, thrust=1.0, late=()):
         """(X, Y, N) of everything but inertia; u, v relative to the water."""
         X, Y, N = (drag * f for f in hull_drag(self.model, self.terms, u, v, r))
         actuators = list(zip(self.model.actuators, segments, strict=True))
@@ -103,18 +103,19 @@ class Simulator:
             a, b, c = actuator.push(realised[actuator.name], u, r, v, realised)
             k = 1.0 if isinstance(actuator, Rudder) else thrust
             X, Y, N = X + k * a, Y + k * b, N + k * c
-        if self.model.forces:
-            cu, cv = to_body(*self.model.current, psi)
-            for force in self.model.forces:
-                a, b, c = force(t, psi, u + cu, v + cv, u, v, r)
-                X, Y, N = X + a, Y + b, N + c
+        acting = [(1.0, force) for force in self.model.forces]
+        acting += [(k, force) for k, (_, force) in zip(late, self.model.late_forces, strict=False)]
+        cu, cv = to_body(*self.model.current, psi)
+        for share, force in acting:
+            a, b, c = force(t, psi, u + cu, v + cv, u, v, r)
+            X, Y, N = X + share * a, Y + share * b, N + share * c
         return X, Y, N
 
-    def rate(self, t, s, segments, drag=1.0, thrust=1.0, M=None):
+    def rate(self, t, s, segments, drag=1.0, thrust=1.0, M=None, late=()):
         """Time derivative of the state."""
         M = M or self.M
         _, _, psi, u, v, r = (float(q) for q in s)
-        X, Y, N = self.forces(t, psi, u, v, r, segments, drag, thrust)
+        X, Y, N = self.forces(t, psi, u, v, r, segments, drag, thrust, late)
         a, b, c = H.momentum_force(M, u, v, r)
         du, dv, dr = H.solve_inertia(M, X + a, Y + b, N + c)
         if self.gust is not None:
@@ -141,7 +142,7 @@ class Simulator:
         """End of the smooth piece that starts now."""
         model = self.model
         times = [a.next_break(self.t, MARGIN) for a in model.actuators]
-        steps = model.drag_steps + model.thrust_steps + model.mass_steps
+        steps = model.drag_steps + model.thrust_steps + model.mass_steps + model.late_forces
         times += [t for t, _ in steps if t > self.t + MARGIN]
         return min([until, *times])
 
@@ -157,14 +158,15 @@ class Simulator:
         return rate, lambda t, s: self.kinks(t, s, segments)
 
     def changed(self, t):
-        """Factor of the drag, factor of the thrust and inertia after the changes up to t."""
+        """Factors of drag and thrust, inertia and shares of late forces after the changes up to t."""
         model = self.model
 
         def factor(steps):
             return math.prod(1.0 + (f - 1.0) * self.share(t, when) for when, f in steps)
 
         aboard = sum(m * self.share(t, when) for when, m in model.mass_steps)
-        return factor(model.drag_steps), factor(model.thrust_steps), H.loaded(self.M, aboard)
+        late = [self.share(t, when) for when, _ in model.late_forces]
+        return factor(model.drag_steps), factor(model.thrust_steps), H.loaded(self.M, aboard), late
 
     def share(self, t, when):
         """How much of a change at `when` there is at t, from 0 to 1."""
