@@ -14,7 +14,7 @@ from tests.oracle import sensors
 from tests.oracle.simulator import simulate
 
 from diffsea.simulation.control import ControlAllocation
-from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.integrate import SimulationState, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
@@ -123,7 +123,7 @@ def disagreement(found, truth):
     )
 
 
-def replay(vessel, motion: Motion, orders, environment, step):
+def replay(vessel, motion: SimulationState, orders, environment, step):
     """States after each step under given orders: arrays by channel, one order per step."""
 
     def body(carry, held):

@@ -8,7 +8,7 @@ from boat import at_rest, boat, disturbed
 from jaxtyping import Array
 
 from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic
-from diffsea.simulation.integrate import Motion, advance, begin
+from diffsea.simulation.integrate import SimulationState, advance, begin
 from diffsea.types import Environment, Scalar
 from diffsea.vessel.base import Vessel
 
@@ -28,7 +28,7 @@ class Approach(NamedTuple):
 class Loop(NamedTuple):
     """What one step of a run hands to the next."""
 
-    motion: Motion
+    motion: SimulationState
     memory: Array
     found: Approach
 

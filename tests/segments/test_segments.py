@@ -19,8 +19,9 @@ from diffsea.cli import segments as command
 from diffsea.errors import UserError
 from diffsea.recordings import read_recording, write_recording
 from diffsea.segments import SEGMENT_KINDS, Settings, cut_out, find_segments, grouped, traceability
-from diffsea.segments.signals import executed_by, signals_of
+from diffsea.segments.signals import signals_of
 from diffsea.segments.unordered import own_window
+from diffsea.simulation.actuation import executed_by
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import read_vessel
 from diffsea.vessel.servo import Servo

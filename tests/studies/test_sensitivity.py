@@ -13,7 +13,7 @@ from diffsea.cli import main
 from diffsea.errors import UserError
 from diffsea.parameters import designed, spread
 from diffsea.simulation import planning
-from diffsea.studies.sensitivity import elasticities, parameter_names
+from diffsea.studies.sensitivity import TrialSensitivities, parameter_names
 from diffsea.vessel.files import build, read_vessel
 
 
@@ -125,9 +125,7 @@ def test_unknown_parameters_are_told_with_the_nearest():
 
 
 def test_elasticities_are_relative():
-    vessel = build(DOCUMENT)
-    found = {"period": 10.0, "heading_change": 0.0}
-    relative = elasticities(
-        vessel, found, {"period": {"mass": 0.1, "X_u": 0.0}, "heading_change": {"mass": 1.0}}
-    )
+    numbers, parameters = {"period": 10.0, "heading_change": 0.0}, {"mass": 200.0, "X_u": -4.0}
+    slopes = {"period": {"mass": 0.1, "X_u": 0.0}, "heading_change": {"mass": 1.0}}
+    relative = TrialSensitivities(numbers, parameters, slopes).elasticities
     assert relative == {"period": {"mass": pytest.approx(0.1 * 200 / 10)}}

@@ -15,7 +15,7 @@ from tests.runs import disagreement, replay, state_of, varied
 
 from diffsea.parameters import named
 from diffsea.simulation.integrate import begin
-from diffsea.simulation.replay import heeled
+from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import State
 from diffsea.vessel.effects import EFFECTS
@@ -101,7 +101,7 @@ def measured(coordinates):
     for name in POSSIBLE:
         part = [coordinates[i] for i, place in enumerate(PLACES) if place[0] == name]
         vessel = EFFECTS[name].apply(vessel, jnp.stack(part))
-    environment = heeled(vessel.environment, 0.1)
+    environment = with_heel(vessel.environment, 0.1)
     orders = orders_at(STEP)
     states = replay(vessel, settled(vessel), orders, environment, STEP)
 

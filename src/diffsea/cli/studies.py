@@ -73,7 +73,7 @@ def register(commands) -> None:
 def _sensitivity(args: argparse.Namespace) -> None:
     from diffsea.report.pictures import save_tornado
     from diffsea.simulation import planning
-    from diffsea.studies.sensitivity import elasticities, parameter_names, sensitivities
+    from diffsea.studies.sensitivity import parameter_names, sensitivities
 
     vessel = options.read_vessel(args).vessel
     parameter_names(vessel, args.parameters)
@@ -82,12 +82,12 @@ def _sensitivity(args: argparse.Namespace) -> None:
         trial, _ = planning.run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
         options.progress("differentiating; the first time takes a while to compile")
-        numbers, derivatives = sensitivities(vessel, plan, args.parameters)
-        relative = elasticities(vessel, numbers, derivatives)
-        out.json("sensitivity.json", derivatives)
+        found = sensitivities(vessel, plan, args.parameters)
+        relative = found.elasticities
+        out.json("sensitivity.json", found.derivatives)
         title = f"{vessel.name}: {plan.manoeuvre}"
         save_tornado(relative, out.path("tornado.png"), title)
-    out.present(args, _strongest_text(numbers, relative))
+    out.present(args, _strongest_text(found.numbers, relative))
 
 
 def _strongest_text(numbers: dict[str, float], relative: dict[str, dict[str, float]]) -> str:

@@ -4,15 +4,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from diffsea.errors import UserError
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 LAP = 2 * math.pi
-LEAST = 0.05  # of a lap beyond the first: fewer pairs of headings have no mean
-_PAIRS = 72
+_LEAST_EXTRA = 0.05  # of a lap beyond the first: fewer pairs of headings have no mean
+_PAIRS = 72  # of moments a lap apart: one each 5 deg of two laps
 
 
 class Drift(NamedTuple):
@@ -42,39 +41,37 @@ def circle_drift(run: Trajectory, start: float) -> Drift:
     current. A force that is fixed to the earth drifts a circle about downwind of it; wind and
     current cannot be told apart by it.
 
-    Raises `UserError` where the run turns by less than 1.05 laps after `start`, or has no
-    positions or heading.
+    Raises:
+        UserError: the run turns by less than 1.05 laps after `start`, or has no positions or
+            heading.
     """
     run = run.counted()
     run = run.rows(run.t >= start)
-    t, x, y, psi = run.t, run.x, run.y, run.psi
-    at, turned = _turned(t, psi)
+    at, turned = _turn_of_heading(run)
     laps = turned[-1] / LAP if len(turned) else 0.0
-    if laps < 1 + LEAST or not (np.isfinite(x).any() and np.isfinite(y).any()):
+    if laps < 1 + _LEAST_EXTRA or not (run.has("x") and run.has("y")):
         raise UserError(
-            f"{run.name}: a drift needs positions and more than {1 + LEAST:.2f} laps after "
+            f"{run.name}: a drift needs positions and more than {1 + _LEAST_EXTRA:.2f} laps after "
             f"t = {start:g} s, and there are {laps:.2f}; record the circle for longer"
         )
     first = np.linspace(0.0, turned[-1] - LAP, _PAIRS)
     before, after = (np.interp(turn, turned, at) for turn in (first, first + LAP))
-    way = np.stack([_at(after, t, z) - _at(before, t, z) for z in (x, y)], axis=-1)
-    velocity = way / (after - before)[:, None]
+    ways = []
+    for position in (run.x, run.y):
+        known = np.isfinite(position)
+        there = [np.interp(times, run.t[known], position[known]) for times in (before, after)]
+        ways.append(there[1] - there[0])
+    velocity = np.stack(ways, axis=-1) / (after - before)[:, None]
     mean = velocity.mean(0)
     scatter = float(np.sqrt(np.mean(np.sum((velocity - mean) ** 2, axis=-1))))
     return Drift(float(mean[0]), float(mean[1]), scatter, float(laps))
 
 
-def _turned(t: np.ndarray, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times of known headings and the angle turned by then, which never falls."""
-    known = np.isfinite(psi)
-    if known.sum() < 2:
-        return t[known], np.zeros(int(known.sum()))
-    turned = np.unwrap(psi[known]) - psi[known][0]
-    return t[known], np.maximum.accumulate(math.copysign(1.0, turned[-1]) * turned)
-
-
-def _at(
-    times: Float[np.ndarray, "pair"], t: np.ndarray, values: np.ndarray
-) -> Float[np.ndarray, "pair"]:
-    known = np.isfinite(values)
-    return np.interp(times, t[known], values[known])
+def _turn_of_heading(run: Trajectory) -> tuple[Samples, Samples]:
+    """Times (s) of known headings and the angle (rad) turned by then, which never falls."""
+    known = np.isfinite(run.psi)
+    t, psi = run.t[known], run.psi[known]
+    if len(psi) < 2:
+        return t, np.zeros(len(psi))
+    turned = np.unwrap(psi) - psi[0]
+    return t, np.maximum.accumulate(math.copysign(1.0, turned[-1]) * turned)

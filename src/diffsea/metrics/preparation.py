@@ -19,13 +19,13 @@ from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory
 
 
-# White noise is smoothed where its deviation exceeds this part of the channel's range.
-_NOISE = 0.002
-# The window is the time in which the vessel, turning fast, changes its heading by this.
+_NOISE_SHARE = 0.002  # of a channel's range: more white noise is smoothed
+# Noise is smoothed over the time in which the vessel, turning fast, changes its heading by this:
+# what a turn does in less is no noise, and a parabola follows it.
 _WINDOW_HEADING = math.radians(5)
-_WINDOW_ROWS = 201
-_BLOCK = 10_000  # rows whose windows are held in memory at once
-_RATE_ROWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97)  # of which one suits the noise
+_WINDOW_LIMIT = 201  # rows
+_BLOCK_ROWS = 10_000  # whose windows are held in memory at once
+_RATE_ROWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97)  # windows of which one suits the noise
 
 
 class Derivation(NamedTuple):
@@ -43,20 +43,33 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
     were not. Channels with more white noise than 0.2 % of their range are replaced by
     local parabolas. Positions that were not measured stay NaN.
 
-    Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
+    Raises:
+        UserError: there is neither heading nor yaw rate, or hardly a row.
     """
     run = _measured_rows(trajectory)
     t, motion = run.t, dict(run.motion)
-    notes: list[Derivation] = []
-    _complete_heading(t, motion, notes)
-    count = _window_rows(t, motion["psi"])
-    _smooth(t, motion, [n for n in motion if _noisy(motion[n])], count, notes)
-    if not _measures(motion["r"]):
-        motion["r"] = _rate(t, motion["psi"])
-        note = "yaw rate was not recorded: it is the derivative of the heading"
-        notes.append(Derivation("derived", note))
-    _complete_velocity(t, motion, notes)
-    return dataclasses.replace(run, t=t, **motion), notes
+    notes: list[str] = []
+    if not _has_values(motion["psi"]):
+        notes.append("heading was not recorded: it is the integral of the yaw rate")
+        motion["psi"] = _integrated_heading(t, motion, notes)
+    smoothing = _smooth_noise(t, motion)
+    derived = len(notes)
+    if not _has_values(motion["r"]):
+        notes.append("yaw rate was not recorded: it is the derivative of the heading")
+        motion["r"] = _time_derivative(t, motion["psi"])
+    missing = [name for name in ("u", "v") if not _has_values(motion[name])]
+    if missing:
+        what = " and ".join(missing)
+        velocity = {"u": motion["u"], "v": np.zeros_like(t)}
+        if _has_values(motion["x"]) and _has_values(motion["y"]):
+            north, east = _time_derivative(t, motion["x"]), _time_derivative(t, motion["y"])
+            velocity = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
+            notes.append(f"{what} not recorded: derived from the positions")
+        else:
+            notes.append(f"{what} not recorded, nor positions to derive them from")
+        motion |= {name: np.asarray(velocity[name]) for name in missing}
+    steps = [Derivation("derived", note) for note in notes]
+    return dataclasses.replace(run, **motion), [*steps[:derived], *smoothing, *steps[derived:]]
 
 
 def _measured_rows(trajectory: Trajectory) -> Trajectory:
@@ -81,50 +94,47 @@ def _measured_rows(trajectory: Trajectory) -> Trajectory:
     return dataclasses.replace(run, **motion)
 
 
-def _measures(values: Samples) -> bool:
+def _has_values(values: Samples) -> bool:
     return bool(np.isfinite(values).any())
 
 
-def _complete_heading(t: Samples, motion: dict[str, Samples], notes: list[Derivation]) -> None:
-    if _measures(motion["psi"]):
-        return
+def _integrated_heading(t: Samples, motion: dict[str, Samples], notes: list[str]) -> Samples:
+    """Heading (rad) from the yaw rate, of the start that velocities and positions agree on best."""
     turned = integrate(t, motion["r"])
-    note = "heading was not recorded: it is the integral of the yaw rate"
-    notes.append(Derivation("derived", note))
-    motion["psi"] = turned + _first_heading(t, turned, motion, notes)
-
-
-def _first_heading(
-    t: Samples, turned: Samples, motion: dict[str, Samples], notes: list[Derivation]
-) -> float:
-    """Heading (rad) at the start that makes velocities and positions agree best."""
-    if not (_measures(motion["x"]) and _measures(motion["y"])):
-        return 0.0
-    over_ground = _rate(t, motion["x"]) + 1j * _rate(t, motion["y"])
+    if not (_has_values(motion["x"]) and _has_values(motion["y"])):
+        return turned + 0.0
+    over_ground = _time_derivative(t, motion["x"]) + 1j * _time_derivative(t, motion["y"])
     body = np.ones(len(t), complex)
-    if _measures(motion["u"]) and _measures(motion["v"]):
+    if _has_values(motion["u"]) and _has_values(motion["v"]):
         body = motion["u"] + 1j * motion["v"]
     else:
-        notes.append(Derivation("derived", "its start is the course: drift is neglected"))
-    return float(np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned)))))
+        notes.append("its start is the course: drift is neglected")
+    return turned + float(np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned)))))
 
 
-def _complete_velocity(t: Samples, motion: dict[str, Samples], notes: list[Derivation]) -> None:
-    missing = [name for name in ("u", "v") if not _measures(motion[name])]
-    if not missing:
-        return
-    if _measures(motion["x"]) and _measures(motion["y"]):
-        north, east = _rate(t, motion["x"]), _rate(t, motion["y"])
-        derived = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
-        note = f"{' and '.join(missing)} not recorded: derived from the positions"
-    else:
-        derived = {"u": motion["u"], "v": np.zeros_like(t)}
-        note = f"{' and '.join(missing)} not recorded, nor positions to derive them from"
-    notes.append(Derivation("derived", note))
-    motion.update({name: np.asarray(derived[name]) for name in missing})
+def _smooth_noise(t: Samples, motion: dict[str, Samples]) -> list[Derivation]:
+    """Replace noisy channels, in place, by parabolas over the time that a fast turn by 5 deg takes."""
+    noisy = [
+        name
+        for name, values in motion.items()
+        if len(values) >= 8
+        and _has_values(values)
+        and noise_scale(values) > _NOISE_SHARE * np.ptp(values)
+    ]
+    psi, lag = motion["psi"], max(1, len(t) // 50)
+    duration = np.maximum(t[lag:] - t[:-lag], 1e-12)
+    fast = np.quantile(np.abs(psi[lag:] - psi[:-lag]) / duration, 0.9)
+    step = (t[-1] - t[0]) / (len(t) - 1)
+    count = 2 * int(min(_WINDOW_HEADING / max(fast * step, 1e-12), _WINDOW_LIMIT) // 2) + 1
+    if count < 5 or count > len(t) or not noisy:
+        return []
+    motion |= {name: _local_parabolas(t, motion[name], count).value for name in noisy}
+    seconds = count * (t[-1] - t[0]) / (len(t) - 1)
+    note = f"noise in {', '.join(noisy)} smoothed by parabolas over {seconds:.3g} s"
+    return [Derivation("smoothed", note)]
 
 
-def _rate(t: Samples, values: Samples) -> Samples:
+def _time_derivative(t: Samples, values: Samples) -> Samples:
     """Slope of local parabolas over as many rows as predict left-out samples best.
 
     Differences of two samples would have the noise of both over one interval: of positions to
@@ -133,40 +143,12 @@ def _rate(t: Samples, values: Samples) -> Samples:
     counts = [count for count in _RATE_ROWS if count <= len(t)]
     if not counts or np.any(np.diff(t) <= 0):
         return np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
-    fits = [_parabolas(t, values, count) for count in counts]
+    fits = [_local_parabolas(t, values, count) for count in counts]
     missed = [np.sum(((values - fit.value) / (1 - fit.leverage)) ** 2) for fit in fits]
     return fits[int(np.argmin(missed))].slope
 
 
-def _noisy(values: Samples) -> bool:
-    """Whether there is white noise worth smoothing."""
-    if not _measures(values) or len(values) < 8:
-        return False
-    return noise_scale(values) > _NOISE * np.ptp(values)
-
-
-def _window_rows(t: Samples, psi: Samples) -> int:
-    """Odd number of rows in which a fast turn changes the heading by five degrees."""
-    lag = max(1, len(t) // 50)
-    duration = np.maximum(t[lag:] - t[:-lag], 1e-12)
-    fast = np.quantile(np.abs(psi[lag:] - psi[:-lag]) / duration, 0.9)
-    step = (t[-1] - t[0]) / (len(t) - 1)
-    return 2 * int(min(_WINDOW_HEADING / max(fast * step, 1e-12), _WINDOW_ROWS) // 2) + 1
-
-
-def _smooth(
-    t: Samples, motion: dict[str, Samples], names: list[str], count: int, notes: list[Derivation]
-) -> None:
-    if count < 5 or count > len(t) or not names:
-        return
-    for name in names:
-        motion[name] = _parabolas(t, motion[name], count).value
-    seconds = count * (t[-1] - t[0]) / (len(t) - 1)
-    note = f"noise in {', '.join(names)} smoothed by parabolas over {seconds:.3g} s"
-    notes.append(Derivation("smoothed", note))
-
-
-class _Parabolas(NamedTuple):
+class _LocalParabolas(NamedTuple):
     """Parabolas fitted to the rows around each row, at that row."""
 
     value: Samples
@@ -174,23 +156,19 @@ class _Parabolas(NamedTuple):
     leverage: Samples  # of the row's own sample in its value
 
 
-def _parabolas(t: Samples, values: Samples, count: int) -> _Parabolas:
-    """The parabola fitted to the `count` rows around each row."""
-    blocks = [
-        _parabolas_at(np.arange(k, min(k + _BLOCK, len(t))), t, values, count)
-        for k in range(0, len(t), _BLOCK)
-    ]
-    return _Parabolas(*map(np.concatenate, zip(*blocks, strict=True)))
-
-
-def _parabolas_at(rows: np.ndarray, t: Samples, values: Samples, count: int) -> _Parabolas:
-    first = np.clip(rows - count // 2, 0, len(t) - count)
-    window = first[:, None] + np.arange(count)
-    span = np.maximum(t[window[:, -1]] - t[window[:, 0]], 1e-12)
-    offset = (t[window] - t[rows][:, None]) / span[:, None]
-    basis = np.stack([np.ones_like(offset), offset, offset**2], axis=-1)
-    normal = np.einsum("nki,nkj->nij", basis, basis) + 1e-12 * np.eye(3)
-    moments = np.einsum("nki,nk->ni", basis, values[window])
-    found = np.linalg.solve(normal, moments[..., None])[..., 0]
-    # At the row itself the basis is (1, 0, 0).
-    return _Parabolas(found[:, 0], found[:, 1] / span, np.linalg.inv(normal)[:, 0, 0])
+def _local_parabolas(t: Samples, values: Samples, count: int) -> _LocalParabolas:
+    """The parabola fitted to the `count` rows around each row, by its normal equations."""
+    blocks = []
+    for start in range(0, len(t), _BLOCK_ROWS):
+        rows = np.arange(start, min(start + _BLOCK_ROWS, len(t)))
+        first = np.clip(rows - count // 2, 0, len(t) - count)
+        window = first[:, None] + np.arange(count)
+        span = np.maximum(t[window[:, -1]] - t[window[:, 0]], 1e-12)
+        offset = (t[window] - t[rows][:, None]) / span[:, None]
+        basis = np.stack([np.ones_like(offset), offset, offset**2], axis=-1)
+        normal = np.einsum("nki,nkj->nij", basis, basis) + 1e-12 * np.eye(3)
+        moments = np.einsum("nki,nk->ni", basis, values[window])
+        found = np.linalg.solve(normal, moments[..., None])[..., 0]
+        # At the row itself the basis is (1, 0, 0).
+        blocks.append((found[:, 0], found[:, 1] / span, np.linalg.inv(normal)[:, 0, 0]))
+    return _LocalParabolas(*map(np.concatenate, zip(*blocks, strict=True)))

@@ -20,7 +20,8 @@ def mean_and_half_width(
     Steen 2017, eqs. 3 and 4). It covers the mean of such trials, not what a trial without
     their common disturbances would show.
 
-    Raises `UserError` for fewer than two values.
+    Raises:
+        UserError: fewer than two values.
     """
     known = np.asarray(values, float)
     known = known[np.isfinite(known)]

@@ -17,10 +17,9 @@ from diffsea.errors import UserError
 from diffsea.metrics.orders import propulsion, steering, steers
 from diffsea.recordings.motion import motion_of
 from diffsea.series import integrate, median_interval, strictly_later
-from diffsea.simulation.actuation import recorded_actuation
+from diffsea.simulation.actuation import executed_by, recorded_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.servo import OrderHistory, Servo
 
 
 MEASURED, RECONSTRUCTED, ORDERED, NOTHING = "measured", "reconstructed", "commanded", "none"
@@ -192,24 +191,6 @@ def _within_limits(orders: dict[str, Samples], vessel: Vessel | None) -> dict[st
         else series
         for name, series in orders.items()
     }
-
-
-def executed_by(servo: Servo, t: Samples, orders: Samples) -> Samples:
-    """What a servo that has settled to the first order makes of orders given at times `t` (s)."""
-    if servo.direct:
-        return np.asarray(jax.vmap(servo.target)(jnp.asarray(orders)), float)
-    times, values = jnp.append(t[0] - 1e9, t), jnp.append(orders[0], orders)
-
-    def body(now, step):
-        start, dt, order = step
-        history = OrderHistory(start[None], order[None])
-        if servo.delay is not None:
-            history = OrderHistory(times, values)
-        return servo.respond(now, history, start, dt).final, now
-
-    settled = jnp.asarray(servo.target(jnp.asarray(orders[0])), float)
-    steps = (jnp.asarray(t), jnp.asarray(np.append(np.diff(t), 0.0)), jnp.asarray(orders))
-    return np.asarray(jax.lax.scan(body, settled, steps)[1], float)
 
 
 def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:

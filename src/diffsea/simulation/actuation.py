@@ -1,18 +1,26 @@
-"""What a recording holds of a vessel's actuators and heel, in the rows that count."""
+"""What acts along a recording: orders, executed actuation and heel, measured or reconstructed."""
 
 from collections.abc import Sequence
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from diffsea.errors import UserError
 from diffsea.series import hold_last, interpolate_missing
 from diffsea.trajectory import Samples, Trajectory
+from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.servo import OrderHistory, Response, Servo
 
 
-MOVING = 0.3  # correlation of an actuator's next step with its last: above, it is on its way
-AT_ONCE = 0.5  # share of its steps that orders of the same instant explain: above, it holds them
-_LOST = 5.0  # sampling intervals of an actuator's own: without a value for longer, it is lost
+# Correlation of an actuator's next step with its last above which it moves between its samples:
+# that of steps at random is about zero, that of a slow lag near one.
+_MOVING_CORRELATION = 0.3
+# Share of an actuator's steps explained by orders of the same instant above which it holds them.
+_AT_ONCE_SHARE = 0.5
+_LONGEST_GAP = 5.0  # sampling intervals of an actuator's own: a longer gap loses it
 
 
 def recorded_actuation(
@@ -41,10 +49,19 @@ def recorded_actuation(
         if not np.isfinite(order).any():
             raise UserError(f"{run.name}: cmd_{channel} has no value at all")
         orders[channel] = hold_last(order)
-        found = None if done is None else _measured(run.t, done)
-        if found is not None:
-            executed[channel] = found
+        if done is not None and _measured_throughout(run.t, done):
+            executed[channel] = hold_last(done)
     return orders, executed
+
+
+def _measured_throughout(t: Samples, values: Samples) -> bool:
+    """Whether no stretch of the run (times in s) lacks values for long."""
+    known = t[np.isfinite(values)]
+    if not len(known):
+        return False
+    usual = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    longest = np.diff([t[0], *known, t[-1]]).max()
+    return bool(longest <= _LONGEST_GAP * usual * (1 + 1e-9))
 
 
 def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, Samples]:
@@ -62,13 +79,17 @@ def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, 
         order = run.commanded.get(channel)
         order = None if order is None else hold_last(order)[known]
         out[channel] = values
-        if _on_its_way(sampled[known], order):
-            line = interpolate_missing(run.t, sampled)
-            out[channel] = 0.5 * (line + np.append(line[1:], line[-1]))
+        if _moves_between_samples(sampled[known], order):
+            out[channel] = _row_means(interpolate_missing(run.t, sampled))
     return out
 
 
-def _on_its_way(values: Samples, orders: Samples | None) -> bool:
+def _row_means(values: Samples) -> Samples:
+    """Mean of each value and the next, as they act until then; the last stays."""
+    return 0.5 * (values + np.append(values[1:], values[-1]))
+
+
+def _moves_between_samples(values: Samples, orders: Samples | None) -> bool:
     """Whether a measured actuator moves between its samples, rather than at them.
 
     Its steps then follow one another. White noise is taken out of their correlations: it adds to
@@ -79,12 +100,12 @@ def _on_its_way(values: Samples, orders: Samples | None) -> bool:
         return False
     itself, following, after = (float(steps[k:] @ steps[: len(steps) - k]) for k in range(3))
     noise = max(after - following, 0.0)
-    if max(following, after) <= MOVING * max(itself - 2 * noise, 0.0):
+    if max(following, after) <= _MOVING_CORRELATION * max(itself - 2 * noise, 0.0):
         return False
     ordered = np.zeros(len(steps)) if orders is None else np.diff(orders)
     if not np.isfinite(ordered).all() or not ordered.any():
         return True
-    return float(steps @ ordered) ** 2 < AT_ONCE * itself * float(ordered @ ordered)
+    return float(steps @ ordered) ** 2 < _AT_ONCE_SHARE * itself * float(ordered @ ordered)
 
 
 def recorded_heel(recording: Trajectory) -> Samples:
@@ -92,8 +113,50 @@ def recorded_heel(recording: Trajectory) -> Samples:
     run = recording.counted()
     if "phi" not in run.extra or not np.isfinite(run.extra["phi"]).any():
         return np.zeros(len(run.t))
-    phi = interpolate_missing(run.t, run.extra["phi"])
-    return 0.5 * (phi + np.append(phi[1:], phi[-1]))  # it is held over a row: the mean there
+    return _row_means(interpolate_missing(run.t, run.extra["phi"]))  # it is held over a row
+
+
+def constant_response(executed: Float[Array, "step"]) -> Response:
+    """Of executed values, each held over its step."""
+    return Response(executed, executed, executed, executed)
+
+
+def servo_path(
+    servo: Servo,
+    orders: Float[Array, "step"],
+    t: Float[Array, "step"],
+    dt: Float[Array, "step"],
+    history: OrderHistory,
+) -> tuple[Response, Float[Array, "step"]]:
+    """What a servo that has settled to the first order makes of orders along a recording.
+
+    Arguments:
+        orders: in force in each step, which begins at `t` s and takes `dt` s.
+        history: all orders, from long before the run on, for a servo with a delay.
+
+    Returns:
+        The response in every step, and what is executed from the start of the step on.
+    """
+    if servo.direct:
+        executed = jax.vmap(servo.target)(orders)
+        return constant_response(executed), executed
+
+    def body(executed: Scalar, step: tuple) -> tuple[Scalar, tuple[Response, Scalar]]:
+        order, start, span = step
+        given = OrderHistory(start[None], order[None]) if servo.delay is None else history
+        answer = servo.respond(executed, given, start, span)
+        return answer.final, (answer, executed)
+
+    settled = jnp.asarray(servo.target(orders[0]), float)
+    return jax.lax.scan(body, settled, (orders, t, dt))[1]
+
+
+def executed_by(servo: Servo, t: Samples, orders: Samples) -> Samples:
+    """What a servo executes in the rows of a recording whose orders were given at times `t` (s)."""
+    history = OrderHistory(jnp.append(t[0] - 1e9, t), jnp.append(orders[0], orders))
+    dt = jnp.asarray(np.append(np.diff(t), 0.0))
+    path = servo_path(servo, jnp.asarray(orders), jnp.asarray(t), dt, history)
+    return np.asarray(path[1], float)
 
 
 def how_actuated(vessel: Vessel, recordings: Sequence[Trajectory]) -> dict[str, str]:
@@ -110,13 +173,3 @@ def how_actuated(vessel: Vessel, recordings: Sequence[Trajectory]) -> dict[str, 
         if 0 < len(lacking) < len(done):
             out[channel] += f" (not measured throughout in {', '.join(lacking)})"
     return out
-
-
-def _measured(t: Samples, values: Samples) -> Samples | None:
-    """Executed values, each held until the next; None where a stretch of the run lacks them."""
-    known = t[np.isfinite(values)]
-    if not len(known):
-        return None
-    usual = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    longest = np.diff([t[0], *known, t[-1]]).max()
-    return hold_last(values) if longest <= _LOST * usual * (1 + 1e-9) else None

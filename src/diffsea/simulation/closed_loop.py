@@ -8,8 +8,14 @@ import jax.numpy as jnp
 
 from diffsea.errors import UserError
 from diffsea.simulation.control import AbstractController
-from diffsea.simulation.integrate import Motion, advance, begin, history_length
-from diffsea.simulation.switching import executed_now, plausible, select
+from diffsea.simulation.integrate import (
+    SimulationState,
+    advance,
+    begin,
+    history_length,
+    trajectory_of,
+)
+from diffsea.simulation.switching import Tree, executed_now, is_plausible, select
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -34,20 +40,23 @@ def run_controlled(
 ) -> ClosedLoop:
     """Run a vessel under a controller. Pure: jit, vmap and differentiate it.
 
-    **Arguments:**
-
-    - `start`: the state at time zero; actuators have settled to the first orders.
-    - `seconds`: the longest run; it ends sooner where the controller is finished.
-    - `period`: s between the controller's steps; its orders hold from one to the next.
-    - `step`: of integration, s; `period` by default, and divided so that whole steps fill a period.
-    - `environment`: water and air; the vessel's own by default.
-    - `longest_delay`: s; needed under jit where an actuator's delay is traced.
+    Arguments:
+        start: the state at time zero; actuators have settled to the first orders.
+        seconds: the longest run; it ends sooner where the controller is finished.
+        period: s between the controller's steps; its orders hold from one to the next.
+        step: of integration, s; `period` by default, and divided so that whole steps fill a
+            period.
+        environment: water and air; the vessel's own by default.
+        longest_delay: s; needed under jit where an actuator's delay is traced.
 
     Rows after the end are not `valid`. The outcome is `COMPLETED` where the controller finished,
     else `TIME_LIMIT`, or `DIVERGED`.
 
     The controller acts at samples, as a digital one does: derivatives are those of that sampled
     loop. Where a sample decides something (a waypoint reached), the decision has no derivative.
+
+    Raises:
+        UserError: a period that is not above zero, or longer than the run.
     """
     if not (period > 0 and seconds >= period):
         raise UserError(f"a run of {seconds:g} s needs a period above zero, at most as long as it")
@@ -56,10 +65,12 @@ def run_controlled(
     dt = period / parts
     memory, orders = controller.step(controller.init(), start, jnp.zeros(()), period)
     lengths = {c: history_length(s, dt, longest=longest_delay) for c, s in vessel.servos.items()}
-    motion = begin(vessel, _floats(start), _floats(orders), lengths)
+    motion = begin(vessel, _as_floats(start), _as_floats(orders), lengths)
 
-    def moved(motion: Motion, orders: dict[str, Scalar], t: Scalar) -> Motion:
-        def part(motion: Motion, number: Scalar) -> tuple[Motion, None]:
+    def after_period(
+        motion: SimulationState, orders: dict[str, Scalar], t: Scalar
+    ) -> SimulationState:
+        def part(motion: SimulationState, number: Scalar) -> tuple[SimulationState, None]:
             return advance(vessel, motion, orders, environment, t + number * dt, dt), None
 
         return jax.lax.scan(part, motion, jnp.arange(parts, dtype=float))[0]
@@ -68,10 +79,10 @@ def run_controlled(
         motion, memory, over, diverged = carry
         t = number * period
         after, orders = controller.step(memory, motion.state, t, period)
-        orders = _floats(orders)
+        orders = _as_floats(orders)
         row = (t, motion.state, orders, executed_now(vessel, motion, orders), ~over)
-        new = moved(motion, orders, t)
-        diverged = diverged | (~over & ~plausible(vessel, new.state))
+        new = after_period(motion, orders, t)
+        diverged = diverged | (~over & ~is_plausible(vessel, new.state))
         memory = select(over, memory, after)
         motion = select(~over & ~diverged, new, motion)
         over = over | diverged | controller.finished(memory)
@@ -81,18 +92,11 @@ def run_controlled(
     count = math.floor(seconds / period + 1e-9) + 1
     carry = (motion, controller.init(), no, no)
     carry, (rows, memories) = jax.lax.scan(body, carry, jnp.arange(count, dtype=float))
-    return ClosedLoop(_trajectory(rows, carry, controller), memories)
-
-
-def _floats(tree: object) -> object:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
-
-
-def _trajectory(rows: tuple, carry: tuple, controller: AbstractController) -> Trajectory:
-    t, state, commanded, executed, valid = rows
     _, memory, _, diverged = carry
     outcome = jnp.where(controller.finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
-    return Trajectory(
-        t, state.x, state.y, state.psi, state.u, state.v, state.r, commanded, executed, {},
-        valid, jnp.where(diverged, Outcome.DIVERGED, outcome),
-    )  # fmt: skip
+    outcome = jnp.where(diverged, Outcome.DIVERGED, outcome)
+    return ClosedLoop(trajectory_of(*rows, outcome), memories)
+
+
+def _as_floats(tree: Tree) -> Tree:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)

@@ -6,13 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.trajectory import Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import OrderHistory, Response, Servo
 
 
-class Motion(eqx.Module):
+class SimulationState(eqx.Module):
     """Everything that a step carries on: state, executed actuation and pending orders."""
 
     state: State
@@ -36,7 +38,7 @@ def history_length(
 
 def begin(
     vessel: Vessel, state: State, orders: dict[str, Scalar], lengths: dict[str, int]
-) -> Motion:
+) -> SimulationState:
     """A motion whose actuators have long settled to `orders`.
 
     `lengths` is the memory of each channel, see `history_length`.
@@ -46,17 +48,17 @@ def begin(
         c: OrderHistory(jnp.linspace(-1e9, -1e8, lengths[c]), jnp.full(lengths[c], orders[c]))
         for c in vessel.channels
     }
-    return Motion(state, executed, histories)
+    return SimulationState(state, executed, histories)
 
 
 def advance(
     vessel: Vessel,
-    motion: Motion,
+    motion: SimulationState,
     orders: dict[str, Scalar],
     environment: Environment,
     t: Scalar,
     dt: Scalar,
-) -> Motion:
+) -> SimulationState:
     """The motion `dt` s later, with `orders` holding from `t`."""
     histories = {c: h.push(t, orders[c]) for c, h in motion.histories.items()}
     responses = {
@@ -64,7 +66,7 @@ def advance(
         for c, servo in vessel.servos.items()
     }
     state = rk4(vessel, motion.state, responses, environment, t, dt)
-    return Motion(state, {c: r.final for c, r in responses.items()}, histories)
+    return SimulationState(state, {c: r.final for c, r in responses.items()}, histories)
 
 
 def rk4(
@@ -83,13 +85,13 @@ def rk4(
     def rate(at: State, executed: dict[str, Scalar], fraction: Scalar) -> State:
         return vessel.rate(at, executed, environment, t + fraction * dt)
 
-    def moved(k: State, fraction: float) -> State:
+    def state_after(k: State, fraction: float) -> State:
         return jax.tree.map(lambda s, d: s + fraction * dt * d, state, k)
 
     k1 = rate(state, start, 0.0)
-    k2 = rate(moved(k1, 0.5), middle, 0.5)
-    k3 = rate(moved(k2, 0.5), middle, 0.5)
-    k4 = rate(moved(k3, 1.0), end, 1.0)
+    k2 = rate(state_after(k1, 0.5), middle, 0.5)
+    k3 = rate(state_after(k2, 0.5), middle, 0.5)
+    k4 = rate(state_after(k3, 1.0), end, 1.0)
     return jax.tree.map(
         lambda s, a, b, c, d: s + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4
     )
@@ -127,3 +129,16 @@ def rk4_looped(
         return (here, jax.tree.map(lambda s, d: s + weight * dt * d, end, slope)), None
 
     return jax.lax.scan(stage, (start, start), (nodes, _NODES, _LEADS, _WEIGHTS))[0][1]
+
+
+def trajectory_of(
+    t: Float[Array, "time"],
+    state: State,
+    commanded: dict[str, Float[Array, "time"]],
+    executed: dict[str, Float[Array, "time"]],
+    valid: Bool[Array, "time"],
+    outcome: Int[Array, ""],
+) -> Trajectory:
+    """The trajectory of a run whose rows were stacked by a scan."""
+    motion = (state.x, state.y, state.psi, state.u, state.v, state.r)
+    return Trajectory(t, *motion, commanded, executed, {}, valid, outcome)

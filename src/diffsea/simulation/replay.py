@@ -6,6 +6,7 @@ run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`)
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,7 +18,14 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_earth, wrap
 from diffsea.metrics.preparation import prepare_recording
 from diffsea.scales import plausible_motion, time_scale
-from diffsea.simulation.actuation import over_rows, recorded_actuation, recorded_heel
+from diffsea.series import median_interval
+from diffsea.simulation.actuation import (
+    constant_response,
+    over_rows,
+    recorded_actuation,
+    recorded_heel,
+    servo_path,
+)
 from diffsea.simulation.integrate import rk4
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
@@ -27,9 +35,13 @@ from diffsea.vessel.servo import OrderHistory, Response
 
 
 HORIZONS = (5.0, 20.0, 60.0)  # s
-_LONGEST_STEP = 0.3  # of sqrt(L / g)
-_MOST_STEPS = 10_000_000
-_PADDING = 256  # steps are padded to a multiple, so that recordings share a program
+_LONGEST_STEP = 0.3  # of sqrt(L / g): RK4 errs by less than sensors see
+_STEP_LIMIT = 10_000_000  # more do not fit into memory
+_STEP_MULTIPLE = 256  # steps are padded to a multiple, so that recordings share a program
+_LENGTH_MULTIPLE = 64  # likewise the steps of a prediction ahead
+_COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
+_EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
+_NEAREST_SAMPLE = 0.75  # of the median interval: a sample nearer than that supports a value
 
 
 class _Steps(eqx.Module):
@@ -51,6 +63,23 @@ class _Actuation(eqx.Module):
     now: dict[str, Float[Array, "step"]]  # from the start of the step on
 
 
+class _ReplayInputs(NamedTuple):
+    """A recording made ready to be replayed through a vessel."""
+
+    run: Trajectory  # the rows that count
+    orders: dict[str, Samples]
+    executed: dict[str, Samples]  # of the channels taken as measured
+    steps: _Steps
+    rows: Int[np.ndarray, "time"]  # the first step of each row
+    actuation: _Actuation
+    motion: dict[str, Samples]  # as the sensors' errors leave it
+    notes: tuple[str, ...]
+
+    def states_at(self, rows: Int[np.ndarray, "start"] | int) -> State:
+        """The recorded states in some rows."""
+        return State(*(jnp.asarray(self.motion[c][rows]) for c in MOTION_CHANNELS))
+
+
 def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = True) -> Trajectory:
     """The run that the model predicts at the recording's time stamps, open loop.
 
@@ -65,27 +94,28 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     Raises:
         UserError: the recording lacks a channel's orders, or a state to start from.
     """
-    t, orders, executed, notes = _inputs(vessel, recording, measured_actuation)
-    acting = over_rows(recording, executed)
-    steps, rows = _steps(vessel, t, orders, acting, recorded_heel(recording))
-    start, derived = _true_motion(vessel.sensors, recording, t)
-    first = State(*(jnp.asarray(start[c][0]) for c in MOTION_CHANNELS))
-    actuation = _actuation(vessel, steps)
-    states = _integrated(vessel, first, steps, actuation)
-    true = {c: np.asarray(getattr(states, c))[rows] for c in MOTION_CHANNELS}
+    inputs = _replay_inputs(vessel, recording, measured_actuation)
+    states = _integrate(vessel, inputs.states_at(0), inputs.steps, inputs.actuation)
+    true = {c: np.asarray(getattr(states, c))[inputs.rows] for c in MOTION_CHANNELS}
+    length = float(vessel.rigid_body.length)
+    finite = all(np.isfinite(values).all() for values in true.values())
+    plausible = finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"]))
+    now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.actuation.now.items()}
+    t = inputs.run.t
     return Trajectory(
         t=t,
-        **_shown(vessel.sensors, t, true),
-        commanded=orders,
-        executed={c: np.asarray(now)[rows] for c, now in actuation.now.items()} | executed,
+        **_as_sensors_show(vessel.sensors, t, true),
+        commanded=inputs.orders,
+        executed=now | inputs.executed,
         extra={},
         valid=np.ones(t.shape, bool),
-        outcome=int(Outcome.COMPLETED if _plausible(vessel, true) else Outcome.DIVERGED),
+        outcome=int(Outcome.COMPLETED if plausible else Outcome.DIVERGED),
         name=recording.name,
         provenance=(
-            f"predicted by {vessel.name!r} from the state at t = {t[0]:g} s", *notes, *derived,
+            f"predicted by {vessel.name!r} from the state at t = {t[0]:g} s",
+            *inputs.notes,
         ),
-    )  # fmt: skip
+    )
 
 
 def replay_errors(predicted: Trajectory, recording: Trajectory) -> dict[str, float]:
@@ -98,7 +128,7 @@ def replay_errors(predicted: Trajectory, recording: Trajectory) -> dict[str, flo
     if not np.array_equal(measured.t, np.asarray(predicted.t)):
         raise ValueError("a replay is compared with the recording that it was made from")
     shown = {c: np.asarray(getattr(predicted, c)) for c in MOTION_CHANNELS}
-    return _rms({c: shown[c] - measured.motion[c] for c in MOTION_CHANNELS})
+    return _rms_errors({c: shown[c] - measured.motion[c] for c in MOTION_CHANNELS})
 
 
 def horizon_errors(
@@ -113,20 +143,25 @@ def horizon_errors(
     For each horizon (s) that the recording is long enough for: the names of `replay_errors`,
     root mean square over the starts, and `starts`, how many there were.
     """
-    t, orders, executed, _ = _inputs(vessel, recording, measured_actuation)
+    t = recording.counted().t
     horizons = [h for h in horizons if t[0] + h <= t[-1]]
     if not horizons:
         return {}
-    acting = over_rows(recording, executed)
-    steps, rows = _steps(vessel, t, orders, acting, recorded_heel(recording))
-    motion, _ = _true_motion(vessel.sensors, recording, t)
-    begin, end = _windows(t, horizons, spacing)
-    first = State(*(jnp.asarray(motion[c][begin]) for c in MOTION_CHANNELS))
+    inputs = _replay_inputs(vessel, recording, measured_actuation)
+    rows, motion = inputs.rows, inputs.motion
+    begin, end = _horizon_rows(t, horizons, spacing)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
-    length = 64 * math.ceil((ends.max() + 1) / 64)
-    actuation = _actuation(vessel, steps)
-    states = _from_each(vessel, first, rows[begin], ends, steps, actuation, length)
-    known = {c: _supported(vessel.sensors, recording, t, c) for c in MOTION_CHANNELS}
+    length = _LENGTH_MULTIPLE * math.ceil((ends.max() + 1) / _LENGTH_MULTIPLE)
+    states = _integrate_from_each(
+        vessel,
+        inputs.states_at(begin),
+        rows[begin],
+        ends,
+        inputs.steps,
+        inputs.actuation,
+        length,
+    )
+    known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     errors = {}
     for k, horizon in enumerate(horizons):
         counted = end[:, k] >= 0
@@ -135,111 +170,91 @@ def horizon_errors(
         misses = {
             c: np.where(known[c][at], reached[c] - motion[c][at], np.nan) for c in MOTION_CHANNELS
         }
-        errors[float(horizon)] = {**_rms(misses), "starts": int(counted.sum())}
+        errors[float(horizon)] = {**_rms_errors(misses), "starts": int(counted.sum())}
     return errors
 
 
-def heeled(environment: Environment, heel: Scalar) -> Environment:
+def with_heel(environment: Environment, heel: Scalar) -> Environment:
     """The environment with the recorded heel of a moment in it."""
     return eqx.tree_at(lambda e: e.heel, environment, heel)
 
 
-def _inputs(
+def _replay_inputs(
     vessel: Vessel, recording: Trajectory, measured_actuation: bool
-) -> tuple[Samples, dict[str, Samples], dict[str, Samples], tuple[str, ...]]:
-    orders, executed = recorded_actuation(vessel, recording)
+) -> _ReplayInputs:
+    run = recording.counted()
+    orders, executed = recorded_actuation(vessel, run)
     executed = executed if measured_actuation else {}
     commanded = [c for c in vessel.channels if c not in executed]
     notes = [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
-    return recording.counted().t, orders, executed, tuple(notes)
+    steps, rows = _integration_steps(vessel, run, orders, over_rows(run, executed))
+    motion, derived = _true_motion(vessel.sensors, run)
+    actuation = _actuate(vessel, steps)
+    return _ReplayInputs(run, orders, executed, steps, rows, actuation, motion, (*notes, *derived))
 
 
-def _steps(
-    vessel: Vessel,
-    t: Samples,
-    orders: dict[str, Samples],
-    executed: dict[str, Samples],
-    heel: Samples,
+def _integration_steps(
+    vessel: Vessel, run: Trajectory, orders: dict[str, Samples], executed: dict[str, Samples]
 ) -> tuple[_Steps, Int[np.ndarray, "time"]]:
     """Steps no longer than the vessel's own time scale allows, and the first of each row."""
+    t, interval = run.t, np.diff(run.t)
     longest = _LONGEST_STEP * time_scale(float(vessel.rigid_body.length))
-    interval = np.diff(t)
     parts = np.maximum(1, np.ceil(interval / longest - 1e-9)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])
-    if rows[-1] > _MOST_STEPS:
+    if rows[-1] > _STEP_LIMIT:
         raise UserError(
             f"the recording lasts {t[-1] - t[0]:g} s, {rows[-1]:.2g} steps of at most "
             f"{longest:.2g} s: too long to replay; cut it, or look at the unit of its time"
         )
-    spare = _PADDING - rows[-1] % _PADDING  # at least one: the last row is its start
+    spare = _STEP_MULTIPLE - rows[-1] % _STEP_MULTIPLE  # at least one: the last row is its start
     row = np.repeat(np.arange(len(t)), np.append(parts, spare))
     dt = np.append(np.repeat(interval / parts, parts), np.zeros(spare))
-    start = t[row] + (np.arange(len(row)) - rows[row]) * dt
-    late = np.pad(t, (0, -len(t) % _PADDING), mode="edge")
-    gathered = {
-        kind: {c: jnp.asarray(values[row]) for c, values in table.items()}
-        for kind, table in (("orders", orders), ("executed", executed))
-    }
+    late = -len(t) % _STEP_MULTIPLE
     steps = _Steps(
-        jnp.asarray(start),
-        jnp.asarray(dt),
-        **gathered,
-        heel=jnp.asarray(heel[row]),
-        order_times=jnp.append(t[0] - 1e9, late),
-        order_values={c: jnp.asarray(_from_before(v, len(late))) for c, v in orders.items()},
+        t=jnp.asarray(t[row] + (np.arange(len(row)) - rows[row]) * dt),
+        dt=jnp.asarray(dt),
+        orders={c: jnp.asarray(values[row]) for c, values in orders.items()},
+        executed={c: jnp.asarray(values[row]) for c, values in executed.items()},
+        heel=jnp.asarray(recorded_heel(run)[row]),
+        order_times=jnp.append(t[0] - 1e9, np.pad(t, (0, late), mode="edge")),
+        order_values={
+            c: jnp.asarray(np.pad(values, (1, late), mode="edge")) for c, values in orders.items()
+        },
     )
     return steps, rows
 
 
-def _from_before(values: Samples, length: int) -> Samples:
-    return np.pad(values, (1, length - len(values)), mode="edge")
-
-
 @eqx.filter_jit
-def _actuation(vessel: Vessel, steps: _Steps) -> _Actuation:
+def _actuate(vessel: Vessel, steps: _Steps) -> _Actuation:
     """The response of every channel, which does not depend on the motion."""
     response, now = {}, {}
     for channel, servo in vessel.servos.items():
         if channel in steps.executed:
-            now[channel] = held = steps.executed[channel]
-            response[channel] = Response(held, held, held, held)
-            continue
-        orders = steps.orders[channel]
-        if servo.direct:
-            now[channel] = held = jax.vmap(servo.target)(orders)
-            response[channel] = Response(held, held, held, held)
-            continue
-
-        def body(executed: Scalar, step: tuple, servo=servo, channel=channel) -> tuple:
-            order, t, dt = step
-            history = OrderHistory(t[None], order[None])
-            if servo.delay is not None:
-                history = OrderHistory(steps.order_times, steps.order_values[channel])
-            answer = servo.respond(executed, history, t, dt)
-            return answer.final, (answer, executed)
-
-        settled = jnp.asarray(servo.target(orders[0]), float)
-        scanned = (orders, steps.t, steps.dt)
-        _, (response[channel], now[channel]) = jax.lax.scan(body, settled, scanned)
+            now[channel] = steps.executed[channel]
+            response[channel] = constant_response(now[channel])
+        else:
+            history = OrderHistory(steps.order_times, steps.order_values[channel])
+            orders = steps.orders[channel]
+            response[channel], now[channel] = servo_path(servo, orders, steps.t, steps.dt, history)
     return _Actuation(response, now)
 
 
 @eqx.filter_jit
-def _integrated(vessel: Vessel, first: State, steps: _Steps, actuation: _Actuation) -> State:
+def _integrate(vessel: Vessel, first: State, steps: _Steps, actuation: _Actuation) -> State:
     """The state at the start of every step."""
 
     def body(state: State, step: tuple) -> tuple[State, State]:
         t, dt, response, heel = step
-        return rk4(vessel, state, response, heeled(vessel.environment, heel), t, dt), state
+        return rk4(vessel, state, response, with_heel(vessel.environment, heel), t, dt), state
 
     scanned = (steps.t, steps.dt, actuation.response, steps.heel)
     return jax.lax.scan(body, first, scanned)[1]
 
 
 @eqx.filter_jit
-def _from_each(
+def _integrate_from_each(
     vessel: Vessel,
     first: State,
     begin: Int[Array, "start"],
@@ -255,7 +270,7 @@ def _from_each(
         def body(state: State, k: Int[Array, ""]) -> tuple[State, State]:
             at = jnp.minimum(begin + k, steps.t.size - 1)
             t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
-            return rk4(vessel, state, response, heeled(vessel.environment, heel), t, dt), state
+            return rk4(vessel, state, response, with_heel(vessel.environment, heel), t, dt), state
 
         states = jax.lax.scan(body, state, jnp.arange(length))[1]
         return jax.tree.map(lambda leaf: leaf[ends], states)
@@ -263,11 +278,11 @@ def _from_each(
     return jax.vmap(one)(first, begin, ends)
 
 
-def _windows(
+def _horizon_rows(
     t: Samples, horizons: Sequence[float], spacing: float
 ) -> tuple[Int[np.ndarray, "start"], Int[np.ndarray, "start horizon"]]:
     """Rows at which predictions start, and those at which each is compared, -1 for none."""
-    near = max(0.05, 0.5 * float(np.median(np.diff(t)))) * (1 + 1e-9)
+    near = max(0.05, 0.5 * median_interval(t)) * (1 + 1e-9)
     begin = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - min(horizons) + 1e-9, spacing)))
     wanted = t[begin][:, None] + np.asarray(horizons)
     after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
@@ -275,113 +290,7 @@ def _windows(
     return begin, np.where(np.abs(t[end] - wanted) <= near, end, -1)
 
 
-def _true_motion(
-    sensors: Sensors, recording: Trajectory, t: Samples
-) -> tuple[dict[str, Samples], tuple[str, ...]]:
-    """Motion in every row as the sensors' errors leave it, and notes on what was derived."""
-    run = recording.counted()
-    own_t, motion = run.t, run.motion
-    notes: tuple[str, ...] = ()
-    unmeasured = [c for c in MOTION_CHANNELS if not np.isfinite(motion[c]).any()]
-    derivable = [c for c in unmeasured if c not in ("x", "y")]
-    if derivable:
-        whole, derivations = prepare_recording(recording)
-        notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
-    true = {}
-    for channel in MOTION_CHANNELS:
-        times, values = own_t, motion[channel]
-        if channel in derivable:
-            times, values = np.asarray(whole.t), np.asarray(getattr(whole, channel))
-        elif channel in unmeasured:
-            values = np.zeros_like(own_t)
-        finite = np.isfinite(values)
-        if not finite.any():
-            raise UserError(
-                f"{recording.name}: {channel} was not recorded, nor anything to derive it from, so "
-                "there is no state to start from; map a velocity (u) or positions (x, y)"
-            )
-        shown = _shown_at(sensors, t, channel)
-        true[channel] = _interpolated(shown, times[finite], values[finite])
-    return _corrected(sensors, true), notes
-
-
-def _interpolated(wanted: Samples, times: Samples, values: Samples) -> Samples:
-    """Values between samples; beyond the first and the last, on with the slope there.
-
-    A clock that is off shows the beginning or the end of a run outside its recording.
-    """
-    found = np.interp(wanted, times, values)
-    if len(times) < 2:
-        return found
-    least = 4 * float(np.median(np.diff(times)))
-    for edge, beyond in ((0, wanted < times[0]), (-1, wanted > times[-1])):
-        if beyond.any():
-            span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
-            near = np.abs(times - times[edge]) <= span
-            slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
-            found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
-    return found
-
-
-def _supported(
-    sensors: Sensors, recording: Trajectory, t: Samples, channel: str
-) -> Bool[np.ndarray, "time"]:
-    """Rows of the true motion that have a sample of the channel near them."""
-    run = recording.counted()
-    sampled = run.t[np.isfinite(run.motion[channel])]
-    if sampled.size < 2:
-        return np.zeros(t.shape, bool)
-    wanted = _shown_at(sensors, t, channel)
-    after = np.searchsorted(sampled, wanted).clip(1, sampled.size - 1)
-    distance = np.minimum(np.abs(wanted - sampled[after - 1]), np.abs(wanted - sampled[after]))
-    return distance <= 0.75 * float(np.median(np.diff(sampled)))
-
-
-def _corrected(sensors: Sensors, shown: dict[str, Samples]) -> dict[str, Samples]:
-    """True motion from what sensors without latency show."""
-    psi = measured = shown["psi"] + 0.0
-    for _ in range(20):  # the compass error depends on the heading itself
-        psi = measured - _compass_error(sensors, psi)
-    lever = to_earth(sensors.lever_x, sensors.lever_y, psi)
-    return shown | {
-        "psi": psi,
-        "x": shown["x"] - np.asarray(lever[0]),
-        "y": shown["y"] - np.asarray(lever[1]),
-        "r": shown["r"] - float(sensors.gyro_bias),
-    }
-
-
-def _offsets(sensors: Sensors, true: dict[str, Samples]) -> dict[str, Samples]:
-    """What sensors without latency show of true motion."""
-    lever = to_earth(sensors.lever_x, sensors.lever_y, true["psi"])
-    return true | {
-        "psi": true["psi"] + _compass_error(sensors, true["psi"]),
-        "x": true["x"] + np.asarray(lever[0]),
-        "y": true["y"] + np.asarray(lever[1]),
-        "r": true["r"] + float(sensors.gyro_bias),
-    }
-
-
-def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
-    turned = psi + float(sensors.heading_offset)
-    iron = float(sensors.hard_iron_cos) * np.cos(turned)
-    return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
-
-
-def _shown(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
-    """What the sensors show at the times."""
-    lags = sensors.lags(t)
-    late = {c: _interpolated(t - np.asarray(lags[c]), t, true[c]) for c in true}
-    return _offsets(sensors, late)
-
-
-def _shown_at(sensors: Sensors, t: Samples, channel: str) -> Samples:
-    """When a channel shows what was true at the times: `shown - lag(shown) = t`."""
-    clock = sensors.clock or Clock()
-    return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
-
-
-def _rms(difference: dict[str, Samples]) -> dict[str, float]:
+def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
     misses = {
         "position": np.hypot(difference["x"], difference["y"]),
         "heading": np.asarray(wrap(difference["psi"])),
@@ -391,8 +300,93 @@ def _rms(difference: dict[str, Samples]) -> dict[str, float]:
     return {name: float(np.sqrt(np.mean(m**2))) for name, m in known.items() if m.size}
 
 
-def _plausible(vessel: Vessel, true: dict[str, Samples]) -> bool:
-    """Whether all of a motion is finite and that of a craft of this length."""
-    length = float(vessel.rigid_body.length)
-    finite = all(np.isfinite(values).all() for values in true.values())
-    return bool(finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"])))
+# Between true motion and what sensors show of it
+
+
+def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
+    """Motion in every row as the sensors' errors leave it, and notes on what was derived."""
+    unmeasured = [c for c in MOTION_CHANNELS if not run.has(c)]
+    derivable = [c for c in unmeasured if c not in ("x", "y")]
+    whole, notes = run, ()
+    if derivable:
+        whole, derivations = prepare_recording(run)
+        notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
+    shown = {}
+    for channel in MOTION_CHANNELS:
+        source = whole if channel in derivable else run
+        values = np.asarray(getattr(source, channel))
+        if channel in unmeasured and channel not in derivable:
+            values = np.zeros_like(run.t)
+        finite = np.isfinite(values)
+        if not finite.any():
+            raise UserError(
+                f"{run.name}: {channel} was not recorded, nor anything to derive it from, so "
+                "there is no state to start from; map a velocity (u) or positions (x, y)"
+            )
+        times = _times_shown(sensors, run.t, channel)
+        shown[channel] = _extrapolate(times, source.t[finite], values[finite])
+    psi = measured = shown["psi"] + 0.0
+    for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
+        psi = measured - _compass_error(sensors, psi)
+    north, east = to_earth(sensors.lever_x, sensors.lever_y, psi)
+    return shown | {
+        "psi": psi,
+        "x": shown["x"] - np.asarray(north),
+        "y": shown["y"] - np.asarray(east),
+        "r": shown["r"] - float(sensors.gyro_bias),
+    }, notes
+
+
+def _as_sensors_show(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
+    """What the sensors show at the times (s) of true motion."""
+    lags = sensors.lags(t)
+    late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in true}
+    north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
+    return late | {
+        "psi": late["psi"] + _compass_error(sensors, late["psi"]),
+        "x": late["x"] + np.asarray(north),
+        "y": late["y"] + np.asarray(east),
+        "r": late["r"] + float(sensors.gyro_bias),
+    }
+
+
+def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
+    """Shown minus true heading (rad)."""
+    turned = psi + float(sensors.heading_offset)
+    iron = float(sensors.hard_iron_cos) * np.cos(turned)
+    return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
+
+
+def _times_shown(sensors: Sensors, t: Samples, channel: str) -> Samples:
+    """When (s) a channel shows what was true at the times: `shown - lag(shown) = t`."""
+    clock = sensors.clock or Clock()
+    return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
+
+
+def _extrapolate(wanted: Samples, times: Samples, values: Samples) -> Samples:
+    """Values between samples; beyond the first and the last, on with the slope there.
+
+    A clock that is off shows the beginning or the end of a run outside its recording.
+    """
+    found = np.interp(wanted, times, values)
+    if len(times) < 2:
+        return found
+    least = _EXTRAPOLATION_INTERVALS * median_interval(times)
+    for edge, beyond in ((0, wanted < times[0]), (-1, wanted > times[-1])):
+        if beyond.any():
+            span = max(least, float(np.abs(wanted[beyond] - times[edge]).max()))
+            near = np.abs(times - times[edge]) <= span
+            slope = np.polyfit(times[near] - times[edge], values[near], 1)[0]
+            found[beyond] = values[edge] + slope * (wanted[beyond] - times[edge])
+    return found
+
+
+def _has_sample_near(sensors: Sensors, run: Trajectory, channel: str) -> Bool[np.ndarray, "time"]:
+    """Rows of the true motion that have a sample of the channel near them."""
+    sampled = run.t[np.isfinite(run.motion[channel])]
+    if sampled.size < 2:
+        return np.zeros(run.t.shape, bool)
+    wanted = _times_shown(sensors, run.t, channel)
+    after = np.searchsorted(sampled, wanted).clip(1, sampled.size - 1)
+    distance = np.minimum(np.abs(wanted - sampled[after - 1]), np.abs(wanted - sampled[after]))
+    return distance <= _NEAREST_SAMPLE * median_interval(sampled)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.scales import plausible_motion
 from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
-from diffsea.simulation.integrate import Motion, advance
+from diffsea.simulation.integrate import SimulationState, advance
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -23,7 +23,7 @@ from diffsea.vessel.base import Vessel
 class Carry(eqx.Module):
     """What one pass of the engine hands to the next."""
 
-    motion: Motion
+    motion: SimulationState
     t: Scalar
     stage: Int[Array, ""]
     began: Scalar  # s, when the stage began
@@ -51,7 +51,7 @@ class Row(eqx.Module):
 _NORMAL, _PROBE, _LAND = 0, 1, 2
 
 
-class _Run(eqx.Module):
+class _StageRun(eqx.Module):
     """One manoeuvre of one vessel after the execute."""
 
     vessel: Vessel
@@ -69,12 +69,12 @@ class _Run(eqx.Module):
         throttle = carry.throttle * self.stages.throttle[at]
         return ControlAllocation(self.vessel).orders(throttle, self.stages.angle[at])
 
-    def advanced(self, carry: Carry, dt: Scalar) -> Motion:
+    def motion_after(self, carry: Carry, dt: Scalar) -> SimulationState:
         """The motion `dt` s on, in the stage's orders."""
         orders = self.orders(carry)
         return advance(self.vessel, carry.motion, orders, self.environment, carry.t, dt)
 
-    def end_function(self, carry: Carry, motion: Motion, t: Scalar) -> Scalar:
+    def end_function(self, carry: Carry, motion: SimulationState, t: Scalar) -> Scalar:
         """Reaches zero from below where the stage ends."""
         at = jnp.minimum(carry.stage, self.stages.count - 1)
         s, state = self.stages, motion.state
@@ -90,7 +90,7 @@ class _Run(eqx.Module):
         run, carry, dt = jax.lax.stop_gradient((self, carry, dt))
 
         def value(span: Scalar) -> Scalar:
-            return run.end_function(carry, run.advanced(carry, span), carry.t + span)
+            return run.end_function(carry, run.motion_after(carry, span), carry.t + span)
 
         def body(loop: tuple) -> tuple:
             low, high, span, _, count, _ = loop
@@ -101,11 +101,11 @@ class _Run(eqx.Module):
             after = jnp.where(inside, newton, 0.5 * (low + high))
             return low, high, after, slope, count + 1, jnp.abs(after - span) > 1e-13 * dt
 
-        def unfinished(loop: tuple) -> Bool[Array, ""]:
+        def searching(loop: tuple) -> Bool[Array, ""]:
             return wanted & loop[5] & (loop[4] < 60)
 
         first = (jnp.zeros_like(dt), dt, dt, jnp.ones_like(dt), 0, jnp.ones((), bool))
-        _, _, span, slope, _, _ = jax.lax.while_loop(unfinished, body, first)
+        _, _, span, slope, _, _ = jax.lax.while_loop(searching, body, first)
         return span, slope
 
     def iterate(self, carry: Carry) -> tuple[Carry, Row]:
@@ -120,9 +120,9 @@ class _Run(eqx.Module):
         dt = jnp.where(carry.mode == _NORMAL, self.start + limit - carry.t, carry.planned)
         finished = (carry.stage >= self.stages.count) | carry.diverged
         finished = finished | ((carry.mode == _NORMAL) & (carry.grid * self.step >= self.seconds))
-        motion = self.advanced(carry, dt)
+        motion = self.motion_after(carry, dt)
         g = self.end_function(carry, motion, carry.t + dt)
-        wild = ~plausible(self.vessel, motion.state)
+        wild = ~is_plausible(self.vessel, motion.state)
         active = ~finished & ~wild
         crossing = active & (carry.mode == _NORMAL) & (g >= 0)
         span, slope = self.locate(carry, dt, crossing)
@@ -161,7 +161,9 @@ class _Run(eqx.Module):
         return Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
 
 
-def executed_now(vessel: Vessel, motion: Motion, orders: dict[str, Scalar]) -> dict[str, Scalar]:
+def executed_now(
+    vessel: Vessel, motion: SimulationState, orders: dict[str, Scalar]
+) -> dict[str, Scalar]:
     """Executed actuation from now on: what answers at once has answered."""
     return {
         c: servo.target(orders[c]) if servo.direct else motion.executed[c]
@@ -177,7 +179,7 @@ def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
-def plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
+def is_plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
     """Whether a state is finite and its motion that of a craft of this length."""
     within = plausible_motion(vessel.rigid_body.length, state.u, state.v, state.r)
     return within & jnp.isfinite(state.x + state.y + state.psi)
@@ -186,7 +188,7 @@ def plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
 def run_stages(
     vessel: Vessel,
     stages: Stages,
-    motion: Motion,
+    motion: SimulationState,
     throttle: Scalar,
     environment: Environment,
     start: Scalar,
@@ -199,16 +201,31 @@ def run_stages(
     The throttle stays as it is, or becomes what a `governor` orders, times the stage's.
     """
     governor = FixedThrottle(jnp.asarray(throttle, float)) if governor is None else governor
-    run = _Run(
-        vessel, stages, environment, governor, motion.state.psi, jnp.asarray(start, float),
-        jnp.asarray(step, float), jnp.asarray(seconds, float),
-    )  # fmt: skip
+    run = _StageRun(
+        vessel,
+        stages,
+        environment,
+        governor,
+        heading=motion.state.psi,
+        start=jnp.asarray(start, float),
+        step=jnp.asarray(step, float),
+        seconds=jnp.asarray(seconds, float),
+    )
     zero = jnp.zeros((), int)
     carry = Carry(
-        motion, run.start, zero, run.start, zero, zero + _NORMAL, run.step, jnp.ones(()),
-        jnp.full(stages.count, jnp.nan), jnp.zeros((), bool), jnp.asarray(throttle, float),
-        governor.init(),
-    )  # fmt: skip
+        motion,
+        t=run.start,
+        stage=zero,
+        began=run.start,
+        grid=zero,
+        mode=zero + _NORMAL,
+        planned=run.step,
+        slope=jnp.ones(()),
+        switch_times=jnp.full(stages.count, jnp.nan),
+        diverged=jnp.zeros((), bool),
+        throttle=jnp.asarray(throttle, float),
+        governing=governor.init(),
+    )
     # An event costs three passes beside the ordinary ones: withdrawn, probe, landing.
     passes = math.ceil(seconds / step) + 3 * stages.count
     return jax.lax.scan(lambda c, _: run.iterate(c), carry, length=passes)

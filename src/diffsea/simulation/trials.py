@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,9 +20,15 @@ from diffsea.simulation.control import (
     speed_for,
     throttle_for,
 )
-from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.integrate import (
+    SimulationState,
+    advance,
+    begin,
+    history_length,
+    trajectory_of,
+)
 from diffsea.simulation.manoeuvres import Stages
-from diffsea.simulation.switching import Row, executed_now, plausible, run_stages, select
+from diffsea.simulation.switching import Row, executed_now, is_plausible, run_stages, select
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -54,77 +61,76 @@ class Trial(eqx.Module):
     stage: Int[Array, "time"]  # stage in force at each row; -1 in the approach
 
 
-def approach(
+class Approach(NamedTuple):
+    """A straight run up to the execute."""
+
+    motion: SimulationState  # at the execute
+    throttle: Scalar  # at the execute
+    time: Scalar  # s, of the execute; without derivative
+    steady: Bool[Array, ""]
+    diverged: Bool[Array, ""]
+    rows: Row | None  # None from rest
+
+
+def run_approach(
     vessel: Vessel,
     speed: Scalar,
     throttle: Scalar,
     environment: Environment,
     settings: TrialSettings,
-    duration: float,
-) -> tuple[Motion, Scalar, Scalar, Bool[Array, ""], Bool[Array, ""], Row]:
-    """Straight run until speed and yaw rate are steady, for at most `duration` s.
+    seconds: float,
+) -> Approach:
+    """Straight run at `speed` m/s until speed and yaw rate are steady, for at most `seconds`.
 
-    Returns the motion, throttle and time at the execute, whether it became steady, whether
-    it diverged, and the rows. The time of the execute has no derivative: in a steady state nothing
-    depends on it.
+    The time of the execute has no derivative: in a steady state nothing depends on it.
     """
-    zero = jnp.zeros(())
+    zero, step = jnp.zeros(()), settings.step
     allocation = ControlAllocation(vessel)
     still = State(zero, zero, zero, speed, zero, zero)
-    motion = begin(vessel, still, allocation.orders(throttle, zero), _memories(vessel, settings))
     scale = vessel.rigid_body.length / jnp.maximum(speed, 1e-6)
     fixed = FixedThrottle(throttle)
-    pushing = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
-    hold = Steering(Course(zero), HeadingHold(scale), pushing)
-    needed = jnp.ceil(settings.steady_lengths * scale / settings.step)
+    speed_law = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
+    hold = Steering(Course(zero), HeadingHold(scale), speed_law)
+    needed = jnp.ceil(settings.steady_lengths * scale / step)
+
+    def is_steady(before: State, after: State) -> Bool[Array, ""]:
+        """Speed at its target, or unchanging where none is held; no yawing, no sway building up."""
+        change = jnp.abs(after.u - before.u) / step * scale / jnp.maximum(speed, 1e-6)
+        off = jnp.abs(after.u - speed) / jnp.maximum(speed, 1e-6)
+        slow = (off < settings.steady) if settings.hold_speed else (change < settings.steady)
+        swaying = jnp.abs(after.v - before.v) / step * scale / jnp.maximum(speed, 1e-6)
+        return slow & (jnp.abs(after.r) * scale < settings.steady) & (swaying < settings.steady)
 
     def body(carry: tuple, _: None) -> tuple[tuple, Row]:
         motion, memory, t, calm, last, diverged = carry
         done = (calm >= needed) | diverged
-        memory, (pushed, angle) = hold.step(memory, motion.state, settings.step)
-        orders = allocation.orders(pushed, angle)
+        memory, (ordered, angle) = hold.step(memory, motion.state, step)
+        orders = allocation.orders(ordered, angle)
         # Orders hold from their time stamp on, so they stand beside the state before the step.
-        row = Row(
-            t, motion.state, orders, executed_now(vessel, motion, orders), -1 + 0 * calm, ~done
-        )
-        new = advance(vessel, motion, orders, environment, t, settings.step)
-        steady = _steady(vessel, motion.state, new.state, speed, scale, environment, settings)
-        diverged = diverged | (~done & ~plausible(vessel, new.state))
+        executed = executed_now(vessel, motion, orders)
+        row = Row(t, motion.state, orders, executed, -1 + 0 * calm, ~done)
+        new = advance(vessel, motion, orders, environment, t, step)
+        steady = is_steady(motion.state, new.state)
+        diverged = diverged | (~done & ~is_plausible(vessel, new.state))
         done = done | diverged
         calm = jnp.where(done, calm, jnp.where(steady, calm + 1, 0))
-        t = jnp.where(done, t, t + settings.step)
+        t = jnp.where(done, t, t + step)
         motion = select(~done, new, motion)
-        last = jnp.where(done, last, pushed)
+        last = jnp.where(done, last, ordered)
         return (motion, memory, t, calm, last, diverged), row
 
-    throttle, no = jnp.asarray(throttle, float), jnp.zeros((), bool)
-    carry = (motion, hold.init(), zero, jnp.zeros((), int), throttle, no)
-    passes = math.ceil(duration / settings.step)
-    (motion, _, t, calm, throttle, wild), rows = jax.lax.scan(body, carry, length=passes)
-    return motion, throttle, jax.lax.stop_gradient(t), calm >= needed, wild, rows
+    start = begin(vessel, still, allocation.orders(throttle, zero), _memories(vessel, settings))
+    no = jnp.zeros((), bool)
+    carry = (start, hold.init(), zero, jnp.zeros((), int), jnp.asarray(throttle, float), no)
+    passes = math.ceil(seconds / step)
+    (motion, _, t, calm, last, diverged), rows = jax.lax.scan(body, carry, length=passes)
+    return Approach(motion, last, jax.lax.stop_gradient(t), calm >= needed, diverged, rows)
 
 
 def _memories(vessel: Vessel, settings: TrialSettings) -> dict[str, int]:
     """How many orders each channel remembers."""
     step, longest = settings.step, settings.longest_delay
     return {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
-
-
-def _steady(
-    vessel: Vessel,
-    before: State,
-    after: State,
-    speed: Scalar,
-    scale: Scalar,
-    environment: Environment,
-    settings: TrialSettings,
-) -> Bool[Array, ""]:
-    """Speed at its target, or unchanging where none is held; no yawing, no sway building up."""
-    change = jnp.abs(after.u - before.u) / settings.step * scale / jnp.maximum(speed, 1e-6)
-    off = jnp.abs(after.u - speed) / jnp.maximum(speed, 1e-6)
-    slow = (off < settings.steady) if settings.hold_speed else (change < settings.steady)
-    swaying = jnp.abs(after.v - before.v) / settings.step * scale / jnp.maximum(speed, 1e-6)
-    return slow & (jnp.abs(after.r) * scale < settings.steady) & (swaying < settings.steady)
 
 
 def run_trial(
@@ -152,6 +158,7 @@ def run_trial(
     Divergence, a time limit or an unsteady approach is told by the trajectory's `outcome`.
     """
     environment = vessel.environment if environment is None else environment
+    allocation = ControlAllocation(vessel)
     if throttle is None:
         throttle = throttle_for(vessel, speed) if speed is not None else jnp.zeros(())
     else:
@@ -160,51 +167,41 @@ def run_trial(
             speed = speed_for(vessel, throttle)
     if settings.from_rest:
         rest = State(*(jnp.zeros(()) for _ in range(6)))
-        motion = begin(
-            vessel, rest, ControlAllocation(vessel).orders(0.0, 0.0), _memories(vessel, settings)
-        )
-        began, steady, before = jnp.zeros(()), jnp.ones((), bool), None
-        wild = ~steady
+        motion = begin(vessel, rest, allocation.orders(0.0, 0.0), _memories(vessel, settings))
+        yes = jnp.ones((), bool)
+        approach = Approach(motion, throttle, jnp.zeros(()), yes, ~yes, None)
     else:
         seconds = approach_seconds or approach_limit(vessel, float(speed), settings)
-        motion, throttle, began, steady, wild, before = approach(
-            vessel, jnp.asarray(speed, float), throttle, environment, settings, seconds
-        )
-    carry, rows = run_stages(
-        vessel, stages, motion, throttle, environment, began, settings.step, settings.seconds,
+        speed = jnp.asarray(speed, float)
+        approach = run_approach(vessel, speed, throttle, environment, settings, seconds)
+    motion, throttle, execute, steady, diverged, before = approach
+    carry, after = run_stages(
+        vessel,
+        stages,
+        motion,
+        throttle,
+        environment,
+        execute,
+        settings.step,
+        settings.seconds,
         governor,
-    )  # fmt: skip
+    )
+    orders = allocation.orders(throttle * stages.throttle[0], stages.angle[0])
+    executed = executed_now(vessel, motion, orders)
+    no, yes = jnp.zeros((), int), jnp.ones((), bool)
+    first = Row(execute, motion.state, orders, executed, no, yes)
+    first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], first)
+    manoeuvre = [dataclasses.replace(r, accepted=r.accepted & steady) for r in (first, after)]
+    parts = manoeuvre if before is None else [before, *manoeuvre]
+    rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
     outcome = jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(steady, outcome, Outcome.APPROACH_UNSTEADY)
-    outcome = jnp.where(wild | (steady & carry.diverged), Outcome.DIVERGED, outcome)
-    first = _first_row(vessel, motion, began, stages, throttle)
-    executed = [dataclasses.replace(r, accepted=r.accepted & steady) for r in (first, rows)]
-    parts = executed if before is None else [before, *executed]
+    outcome = jnp.where(diverged | (steady & carry.diverged), Outcome.DIVERGED, outcome)
+    trajectory = trajectory_of(
+        rows.t, rows.state, rows.commanded, rows.executed, rows.accepted, outcome
+    )
     switches = jnp.where(steady, carry.switch_times, jnp.nan)
-    return _trial(parts, outcome, began, switches)
-
-
-def _first_row(
-    vessel: Vessel, motion: Motion, began: Scalar, stages: Stages, throttle: Scalar
-) -> Row:
-    orders = ControlAllocation(vessel).orders(throttle * stages.throttle[0], stages.angle[0])
-    row = Row(
-        began, motion.state, orders, executed_now(vessel, motion, orders), jnp.zeros((), int),
-        jnp.ones((), bool),
-    )  # fmt: skip
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], row)
-
-
-def _trial(
-    parts: list[Row], outcome: Int[Array, ""], began: Scalar, switches: Float[Array, "stage"]
-) -> Trial:
-    rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
-    s = rows.state
-    trajectory = Trajectory(
-        rows.t, s.x, s.y, s.psi, s.u, s.v, s.r, rows.commanded, rows.executed, {},
-        rows.accepted, outcome,
-    )  # fmt: skip
-    return Trial(trajectory, began, switches, rows.stage)
+    return Trial(trajectory, execute, switches, rows.stage)
 
 
 def approach_limit(vessel: Vessel, speed: float, settings: TrialSettings) -> float:

@@ -4,7 +4,8 @@ Exact derivatives of the program that runs the trial, in forward mode, through t
 switchings and the interpolated readings; not differences of runs.
 """
 
-from collections.abc import Iterable, Mapping
+import dataclasses
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
@@ -19,49 +20,70 @@ from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.vessel.base import Vessel
 
 
-Derivatives = dict[str, dict[str, float]]
+_TANGENTS = 16  # carried through the run at once; more of them leave the processor's cache
 
-_TOGETHER = 16  # tangents that are carried through the run at once
+Places = tuple[tuple[str, tuple[str, ...]], ...]  # parameters and where they stand in a vessel
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialSensitivities:
+    """A trial's numbers and their derivatives, in the SI units of both.
+
+    `derivatives[number][parameter]`; a number that the trial does not contain is absent.
+    """
+
+    numbers: dict[str, float]
+    parameters: dict[str, float]
+    derivatives: dict[str, dict[str, float]]
+
+    @property
+    def elasticities(self) -> dict[str, dict[str, float]]:
+        """Relative change of a number per relative change of a parameter; zeros left out."""
+        relative = {}
+        for number, row in self.derivatives.items():
+            if self.numbers[number] != 0:
+                scale = self.numbers[number]
+                scaled = {name: d * self.parameters[name] / scale for name, d in row.items()}
+                relative[number] = {name: value for name, value in scaled.items() if value != 0}
+        return relative
 
 
 def sensitivities(
     vessel: Vessel, plan: TrialPlan, parameters: Iterable[str] | None = None
-) -> tuple[dict[str, float], Derivatives]:
-    """The numbers of a trial, and d number / d parameter in the SI units of both.
+) -> TrialSensitivities:
+    """The numbers of a trial, and their derivatives by the vessel's parameters.
 
     Arguments:
         parameters: names as the vessel's file has them; all of them if None. A main
             dimension counts in every part that works with it. The approach speed, where it
             is held, the orders and the time step stay as planned.
 
-    A number that the trial does not contain is absent.
-
     Raises:
         UserError: an unknown name.
     """
     names = parameter_names(vessel, parameters)
-    values = named(vessel)
-    places = designed(vessel)
+    values, places = named(vessel), designed(vessel)
+    at = {name: float(values[places[name][0]]) for name in names}
     shared = tuple((name, places[name]) for name in names)
-    at = jnp.asarray([float(values[places[name][0]]) for name in names])
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    columns = []
-    for first in range(0, len(names), _TOGETHER):
-        tangents = np.zeros((_TOGETHER, len(names)))
-        chosen = np.arange(first, min(first + _TOGETHER, len(names)))
+    found, columns = {}, []
+    for first in range(0, len(names), _TANGENTS):
+        tangents = np.zeros((_TANGENTS, len(names)))
+        chosen = np.arange(first, min(first + _TANGENTS, len(names)))
         tangents[chosen - first, chosen] = 1.0
-        found, slopes = _tangents(vessel, at, jnp.asarray(tangents), (plan, shared))
+        start = jnp.asarray(list(at.values()))
+        found, slopes = _numbers_and_slopes(vessel, start, jnp.asarray(tangents), (plan, shared))
         columns.append({k: np.asarray(s)[: chosen.size] for k, s in slopes.items()})
-    there = {name: float(value) for name, value in found.items() if np.isfinite(value)}
+    numbers = {name: float(value) for name, value in found.items() if np.isfinite(value)}
     derivatives = {}
-    for number in there:
+    for number in numbers:
         slopes = np.concatenate([column[number] for column in columns])
         derivatives[number] = {name: float(d) for name, d in zip(names, slopes, strict=True)}
-    return there, derivatives
+    return TrialSensitivities(numbers, at, derivatives)
 
 
 def parameter_names(vessel: Vessel, wanted: Iterable[str] | None) -> tuple[str, ...]:
-    """The wanted names, checked; all of the vessel's if None."""
+    """The wanted names, checked; all of the vessel's if None. Raises `UserError` for others."""
     places = designed(vessel)
     names = tuple(places) if wanted is None else tuple(dict.fromkeys(wanted))
     for name in names:
@@ -74,12 +96,13 @@ def parameter_names(vessel: Vessel, wanted: Iterable[str] | None) -> tuple[str, 
 
 
 @eqx.filter_jit
-def _tangents(
+def _numbers_and_slopes(
     vessel: Vessel,
     at: Float[Array, "parameter"],
     tangents: Float[Array, "tangent parameter"],
-    trial: tuple[TrialPlan, tuple[tuple[str, tuple[str, ...]], ...]],
-) -> tuple[dict[str, Array], dict[str, Float[Array, "tangent"]]]:
+    trial: tuple[TrialPlan, Places],
+) -> tuple[Numbers, dict[str, Float[Array, "tangent"]]]:
+    """The numbers, and how each changes along every tangent."""
     plan, places = trial
 
     def numbers(values: Float[Array, "parameter"]) -> Numbers:
@@ -87,21 +110,7 @@ def _tangents(
         changed = replace(vessel, spread(dict(places), chosen))
         return planning.trial_numbers(plan, planning.run_plan(changed, plan))
 
-    def along(tangent: Float[Array, "parameter"]) -> tuple:
+    def along(tangent: Float[Array, "parameter"]) -> tuple[Numbers, Numbers]:
         return jax.jvp(numbers, (at,), (tangent,))
 
     return jax.vmap(along, out_axes=(None, 0))(tangents)
-
-
-def elasticities(
-    vessel: Vessel, found: Mapping[str, float], derivatives: Derivatives
-) -> Derivatives:
-    """Relative change of a number per relative change of a parameter; zeros left out."""
-    values, places = named(vessel), designed(vessel)
-    relative = {}
-    for number, row in derivatives.items():
-        if found[number] == 0:
-            continue
-        scaled = {n: d * float(values[places[n][0]]) / found[number] for n, d in row.items()}
-        relative[number] = {name: value for name, value in scaled.items() if value != 0}
-    return relative

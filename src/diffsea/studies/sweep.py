@@ -24,18 +24,17 @@ from diffsea.parameters import designed, replace, spread
 from diffsea.simulation import planning
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
+from diffsea.studies.sensitivity import Places
 from diffsea.trajectory import Outcome
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 
 
-Places = tuple[tuple[str, tuple[str, ...]], ...]
-
 OF_THE_TRIAL = ("speed", "thrust")  # m/s, N: swept like parameters, though they are no part of it
 IMPOSSIBLE = "impossible"
-_UNFINISHED = (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY)
-_MOST_DESIGNS = 1_000_000
-_LANES = 64  # designs that run side by side; more of them leave the processor's cache
+_DESIGN_LIMIT = 1_000_000  # results of more do not fit into memory
+_BATCH = 64  # designs that run side by side; more of them leave the processor's cache
+_PROGRESS_INTERVAL = 2.0  # s between messages of progress
 
 
 class Designs(NamedTuple):
@@ -43,6 +42,24 @@ class Designs(NamedTuple):
 
     names: tuple[str, ...]
     values: Float[np.ndarray, "design name"]
+
+
+class SweepResult(NamedTuple):
+    """What a sweep found.
+
+    `table` has one row per design: its parameters, the trial's numbers in SI units,
+    `imo_<number>` verdicts and the `outcome`; nulls where the design failed.
+    """
+
+    table: pd.DataFrame
+    steps_per_second: float  # of all vessels together
+
+
+class _DesignResults(NamedTuple):
+    numbers: Numbers
+    outcome: Int[Array, "design"]
+    possible: Bool[Array, "design"]
+    steps: Int[Array, "design"]
 
 
 def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
@@ -58,63 +75,12 @@ def sample(axes: Mapping[str, tuple[float, float]], count: int, seed: int = 0) -
     _check_count(count)
     low, high = np.array(list(axes.values()), float).T
     cube = scipy.stats.qmc.LatinHypercube(len(axes), rng=np.random.default_rng(seed))
-    points = cube.random(count)
-    return Designs(tuple(axes), low + points * (high - low))
+    return Designs(tuple(axes), low + cube.random(count) * (high - low))
 
 
 def _check_count(count: int) -> None:
-    if count > _MOST_DESIGNS:
-        raise UserError(f"{count} designs are too many; at most {_MOST_DESIGNS} are run at once")
-
-
-def sweep(
-    vessel: Vessel,
-    plan: TrialPlan,
-    designs: Designs,
-    progress: Callable[[str], None] = lambda message: None,
-) -> tuple[pd.DataFrame, float]:
-    """Run a trial of every design.
-
-    **Returns:** a table with one row per design (its parameters, the trial's numbers in SI
-    units, `imo_<number>` verdicts and the `outcome`), and vessel-steps per second.
-
-    Designs that take much longer than the vessel as it is run again, to the plan's limit.
-
-    Raises:
-        UserError: a name that is neither a parameter of the vessel nor of the trial.
-    """
-    places = _places(vessel, designs.names)
-    values = np.asarray(designs.values, float)
-    found, clock, left = None, _Clock(0, 0.0), np.ones(len(values), bool)
-    for shorter in _shortened(vessel, plan):
-        if found is not None:
-            progress(f"{left.sum()} designs take longer; they run again")
-        some, more = _run_all(vessel, shorter, places, values[left], progress)
-        found = some if found is None else jax.tree.map(_put(left), found, some)
-        clock = clock.joined(more)
-        left = found.possible & np.isin(found.outcome, _UNFINISHED)
-        if not left.any():
-            break
-    return _table(vessel, plan, designs, found), clock.rate
-
-
-class _Found(NamedTuple):
-    numbers: Numbers
-    outcome: Int[Array, "design"]
-    possible: Bool[Array, "design"]
-    steps: Int[Array, "design"]
-
-
-class _Clock(NamedTuple):
-    steps: float
-    seconds: float
-
-    def joined(self, other: "_Clock") -> "_Clock":
-        return _Clock(self.steps + other.steps, self.seconds + other.seconds)
-
-    @property
-    def rate(self) -> float:
-        return self.steps / max(self.seconds, 1e-9)
+    if count > _DESIGN_LIMIT:
+        raise UserError(f"{count} designs are too many; at most {_DESIGN_LIMIT} are run at once")
 
 
 def check_names(vessel: Vessel, names: Sequence[str]) -> None:
@@ -133,14 +99,41 @@ def check_names(vessel: Vessel, names: Sequence[str]) -> None:
         raise UserError(f"{vessel.name!r} has no propulsion to command")
 
 
-def _places(vessel: Vessel, names: Sequence[str]) -> Places:
-    """Where each swept number stands in the vessel; nowhere for those of the trial."""
-    check_names(vessel, names)
+def sweep(
+    vessel: Vessel,
+    plan: TrialPlan,
+    designs: Designs,
+    progress: Callable[[str], None] = lambda message: None,
+) -> SweepResult:
+    """Run a trial of every design.
+
+    Designs that take much longer than the vessel as it is run again, to the plan's limit.
+
+    Raises:
+        UserError: a name that is neither a parameter of the vessel nor of the trial.
+    """
+    check_names(vessel, designs.names)
     known = designed(vessel)
-    return tuple((name, known.get(name, ())) for name in names)
+    places = tuple((name, known.get(name, ())) for name in designs.names)
+    values = np.asarray(designs.values, float)
+    found, steps, seconds, left = None, 0.0, 0.0, np.ones(len(values), bool)
+    for quicker in _quicker_plans(vessel, plan):
+        if found is None:
+            found, steps, seconds = _run_designs(vessel, quicker, places, values, progress)
+        else:
+            progress(f"{left.sum()} designs take longer; they run again")
+            some, *more = _run_designs(vessel, quicker, places, values[left], progress)
+            for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
+                old[left] = new
+            steps, seconds = steps + more[0], seconds + more[1]
+        unfinished = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY))
+        left = found.possible & unfinished
+        if not left.any():
+            break
+    return SweepResult(_results_table(vessel, plan, designs, found), steps / max(seconds, 1e-9))
 
 
-def _shortened(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
+def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     """The plan with time limits of twice and of eight times what the vessel itself needs.
 
     A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
@@ -166,65 +159,69 @@ def _shortened(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     return [*plans, plan]
 
 
-def _run_all(
+def _run_designs(
     vessel: Vessel,
     plan: TrialPlan,
     places: Places,
     values: Float[np.ndarray, "design name"],
     progress: Callable[[str], None],
-) -> tuple[_Found, _Clock]:
-    """Run all designs in blocks, one on every processor core at a time."""
+) -> tuple[_DesignResults, float, float]:
+    """Run all designs in batches, one on every processor core at a time.
+
+    Returns their results, and of the batches that were not compiled first the vessel-steps and
+    the seconds that they took.
+    """
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    lanes = min(_LANES, 1 << (len(values) - 1).bit_length())
-    blocks = [values[k : k + lanes] for k in range(0, len(values), lanes)]
+    size = min(_BATCH, 1 << (len(values) - 1).bit_length())
+    batches = [values[k : k + size] for k in range(0, len(values), size)]
     steps = 0
 
-    def run(block: np.ndarray) -> tuple[_Found, float]:
-        padded = np.pad(block, ((0, lanes - len(block)), (0, 0)), mode="edge")
+    def run_batch(batch: np.ndarray) -> tuple[_DesignResults, float]:
+        padded = np.pad(batch, ((0, size - len(batch)), (0, 0)), mode="edge")
         began = time.perf_counter()
-        found = jax.tree.map(np.asarray, _block(arrays, jnp.asarray(padded), (plan, places)))
-        return jax.tree.map(lambda leaf: leaf[: len(block)], found), time.perf_counter() - began
+        found = jax.tree.map(
+            np.asarray, _batched_trial(arrays, jnp.asarray(padded), (plan, places))
+        )
+        return jax.tree.map(lambda leaf: leaf[: len(batch)], found), time.perf_counter() - began
 
-    first, compiling = run(blocks[0])
-    results, told, began = [first], time.perf_counter(), time.perf_counter()
+    first, compiling = run_batch(batches[0])
+    results, reported, began = [first], time.perf_counter(), time.perf_counter()
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, _ in pool.map(run, blocks[1:]):
+        for found, _ in pool.map(run_batch, batches[1:]):
             results.append(found)
             steps += int(found.steps.sum())
-            if time.perf_counter() - told > 2:
-                told = time.perf_counter()
-                done = min(len(values), len(results) * lanes)
-                rate = steps / (told - began)
+            if time.perf_counter() - reported > _PROGRESS_INTERVAL:
+                reported = time.perf_counter()
+                done = min(len(values), len(results) * size)
+                rate = steps / (reported - began)
                 progress(f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s")
     seconds = time.perf_counter() - began
-    if len(blocks) == 1:  # nothing ran without being compiled first
+    if len(batches) == 1:  # nothing ran without being compiled first
         steps, seconds = int(first.steps.sum()), compiling
     whole = jax.tree.map(lambda *parts: np.concatenate(parts), *results)
-    return whole, _Clock(steps, seconds)
+    return whole, steps, seconds
 
 
 @eqx.filter_jit
-def _block(
-    vessel: Vessel, values: Float[Array, "lane name"], trial: tuple[TrialPlan, Places]
-) -> _Found:
+def _batched_trial(
+    vessel: Vessel, values: Float[Array, "design name"], trial: tuple[TrialPlan, Places]
+) -> _DesignResults:
     plan, places = trial
 
-    def one(row: Float[Array, "name"]) -> _Found:
+    def one_trial(row: Float[Array, "name"]) -> _DesignResults:
         chosen: dict[str, Scalar] = {name: row[k] for k, (name, _) in enumerate(places)}
         changed = replace(vessel, spread(dict(places), chosen))
         throttle = chosen.get("thrust")
         if throttle is not None:
             throttle = throttle_for_thrust(changed, throttle)
         done = planning.run_plan(changed, plan, chosen.get("speed"), throttle)
-        run = done.trajectory
-        return _Found(
-            planning.trial_numbers(plan, done), run.outcome, _possible(changed), jnp.sum(run.valid)
-        )
+        numbers, run = planning.trial_numbers(plan, done), done.trajectory
+        return _DesignResults(numbers, run.outcome, _is_possible(changed), jnp.sum(run.valid))
 
-    return jax.vmap(one)(values)
+    return jax.vmap(one_trial)(values)
 
 
-def _possible(vessel: Vessel) -> Bool[Array, ""]:
+def _is_possible(vessel: Vessel) -> Bool[Array, ""]:
     """Whether masses and dimensions are positive, as a vessel file's have to be."""
     body = vessel.rigid_body
     sizes = (body.mass, body.I_z, body.length, body.beam, body.draught, body.water_density)
@@ -232,43 +229,22 @@ def _possible(vessel: Vessel) -> Bool[Array, ""]:
     return positive & vessel.has_inertia()
 
 
-def _put(rows: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """A function that puts new values into some rows."""
-
-    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        merged = old.copy()
-        merged[rows] = new
-        return merged
-
-    return put
-
-
-def _table(vessel: Vessel, plan: TrialPlan, designs: Designs, found: _Found) -> pd.DataFrame:
+def _results_table(
+    vessel: Vessel, plan: TrialPlan, designs: Designs, found: _DesignResults
+) -> pd.DataFrame:
     """Parameters, numbers, verdicts and outcome of every design; nulls where it failed."""
-    outcome = np.array(
-        [planning.outcome_label(Outcome(int(o))) for o in found.outcome], dtype=object
-    )
-    outcome[~found.possible] = IMPOSSIBLE
+    labels = [planning.outcome_label(Outcome(int(o))) for o in found.outcome]
+    outcome = np.where(found.possible, np.array(labels, dtype=object), IMPOSSIBLE)
     failed = np.isin(outcome, (IMPOSSIBLE, "diverged", "approach-unsteady"))
     numbers = {name: np.where(failed, np.nan, column) for name, column in found.numbers.items()}
     numbers = {name: column for name, column in numbers.items() if np.isfinite(column).any()}
     parameters = {name: designs.values[:, k] for k, name in enumerate(designs.names)}
     lengths = parameters.get("length", np.full(len(outcome), float(vessel.rigid_body.length)))
-    verdicts = [
-        _verdicts(plan, {name: float(column[k]) for name, column in numbers.items()}, lengths[k])
-        for k in range(len(outcome))
-    ]
+    verdicts = []
+    for k, length in enumerate(lengths):
+        row = {name: float(column[k]) for name, column in numbers.items() if np.isfinite(column[k])}
+        found_verdicts = planning.trial_verdicts(plan, row, length)
+        verdicts.append({name: verdict["verdict"] for name, verdict in found_verdicts.items()})
     criteria = sorted({name for row in verdicts for name in row})
-    return pd.DataFrame(
-        {
-            **parameters,
-            **numbers,
-            **{f"imo_{name}": [row.get(name) for row in verdicts] for name in criteria},
-            "outcome": outcome,
-        }
-    )
-
-
-def _verdicts(plan: TrialPlan, numbers: dict[str, float], length: float) -> dict[str, str]:
-    found = {name: value for name, value in numbers.items() if math.isfinite(value)}
-    return {name: v["verdict"] for name, v in planning.trial_verdicts(plan, found, length).items()}
+    imo = {f"imo_{name}": [row.get(name) for row in verdicts] for name in criteria}
+    return pd.DataFrame({**parameters, **numbers, **imo, "outcome": outcome})

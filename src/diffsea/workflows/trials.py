@@ -1,7 +1,6 @@
 """Standard trials of a vessel: one, over many designs, and their derivatives."""
 
 import dataclasses
-import math
 import pathlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -177,7 +176,7 @@ def sweep(
         if name in designs.OF_THE_TRIAL
     }
     plan = planning.plan_trial(boat, manoeuvre, **{**options, **lowest})
-    return designs.sweep(boat, plan, chosen, progress)[0]
+    return designs.sweep(boat, plan, chosen, progress).table
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -228,7 +227,5 @@ def sensitivities(
     """
     boat = as_vessel(vessel)
     plan = planning.plan_trial(boat, manoeuvre, **options)
-    numbers, derivatives = sensitivity.sensitivities(boat, plan, parameters)
-    relative = sensitivity.elasticities(boat, numbers, derivatives)
-    known = {name: value for name, value in numbers.items() if math.isfinite(value)}
-    return SensitivityResult(boat, manoeuvre, known, derivatives, relative)
+    found = sensitivity.sensitivities(boat, plan, parameters)
+    return SensitivityResult(boat, manoeuvre, found.numbers, found.derivatives, found.elasticities)

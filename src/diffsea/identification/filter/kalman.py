@@ -41,7 +41,7 @@ from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap
 from diffsea.scales import froude_speed
 from diffsea.simulation.integrate import rk4_looped
-from diffsea.simulation.replay import heeled
+from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -98,7 +98,7 @@ def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterR
     """All rows of a data set, with what the actuators do in them."""
     flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
     return FilterRow(
-        heeled(flow, flow.heel + dataset.heel),
+        with_heel(flow, flow.heel + dataset.heel),
         dataset.dt,
         dataset.run_time,
         dataset.measured,

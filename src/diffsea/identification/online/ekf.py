@@ -33,7 +33,7 @@ from diffsea.identification.online.choice import Choice, chosen
 from diffsea.kinematics import wrap
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import time_scale
-from diffsea.simulation.integrate import Motion, advance, begin, history_length
+from diffsea.simulation.integrate import SimulationState, advance, begin, history_length
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
@@ -298,7 +298,7 @@ def _gusts(filter: Filter, dt: Scalar) -> tuple:
 
 
 def _packed(
-    motion: Motion,
+    motion: SimulationState,
     gusts: Float[Array, "3"],
     coordinates: Float[Array, "parameter"],
     lagging: tuple[str, ...],
@@ -314,10 +314,10 @@ def _motion(
     z: Float[Array, "n"],
     histories: dict[str, OrderHistory],
     orders: dict[str, Scalar],
-) -> Motion:
+) -> SimulationState:
     executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
     executed |= {c: z[9 + k] for k, c in enumerate(filter.lagging)}
-    return Motion(State(*z[:6]), executed, histories)
+    return SimulationState(State(*z[:6]), executed, histories)
 
 
 def _expected(
