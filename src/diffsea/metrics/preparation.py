@@ -113,7 +113,7 @@ def _integrated_heading(t: Samples, motion: dict[str, Samples], notes: list[str]
 
 
 def _smooth_noise(t: Samples, motion: dict[str, Samples]) -> list[Derivation]:
-    """Replace noisy channels, in place, by parabolas over the time that a fast turn by 5 deg takes."""
+    """Replace noisy channels, in place, by parabolas over what a fast turn by 5 deg takes."""
     noisy = [
         name
         for name, values in motion.items()
