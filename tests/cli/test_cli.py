@@ -12,10 +12,12 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT, SWELL
 
-from diffsea.cli import fit, main, options, recordings
+from diffsea.cli import fit, main, outputs, recordings, segments
 from diffsea.errors import UserError
 from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metrics import RECORDED_TRIALS
+from diffsea.report.pictures import SEGMENT_COLOURS
+from diffsea.segments import SEGMENT_KINDS
 from diffsea.simulation.standard import STANDARD_TRIALS
 
 
@@ -79,7 +81,11 @@ def test_version(capsys):
 
 
 def test_trials_that_the_library_knows_are_named_in_the_help_and_others_refused(capsys):
-    for command, library in (("trial", STANDARD_TRIALS), ("metrics", RECORDED_TRIALS)):
+    for command, library in (
+        ("trial", STANDARD_TRIALS),
+        ("metrics", RECORDED_TRIALS),
+        ("fit", OBJECTIVES),
+    ):
         assert run(command, "--help") == 0
         text = " ".join(capsys.readouterr().out.split())
         assert all(name in text for name in library)
@@ -93,7 +99,8 @@ def test_a_parser_does_without_jax():
 
 
 def test_names_written_out_for_the_help_are_the_librarys():
-    assert (fit.OBJECTIVES, fit.ANCHORS) == (OBJECTIVES, ANCHORS)
+    assert fit.ANCHORS == ANCHORS
+    assert segments.KINDS == SEGMENT_KINDS == tuple(SEGMENT_COLOURS)
 
 
 def test_xla_flags_are_set_before_jax_starts_unless_the_user_set_some(tmp_path):
@@ -270,7 +277,7 @@ def test_predicting_reads_foreign_files_and_uses_orders_on_request(zigzag, boat,
 
 
 def test_a_bug_is_told_without_a_traceback(monkeypatch, capsys):
-    monkeypatch.setattr(recordings, "_audit", lambda args: 1 / 0)
+    monkeypatch.setattr(recordings, "audit_command", lambda args: 1 / 0)
     assert run("audit", "x.csv") == 1
     printed = capsys.readouterr().err
     assert "this is a bug: ZeroDivisionError: division by zero" in printed
@@ -283,7 +290,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recordings, "_audit", interrupted)
+    monkeypatch.setattr(recordings, "audit_command", interrupted)
     assert run("audit", "x.csv") == 130
     assert "interrupted" in capsys.readouterr().err
 
@@ -298,7 +305,7 @@ def test_no_command_is_bad_usage(capsys):
 
 def test_outputs_appear_together_at_the_end(tmp_path):
     folder = tmp_path / "a" / "b"
-    with options.Outputs(folder) as out:
+    with outputs.Outputs(folder) as out:
         out.json("x.json", {"value": math.nan, "list": np.array([1.0, math.inf])})
         out.path("y.txt").write_text("y")
         assert [path.name for path in folder.iterdir() if not path.name.startswith(".")] == []
@@ -309,7 +316,7 @@ def test_outputs_appear_together_at_the_end(tmp_path):
 def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
     (tmp_path / "x.json").write_text("old")
     for folder in (tmp_path, tmp_path / "new"):
-        with pytest.raises(UserError, match="stop"), options.Outputs(folder) as out:
+        with pytest.raises(UserError, match="stop"), outputs.Outputs(folder) as out:
             out.json("x.json", {})
             raise UserError("stop")
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
@@ -319,11 +326,11 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
 def test_a_file_of_another_folder_appears_at_the_end_with_the_others_or_not_at_all(tmp_path):
     asked = tmp_path / "next.csv"
     asked.write_text("old")
-    with pytest.raises(UserError, match="stop"), options.Outputs(tmp_path / "out") as out:
+    with pytest.raises(UserError, match="stop"), outputs.Outputs(tmp_path / "out") as out:
         out.elsewhere(asked, "--next-manoeuvre").write_text("new")
         raise UserError("stop")
     assert asked.read_text() == "old" and list(tmp_path.iterdir()) == [asked]
-    with options.Outputs(tmp_path / "out") as out:
+    with outputs.Outputs(tmp_path / "out") as out:
         out.elsewhere(asked, "--next-manoeuvre").write_text("new")
         out.elsewhere(tmp_path / "not-needed.csv", "--next-manoeuvre")
         assert asked.read_text() == "old"
@@ -339,14 +346,34 @@ def test_commands_that_start_together_may_share_a_new_folder(tmp_path, monkeypat
         mkdir(path, *arguments, **options)
 
     monkeypatch.setattr(pathlib.Path, "mkdir", made_by_another_first)
-    with options.Outputs(shared / "one") as out:
+    with outputs.Outputs(shared / "one") as out:
         out.json("x.json", {})
     assert (shared / "one" / "x.json").exists()
 
 
+def test_an_audit_starts_without_jax(zigzag, tmp_path):
+    code = (
+        "import sys; from diffsea.cli import main; status = main(sys.argv[1:])\n"
+        "assert not {'jax', 'jaxlib', 'equinox'} & set(sys.modules); sys.exit(status)"
+    )
+    foreign = tmp_path / "foreign.csv"
+    pd.read_csv(zigzag[0] / "recording.csv").rename(columns={"t": "time"}).to_csv(foreign)
+    for recording in (zigzag[0] / "recording.csv", foreign):
+        words = [sys.executable, "-c", code, "audit", recording, "-o", tmp_path / "out"]
+        done = subprocess.run(words, capture_output=True, text=True)
+        assert done.returncode == 0 and "written:" in done.stdout, done.stderr
+
+
 def test_a_table_has_numbers_to_the_right():
-    text = options.table([("mass", "12.5", "kg"), ("x", "-3", "m")], ("name", "value", ""))
+    text = outputs.table([("mass", "12.5", "kg"), ("x", "-3", "m")], ("name", "value", ""))
     assert text.splitlines() == ["name  value", "mass   12.5  kg", "x        -3  m"]
+
+
+def test_a_table_is_never_wrapped_coloured_or_read_as_markup(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "20")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    text = outputs.table([("[bold]x[/]", "y" * 300)])
+    assert text == "[bold]x[/]  " + "y" * 300
 
 
 def test_fit_writes_a_vessel_a_report_and_what_the_data_leave_open(boat, zigzag, tmp_path, capsys):

@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     debug = False
     try:
-        args = _parser().parse_args(argv)
+        args = make_parser().parse_args(argv)
         debug = args.debug
         prepare_jax()
         args.run(args)
@@ -64,10 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
-        return _bug(error, debug)
+        return _report_bug(error, debug)
 
 
-def _bug(error: Exception, debug: bool) -> int:
+def _report_bug(error: Exception, debug: bool) -> int:
     if debug:
         traceback.print_exc()
     hint = "" if debug else " Run it again with --debug for the whole traceback."
@@ -79,7 +79,7 @@ def _bug(error: Exception, debug: bool) -> int:
     return 1
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     vessels = sorted(p.stem for p in (pathlib.Path(__file__).parents[1] / "vessel").rglob("*.toml"))
     parser = argparse.ArgumentParser(
         prog="diffsea",

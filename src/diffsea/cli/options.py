@@ -1,15 +1,17 @@
-"""What the commands share: options, reading their inputs, and writing all outputs or none."""
+"""What the commands have in common: how they are declared, their options, reading their inputs.
+
+A command is a function of the parsed arguments whose docstring is its help. Nothing here imports
+a numerical library, so that help is quick.
+"""
 
 import argparse
 import difflib
 import functools
-import json
+import inspect
 import math
-import os
 import pathlib
-import shutil
 import sys
-import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,35 +23,68 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.files import VesselFile
 
+Commands = Any  # argparse's sub-parsers, whose class is private
+
 
 def add_command(
-    commands: Any,
-    name: str,
-    run: Callable[[argparse.Namespace], None],
-    help: str,
-    description: str,
-    examples: str,
+    commands: Commands, name: str, run: Callable[[argparse.Namespace], None], summary: str
 ) -> argparse.ArgumentParser:
-    """A sub-command with the options that every command has: `-o`, `--json`, `--debug`."""
+    """A sub-command with the options that every command has: `-o`, `--json`, `--debug`.
+
+    Arguments:
+        run: does the work; its docstring is the description, with examples under `examples:`.
+        summary: one line for the list of commands.
+    """
+    description, _, examples = (inspect.getdoc(run) or "").partition("\nexamples:\n")
     parser = commands.add_parser(
         name,
-        help=help,
+        help=summary,
         description=description,
         epilog=f"examples:\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.set_defaults(run=run)
-    common = parser.add_argument_group("output")
-    common.add_argument(
-        "-o", "--output", metavar="DIR", type=pathlib.Path, default=pathlib.Path("out") / name,
+    output = parser.add_argument_group("output")
+    folder = pathlib.Path("out") / name
+    output.add_argument(
+        "-o",
+        "--output",
+        metavar="DIR",
+        type=pathlib.Path,
+        default=folder,
         help="folder for the results (default: %(default)s)",
-    )  # fmt: skip
-    common.add_argument(
-        "--json", action="store_true", help="print the result as JSON, and nothing else, on stdout"
     )
-    common.add_argument("--debug", action="store_true", help="show the traceback of a bug")
+    add_flag(output, "--json", "print the result as JSON, and nothing else, on stdout")
+    add_flag(output, "--debug", "show the traceback of a bug")
     return parser
+
+
+Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
+
+
+def add_option(
+    parser: Parser,
+    flag: str,
+    metavar: str | tuple[str, ...],
+    kind: Callable[[str], Any],
+    help: str,
+    **more: Any,
+) -> None:
+    """An option with a value; its default, where it has one, is told at the end of the help."""
+    told = " (default: %(default)s)" if more.get("default") else ""
+    parser.add_argument(flag, metavar=metavar, type=kind, help=help + told, **more)
+
+
+def add_choice(parser: Parser, flag: str, choices: Sequence[str], help: str) -> None:
+    """An option that is one of few words, the first by default."""
+    text = f"{help} (default: %(default)s)"
+    parser.add_argument(flag, choices=choices, default=choices[0], help=text)
+
+
+def add_flag(parser: Parser, flag: str, help: str) -> None:
+    """An option that is given or not."""
+    parser.add_argument(flag, action="store_true", help=help)
 
 
 def add_vessel(parser: argparse.ArgumentParser) -> None:
@@ -59,14 +94,23 @@ def add_vessel(parser: argparse.ArgumentParser) -> None:
 
 def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> None:
     """The positional argument RECORDING, and `--mapping`."""
-    parser.add_argument(
-        "recordings" if several else "recording", metavar="RECORDING", type=pathlib.Path,
-        nargs="+" if several else None, help="run as CSV or Parquet, or a log (needs --mapping)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--mapping", metavar="M", type=pathlib.Path,
-        help="TOML file that says which columns are which, and in which unit",
-    )  # fmt: skip
+    name, number = ("recordings", "+") if several else ("recording", None)
+    text = "run as CSV or Parquet, or a log (needs --mapping)"
+    parser.add_argument(name, metavar="RECORDING", type=pathlib.Path, nargs=number, help=text)
+    mapping = "TOML file that says which columns are which, and in which unit"
+    add_option(parser, "--mapping", "M", pathlib.Path, mapping)
+
+
+def add_fit_options(parser: argparse.ArgumentParser) -> None:
+    """What `fit` and `diagnose` are given: a vessel, recordings, what is free and held out."""
+    add_vessel(parser)
+    add_recordings(parser)
+    free = "parameters to estimate, separated by commas (default: the hull's derivatives)"
+    add_option(parser, "--free", "NAMES", names, free)
+    held_out = "recordings to hold out for judging"
+    add_option(parser, "--test", "RECORDING", pathlib.Path, held_out, nargs="+", default=[])
+    environment = "whether wind and current are the same in all recordings"
+    add_choice(parser, "--environment", ("shared", "per-recording"), environment)
 
 
 # Types of arguments. A bad value is bad usage: argparse tells it and ends with status 2.
@@ -113,12 +157,16 @@ class LazyChoices:
     Iterated, as argparse does for `%(choices)s`, they are as they stand in the help.
     """
 
-    def __init__(self, load: Callable[[], dict[str, str]]) -> None:
+    def __init__(self, load: Callable[[], dict[str, str]]):
+        """
+        Arguments:
+            load: asks the library for meaning by name; without one it is empty.
+        """
         self._load = load
 
     @functools.cached_property
     def named(self) -> dict[str, str]:
-        """Meaning by name; without one it is empty."""
+        """Meaning by name."""
         prepare_jax()
         return self._load()
 
@@ -132,17 +180,17 @@ class LazyChoices:
 def one_of(choices: Sequence[str] | LazyChoices, what: str) -> Callable[[str], str]:
     """One of some names; the message has the nearest one and the list."""
 
-    def chosen(text: str) -> str:
-        names = list(choices.named) if isinstance(choices, LazyChoices) else choices
-        if text not in names:
-            near = difflib.get_close_matches(text, names, n=1)
+    def checked_name(text: str) -> str:
+        allowed = list(choices.named) if isinstance(choices, LazyChoices) else choices
+        if text not in allowed:
+            near = difflib.get_close_matches(text, allowed, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
             raise argparse.ArgumentTypeError(
-                f"there is no {what} {text!r}{hint}; choose one of {', '.join(names)}"
+                f"there is no {what} {text!r}{hint}; choose one of {', '.join(allowed)}"
             )
         return text
 
-    return chosen
+    return checked_name
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -166,7 +214,11 @@ def read_vessel(args: argparse.Namespace) -> "VesselFile":
 def read_recordings(
     paths: Iterable[pathlib.Path], mapping: pathlib.Path | None
 ) -> "list[Trajectory]":
-    """The recordings, under names that tell them apart."""
+    """The recordings, under names that tell them apart.
+
+    Raises:
+        UserError: a file cannot be read, or is named twice.
+    """
     import dataclasses
 
     from diffsea import recordings
@@ -183,7 +235,15 @@ def read_recordings(
     return runs
 
 
-# Outputs
+def read_fitted_and_held_out(
+    args: argparse.Namespace,
+) -> "tuple[list[Trajectory], list[Trajectory]]":
+    """The recordings to fit, and those held out."""
+    runs = read_recordings([*args.recordings, *args.test], args.mapping)
+    return runs[: len(args.recordings)], runs[len(args.recordings) :]
+
+
+# Progress
 
 
 def progress(message: str) -> None:
@@ -191,136 +251,11 @@ def progress(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
-class Outputs:
-    """The files of one command: all of them appear in the folder at the end, or none.
+def timed_progress() -> Callable[[str], None]:
+    """Progress with the seconds since the start."""
+    began = time.monotonic()
 
-        with Outputs(args.output) as out:
-            out.json("fit.json", {...})
-            out.path("vessel.toml").write_text(...)
-        out.present(args, "summary for a person")
+    def tell(message: str) -> None:
+        progress(f"[{time.monotonic() - began:5.0f} s] {message}")
 
-    Whatever is raised within leaves nothing behind. A folder that cannot be written is told
-    on entering, before any work is done.
-    """
-
-    def __init__(self, folder: pathlib.Path):
-        self.folder = pathlib.Path(folder)
-        self.files: list[pathlib.Path] = []
-        self._elsewhere: dict[pathlib.Path, pathlib.Path] = {}
-        self._result = "null"
-
-    def __enter__(self) -> "Outputs":
-        self._made: list[pathlib.Path] = []
-        try:
-            self._make(self.folder)
-            self._temporary = pathlib.Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.folder))
-        except OSError as error:
-            self._remove_made()
-            raise UserError(
-                f"cannot write into {self.folder}: {error.strerror}; choose another folder with -o"
-            ) from None
-        return self
-
-    def _make(self, folder: pathlib.Path) -> None:
-        if not folder.is_dir():
-            if folder.parent != folder:
-                self._make(folder.parent)
-            try:
-                folder.mkdir()
-            except FileExistsError:  # another command may make the same folder at this moment
-                if not folder.is_dir():
-                    raise
-            else:
-                self._made.append(folder)
-
-    def _remove_made(self) -> None:
-        for folder in reversed(self._made):
-            try:
-                folder.rmdir()
-            except OSError:  # somebody else has put something there
-                return
-
-    def path(self, name: str) -> pathlib.Path:
-        """Where to write the file `name` for now."""
-        self.files.append(self.folder / name)
-        return self._temporary / name
-
-    def elsewhere(self, file: pathlib.Path, option: str) -> pathlib.Path:
-        """Where to write the file that an option names, in any folder, for now.
-
-        Raises:
-            UserError: no file of this name can be written there.
-        """
-        if not file.parent.is_dir():
-            raise UserError(f"{option}: {file.parent} is no folder; give the name of a file")
-        if file.is_dir():
-            raise UserError(f"{option}: {file} is a folder; give the name of a file")
-        if not os.access(file if file.exists() else file.parent, os.W_OK):
-            raise UserError(f"{option}: cannot write {file}; choose another file")
-        self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
-        return self._elsewhere[file]
-
-    def json(self, name: str, data: Any) -> None:
-        """Write the command's JSON file; `--json` will print it."""
-        self._result = json_text(data)
-        self.path(name).write_text(self._result + "\n", encoding="utf-8")
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: Any) -> None:
-        try:
-            if kind is None:
-                for file in self.files:
-                    os.replace(self._temporary / file.name, file)
-                for file, temporary in self._elsewhere.items():
-                    if temporary.exists():
-                        shutil.move(temporary, file)
-                        self.files.append(file)
-        except OSError as failed:
-            raise UserError(f"cannot write into {self.folder}: {failed.strerror}") from None
-        finally:
-            shutil.rmtree(self._temporary, ignore_errors=True)
-            if kind is not None:
-                self._remove_made()
-
-    def present(self, args: argparse.Namespace, summary: str) -> None:
-        """Print the result: JSON alone with `--json`, else the summary and the files' names."""
-        if args.json:
-            print(self._result)
-        else:
-            print(f"{summary}\n\nwritten: {', '.join(str(file) for file in self.files)}")
-
-
-def json_text(data: Any) -> str:
-    """Valid JSON: numbers that are not finite become null."""
-    return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _plain(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_plain(value) for value in data]
-    if hasattr(data, "tolist"):
-        return _plain(data.tolist())
-    if isinstance(data, float) and not math.isfinite(data):
-        return None
-    return data
-
-
-def table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """Columns of text, numbers to the right."""
-    rows = [tuple(map(str, row)) for row in rows]
-    whole = [tuple(header), *rows] if header else rows
-    widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
-    right = [all(_is_number(row[k]) for row in rows) for k in range(len(widths))]
-    lines = [
-        "  ".join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(row, widths, right, strict=True)
-        ).rstrip()
-        for row in whole
-    ]
-    return "\n".join(lines)
-
-
-def _is_number(text: str) -> bool:
-    return not text or text[0].isdigit() or (text[0] in "+-" and text[1:2].isdigit())
+    return tell

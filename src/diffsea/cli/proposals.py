@@ -1,10 +1,12 @@
 """Recordings that come without a mapping and without native columns: one is proposed."""
 
 import argparse
+import math
 import shlex
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from diffsea.cli import options
+from diffsea.cli.outputs import Outputs
 from diffsea.errors import UserError
 
 
@@ -14,30 +16,40 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
 
 
-def read_recordings(
-    args: argparse.Namespace, out: options.Outputs
-) -> "tuple[list[Trajectory], list[tuple[str, list[Finding]]], str]":
-    """The recordings, through a proposed mapping where they need one.
+class AuditInput(NamedTuple):
+    """What an audit is of.
 
-    The mapping is written to `out`. Besides the recordings come, by name, findings that stand
-    in for files that could not be read for want of a time, and what to tell.
+    Attributes:
+        unread: by name, a finding that stands in for a file that cannot be read for want of a time.
+        message: what to say of the mapping that was proposed; empty where none was needed.
+    """
+
+    runs: "list[Trajectory]"
+    unread: "list[tuple[str, list[Finding]]]"
+    message: str
+
+
+def read_or_propose(args: argparse.Namespace, out: Outputs) -> AuditInput:
+    """The recordings, through a proposed mapping, which is written to `out`, where they need one.
+
+    Raises:
+        UserError: they cannot be read, and no mapping could be proposed.
     """
     from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping
 
     paths = args.recordings
     if args.mapping is not None or not any(is_foreign(path) for path in paths):
-        return options.read_recordings(paths, args.mapping), [], ""
+        return AuditInput(options.read_recordings(paths, args.mapping), [], "")
     try:
         proposal = propose_mapping(paths)
     except UserError as error:
         raise UserError(f"{_refusal(args)}; no mapping could be proposed: {error}") from error
     name = f"{paths[0].stem}.mapping.toml"
-    written = out.path(name)
-    written.write_text(proposal.text, encoding="utf-8")
-    told = _told(args, out, name, proposal)
+    out.text(name, proposal.text)
+    message = _message(args, out, name, proposal)
     if not proposal.timed:
-        return [], [(path.name, [_untimed(path.name)]) for path in paths], told
-    return options.read_recordings(paths, written), [], told
+        return AuditInput([], [(path.name, [_untimed(path.name)]) for path in paths], message)
+    return AuditInput(options.read_recordings(paths, out.written(name)), [], message)
 
 
 def _refusal(args: argparse.Namespace) -> str:
@@ -49,18 +61,17 @@ def _refusal(args: argparse.Namespace) -> str:
     return "some of these files need a mapping"
 
 
-def _told(args: argparse.Namespace, out: options.Outputs, name: str, proposal: "Proposal") -> str:
+def _message(args: argparse.Namespace, out: Outputs, name: str, proposal: "Proposal") -> str:
     files = " ".join(shlex.quote(str(path)) for path in args.recordings)
-    written = shlex.quote(str(out.folder / name))
+    mapping = shlex.quote(str(out.folder / name))
     lines = [
-        f"{args.recordings[0]} has no native columns, so a mapping was proposed: {written}",
+        f"{args.recordings[0]} has no native columns, so a mapping was proposed: {mapping}",
         "  channel         how sure       column",
         proposal.summary,
     ]
     if proposal.checks:
         lines += ["check these, and edit the mapping:", *(f"  {item}" for item in proposal.checks)]
-    again = f"  diffsea audit {files} --mapping {written}"
-    lines += ["then run", again, ""]
+    lines += ["then run", f"  diffsea audit {files} --mapping {mapping}", ""]
     if proposal.timed:
         lines.append("The audit below is of the recordings read through the proposed mapping.")
     else:
@@ -73,8 +84,8 @@ def _untimed(name: str) -> "Finding":
 
     return Finding(
         "time-step",
-        float("nan"),
-        float("nan"),
+        math.nan,
+        math.nan,
         "",
         "the file has no time, and nothing tells its sampling interval; it was not audited",
         "put the interval (s) into [file] time_step of the proposed mapping",

@@ -1,72 +1,75 @@
-"""The command that finds trials in long recordings: `segment`."""
+"""`diffsea segment`: trials in long recordings, cut out and traced."""
 
 import argparse
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
+from diffsea.cli.options import add_option
+from diffsea.cli.outputs import Outputs, table
 from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
     from diffsea.segments import Segment
+    from diffsea.segments.signals import Signals
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.base import Vessel
 
 
-# Written out because asking the library would import JAX; a test compares the two.
-KINDS = ("turning", "zigzag", "straight", "coasting", "station", "unknown")
-_SEGMENT = """\
-Find trials in long recordings: turning, zig-zag, straight, coasting, station. Onsets are those
-of the executed steering, where it was measured or a vessel says how orders are answered; else
-of the orders, and the result says so. Every segment becomes a recording of its own, time zero
-at the onset, with checks from order to motion. Writes the segments, segments.json with their
-provenance, and a plot of each recording.
-"""
-_EXAMPLES = """\
-  diffsea segment day1.csv day2.csv
-  diffsea segment log.csv --mapping boat.toml --vessel otter
-  diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials"""
+KINDS = ("turning", "zigzag", "straight", "coasting", "station", "unknown")  # as the library has
+FORMATS = ("csv", "parquet")
+COLUMNS = (
+    "",
+    "kind",
+    "onset s",
+    "end s",
+    "side",
+    "order deg",
+    "heading deg",
+    "approach m/s",
+    "",
+    "group",
+)
 
 
-def register(commands) -> None:
+def register(commands: options.Commands) -> None:
     """Add the command."""
-    parser = options.add_command(
-        commands, "segment", _segment, "trials in long recordings, cut out and traced", _SEGMENT,
-        _EXAMPLES,
-    )  # fmt: skip
+    summary = "trials in long recordings, cut out and traced"
+    parser = options.add_command(commands, "segment", segment_command, summary)
     options.add_recordings(parser)
-    parser.add_argument(
-        "--vessel", metavar="V", help="vessel that names the actuators and answers the orders"
-    )
-    parser.add_argument(
-        "--kind", metavar="KINDS", type=_kinds, default=KINDS,
-        help=f"only these, separated by commas ({' | '.join(KINDS)})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--window",
-        metavar="S",
-        type=options.positive,
-        help="time in which the vessel turns by 90 deg at its fastest (default: as recorded)",
-    )
-    parser.add_argument(
-        "--interval", metavar="S", type=options.positive,
-        help="resample the segments to this time step (default: as recorded)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--format", type=options.one_of(("csv", "parquet"), "format"), default="csv",
-        metavar="csv|parquet", help="of the segments (default: csv)",
-    )  # fmt: skip
+    vessel = "vessel that names the actuators and answers the orders"
+    add_option(parser, "--vessel", "V", str, vessel)
+    kinds = f"only these, separated by commas ({' | '.join(KINDS)})"
+    parser.add_argument("--kind", metavar="KINDS", type=kind_names, default=KINDS, help=kinds)
+    window = "time in which the vessel turns by 90 deg at its fastest (default: as recorded)"
+    add_option(parser, "--window", "S", options.positive, window)
+    interval = "resample the segments to this time step (default: as recorded)"
+    add_option(parser, "--interval", "S", options.positive, interval)
+    formats = options.one_of(FORMATS, "format")
+    add_option(parser, "--format", "|".join(FORMATS), formats, "of the segments", default="csv")
 
 
-def _kinds(text: str) -> tuple[str, ...]:
-    chosen = options.one_of(KINDS, "kind")
-    return tuple(chosen(name) for name in options.names(text))
+def kind_names(text: str) -> tuple[str, ...]:
+    """Kinds of segments separated by commas."""
+    kind = options.one_of(KINDS, "kind")
+    return tuple(kind(name) for name in options.names(text))
 
 
-def _segment(args: argparse.Namespace) -> None:
+def segment_command(args: argparse.Namespace) -> None:
+    """Find trials in long recordings: turning, zig-zag, straight, coasting, station. Onsets are
+    those of the executed steering, where it was measured or a vessel says how orders are answered;
+    else of the orders, and the result says so. Every segment becomes a recording of its own, time
+    zero at the onset, with checks from order to motion. Writes the segments, segments.json with
+    their provenance, and a plot of each recording.
+
+    examples:
+      diffsea segment day1.csv day2.csv
+      diffsea segment log.csv --mapping boat.toml --vessel otter
+      diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
+    """
     from diffsea.report.pictures import save_segments
     from diffsea.segments import Settings, grouped
     from diffsea.segments.export import record, source_of
@@ -75,55 +78,56 @@ def _segment(args: argparse.Namespace) -> None:
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     runs = options.read_recordings(args.recordings, args.mapping)
-    _distinct(runs)
+    stems = _distinct_stems(runs)
     settings = Settings(window=args.window)
-    with options.Outputs(args.output) as out:
-        entries, texts, found = [], [], []
-        for run in runs:
-            signals = signals_of(run, vessel)
-            own = fitted(signals, settings)
-            found.append((run, signals, own, segments_of(signals, own)))
-        labelled = iter(grouped([s for *_, items in found for s in items], settings))
-        for path, (run, signals, own, items) in zip(args.recordings, found, strict=True):
-            items = [next(labelled) for _ in items]
-            save_segments(signals, items, out.path(f"{_stem(run)}.png"), run.name)
-            kept = [item for item in items if item.kind in args.kind]
-            written = _written(args, out, run, signals, kept, vessel)
+    with Outputs(args.output) as out:
+        signals = [signals_of(run, vessel) for run in runs]
+        scales = [fitted(one, settings) for one in signals]
+        found = [segments_of(*pair) for pair in zip(signals, scales, strict=True)]
+        labelled = iter(grouped([segment for own in found for segment in own], settings))
+        entries, texts = [], []
+        for k, run in enumerate(runs):
+            segments = [next(labelled) for _ in found[k]]
+            save_segments(signals[k], segments, out.path(f"{stems[k]}.png"), run.name)
+            chosen = [segment for segment in segments if segment.kind in args.kind]
             entries.append(
                 {
                     "recording": run.name,
-                    "source": source_of(path, args.mapping),
+                    "source": source_of(args.recordings[k], args.mapping),
                     "vessel": None if vessel is None else vessel.name,
-                    "actuation": signals.origin,
-                    "steering": signals.channel,
-                    "parameters": dataclasses.asdict(own),
-                    "notes": list(signals.notes),
-                    "segments": written,
+                    "actuation": signals[k].origin,
+                    "steering": signals[k].channel,
+                    "parameters": dataclasses.asdict(scales[k]),
+                    "notes": list(signals[k].notes),
+                    "segments": _write_segments(args, out, run, signals[k], chosen, vessel),
                 }
             )
-            texts.append(_text(run, kept, signals.notes))
+            texts.append(_segments_text(run, chosen, signals[k].notes))
         out.json("segments.json", record(entries))
     out.present(args, "\n\n".join(texts))
 
 
-def _distinct(runs: "list[Trajectory]") -> None:
-    stems = [_stem(run) for run in runs]
+def _distinct_stems(runs: "list[Trajectory]") -> list[str]:
+    """Names of the runs without suffix; raises where files of two would have one name."""
+    stems = [Path(run.name).stem for run in runs]
     for stem in stems:
         if stems.count(stem) > 1:
             raise UserError(
                 f"two recordings are called {stem!r}, so their segments would overwrite one "
                 "another: rename one, or run the command for each"
             )
+    return stems
 
 
-def _stem(run: "Trajectory") -> str:
-    return Path(run.name).stem
-
-
-def _written(
-    args: argparse.Namespace, out: options.Outputs, run: "Trajectory", signals,
-    found: "list[Segment]", vessel: "Vessel | None",
-) -> list[dict]:  # fmt: skip
+def _write_segments(
+    args: argparse.Namespace,
+    out: Outputs,
+    run: "Trajectory",
+    signals: "Signals",
+    found: "list[Segment]",
+    vessel: "Vessel | None",
+) -> list[dict[str, Any]]:
+    """A recording for each segment, with checks from order to motion; their entries."""
     from diffsea.segments.export import export, file_name
     from diffsea.segments.traceability import checks_of
 
@@ -133,22 +137,18 @@ def _written(
     return export(run, found, paths[0].parent, args.interval, suffix, checks) if paths else []
 
 
-def _text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> str:
-    header = ["", "kind", "onset s", "end s", "side", "order deg", "heading deg", "approach m/s",
-              "", "group"]  # fmt: skip
-    rows = [
-        [
-            str(number), item.kind, f"{item.onset:.2f}", f"{item.end:.2f}", item.side or "",
-            _number(math.degrees(item.order), ".1f"),
-            _number(math.degrees(item.heading_change), ".0f"),
-            _number(item.approach.speed, ".3g"), item.approach.verdict, item.group,
-        ]
-        for number, item in enumerate(found, 1)
-    ]  # fmt: skip
+def _segments_text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> str:
+    def finite(value: float, form: str) -> str:
+        return format(value, form) if math.isfinite(value) else ""
+
+    rows = []
+    for number, item in enumerate(found, 1):
+        times = (f"{item.onset:.2f}", f"{item.end:.2f}")
+        order = finite(math.degrees(item.order), ".1f")
+        heading = finite(math.degrees(item.heading_change), ".0f")
+        approach = (finite(item.approach.speed, ".3g"), item.approach.verdict)
+        side = item.side or ""
+        rows.append((str(number), item.kind, *times, side, order, heading, *approach, item.group))
     lines = [f"{run.name}: {len(found)} segments"]
-    lines += [options.table(rows, header)] if rows else []
+    lines += [table(rows, COLUMNS)] if rows else []
     return "\n".join([*lines, *(f"note: {note}" for note in notes)])
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else ""

@@ -1,11 +1,13 @@
-"""Commands for designing: `sensitivity` and `sweep`."""
+"""Commands for designing: `diffsea sensitivity` and `diffsea sweep`."""
 
 import argparse
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
-from diffsea.cli.trial import add_trial_options, plan_of, require_run
+from diffsea.cli.options import add_option
+from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.trial import add_trial_options, require_run, trial_plan
 from diffsea.errors import UserError
 
 
@@ -14,107 +16,85 @@ if TYPE_CHECKING:
 
     from diffsea.studies.sweep import Designs
 
-
-_SENSITIVITY = """\
-Derivatives of every number of a trial with respect to every parameter of the vessel, exact
-through the switching of orders. The approach speed, the orders and the time step stay as they
-are. Writes sensitivity.json, {metric: {parameter: derivative}} in the SI units of both, and
-tornado.png with the relative sensitivities.
-"""
-_SENSITIVITY_EXAMPLES = """\
-  diffsea sensitivity kvlcc2 --manoeuvre zigzag --speed 1.179
-  diffsea sensitivity usv.toml --manoeuvre turning-circle --parameters mass,N_r,N_rr"""
-_SWEEP = """\
-Run a trial of many designs. A design is the vessel with some parameters changed: any number of
-the vessel file by name (mass, N_r, rudder.area ...), the approach speed (speed, m/s) or the
-total thrust (thrust, N). All values are in SI units.
-Writes sweep.parquet with one row per design: parameters, metrics, IMO verdicts and outcome; a
-summary in sweep.json; and map.png for a grid over two parameters. A design that diverges or is
-impossible has nulls and its outcome says so.
-"""
-_SWEEP_EXAMPLES = """\
-  diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
-  diffsea sweep usv.toml --manoeuvre turning-circle --sample 2000 mass=150:220 x_G=-0.3:0.3
-  diffsea sweep kvlcc2 --manoeuvre zigzag --grid speed=0.6:1.2:7"""
+STRONGEST = 5  # parameters of a number that a person is told
+WEAKEST = 1e-6  # elasticity below which a parameter has no influence
 
 
-def register(commands) -> None:
+def register(commands: options.Commands) -> None:
     """Add the commands."""
-    sensitivity = options.add_command(
-        commands, "sensitivity", _sensitivity, "exact derivatives of a trial's numbers",
-        _SENSITIVITY, _SENSITIVITY_EXAMPLES,
-    )  # fmt: skip
+    summary = "exact derivatives of a trial's numbers"
+    sensitivity = options.add_command(commands, "sensitivity", sensitivity_command, summary)
     options.add_vessel(sensitivity)
     add_trial_options(sensitivity)
-    sensitivity.add_argument(
-        "--parameters", metavar="NAMES", type=options.names,
-        help="parameters, separated by commas (default: all of them)",
-    )  # fmt: skip
-    sweep = options.add_command(
-        commands, "sweep", _sweep, "run a trial of many designs at once", _SWEEP, _SWEEP_EXAMPLES
-    )
+    parameters = "parameters, separated by commas (default: all of them)"
+    add_option(sensitivity, "--parameters", "NAMES", options.names, parameters)
+    summary = "run a trial of many designs at once"
+    sweep = options.add_command(commands, "sweep", sweep_command, summary)
     options.add_vessel(sweep)
     add_trial_options(sweep)
     group = sweep.add_argument_group("designs")
-    group.add_argument(
-        "--grid", metavar="NAME=FROM:TO:COUNT", nargs="+", type=_axis, action="extend",
-        help="all combinations of evenly spaced values",
-    )  # fmt: skip
-    group.add_argument(
-        "--sample", metavar=("N", "NAME=FROM:TO"), nargs="+",
-        help="N random designs that cover all ranges evenly",
-    )  # fmt: skip
-    group.add_argument(
-        "--seed", metavar="K", type=int, default=0, help="of the sample (default: 0)"
-    )
+    grid, form = "all combinations of evenly spaced values", "NAME=FROM:TO:COUNT"
+    add_option(group, "--grid", form, grid_axis, grid, nargs="+", action="extend")
+    sample = "N random designs that cover all ranges evenly"
+    add_option(group, "--sample", ("N", "NAME=FROM:TO"), str, sample, nargs="+")
+    add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
     sweep.set_defaults(usage_error=sweep.error)
 
 
-def _sensitivity(args: argparse.Namespace) -> None:
+def sensitivity_command(args: argparse.Namespace) -> None:
+    """Derivatives of every number of a trial with respect to every parameter of the vessel, exact
+    through the switching of orders. The approach speed, the orders and the time step stay as they
+    are. Writes sensitivity.json, {metric: {parameter: derivative}} in the SI units of both, and
+    tornado.png with the relative sensitivities.
+
+    examples:
+      diffsea sensitivity kvlcc2 --manoeuvre zigzag --speed 1.179
+      diffsea sensitivity usv.toml --manoeuvre turning-circle --parameters mass,N_r,N_rr
+    """
     from diffsea.report.pictures import save_tornado
-    from diffsea.simulation import planning
+    from diffsea.simulation.planning import run_and_measure
     from diffsea.studies.sensitivity import parameter_names, sensitivities
 
     vessel = options.read_vessel(args).vessel
     parameter_names(vessel, args.parameters)
-    plan = plan_of(args, vessel)
-    with options.Outputs(args.output) as out:
-        trial, _ = planning.run_and_measure(vessel, plan)
+    plan = trial_plan(args, vessel)
+    with Outputs(args.output) as out:
+        trial, _ = run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
         options.progress("differentiating; the first time takes a while to compile")
         found = sensitivities(vessel, plan, args.parameters)
-        relative = found.elasticities
         out.json("sensitivity.json", found.derivatives)
-        title = f"{vessel.name}: {plan.manoeuvre}"
-        save_tornado(relative, out.path("tornado.png"), title)
-    out.present(args, _strongest_text(found.numbers, relative))
+        save_tornado(
+            found.elasticities, out.path("tornado.png"), f"{vessel.name}: {plan.manoeuvre}"
+        )
+    out.present(args, _strongest_text(found.numbers, found.elasticities))
 
 
 def _strongest_text(numbers: dict[str, float], relative: dict[str, dict[str, float]]) -> str:
     """The strongest elasticities of every number."""
     rows = []
     for number, row in relative.items():
-        strongest = sorted(row, key=lambda name: -abs(row[name]))[:5]
-        strongest = [name for name in strongest if abs(row[name]) > 1e-6]
-        shown = ", ".join(f"{name} {row[name]:+.3g}" for name in strongest)
-        rows.append((number, f"{numbers[number]:.4g}", shown or "-"))
+        strongest = sorted(row, key=lambda name: -abs(row[name]))[:STRONGEST]
+        parts = [f"{name} {row[name]:+.3g}" for name in strongest if abs(row[name]) > WEAKEST]
+        rows.append((number, f"{numbers[number]:.4g}", ", ".join(parts) or "-"))
     header = ("number", "value (SI)", "% change per 1 % of the strongest parameters")
-    return options.table(rows, header)
+    return table(rows, header)
 
 
-def _axis(text: str) -> tuple[str, float, float, int]:
-    """`NAME=FROM:TO:COUNT`."""
-    name, bounds = _named(text, 3, "NAME=FROM:TO:COUNT, for example mass=150:220:8")
-    return name, options.number(bounds[0]), options.number(bounds[1]), options.count(bounds[2])
+def grid_axis(text: str) -> tuple[str, tuple[float, float, int]]:
+    """A parameter and its evenly spaced values, `NAME=FROM:TO:COUNT`."""
+    name, bounds = _name_and_bounds(text, 3, "NAME=FROM:TO:COUNT, for example mass=150:220:8")
+    first, last = (options.number(bound) for bound in bounds[:2])
+    return name, (first, last, options.count(bounds[2]))
 
 
-def _range(text: str) -> tuple[str, float, float]:
-    """`NAME=FROM:TO`."""
-    name, bounds = _named(text, 2, "NAME=FROM:TO, for example mass=150:220")
-    return name, options.number(bounds[0]), options.number(bounds[1])
+def sample_range(text: str) -> tuple[str, tuple[float, float]]:
+    """A parameter and its range, `NAME=FROM:TO`."""
+    name, bounds = _name_and_bounds(text, 2, "NAME=FROM:TO, for example mass=150:220")
+    return name, (options.number(bounds[0]), options.number(bounds[1]))
 
 
-def _named(text: str, parts: int, form: str) -> tuple[str, list[str]]:
+def _name_and_bounds(text: str, parts: int, form: str) -> tuple[str, list[str]]:
     name, equals, values = text.partition("=")
     bounds = values.split(":")
     if not (name and equals and len(bounds) == parts):
@@ -130,42 +110,54 @@ def _designs(args: argparse.Namespace) -> "Designs":
         args.usage_error("give either --grid or --sample")
     try:
         if args.grid is not None:
-            return sweep.grid(_by_name([(name, axis) for name, *axis in args.grid]))
-        count, *ranges = args.sample
+            return sweep.grid(_by_name(args.grid))
+        number, *ranges = args.sample
         if not ranges:
             raise argparse.ArgumentTypeError("give a number of designs, then NAME=FROM:TO")
-        axes = _by_name([(name, axis) for name, *axis in map(_range, ranges)])
-        return sweep.sample(axes, options.count(count), args.seed)
+        axes = _by_name([sample_range(text) for text in ranges])
+        return sweep.sample(axes, options.count(number), args.seed)
     except argparse.ArgumentTypeError as error:
         args.usage_error(str(error))
         raise
 
 
-def _by_name(axes: list[tuple[str, list]]) -> dict[str, tuple]:
+def _by_name(axes: list[tuple[str, Any]]) -> dict[str, Any]:
     names = [name for name, _ in axes]
     for name in names:
         if names.count(name) > 1:
             raise argparse.ArgumentTypeError(f"{name!r} is given twice")
-    return {name: tuple(axis) for name, axis in axes}
+    return dict(axes)
 
 
-def _sweep(args: argparse.Namespace) -> None:
+def sweep_command(args: argparse.Namespace) -> None:
+    """Run a trial of many designs. A design is the vessel with some parameters changed: any number
+    of the vessel file by name (mass, N_r, rudder.area ...), the approach speed (speed, m/s) or the
+    total thrust (thrust, N). All values are in SI units.
+    Writes sweep.parquet with one row per design: parameters, metrics, IMO verdicts and outcome; a
+    summary in sweep.json; and map.png for a grid over two parameters. A design that diverges or is
+    impossible has nulls and its outcome says so.
+
+    examples:
+      diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
+      diffsea sweep usv.toml --manoeuvre turning-circle --sample 2000 mass=150:220 x_G=-0.3:0.3
+      diffsea sweep kvlcc2 --manoeuvre zigzag --grid speed=0.6:1.2:7
+    """
     from diffsea.report.pictures import save_map
     from diffsea.studies import sweep
 
     designs = _designs(args)
     vessel = options.read_vessel(args).vessel
     sweep.check_names(vessel, designs.names)
-    plan = plan_of(_at_slowest(args, designs), vessel)
+    plan = trial_plan(_at_slowest(args, designs), vessel)
     options.progress(f"{len(designs.values)} designs; the first block is compiled")
-    with options.Outputs(args.output) as out:
-        table, rate = sweep.sweep(vessel, plan, designs, options.progress)
-        summary = _summary(table, designs, rate)
-        table.to_parquet(out.path("sweep.parquet"), index=False)
+    with Outputs(args.output) as out:
+        found, rate = sweep.sweep(vessel, plan, designs, options.progress)
+        summary = sweep_summary(found, designs, rate)
+        found.to_parquet(out.path("sweep.parquet"), index=False)
         out.json("sweep.json", {"vessel": vessel.name, "manoeuvre": plan.manoeuvre, **summary})
         if args.grid is not None and len(designs.names) == 2:
             title = f"{vessel.name}: {plan.manoeuvre}"
-            save_map(table, designs.names, out.path("map.png"), title)
+            save_map(found, designs.names, out.path("map.png"), title)
     out.present(args, _summary_text(summary))
 
 
@@ -183,48 +175,48 @@ def _at_slowest(args: argparse.Namespace, designs: "Designs") -> argparse.Namesp
     return args
 
 
-def _summary(table: "pd.DataFrame", designs: "Designs", rate: float) -> dict:
-    numbers = [name for name in table.select_dtypes("number") if name not in designs.names]
-    verdicts = [name for name in table if str(name).startswith("imo_")]
+def sweep_summary(found: "pd.DataFrame", designs: "Designs", rate: float) -> dict[str, Any]:
+    """The content of sweep.json, all but what was swept.
+
+    Arguments:
+        found: a row for each design.
+        rate: vessel-steps per second.
+    """
+    numbers = [str(name) for name in found.select_dtypes("number") if name not in designs.names]
+    verdicts = [str(name) for name in found if str(name).startswith("imo_")]
+    metrics, imo = {}, {}
+    for name in numbers:
+        column = found[name]
+        least, median, most = (float(f()) for f in (column.min, column.median, column.max))
+        count = int(column.notna().sum())
+        metrics[name] = {"least": least, "median": median, "most": most, "designs": count}
+    for name in verdicts:
+        counts = {word: int((found[name] == word).sum()) for word in ("pass", "fail")}
+        imo[name.removeprefix("imo_")] = counts
     return {
-        "designs": len(table),
+        "designs": len(found),
         "parameters": {
             name: {"from": float(column.min()), "to": float(column.max())}
             for name, column in zip(designs.names, designs.values.T, strict=True)
         },
-        "outcomes": {str(k): int(n) for k, n in table["outcome"].value_counts().items()},
-        "metrics": {
-            name: {
-                "least": float(table[name].min()),
-                "median": float(table[name].median()),
-                "most": float(table[name].max()),
-                "designs": int(table[name].notna().sum()),
-            }
-            for name in numbers
-        },
-        "imo": {
-            str(name).removeprefix("imo_"): {
-                verdict: int((table[name] == verdict).sum()) for verdict in ("pass", "fail")
-            }
-            for name in verdicts
-        },
+        "outcomes": {str(k): int(n) for k, n in found["outcome"].value_counts().items()},
+        "metrics": metrics,
+        "imo": imo,
         "vessel_steps_per_second": rate,
     }
 
 
-def _summary_text(summary: dict) -> str:
+def _summary_text(summary: dict[str, Any]) -> str:
     outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
-    lines = [
-        f"{summary['designs']} designs ({outcomes}), "
-        f"{summary['vessel_steps_per_second']:.2g} vessel-steps/s"
-    ]
+    rate = f"{summary['vessel_steps_per_second']:.2g} vessel-steps/s"
+    lines = [f"{summary['designs']} designs ({outcomes}), {rate}"]
     rows = [
         (name, *(f"{column[key]:.4g}" for key in ("least", "median", "most")))
         for name, column in summary["metrics"].items()
         if math.isfinite(column["median"])
     ]
     if rows:
-        lines.append(options.table(rows, ("number (SI)", "least", "median", "most")))
+        lines.append(table(rows, ("number (SI)", "least", "median", "most")))
     for name, verdict in summary["imo"].items():
         lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
     return "\n".join(lines)

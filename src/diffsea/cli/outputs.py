@@ -1,0 +1,168 @@
+"""What commands leave behind: files, all of them or none, and a result on standard output."""
+
+import argparse
+import json
+import math
+import os
+import pathlib
+import shutil
+import tempfile
+from collections.abc import Iterable, Sequence
+from types import TracebackType
+from typing import Any
+
+from diffsea.errors import UserError
+
+
+class Outputs:
+    """The files of one command: all of them appear in the folder at the end, or none.
+
+        with Outputs(args.output) as out:
+            out.json("fit.json", {...})
+            out.text("vessel.toml", ...)
+        out.present(args, "summary for a person")
+
+    Whatever is raised within leaves nothing behind. A folder that cannot be written is told
+    on entering, before any work is done.
+    """
+
+    def __init__(self, folder: pathlib.Path):
+        """The files of a folder, which is made on entering where it is not there."""
+        self.folder = pathlib.Path(folder)
+        self.files: list[pathlib.Path] = []
+        self._elsewhere: dict[pathlib.Path, pathlib.Path] = {}
+        self._result = "null"
+
+    def __enter__(self) -> "Outputs":
+        self._made: list[pathlib.Path] = []
+        try:
+            self._make_folder(self.folder)
+            self._temporary = pathlib.Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.folder))
+        except OSError as error:
+            self._remove_folders()
+            raise UserError(
+                f"cannot write into {self.folder}: {error.strerror}; choose another folder with -o"
+            ) from None
+        return self
+
+    def _make_folder(self, folder: pathlib.Path) -> None:
+        if not folder.is_dir():
+            if folder.parent != folder:
+                self._make_folder(folder.parent)
+            try:
+                folder.mkdir()
+            except FileExistsError:  # another command may make the same folder at this moment
+                if not folder.is_dir():
+                    raise
+            else:
+                self._made.append(folder)
+
+    def _remove_folders(self) -> None:
+        for folder in reversed(self._made):
+            try:
+                folder.rmdir()
+            except OSError:  # somebody else has put something there
+                return
+
+    def path(self, name: str) -> pathlib.Path:
+        """Where to write the file `name` for now."""
+        self.files.append(self.folder / name)
+        return self._temporary / name
+
+    def elsewhere(self, file: pathlib.Path, option: str) -> pathlib.Path:
+        """Where to write the file that an option names, in any folder, for now.
+
+        Raises:
+            UserError: no file of this name can be written there.
+        """
+        if not file.parent.is_dir():
+            raise UserError(f"{option}: {file.parent} is no folder; give the name of a file")
+        if file.is_dir():
+            raise UserError(f"{option}: {file} is a folder; give the name of a file")
+        if not os.access(file if file.exists() else file.parent, os.W_OK):
+            raise UserError(f"{option}: cannot write {file}; choose another file")
+        self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
+        return self._elsewhere[file]
+
+    def written(self, name: str) -> pathlib.Path:
+        """Where the file `name`, which was written before, is for now."""
+        return self._temporary / name
+
+    def text(self, name: str, text: str) -> None:
+        """Write a file of text."""
+        self.path(name).write_text(text, encoding="utf-8")
+
+    def json(self, name: str, data: Any) -> None:
+        """Write the command's JSON file; `--json` will print it.
+
+        Arguments:
+            data: dictionaries, lists, numbers, arrays; numbers that are not finite become null.
+        """
+        self._result = json_text(data)
+        self.text(name, self._result + "\n")
+
+    def __exit__(
+        self, kind: type | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                for file in self.files:
+                    os.replace(self._temporary / file.name, file)
+                for file, temporary in self._elsewhere.items():
+                    if temporary.exists():
+                        shutil.move(temporary, file)
+                        self.files.append(file)
+        except OSError as failed:
+            raise UserError(f"cannot write into {self.folder}: {failed.strerror}") from None
+        finally:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            if kind is not None:
+                self._remove_folders()
+
+    def present(self, args: argparse.Namespace, summary: str) -> None:
+        """Print the result: JSON alone with `--json`, else the summary and the files' names."""
+        if args.json:
+            print(self._result)
+        else:
+            print(f"{summary}\n\nwritten: {', '.join(str(file) for file in self.files)}")
+
+
+def json_text(data: Any) -> str:
+    """Valid JSON: numbers that are not finite become null."""
+    return json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _json_value(data: Any) -> Any:
+    """The data as JSON has it: text as keys, lists, null for numbers that are not finite."""
+    if isinstance(data, dict):
+        return {str(key): _json_value(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_json_value(value) for value in data]
+    if hasattr(data, "tolist"):
+        return _json_value(data.tolist())
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    return data
+
+
+def table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
+    """Columns of text, those of numbers to the right; no line ends in blanks."""
+    import rich.table
+    from rich.console import Console
+    from rich.text import Text
+
+    rows = [tuple(map(str, row)) for row in rows]
+    grid = rich.table.Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
+    for column in zip(*rows, strict=True):
+        grid.add_column(justify="right" if all(map(_is_number, column)) else "left", no_wrap=True)
+    for row in [tuple(header), *rows] if header else rows:
+        grid.add_row(*map(Text, row))
+    widest = sum(max(map(len, column)) + 2 for column in zip(header or rows[0], *rows, strict=True))
+    console = Console(width=widest, color_system=None, force_terminal=False)
+    with console.capture() as captured:
+        console.print(grid)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+
+def _is_number(text: str) -> bool:
+    return not text or text[0].isdigit() or (text[0] in "+-" and text[1:2].isdigit())
