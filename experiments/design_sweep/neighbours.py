@@ -12,7 +12,7 @@ from loading import KINDS, THRUST, loaded, plan, saturation
 from sweeping import Swept
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
-from diffsea.parameters import designed, replace, spread
+from diffsea.parameters import file_parameters, replace, spread_over_places
 from diffsea.simulation import manoeuvres
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.manoeuvres import Stages
@@ -52,7 +52,7 @@ def quantities(
     draught of its own.
     """
     thrust, mass = jnp.exp(x[0]), jnp.exp(x[1])
-    design = replace(vessel, spread(dict(places), loaded(vessel, mass)))
+    design = replace(vessel, spread_over_places(dict(places), loaded(vessel, mass)))
     throttle = throttle_for_thrust(design, thrust)
 
     def one(stages: Stages) -> tuple:
@@ -89,7 +89,7 @@ def with_slopes(
 ) -> tuple[Float[np.ndarray, "design quantity"], Float[np.ndarray, "design quantity 2"]]:
     """Quantities of designs, and their exact derivatives by ln thrust and ln mass."""
     arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    kind = plan(vessel, ZIGZAG), tuple(designed(vessel).items())
+    kind = plan(vessel, ZIGZAG), tuple(file_parameters(vessel).items())
     values, slopes = [], []
     for k in range(0, len(x), LANES):
         block = x[k : k + LANES]

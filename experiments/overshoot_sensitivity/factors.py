@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffsea.parameters import designed, named, replace
+from diffsea.parameters import file_parameters, named, replace
 from diffsea.vessel.base import Vessel
 
 
@@ -30,7 +30,7 @@ def factors(vessel: Vessel) -> tuple[Factor, ...]:
     Twin thrusters change together. A number that is zero has no relative change.
     """
     values, grouped = named(vessel), {}
-    for name, places in designed(vessel).items():
+    for name, places in file_parameters(vessel).items():
         value = float(values[places[0]])
         if value == 0 or name.rsplit(".", 1)[-1] in _IDLE:
             continue

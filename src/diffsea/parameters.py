@@ -1,11 +1,8 @@
-"""Names for the numbers in a model.
+"""Names for the numbers in a model, and what is known of them before seeing data.
 
-A model is a tree of numbers; its parameters are named after their place in it. What is
-known of them before seeing data stands beside the model, in `priors`.
-
-What is known of a model's numbers before seeing data: start, spread, bounds, unit, meaning.
-
-The records stand beside the model, so that choosing what to estimate never edits the model.
+A model is a tree of numbers; its parameters are named after their place in it. Start, spread,
+bounds and unit of a parameter stand beside the model, so that choosing what to estimate never
+edits the model.
 """
 
 import dataclasses
@@ -27,10 +24,8 @@ from diffsea.types import Scalar
 Model = TypeVar("Model")
 
 # Containers whose names say nothing that the parameter's own name does not.
-_SILENT = {
-    "rigid_body", "added_mass", "forces", "actuators", "servos", "derivatives", "damping",
-    "losses", "environment", "dependent_forces",
-}  # fmt: skip
+_SILENT = {"rigid_body", "added_mass", "forces", "actuators", "servos", "derivatives", "damping"}
+_SILENT |= {"losses", "environment", "dependent_forces"}
 
 
 def _name(path: tuple) -> str:
@@ -52,7 +47,7 @@ def named(model: Model) -> dict[str, Scalar]:
 _COPIED = ("length", "draught", "water_density", "reference_speed")
 
 
-def designed(model: Model) -> dict[str, tuple[str, ...]]:
+def file_parameters(model: Model) -> dict[str, tuple[str, ...]]:
     """The numbers of `model` as its file has them: each with the names of all its places.
 
     A vessel file states its length once, and several parts work with it; a design with
@@ -67,7 +62,7 @@ def designed(model: Model) -> dict[str, tuple[str, ...]]:
     return places
 
 
-def spread(
+def spread_over_places(
     places: Mapping[str, tuple[str, ...]], values: Mapping[str, Scalar]
 ) -> dict[str, Scalar]:
     """Values of `designed` numbers for all their places, as `replace` takes them."""
@@ -111,10 +106,10 @@ class Parameter:
     name: str
     value: float
     scale: float = 1.0  # in the number's own unit: change for a unit step, without bounds
-    spread: float = 1.0
+    spread_over_places: float = 1.0
     lower: float = -math.inf
     upper: float = math.inf
-    unit: str = ""
+    parameter_unit: str = ""
 
     @property
     def bounded(self) -> int:
@@ -183,12 +178,10 @@ def hull_prior(
     free = value == 0 or (
         not _SIGNED.fullmatch(name) and bool(_DERIVATIVE.fullmatch(name) or _PLACE.fullmatch(name))
     )
-    return Parameter(
-        name, value, abs(value) or 1.0, spread,
-        lower=0.0 if value > 0 and not free else -math.inf,
-        upper=0.0 if value < 0 and not free else math.inf,
-        unit=unit(name, nondimensional),
-    )  # fmt: skip
+    lower = 0.0 if value > 0 and not free else -math.inf
+    upper = 0.0 if value < 0 and not free else math.inf
+    scale, of = abs(value) or 1.0, parameter_unit(name, nondimensional)
+    return Parameter(name, value, scale, spread, lower, upper, of)
 
 
 _KEYS = ("value", "std", "spread", "lower", "upper", "free")
@@ -252,14 +245,12 @@ def _from_entry(
 
 
 _LETTER_UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "d": "rad"}
-_UNITS = {
-    "mass": "kg", "I_z": "kg m^2", "x_G": "m", "length": "m", "beam": "m", "draught": "m",
-    "water_density": "kg/m^3", "X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m",
-    "N_vdot": "kg m", "N_rdot": "kg m^2",
-}  # fmt: skip
+_UNITS = {"mass": "kg", "I_z": "kg m^2", "water_density": "kg/m^3"}
+_UNITS |= dict.fromkeys(("x_G", "length", "beam", "draught"), "m")
+_UNITS |= {"X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m", "N_vdot": "kg m", "N_rdot": "kg m^2"}
 
 
-def unit(name: str, nondimensional: bool = False) -> str:
+def parameter_unit(name: str, nondimensional: bool = False) -> str:
     """SI unit of a hull parameter; an empty string where none is known."""
     if nondimensional and _DERIVATIVE.fullmatch(name) and not name.endswith("dot"):
         return "1"
@@ -277,15 +268,19 @@ _DEGREES = {"X": "surge", "Y": "sway", "N": "yaw"}
 _OWN = {"X": "u", "Y": "v", "N": "r"}
 _ORDERS = {1: "linear", 2: "quadratic", 3: "cubic", 4: "quartic"}
 _MEANINGS = {
-    "mass": "mass", "I_z": "moment of inertia about the centre of gravity",
-    "x_G": "centre of gravity forward of amidships", "X_0": "resistance ahead",
-    "X_udot": "added mass in surge", "Y_vdot": "added mass in sway",
-    "N_rdot": "added moment of inertia in yaw", "Y_rdot": "added mass, sway and yaw",
+    "mass": "mass",
+    "I_z": "moment of inertia about the centre of gravity",
+    "x_G": "centre of gravity forward of amidships",
+    "X_0": "resistance ahead",
+    "X_udot": "added mass in surge",
+    "Y_vdot": "added mass in sway",
+    "N_rdot": "added moment of inertia in yaw",
+    "Y_rdot": "added mass, sway and yaw",
     "N_vdot": "added mass, yaw and sway",
-}  # fmt: skip
+}
 
 
-def meaning(name: str) -> str:
+def parameter_meaning(name: str) -> str:
     """A hull parameter in words: `N_rr` is quadratic damping in yaw."""
     if name in _MEANINGS:
         return _MEANINGS[name]

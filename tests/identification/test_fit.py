@@ -472,7 +472,7 @@ def test_a_smaller_trust_region_moves_where_a_large_one_is_rejected():
 class Steep(ResidualInputs):
     """Innovations that are flat at zero and steep soon after."""
 
-    def whitened(self, free):
+    def innovations(self, free):
         x = 1e3 * (1e-2 * free[0] + 30 * free[0] ** 2 - 2e-4)
         return jnp.zeros(self.dataset.run.size * 6).at[0].set(x)
 
@@ -481,7 +481,7 @@ def test_a_fit_tries_shorter_steps_where_the_first_are_rejected(fitted):
     problem, result = fitted
     gains, start = result.filter_run(problem).gains, np.zeros(problem.layout.size)
     inputs = Steep(**vars(residual_inputs(problem, gains, start, [0])))
-    assert float(gauss_newton(inputs, inputs.padded(np.zeros(1))).at[0]) == 0.0
+    assert float(gauss_newton(inputs, inputs.pad(np.zeros(1))).at[0]) == 0.0
     assert 0 < fit_coordinates(inputs, np.zeros(1))[0] < 0.01
 
 

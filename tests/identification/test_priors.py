@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsea.errors import UserError
-from diffsea.parameters import Parameter, hull_prior, meaning, read_priors, unit
+from diffsea.parameters import Parameter, hull_prior, parameter_meaning, parameter_unit, read_priors
 
 
 KINDS = (
@@ -39,11 +39,11 @@ def test_drag_keeps_its_sign_and_couplings_need_not():
 
 
 def test_units_and_meanings():
-    assert unit("N_rr") == "N m / (rad/s) (rad/s)" and unit("N_rr", True) == "1"
-    assert unit("X_udot", True) == "kg"
-    assert meaning("N_rr") == "quadratic damping in yaw"
-    assert meaning("Y_vvr") == "sway force from v v r"
-    assert meaning("N_v") == "yaw moment from v"
+    assert parameter_unit("N_rr") == "N m / (rad/s) (rad/s)" and parameter_unit("N_rr", True) == "1"
+    assert parameter_unit("X_udot", True) == "kg"
+    assert parameter_meaning("N_rr") == "quadratic damping in yaw"
+    assert parameter_meaning("Y_vvr") == "sway force from v v r"
+    assert parameter_meaning("N_v") == "yaw moment from v"
 
 
 def priors(tmp_path, text: str) -> dict:

@@ -11,7 +11,7 @@ from tests.boats import BOAT, CROSS_FLOW
 
 from diffsea.cli import main
 from diffsea.errors import UserError
-from diffsea.parameters import designed, spread
+from diffsea.parameters import file_parameters, spread_over_places
 from diffsea.simulation import planning
 from diffsea.studies.sensitivity import TrialSensitivities, parameter_names
 from diffsea.vessel.files import build, read_vessel
@@ -96,7 +96,7 @@ def test_something_depends_on_every_chosen_parameter(derivatives):
 
 
 def test_every_number_of_the_vessel_is_there(derivatives):
-    names = set(designed(build(DOCUMENT)))
+    names = set(file_parameters(build(DOCUMENT)))
     assert all(set(row) == names for row in derivatives.values())
 
 
@@ -108,13 +108,13 @@ def test_the_held_approach_speed_does_not_depend_on_the_hull(derivatives):
 
 def test_copies_of_a_main_dimension_are_one_parameter():
     vessel = read_vessel("kvlcc2").vessel
-    places = designed(vessel)
+    places = file_parameters(vessel)
     assert places["length"] == ("length", "scaling.length")
     assert set(places["water_density"]) == {
         "water_density", "scaling.water_density", "propeller.water_density", "rudder.water_density"
     }  # fmt: skip
     assert places["rudder.x"] == ("rudder.x",) and "scaling.length" not in places
-    assert spread(places, {"length": 8.0}) == {"length": 8.0, "scaling.length": 8.0}
+    assert spread_over_places(places, {"length": 8.0}) == {"length": 8.0, "scaling.length": 8.0}
 
 
 def test_unknown_parameters_are_told_with_the_nearest():

@@ -12,7 +12,7 @@ from diffsea.errors import UserError
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
-from diffsea.parameters import Parameter, meaning
+from diffsea.parameters import Parameter, parameter_meaning
 
 
 Progress = Callable[[str], None]
@@ -191,7 +191,7 @@ class ParameterEstimate:
     """A fitted vessel parameter, in its own unit."""
 
     name: str
-    meaning: str
+    parameter_meaning: str
     unit: str
     start: float  # the prior mean
     value: float
@@ -218,7 +218,7 @@ def parameter_estimates(
         found.append(
             ParameterEstimate(
                 parameter.name,
-                meaning(parameter.name),
+                parameter_meaning(parameter.name),
                 parameter.unit,
                 parameter.value,
                 float(parameter.decode(at)),

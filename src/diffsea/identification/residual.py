@@ -64,7 +64,7 @@ class ResidualInputs(eqx.Module):
         """All coordinates at some free numbers."""
         return self.fixed + self.selection @ free[: self.selection.shape[1]]
 
-    def whitened(self, free: Float[Array, "free"]) -> Float[Array, "value"]:
+    def innovations(self, free: Float[Array, "free"]) -> Float[Array, "value"]:
         """Whitened innovations; non-finite ones are large."""
         pulses = jnp.tensordot(free[self.selection.shape[1] :], self.pulses, axes=1)
         white = whitened_innovations(
@@ -79,7 +79,7 @@ class ResidualInputs(eqx.Module):
         unused = jnp.concatenate([1 - jnp.abs(self.selection).sum(0), jnp.ones(free.size - width)])
         return jnp.concatenate([self.layout.strains(coordinates, self.spreads), unused * free])
 
-    def padded(self, free: Float[np.ndarray, "some"]) -> Float[Array, "free"]:
+    def pad(self, free: Float[np.ndarray, "some"]) -> Float[Array, "free"]:
         """The free coordinates in use, then zeros for the rest and for the pulses."""
         whole = np.zeros(self.colouring.owner.size)
         whole[: len(free)] = free
@@ -147,7 +147,7 @@ def _colouring(problem: Problem, index: Int[np.ndarray, "used"], pulses: int) ->
 def _residual_and_jacobian(free: Array, inputs: ResidualInputs) -> tuple[Array, Array]:
     """Residual and its exact Jacobian, by coloured directions."""
     colouring = inputs.colouring
-    along = lambda direction: jax.jvp(inputs.whitened, (free,), (direction,))
+    along = lambda direction: jax.jvp(inputs.innovations, (free,), (direction,))
     together = jax.vmap(along, out_axes=(None, 0))
 
     def group(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -191,7 +191,7 @@ def fit_coordinates(
     Where no step within the first radii lowers the sum of squares, shorter ones are tried: the
     force of a light wind, say, is far from linear over the wind's prior.
     """
-    begin, found = inputs.padded(start), start
+    begin, found = inputs.pad(start), start
     for radius in TRUST_RADII:
         point = _gauss_newton(inputs, begin, jnp.asarray(STEP_TOLERANCE), jnp.asarray(radius))
         found = np.asarray(point.at)[: len(start)]
@@ -209,7 +209,7 @@ def linearise(
 ) -> Linearisation:
     """Residual and Jacobian by the coordinates at `index`, or by accelerations in `pulses`."""
     inputs = residual_inputs(problem, gains, coordinates, index, pulses)
-    begin = inputs.padded(np.asarray(coordinates)[np.asarray(index, int)])
+    begin = inputs.pad(np.asarray(coordinates)[np.asarray(index, int)])
     tolerance, radius = jnp.asarray(AT_THE_START), jnp.asarray(TRUST_RADII[0])
     point = _gauss_newton(inputs, begin, tolerance, radius)
     first = problem.width if pulses is not None else 0
@@ -219,7 +219,7 @@ def linearise(
 
 @eqx.filter_jit
 def _whitened(inputs: ResidualInputs, free: Float[Array, "free"]) -> Float[Array, "value"]:
-    return inputs.whitened(free)
+    return inputs.innovations(free)
 
 
 def innovations_at(
@@ -227,4 +227,4 @@ def innovations_at(
 ) -> Float[np.ndarray, "value"]:
     """Whitened innovations with these gains, without any derivative."""
     inputs = residual_inputs(problem, gains, coordinates, ())
-    return np.asarray(_whitened(inputs, inputs.padded(np.zeros(0))))
+    return np.asarray(_whitened(inputs, inputs.pad(np.zeros(0))))

@@ -48,7 +48,7 @@ from diffsea.vessel.effects import Effect, catalogue_name, find_effects
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
 ANCHORS = ("mass", "thrust")
-DETERMINED = 0.9  # share below which a manoeuvre is looked for that would tell more
+DETERMINED_SHARE = 0.9  # up to which a manoeuvre is looked for that would tell more
 _INERTIA = ("mass", "I_z")
 
 
@@ -144,7 +144,7 @@ class Study:
             numbers = self.objective.residuals(self.estimate.coordinates)
             white = [(one.fitted - one.given) / one.std for one in numbers]
             return {"train": float(np.sqrt(np.mean(np.square(white))))}
-        fitted = self._filtered
+        fitted = with_noise(self.estimate, problem)
         found = {"train": normalised_rms(fitted.filter_run(problem))}
         if test:
             data = self.split(test)
@@ -177,7 +177,7 @@ class Study:
         and the rest is judged.
         """
         data = self.split(test)
-        coordinates = jnp.asarray(held_out_coordinates(data, self._filtered))
+        coordinates = jnp.asarray(held_out_coordinates(data, with_noise(self.estimate, data.train)))
         vessel, flow = vessel_at(data.test.base, data.test.layout, coordinates)
         flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
         vessel = jax.tree.map(float, vessel)
@@ -186,12 +186,7 @@ class Study:
     @property
     def noise(self) -> Noise:
         """Noise of the filter, as expected beforehand where the objective has none."""
-        return self._filtered.noise
-
-    @property
-    def _filtered(self) -> Estimate:
-        """The estimate with noise for a filter."""
-        return with_noise(self.estimate, self.recorded)
+        return with_noise(self.estimate, self.recorded).noise
 
 
 def with_noise(fitted: Estimate, problem: Problem) -> Estimate:
@@ -240,6 +235,10 @@ def identify(
     if wanted is None:
         wanted = asymmetric_parameters(objective, fitted)
     profiles = {name: profile_interval(objective, fitted, name, progress) for name in wanted}
+    proposal = None  # a manoeuvre that would tell more, where the data leave something open
+    if problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE:
+        progress("looking for the manoeuvre that would tell most")
+        proposal = next_manoeuvre(problem, with_noise(fitted, problem))
     return Study(
         vessel.name,
         objective,
@@ -248,7 +247,7 @@ def identify(
         identifiability(parameters, fitted),
         agreement,
         profiles,
-        _next(objective, fitted, progress),
+        proposal,
         objective.outliers,
     )
 
@@ -342,14 +341,3 @@ def effects_to_estimate(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, .
         # An entry of all coefficients makes those of some, or of more, of no use beside it.
         found += [effect for effect in possible if effect.name == name] or possible
     return tuple(found)
-
-
-def _next(
-    objective: AbstractObjective, fitted: Estimate, progress: Progress
-) -> NextManoeuvre | None:
-    """A manoeuvre that would tell more, where the data leave something open."""
-    problem = objective.problem
-    if problem is None or float(fitted.shrinkage.min()) > DETERMINED:
-        return None
-    progress("looking for the manoeuvre that would tell most")
-    return next_manoeuvre(problem, with_noise(fitted, problem))

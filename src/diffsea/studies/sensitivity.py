@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.errors import UserError, nearest
-from diffsea.parameters import designed, named, replace, spread
+from diffsea.parameters import file_parameters, named, replace, spread_over_places
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.vessel.base import Vessel
@@ -62,7 +62,7 @@ def sensitivities(
         UserError: an unknown name.
     """
     names = parameter_names(vessel, parameters)
-    values, places = named(vessel), designed(vessel)
+    values, places = named(vessel), file_parameters(vessel)
     at = {name: float(values[places[name][0]]) for name in names}
     shared = tuple((name, places[name]) for name in names)
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
@@ -84,7 +84,7 @@ def sensitivities(
 
 def parameter_names(vessel: Vessel, wanted: Iterable[str] | None) -> tuple[str, ...]:
     """The wanted names, checked; all of the vessel's if None. Raises `UserError` for others."""
-    places = designed(vessel)
+    places = file_parameters(vessel)
     names = tuple(places) if wanted is None else tuple(dict.fromkeys(wanted))
     for name in names:
         if name not in places:
@@ -107,7 +107,7 @@ def _numbers_and_slopes(
 
     def numbers(values: Float[Array, "parameter"]) -> Numbers:
         chosen = {name: values[k] for k, (name, _) in enumerate(places)}
-        changed = replace(vessel, spread(dict(places), chosen))
+        changed = replace(vessel, spread_over_places(dict(places), chosen))
         return planning.trial_numbers(plan, planning.run_plan(changed, plan))
 
     def along(tangent: Float[Array, "parameter"]) -> tuple[Numbers, Numbers]:

@@ -20,7 +20,7 @@ import scipy.stats
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError, nearest
-from diffsea.parameters import designed, replace, spread
+from diffsea.parameters import file_parameters, replace, spread_over_places
 from diffsea.simulation import planning
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
@@ -85,7 +85,7 @@ def _check_count(count: int) -> None:
 
 def check_names(vessel: Vessel, names: Sequence[str]) -> None:
     """Raise `UserError` for a name that is neither a parameter of the vessel nor of the trial."""
-    known = designed(vessel)
+    known = file_parameters(vessel)
     for name in names:
         if name not in known and name not in OF_THE_TRIAL:
             every = (*OF_THE_TRIAL, *known)
@@ -113,7 +113,7 @@ def sweep(
         UserError: a name that is neither a parameter of the vessel nor of the trial.
     """
     check_names(vessel, designs.names)
-    known = designed(vessel)
+    known = file_parameters(vessel)
     places = tuple((name, known.get(name, ())) for name in designs.names)
     values = np.asarray(designs.values, float)
     found, steps, seconds, left = None, 0.0, 0.0, np.ones(len(values), bool)
@@ -210,7 +210,7 @@ def _batched_trial(
 
     def one_trial(row: Float[Array, "name"]) -> _DesignResults:
         chosen: dict[str, Scalar] = {name: row[k] for k, (name, _) in enumerate(places)}
-        changed = replace(vessel, spread(dict(places), chosen))
+        changed = replace(vessel, spread_over_places(dict(places), chosen))
         throttle = chosen.get("thrust")
         if throttle is not None:
             throttle = throttle_for_thrust(changed, throttle)

@@ -103,7 +103,7 @@ def make_dataset(
     spare = max(least.rows, used + PADDING - used % PADDING) - used
     count = max(least.runs, len(runs))
 
-    def laid_out(columns: Iterable[_Column]) -> _Column:
+    def lay_out(columns: Iterable[_Column]) -> _Column:
         """One column of all runs, with spare rows: nothing measured, no time passing."""
         column = np.concatenate(list(columns))
         if column.dtype == bool:
@@ -116,9 +116,9 @@ def make_dataset(
     order_times, order_values = _order_table(runs, channels, used + spare + count)
     whole = np.concatenate([run.run for run in runs])
     return Dataset(
-        **{name: laid_out(getattr(run, name) for run in runs) for name in _COLUMNS},
-        orders={c: laid_out(run.orders[c] for run in runs) for c in channels},
-        executed={c: laid_out(run.executed[c] for run in runs) for c in measured},
+        **{name: lay_out(getattr(run, name) for run in runs) for name in _COLUMNS},
+        orders={c: lay_out(run.orders[c] for run in runs) for c in channels},
+        executed={c: lay_out(run.executed[c] for run in runs) for c in measured},
         order_times=order_times,
         order_values=order_values,
         batches=batch_layout(whole, used + spare, (least.steps, least.batches)),

@@ -89,7 +89,7 @@ class FilterRow(eqx.Module):
     response: dict[str, Response]
 
     @property
-    def executed(self) -> dict[str, Scalar]:
+    def actuation(self) -> dict[str, Scalar]:
         """What every channel executes at the beginning of the row."""
         return {channel: response.start for channel, response in self.response.items()}
 
@@ -170,7 +170,7 @@ def expected_measurements(
     lasting = State(0.0, 0.0, 0.0, *z[6:])
 
     def rate(at: State) -> State:
-        own = vessel.rate(at, row.executed, row.flow, row.run_time)
+        own = vessel.rate(at, row.actuation, row.flow, row.run_time)
         return jax.tree.map(jnp.add, own, lasting)
 
     state = jax.tree.map(jnp.asarray, state)
@@ -184,7 +184,7 @@ def measurement_jacobian(
     """How `expected_measurements` depend on the state, its rate taken as linear there."""
 
     def rate(at: Float[Array, "6"]) -> Float[Array, "6"]:
-        found = vessel.rate(State(*at), row.executed, row.flow, row.run_time)
+        found = vessel.rate(State(*at), row.actuation, row.flow, row.run_time)
         return jnp.stack(jax.tree.leaves(found))
 
     own, A = value_and_jacobian(rate, z[:6])

@@ -96,12 +96,12 @@ class OutputError(AbstractObjective):
         index = np.array(self.problem.layout.indices(free), int)
         state, path, outcome = self.start(start), [], FitOutcome.CONVERGED
         for joint in JOINTS:
-            state = self._rescaled(state, joint)
+            state = self._with_new_scales(state, joint)
             for number in range(JOINT_ROUNDS):
                 state, cost, outcome = self._descend(state, index)
                 path.append(cost)
                 progress(f"windows {joint:g} apart, round {number + 1}: misfit {cost:.1f}")
-                old, state = state.sigma, self._rescaled(state, joint)
+                old, state = state.sigma, self._with_new_scales(state, joint)
                 if np.all(np.abs(np.log(state.sigma / old)) < SETTLED_SCALE):
                     break
         return dataclasses.replace(
@@ -207,7 +207,7 @@ class OutputError(AbstractObjective):
         coordinates, states = jnp.asarray(state.coordinates), jnp.asarray(state.states)
         return shooting.shoot(self._inputs, coordinates, states)
 
-    def _rescaled(self, state: ShootingState, joint: float) -> ShootingState:
+    def _with_new_scales(self, state: ShootingState, joint: float) -> ShootingState:
         """Scales from the misfits themselves."""
         misfit = np.asarray(self._shot(state).misfit)
         known = np.asarray(self.problem.dataset.known)

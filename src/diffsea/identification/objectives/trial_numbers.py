@@ -53,7 +53,7 @@ from diffsea.identification.least_squares import (
 )
 from diffsea.identification.objectives.base import AbstractObjective, NumberResidual, Starts
 from diffsea.identification.problem import Coordinates
-from diffsea.parameters import Parameter, designed, replace
+from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.vessel.base import Vessel
@@ -251,7 +251,7 @@ class TrialNumbers(AbstractObjective):
         self.owners = tuple(owners)  # of each coordinate
         added = len(owners) - len(self.parameters)
         self.spreads = np.array([*(p.spread for p in parameters), *[_EFFECT_SPREAD] * added])
-        places = designed(vessel)
+        places = file_parameters(vessel)
         kinds = [_kind_of(trial.plan) for trial in trials]
         members = {k: tuple(n for n, one in enumerate(kinds) if one == k) for k in kinds}
         orders = [
