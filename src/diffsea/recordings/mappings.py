@@ -31,12 +31,10 @@ import dataclasses
 import math
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.vocabulary import ACTUATOR_PREFIXES as ACTUATOR_PREFIXES
-from diffsea.recordings.vocabulary import CHANNEL_DIMENSIONS as CHANNEL_DIMENSIONS
-from diffsea.recordings.vocabulary import UNITS as UNITS
-from diffsea.recordings.vocabulary import is_channel as is_channel
+from diffsea.recordings.vocabulary import CHANNEL_DIMENSIONS, UNITS, is_channel
 
 
 # What a mapping may name besides, and what becomes of it: x and y.
@@ -46,18 +44,16 @@ _GEODETIC = {"latitude": "angle", "longitude": "angle"}
 _TURNED = {"psi": math.pi / 2, "wind_direction": math.pi / 2, "v": 0.0, "r": 0.0}
 _SWAPPED = {"x": "y", "y": "x"}
 
+_CHOICES = {
+    "velocity_axes": ("body", "earth"),
+    "frame": ("NED", "ENU"),
+    "stamps": ("header", "receive"),
+}
+_TEXTS = {key: "text" for key in ("delimiter", "encoding", "decimal")}
+_TEXTS |= {"clock": "the name of a topic"}
 _FILE_KEYS = (
-    "delimiter",
-    "header_lines",
-    "encoding",
-    "decimal",
-    "columns",
-    "time_step",
-    "velocity_axes",
-    "frame",
-    "origin",
-    "clock",
-    "stamps",
+    *("delimiter", "header_lines", "encoding", "decimal", "columns", "time_step"),
+    *("velocity_axes", "frame", "origin", "clock", "stamps"),
 )
 _COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset", "delay")
 
@@ -145,161 +141,128 @@ def read_mapping(path: str | Path) -> Mapping:
         raise UserError(f"the mapping {path} is not UTF-8 text: {error.reason}") from error
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"the mapping {path} is not valid TOML: {error}") from error
-    _check_keys(table, ("format", "file", "columns"), path, "")
+    _check_keys(table, ("format", "file", "columns"), f"{path}: ")
     if table.get("format", 1) != 1:
         raise UserError(f"{path}: format = {table['format']!r} is unknown; this reads format 1")
-    file = _table(table, "file", path)
-    _check_keys(file, _FILE_KEYS, path, "[file] ")
-    channels = {
-        channel: _column(channel, entry, path)
-        for channel, entry in _table(table, "columns", path).items()
-    }
-    return Mapping(channels=channels, name=path.name, **_file_settings(file, channels, path))
+    for key in ("file", "columns"):
+        if not isinstance(table.setdefault(key, {}), dict):
+            raise UserError(f"{path}: {key} must be a table, written [{key}]")
+    _check_keys(table["file"], _FILE_KEYS, f"{path}: [file] ")
+    channels = {name: _column(name, entry, path) for name, entry in table["columns"].items()}
+    settings = _file_settings(table["file"], f"{path}: [file]")
+    _check_channels(channels, settings, path)
+    return Mapping(channels=channels, name=path.name, **settings)
 
 
-def _table(parent: dict, key: str, path: Path) -> dict:
-    table = parent.get(key, {})
-    if not isinstance(table, dict):
-        raise UserError(f"{path}: {key} must be a table, written [{key}]")
-    return table
-
-
-def _check_keys(table: dict, known: tuple[str, ...], path: Path, where: str) -> None:
+def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
     for key in table:
         if key not in known:
             raise UserError(
-                f"{path}: {where}unknown key {key!r}; known keys are "
-                + ", ".join(known)
+                f"{where}unknown key {key!r}; known keys are {', '.join(known)}"
                 + nearest(key, known)
             )
 
 
-def _file_settings(file: dict, channels: dict[str, Column], path: Path) -> dict:
+def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
     """The checked keyword arguments of `Mapping` that stand under [file]."""
-    settings = dict(file)
+    settings = dict(settings)
     step = settings.get("time_step")
     if step is not None:
-        if "t" in channels:
-            raise UserError(f"{path}: give either time_step or a column for t, not both")
-        settings["time_step"] = _number(step, path, "[file] time_step")
+        settings["time_step"] = _number(step, f"{where} time_step")
         if settings["time_step"] <= 0:
-            raise UserError(f"{path}: [file] time_step must be above zero seconds, got {step}")
-    elif "t" not in channels and not any(":" in entry.column for entry in channels.values()):
+            raise UserError(f"{where} time_step must be above zero seconds, got {step}")
+    lines = settings.get("header_lines")
+    if lines is not None and (not isinstance(lines, int) or lines < 0):
+        raise UserError(f"{where} header_lines must be a whole number, got {lines!r}")
+    for key, what in _TEXTS.items():
+        if key in settings and not (isinstance(settings[key], str) and settings[key]):
+            raise UserError(f"{where} {key} must be {what}, got {settings[key]!r}")
+    for key, choices in _CHOICES.items():
+        if settings.get(key, choices[0]) not in choices:
+            raise UserError(
+                f'{where} {key} must be "{choices[0]}" or "{choices[1]}", got {settings[key]!r}'
+            )
+    if "columns" in settings:
+        names = settings["columns"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise UserError(f"{where} columns must be a list of names")
+        for name in names:
+            if names.count(name) > 1:
+                raise UserError(f"{where} columns has the name {name!r} twice")
+        settings["columns"] = tuple(names)
+    if "origin" in settings:
+        settings["origin"] = _origin(settings["origin"], where)
+    return settings
+
+
+def _origin(value: object, where: str) -> tuple[float, float]:
+    """Latitude and longitude in rad."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise UserError(f"{where} origin must be [latitude, longitude] in degrees, got {value!r}")
+    latitude, longitude = (_number(item, f"{where} origin") for item in value)
+    if abs(latitude) > 90 or abs(longitude) > 360:
+        raise UserError(f"{where} origin {value} is no place; latitude comes first")
+    return math.radians(latitude), math.radians(longitude)
+
+
+def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path: Path) -> None:
+    """Whether the channels go with one another and with what stands under [file]."""
+    if "time_step" in settings and "t" in channels:
+        raise UserError(f"{path}: give either time_step or a column for t, not both")
+    in_log = any(":" in entry.column for entry in channels.values())
+    if "time_step" not in settings and "t" not in channels and not in_log:
         raise UserError(
             f"{path}: no channel t; name the time column under [columns], or give "
             "[file] time_step in seconds"
         )
-    lines = settings.get("header_lines")
-    if lines is not None and (not isinstance(lines, int) or lines < 0):
-        raise UserError(f"{path}: [file] header_lines must be a whole number, got {lines!r}")
-    for key in ("delimiter", "encoding", "decimal"):
-        if key in settings and not (isinstance(settings[key], str) and settings[key]):
-            raise UserError(f"{path}: [file] {key} must be text, got {settings[key]!r}")
-    axes = settings.get("velocity_axes", "body")
-    if axes not in ("body", "earth"):
-        raise UserError(f'{path}: [file] velocity_axes must be "body" or "earth", got {axes!r}')
-    if axes == "earth" and not {"psi", "u", "v"} <= set(channels):
+    if settings.get("velocity_axes") == "earth" and not {"psi", "u", "v"} <= set(channels):
         raise UserError(f"{path}: velocities in earth axes need the channels psi, u and v")
-    if "columns" in settings:
-        settings["columns"] = _names(settings["columns"], path)
-    _check_choices(settings, path)
-    _check_position(channels, path)
-    if "origin" in settings:
-        settings["origin"] = _origin(settings["origin"], path)
-    return settings
-
-
-def _check_choices(settings: dict, path: Path) -> None:
-    for key, choices in (("frame", ("NED", "ENU")), ("stamps", ("header", "receive"))):
-        if settings.get(key, choices[0]) not in choices:
-            raise UserError(
-                f'{path}: [file] {key} must be "{choices[0]}" or "{choices[1]}", '
-                f"got {settings[key]!r}"
-            )
-    clock = settings.get("clock", "topic")
-    if not isinstance(clock, str) or not clock:
-        raise UserError(f"{path}: [file] clock must be the name of a topic, got {clock!r}")
-
-
-def _check_position(channels: dict[str, Column], path: Path) -> None:
     geodetic = set(_GEODETIC) & set(channels)
-    if not geodetic:
-        return
-    if geodetic != set(_GEODETIC):
+    if geodetic and geodetic != set(_GEODETIC):
         raise UserError(f"{path}: latitude and longitude belong together; map both of them")
-    if {"x", "y"} & set(channels):
+    if geodetic and {"x", "y"} & set(channels):
         raise UserError(f"{path}: latitude and longitude become x and y; leave x and y out")
 
 
-def _origin(value: object, path: Path) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise UserError(
-            f"{path}: [file] origin must be [latitude, longitude] in degrees, got {value!r}"
-        )
-    latitude, longitude = (_number(item, path, "[file] origin") for item in value)
-    if abs(latitude) > 90 or abs(longitude) > 360:
-        raise UserError(f"{path}: [file] origin {value} is no place; latitude comes first")
-    return math.radians(latitude), math.radians(longitude)
-
-
-def _names(names: object, path: Path) -> tuple[str, ...]:
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise UserError(f"{path}: [file] columns must be a list of names")
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{path}: [file] columns has the name {name!r} twice")
-    return tuple(names)
-
-
 def _column(channel: str, entry: object, path: Path) -> Column:
-    where = f"[columns] {channel}"
+    where = f"{path}: [columns] {channel}"
     if not (is_channel(channel) or channel in _GEODETIC):
         known = (*CHANNEL_DIMENSIONS, *_GEODETIC, "cmd_<actuator>", "exec_<actuator>")
         raise UserError(
-            f"{path}: {where} is no channel; channels are "
-            + ", ".join(known)
+            f"{where} is no channel; channels are {', '.join(known)}"
             + nearest(channel, CHANNEL_DIMENSIONS)
         )
     if isinstance(entry, str):
         return Column(entry)
     if not isinstance(entry, dict) or not isinstance(entry.get("column"), str):
         raise UserError(
-            f"{path}: {where} must be a column's name or a table such as "
+            f"{where} must be a column's name or a table such as "
             '{ column = "yaw", unit = "deg" }'
         )
-    _check_keys(entry, _COLUMN_KEYS, path, where + ": ")
+    _check_keys(entry, _COLUMN_KEYS, f"{where}: ")
     numbers = {
-        key: _number(entry[key], path, f"{where}: {key}")
+        key: _number(entry[key], f"{where}: {key}")
         for key in ("sign", "scale", "offset", "delay")
         if key in entry
     }
     if numbers.get("sign", 1.0) not in (1.0, -1.0):
-        raise UserError(f"{path}: {where}: sign must be 1 or -1; use scale for other factors")
+        raise UserError(f"{where}: sign must be 1 or -1; use scale for other factors")
     if channel == "t" and "delay" in numbers:
-        raise UserError(f"{path}: {where}: time itself cannot be delayed; use offset")
-    return Column(entry["column"], unit=_unit(channel, entry.get("unit"), path), **numbers)
-
-
-def _unit(channel: str, unit: object, path: Path) -> str | None:
-    if unit is None:
-        return None
-    if not isinstance(unit, str) or unit not in UNITS:
+        raise UserError(f"{where}: time itself cannot be delayed; use offset")
+    unit = entry.get("unit")
+    if unit is not None and (not isinstance(unit, str) or unit not in UNITS):
         raise UserError(
-            f"{path}: [columns] {channel}: unknown unit {unit!r}; known units are "
-            + ", ".join(UNITS)
+            f"{where}: unknown unit {unit!r}; known units are {', '.join(UNITS)}"
             + nearest(str(unit), UNITS)
         )
     dimension = (CHANNEL_DIMENSIONS | _GEODETIC).get(channel)
-    if dimension not in (None, UNITS[unit][0]):
+    if unit is not None and dimension not in (None, UNITS[unit][0]):
         fitting = ", ".join(name for name, (kind, _) in UNITS.items() if kind == dimension)
-        raise UserError(
-            f"{path}: [columns] {channel}: {unit!r} is not a unit of {dimension}; use one of "
-            + fitting
-        )
-    return unit
+        raise UserError(f"{where}: {unit!r} is not a unit of {dimension}; use one of {fitting}")
+    return Column(entry["column"], unit=unit, **numbers)
 
 
-def _number(value: object, path: Path, where: str) -> float:
+def _number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UserError(f"{path}: {where} must be a finite number, got {value!r}")
+        raise UserError(f"{where} must be a finite number, got {value!r}")
     return float(value)

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Mapping
+from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.vocabulary import CHANNEL_DIMENSIONS
 from diffsea.trajectory import Samples
 
 

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from diffsea.recordings.mappings import UNITS, Column, Mapping
+from diffsea.recordings.mappings import Column, Mapping
+from diffsea.recordings.vocabulary import UNITS
 from diffsea.series import between_samples, median_interval
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Series, Trajectory
 

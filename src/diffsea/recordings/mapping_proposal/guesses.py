@@ -17,7 +17,8 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     unit_probabilities,
 )
 from diffsea.recordings.mapping_proposal.search import ScoredHypothesis
-from diffsea.recordings.mappings import UNITS, Column
+from diffsea.recordings.mappings import Column
+from diffsea.recordings.vocabulary import UNITS
 from diffsea.trajectory import Samples
 
 

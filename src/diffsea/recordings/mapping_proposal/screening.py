@@ -30,7 +30,7 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     ratio_penalty,
     unit_probabilities,
 )
-from diffsea.recordings.mappings import UNITS
+from diffsea.recordings.vocabulary import UNITS
 
 
 _SATURATION = 12.0  # log odds of a perfect relation of one column to others
