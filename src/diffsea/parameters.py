@@ -106,10 +106,10 @@ class Parameter:
     name: str
     value: float
     scale: float = 1.0  # in the number's own unit: change for a unit step, without bounds
-    spread_over_places: float = 1.0
+    spread: float = 1.0
     lower: float = -math.inf
     upper: float = math.inf
-    parameter_unit: str = ""
+    unit: str = ""
 
     @property
     def bounded(self) -> int:

@@ -191,7 +191,7 @@ class ParameterEstimate:
     """A fitted vessel parameter, in its own unit."""
 
     name: str
-    parameter_meaning: str
+    meaning: str
     unit: str
     start: float  # the prior mean
     value: float

@@ -23,7 +23,7 @@ from diffsea.vessel.effects import EFFECTS
 
 TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given
 HEAD_SHARE = 0.4  # of a held-out recording, from which its own environment is estimated
-BLOCK = 8  # rows at least whose gains count as one: two blocks tell how much they scatter
+LEAST_BLOCK = 8  # rows whose gains count as one: two blocks tell how much they scatter
 
 
 class Gain(NamedTuple):
@@ -98,10 +98,10 @@ def split_data(
         shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
     rows = int(np.asarray(test_problem.dataset.known).any(1).sum())
-    if rows < 2 * BLOCK:
+    if rows < 2 * LEAST_BLOCK:
         raise UserError(
-            f"only {rows} rows are held out to judge models on, at least {2 * BLOCK} are needed: "
-            "use longer recordings, or name whole ones with --test"
+            f"only {rows} rows are held out to judge models on, at least {2 * LEAST_BLOCK} are "
+            "needed: use longer recordings, or name whole ones with --test"
         )
     head = None if heads is None else problem_of(heads, shape)
     return Split(train_problem, test_problem, head, tuple(train), tuple(held_out), kind)
@@ -161,7 +161,7 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     new = row_deviance(split.test, held_out_coordinates(split, fitted), fitted)
     known = np.asarray(split.test.dataset.known).any(1)
     difference = (old - new)[known][:, None]
-    length = max(BLOCK, len(difference) // 30)
+    length = max(LEAST_BLOCK, len(difference) // 30)
     sums = block_sums(difference, length)[:, 0]
     return Gain(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
 

@@ -92,14 +92,14 @@ def multistart(
     best = objective.fit(free, lead, progress)
     if count == 1:
         return best, None
-    near = [k for k in order if _inside(best, ends[k] - lead)]
+    near = [k for k in order if _same_optimum(best, ends[k] - lead)]
     apart = [k for k in order if k not in near]
     rival = None
     if apart:
         progress("fitting from the best start elsewhere")
         other = objective.fit(free, ends[apart[0]], progress)
-        beside = [k for k in apart if _inside(best, ends[k] - ends[apart[0]])]
-        if _inside(best, other.coordinates - best.coordinates):
+        beside = [k for k in apart if _same_optimum(best, ends[k] - ends[apart[0]])]
+        if _same_optimum(best, other.coordinates - best.coordinates):
             near += beside
         else:
             if other.deviance < best.deviance:
@@ -108,7 +108,7 @@ def multistart(
     return best, Agreement(len(starts), len(near), rival)
 
 
-def _inside(fitted: Estimate, difference: np.ndarray) -> bool:
+def _same_optimum(fitted: Estimate, difference: np.ndarray) -> bool:
     """Whether coordinates differ by less than the fit's 99.9 % region."""
     off = difference[fitted.index]
     distance = float(off @ np.linalg.solve(fitted.covariance, off))

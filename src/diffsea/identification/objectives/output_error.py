@@ -34,7 +34,7 @@ from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 
 
-WINDOW = 20.0  # of a window, in sqrt(L / g): a vessel forgets its first speeds in less
+WINDOW = 20.0  # of a window, in sqrt(L / g): short against the drift of a poor first guess
 SOFT = 3.0  # standard deviations beyond which a misfit counts less and less
 JOINTS = (1.0, 0.1, 0.01)  # how far windows may be apart, in standard deviations of sensors
 JOINT_ROUNDS = 3  # of descent and new scales for each of them

@@ -60,7 +60,7 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
 
-RELATIVE_STD = 0.03  # of a number without one: repeated sea trials scatter by as much
+RELATIVE_STD = 0.03  # of a number that states none: a guess at the scatter of repeated trials
 _ORDERS = ("angle", "heading", "speed", "thrust", "seconds", "step")
 _KEYS = (*_ORDERS, "manoeuvre", "side", "executes", "numbers")
 _DEGREE = math.pi / 180

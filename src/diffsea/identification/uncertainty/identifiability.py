@@ -9,8 +9,8 @@ from diffsea.identification.estimates import Estimate
 from diffsea.parameters import Parameter
 
 
-TOGETHER = 0.9  # correlation from which two parameters are known only together
-NARROW = 0.5  # share of a direction that the data must determine
+STRONG_CORRELATION = 0.9  # correlation from which two parameters are known only together
+LEAST_DETERMINED = 0.5  # share of a direction that the data must determine
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Identifiability:
         told = [f"not determined: {direction.sentence}" for direction in self.undetermined]
         for group in self.groups:
             told.append(
-                f"known only together: {', '.join(group)} (correlated beyond {TOGETHER:g}; one may "
-                "be far off if another is)"
+                f"known only together: {', '.join(group)} (correlated beyond "
+                f"{STRONG_CORRELATION:g}; one may be far off if another is)"
             )
         return told
 
@@ -75,7 +75,7 @@ def identifiability(parameters: Sequence[Parameter], fitted: Estimate) -> Identi
     weak = tuple(
         Direction(_weights(free, vectors[:, k]), float(value / (1 + value)))
         for k, value in enumerate(values)
-        if value / (1 + value) < NARROW
+        if value / (1 + value) < LEAST_DETERMINED
     )
     covariance = fitted.covariance[np.ix_(chosen, chosen)]
     std = np.sqrt(np.diag(covariance))
@@ -107,8 +107,8 @@ def _groups(names: list[str], correlation: np.ndarray) -> tuple[tuple[str, ...],
         group, fresh = set(), {left.pop()}
         while fresh:
             group |= fresh
-            near = {k for one in fresh for k in np.flatnonzero(correlation[one] > TOGETHER)}
-            fresh = {int(k) for k in near} - group
+            strong = correlation[sorted(fresh)] > STRONG_CORRELATION
+            fresh = {int(k) for k in np.flatnonzero(strong.any(0))} - group
         left -= group
         if len(group) > 1:
             found.append(tuple(names[k] for k in sorted(group)))
