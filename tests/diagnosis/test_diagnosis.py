@@ -51,6 +51,54 @@ def test_a_concealed_current_is_named_and_sized(current):
     assert parameters["direction"]["value"] == pytest.approx(2.0, abs=0.15)
 
 
+# What programs that know nothing of the code read: keys, and the keys or types within.
+NUMBER, TEXT, LIST = (int, float, type(None)), str, list
+WHERE = {
+    "degree_of_freedom": TEXT, "recording": TEXT, "start": NUMBER, "end": NUMBER, "regime": TEXT,
+    "force_rms": NUMBER, "unit": TEXT, "p_value": NUMBER,
+}  # fmt: skip
+EFFECT = {
+    "name": TEXT,
+    "parameters": {"speed": {"value": NUMBER, "std": NUMBER, "unit": TEXT}},
+    "evidence": {"score": NUMBER, "p_value": NUMBER, "cost_drop": NUMBER},
+    "alternatives": LIST,
+}
+MISFIT = {"train": NUMBER, "test": NUMBER}
+CONTRACT = {
+    "format": int, "verdict": TEXT, "audit": LIST, "where": [WHERE], "effects": [EFFECT],
+    "fit": {"nominal": MISFIT, "diagnosed": MISFIT},
+    "next_experiment": {"manoeuvre": TEXT, "why": TEXT},
+}  # fmt: skip
+
+
+def lacking(contract, record, place="diagnosis.json"):
+    """Where a record does not keep a contract."""
+    if isinstance(contract, dict):
+        keys = [f"{place}.{key}" for key in contract if key not in record]
+        within = [
+            (contract[key], record[key], f"{place}.{key}") for key in contract if key in record
+        ]
+        return keys + [fault for one in within for fault in lacking(*one)]
+    if isinstance(contract, list):
+        assert record, f"{place} is empty, so nothing of it is checked"
+        return [fault for one in record for fault in lacking(contract[0], one, f"{place}[]")]
+    return [] if isinstance(record, contract) else [f"{place} is {type(record).__name__}"]
+
+
+def test_the_record_keeps_the_contract_of_its_file(current):
+    proposal = {"manoeuvre": "zigzag", "why": "separates one from another"}
+    horizons = [{"seconds": 5.0, "starts": 3, "nominal": {}, "diagnosed": {}}]
+    record = summary(current, [], horizons, proposal, {"vessel": "usv"})
+    assert lacking(CONTRACT, record) == []
+    assert record["format"] == 1 and record["source"] == {"vessel": "usv"}
+    assert record["held_out"]["horizons"] == horizons
+    assert record["held_out"]["kind"] == "recordings"
+    broken = record | {"verdict": 3, "effects": [{**record["effects"][0], "name": None}]}
+    del broken["where"]
+    faults = ["where", "verdict is int", "effects[].name is NoneType"]
+    assert lacking(CONTRACT, broken) == [f"diagnosis.json.{fault}" for fault in faults]
+
+
 def test_candidates_of_one_name_are_told_apart(current):
     rows = summary(current, [])["candidates"]
     keys = ("name", "variant", "channels", "actuators")

@@ -1,8 +1,26 @@
-"""The command line: `diffsea COMMAND ...`.
+"""Differentiable simulation, identification and diagnosis of surface vessels.
 
-Commands import what they need when they run, so that help is quick and XLA's flags can be
-set before JAX starts.
+A VESSEL is a TOML file, or the name of a vessel that ships with the package:
+{vessels}.
+A RECORDING is one run as CSV or Parquet; --mapping reads files with other columns.
+
+examples:
+  diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
+  diffsea metrics run1.csv run2.csv --length 4.9
+  diffsea audit field/*.csv --mapping field.toml
+  diffsea predict usv.toml run1.csv
+  diffsea fit usv.toml run1.csv run2.csv --test run3.csv
+  diffsea diagnose usv.toml run*.csv
+  diffsea sensitivity kvlcc2 --manoeuvre zigzag
+  diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
+
+diffsea COMMAND --help tells more. Exit status: 0 done, 1 the work failed (the message says
+what to do), 2 bad usage.
 """
+
+# The docstring above is the text of `diffsea --help`. This room may import every other one.
+# Commands import what they need when they run, so that help is quick and XLA's flags can be set
+# before JAX starts.
 
 import argparse
 import importlib
@@ -18,37 +36,23 @@ from diffsea.runtime import prepare_jax
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-_MODULES = ("trial", "recordings", "fit", "diagnose", "studies", "segments")
-_DESCRIPTION = """\
-Differentiable simulation, identification and diagnosis of surface vessels.
-
-A VESSEL is a TOML file, or the name of a vessel that ships with the package:
-{vessels}.
-A RECORDING is one run as CSV or Parquet; --mapping reads files with other columns.
-"""
-_EXAMPLES = """\
-examples:
-  diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
-  diffsea metrics run1.csv run2.csv --length 4.9
-  diffsea audit field/*.csv --mapping field.toml
-  diffsea predict usv.toml run1.csv
-  diffsea fit usv.toml run1.csv run2.csv --test run3.csv
-  diffsea diagnose usv.toml run*.csv
-  diffsea sensitivity kvlcc2 --manoeuvre zigzag
-  diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
-
-diffsea COMMAND --help tells more. Exit status: 0 done, 1 the work failed (the message says
-what to do), 2 bad usage.
-"""
+COMMAND_MODULES = ("trial", "recordings", "fit", "diagnose", "studies", "segments")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+    """Run one command and return its exit status.
+
+    Arguments:
+        argv: the words after `diffsea`; those of the process if None.
+
+    **Returns:** 0 done, 1 the work failed, 2 bad usage, 130 interrupted. Messages go to standard
+    error, and whatever fails leaves no files behind.
+    """
     debug = False
     try:
         args = make_parser().parse_args(argv)
         debug = args.debug
-        prepare_jax()
+        prepare_jax()  # the settings alone; a command that needs JAX starts it by importing it
         args.run(args)
         sys.stdout.flush()
         return 0
@@ -64,32 +68,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
-        return _report_bug(error, debug)
-
-
-def _report_bug(error: Exception, debug: bool) -> int:
-    if debug:
-        traceback.print_exc()
-    hint = "" if debug else " Run it again with --debug for the whole traceback."
-    print(
-        f"diffsea: this is a bug: {type(error).__name__}: {error}\n"
-        f"Nothing was written. Please report it.{hint}",
-        file=sys.stderr,
-    )
-    return 1
+        if debug:
+            traceback.print_exc()
+        hint = "" if debug else " Run it again with --debug for the whole traceback."
+        print(
+            f"diffsea: this is a bug: {type(error).__name__}: {error}\n"
+            f"Nothing was written. Please report it.{hint}",
+            file=sys.stderr,
+        )
+        return 1
 
 
 def make_parser() -> argparse.ArgumentParser:
+    """The grammar of the command line, with every command."""
     vessels = sorted(p.stem for p in (pathlib.Path(__file__).parents[1] / "vessel").rglob("*.toml"))
+    description, _, examples = (__doc__ or "").partition("\nexamples:\n")
     parser = argparse.ArgumentParser(
         prog="diffsea",
-        description=_DESCRIPTION.format(vessels=", ".join(vessels)),
-        epilog=_EXAMPLES,
+        description=description.format(vessels=", ".join(vessels)),
+        epilog=f"examples:\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     version = importlib.metadata.version("diffsea")
     parser.add_argument("--version", action="version", version=f"diffsea {version}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in _MODULES:
+    for name in COMMAND_MODULES:
         importlib.import_module(f"diffsea.cli.{name}").register(commands)
     return parser

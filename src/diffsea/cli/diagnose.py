@@ -20,21 +20,10 @@ def register(commands: options.Commands) -> None:
     summary = "find the physics that the model leaves out"
     parser = options.add_command(commands, "diagnose", diagnose_command, summary)
     options.add_fit_options(parser)
-    options.add_option(
-        parser,
-        "--bootstrap",
-        "DRAWS",
-        int,
-        "judge chance by so many simulated and refitted data sets (100 or more; seconds each)",
-        default=0,
-    )
-    options.add_option(
-        parser,
-        "--next-manoeuvre",
-        "CSV",
-        pathlib.Path,
-        "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)",
-    )
+    draws = "judge chance by so many simulated and refitted data sets (100 or more; seconds each)"
+    options.add_option(parser, "--bootstrap", "DRAWS", int, draws, default=0)
+    manoeuvre = "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)"
+    options.add_option(parser, "--next-manoeuvre", "CSV", pathlib.Path, manoeuvre)
 
 
 def diagnose_command(args: argparse.Namespace) -> None:

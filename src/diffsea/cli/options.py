@@ -47,14 +47,8 @@ def add_command(
     parser.set_defaults(run=run)
     output = parser.add_argument_group("output")
     folder = pathlib.Path("out") / name
-    output.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        type=pathlib.Path,
-        default=folder,
-        help="folder for the results (default: %(default)s)",
-    )
+    flags, text = ("-o", "--output"), "folder for the results (default: %(default)s)"
+    output.add_argument(*flags, metavar="DIR", type=pathlib.Path, default=folder, help=text)
     add_flag(output, "--json", "print the result as JSON, and nothing else, on stdout")
     add_flag(output, "--debug", "show the traceback of a bug")
     return parser
@@ -71,7 +65,12 @@ def add_option(
     help: str,
     **more: Any,
 ) -> None:
-    """An option with a value; its default, where it has one, is told at the end of the help."""
+    """An option with a value; its default, where it has one, is told at the end of the help.
+
+    Arguments:
+        kind: makes the value of the text, or raises `argparse.ArgumentTypeError`: bad usage.
+        more: of `add_argument`, such as `default` and `nargs`.
+    """
     told = " (default: %(default)s)" if more.get("default") else ""
     parser.add_argument(flag, metavar=metavar, type=kind, help=help + told, **more)
 
@@ -178,7 +177,11 @@ class LazyChoices:
 
 
 def one_of(choices: Sequence[str] | LazyChoices, what: str) -> Callable[[str], str]:
-    """One of some names; the message has the nearest one and the list."""
+    """A type of argument: one of some names; the message has the nearest one and the list.
+
+    Arguments:
+        what: the names are, for the message.
+    """
 
     def checked_name(text: str) -> str:
         allowed = list(choices.named) if isinstance(choices, LazyChoices) else choices
@@ -205,7 +208,11 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def read_vessel(args: argparse.Namespace) -> "VesselFile":
-    """The vessel of a command, with the document it was read from."""
+    """The vessel of a command, with the document it was read from.
+
+    Raises:
+        UserError: no such vessel, or one that is impossible; says what is wrong and where.
+    """
     from diffsea.vessel import files
 
     return files.read_vessel(args.vessel)

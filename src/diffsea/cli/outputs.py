@@ -120,7 +120,10 @@ class Outputs:
                 self._remove_folders()
 
     def present(self, args: argparse.Namespace, summary: str) -> None:
-        """Print the result: JSON alone with `--json`, else the summary and the files' names."""
+        """Print the result: JSON alone with `--json`, else the summary and the files' names.
+
+        Called after the block: by then the files lie in their folder.
+        """
         if args.json:
             print(self._result)
         else:
@@ -146,7 +149,12 @@ def _json_value(data: Any) -> Any:
 
 
 def table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """Columns of text, those of numbers to the right; no line ends in blanks."""
+    """Columns of text, those of numbers to the right; no line ends in blanks.
+
+    Arguments:
+        rows: at least one; their cells are shown as they are, whatever brackets they have.
+        header: above the columns.
+    """
     import rich.table
     from rich.console import Console
     from rich.text import Text

@@ -37,11 +37,11 @@ class StagedProgress:
         self._stage, self._number = "", -1
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
         console = Console(file=self._stream, force_terminal=self._live, highlight=False)
+        columns = (BarColumn(24), TaskProgressColumn(), TimeElapsedColumn(), text)
+        untouched = {"redirect_stdout": False, "redirect_stderr": False}
         self._bar = Progress(
-            BarColumn(24), TaskProgressColumn(), TimeElapsedColumn(), text,
-            console=console, transient=True, disable=not self._live,
-            redirect_stdout=False, redirect_stderr=False,
-        )  # fmt: skip
+            *columns, console=console, transient=True, disable=not self._live, **untouched
+        )
         self._task = self._bar.add_task("", total=self.total)
 
     def __enter__(self) -> "StagedProgress":

@@ -71,7 +71,11 @@ def sensitivity_command(args: argparse.Namespace) -> None:
 
 
 def _strongest_text(numbers: dict[str, float], relative: dict[str, dict[str, float]]) -> str:
-    """The strongest elasticities of every number."""
+    """The strongest elasticities of every number, a row each.
+
+    Arguments:
+        relative: by number, then by parameter: % of change per 1 % of the parameter.
+    """
     rows = []
     for number, row in relative.items():
         strongest = sorted(row, key=lambda name: -abs(row[name]))[:STRONGEST]

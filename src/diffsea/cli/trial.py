@@ -65,7 +65,11 @@ def _standard_trials() -> dict[str, str]:
 
 
 def trial_plan(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
-    """The trial that the options describe; tells the defaults that were taken."""
+    """The trial that the options describe; tells the defaults that were taken.
+
+    Raises:
+        UserError: a trial that the vessel cannot run, or that would never end.
+    """
     from diffsea.simulation.planning import plan_trial
 
     plan = plan_trial(
@@ -143,7 +147,10 @@ def trial_command(args: argparse.Namespace) -> None:
 
 
 def metrics_text(metrics: dict[str, Any]) -> str:
-    """metrics.json for a person: angles in degrees, lengths in metres and ship lengths."""
+    """metrics.json for a person: angles in degrees, lengths in metres and ship lengths.
+
+    A table of numbers, a line for each criterion of IMO MSC.137(76), then the notes.
+    """
     head = [metrics["manoeuvre"], metrics.get("side"), metrics.get("outcome")]
     lines = [", ".join(part for part in head if part)]
     rows = []

@@ -36,20 +36,10 @@ SEGMENT_COLOURS = {
 }
 # The numbers that a trial is run for, most informative first.
 INFORMATIVE_NUMBERS = (
-    "tactical_diameter",
-    "advance",
-    "overshoot_1",
-    "overshoot_2",
-    "initial_turning_distance",
-    "steady_turning_diameter",
-    "track_reach",
-    "head_reach",
-    "time_to_half_speed",
-    "final_speed",
-    "residual_yaw_rate",
-    "yaw_rate_1",
-    "period",
-)
+    "tactical_diameter advance overshoot_1 overshoot_2 initial_turning_distance "
+    "steady_turning_diameter track_reach head_reach time_to_half_speed final_speed "
+    "residual_yaw_rate yaw_rate_1 period"
+).split()
 PANELS = 4  # numbers in one picture of a study: more would be too small to read
 TORNADO_BARS = 12  # parameters of a number, the strongest
 WEAKEST_BAR = 1e-3  # of the strongest: a shorter bar cannot be seen

@@ -24,10 +24,9 @@ from diffsea.vessel.effects.sensors import MeasuredChannels
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json
 
-_CHANNELS = {
-    frozenset(("x", "y")): "position", frozenset(("psi",)): "heading",
-    frozenset(("u", "v")): "velocity", frozenset(("r",)): "yaw rate",
-}  # fmt: skip
+CHANNEL_WORDS = {("x", "y"): "position", ("psi",): "heading", ("u", "v"): "velocity"}
+CHANNEL_WORDS |= {("r",): "yaw rate"}
+PERCENT_SCALES = {"%": 100.0, "%/deg": math.radians(100.0)}
 
 
 def as_words(name: str) -> str:
@@ -40,61 +39,57 @@ def enumeration(items: list[str], last: str = "and") -> str:
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
 
 
-def _value(effect: Record, parameter: str) -> float:
-    return float(effect["parameters"].get(parameter, {}).get("value") or 0.0)
+class PhrasedParameter:
+    """A parameter of an effect, formatted as the braces of the effect's phrase ask for it.
 
+    `{speed}` is the value in people's units, `{time:size}` its absolute value, `{ratio:%}` that
+    in percent, `{slope:%/deg}` in percent per degree, `{angle:starboard|port}` a word for its sign.
+    """
 
-class _Said:
-    """A parameter of an effect, said as the braces of the effect's phrase ask for it."""
-
-    def __init__(self, entry: Record) -> None:
+    def __init__(self, entry: Record):
+        """
+        Arguments:
+            entry: `value`, `std` and `unit` of the parameter, in SI units.
+        """
         self.value, self.std, self.unit = entry["value"], entry.get("std"), entry.get("unit", "")
 
-    def __format__(self, how: str) -> str:
-        if not how:
+    def __format__(self, form: str) -> str:
+        if not form:
             return round_to_error(self.value, self.std, self.unit)
-        if "|" in how:
-            positive, other = how.split("|")
+        if "|" in form:
+            positive, other = form.split("|")
             return positive if self.value is not None and self.value > 0 else other
         if not is_known(self.value):
             return "an unknown amount"
-        scale, unit = {"%": (100.0, "%"), "%/deg": (math.radians(100.0), "%")}.get(
-            how, (1.0, self.unit)
-        )
+        scale = PERCENT_SCALES.get(form, 1.0)
         std = self.std * scale if is_known(self.std) else None
+        unit = "%" if form in PERCENT_SCALES else self.unit
         return round_to_error(abs(self.value) * scale, std, unit)
 
 
-def _entry_of(effect: Record) -> Effect | None:
-    """The entry of the catalogue, of several variants the one with these channels."""
-    variants = [
-        entry
-        for entry in EFFECTS.values()
-        if effect["name"] in (entry.name, catalogue_name(entry.name))
-    ]
-    late = set(effect.get("channels", ()))
+def catalogue_entry(effect: Record) -> Effect | None:
+    """The effect's entry of the catalogue, of several variants the one with its channels."""
+    name, late = effect["name"], set(effect.get("channels", ()))
+    variants = [one for one in EFFECTS.values() if name in (one.name, catalogue_name(one.name))]
     alike = [
-        entry
-        for entry in variants
-        if isinstance(entry.place, MeasuredChannels) and set(entry.place.names) == late
+        one
+        for one in variants
+        if isinstance(one.place, MeasuredChannels) and set(one.place.names) == late
     ]
     return (alike or variants or [None])[0]
 
 
 def phrase(effect: Record) -> str:
     """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
-    said: dict[str, object] = {key: _Said(one) for key, one in effect["parameters"].items()}
-    said["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
-    said["channels"] = _CHANNELS.get(frozenset(effect.get("channels", ())), "signal")
-    entry = _entry_of(effect)
+    entry = catalogue_entry(effect)
+    parts: dict[str, object] = {k: PhrasedParameter(e) for k, e in effect["parameters"].items()}
+    parts["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
+    parts["channels"] = CHANNEL_WORDS.get(tuple(sorted(effect.get("channels", ()))), "signal")
     try:
-        return entry.phrase.format(**said) if entry and entry.phrase else _unknown(effect)
-    except KeyError:
-        return _unknown(effect)
-
-
-def _unknown(effect: Record) -> str:
-    return f"the effect {as_words(effect['name'])!r}"
+        text = entry.phrase.format(**parts) if entry and entry.phrase else ""
+    except KeyError:  # a record without a parameter that the phrase names
+        text = ""
+    return text or f"the effect {as_words(effect['name'])!r}"
 
 
 def group_phrase(group: list[Record]) -> str:
@@ -104,7 +99,8 @@ def group_phrase(group: list[Record]) -> str:
     first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
     if first is None:
         return f"a {as_words(group[0]['name'])} of its own in each recording"
-    values = [_value(effect, first) for effect in group]
+    sizes = [effect["parameters"].get(first, {}).get("value") for effect in group]
+    values = [float(size or 0.0) for size in sizes]
     low, high = (round_to_error(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
     return f"a {as_words(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
 
@@ -290,7 +286,7 @@ def effect_lines(name: str, runs: Sequence[Record]) -> list[str]:
 
 def direction_note(effect: Record, parameter: str) -> str:
     """Whether a direction is where something flows to or comes from."""
-    entry = _entry_of(effect)
+    entry = catalogue_entry(effect)
     form = None if entry is None else entry.parametrisation
     note = "" if form is None else form.notes.get(parameter, "")
     return f" ({note})" if note else ""
