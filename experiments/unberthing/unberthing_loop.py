@@ -61,7 +61,7 @@ def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) 
             _side_force(vessel, true, ordered), memory.advice.model.rows, memory.gain,
             memory.advice.trust,
         )  # fmt: skip
-        over = control.finished(memory)
+        over = control.is_finished(memory)
         motion = jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, after)
         return (motion, memory), log
 

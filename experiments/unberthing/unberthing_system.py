@@ -85,7 +85,7 @@ class ControlSystem(AbstractController[Memory]):
         )
         return after, orders(blades)
 
-    def finished(self, memory: Memory) -> Bool[Array, ""]:
+    def is_finished(self, memory: Memory) -> Bool[Array, ""]:
         return memory.step > jnp.minimum(self.last_step, DONE - 1)
 
 

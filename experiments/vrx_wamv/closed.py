@@ -137,7 +137,7 @@ def _driven(rows: np.ndarray, finished: bool) -> Driven:
 def _step(law: DynamicPD, memory: Pursued, seen: np.ndarray) -> tuple[Pursued, jax.Array]:
     """Next memory; the orders and whether the path is finished."""
     memory, orders = law.step(memory, State(*seen), 0.0, PERIOD)
-    return memory, jnp.stack([orders["port"], orders["starboard"], law.finished(memory) * 1.0])
+    return memory, jnp.stack([orders["port"], orders["starboard"], law.is_finished(memory) * 1.0])
 
 
 @eqx.filter_jit

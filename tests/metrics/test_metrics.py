@@ -30,7 +30,7 @@ from diffsea.metrics import (
     value_at,
     zigzag_metrics,
 )
-from diffsea.metrics.orders import as_thrust, steering
+from diffsea.metrics.orders import as_thrust, steering_angle
 from diffsea.trajectory import Trajectory
 
 
@@ -795,7 +795,7 @@ def test_shaft_speeds_steer_by_what_they_push():
     t = np.arange(5.0)
     still, ordered = np.zeros((6, 5)), {"port": np.full(5, 3.0), "starboard": np.ones(5)}
     run = trajectory(t, *still, commanded=ordered)
-    in_rev = steering(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))[0]
+    in_rev = steering_angle(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))[0]
     assert np.degrees(in_rev) == pytest.approx(35 * (9 - 1) / (9 + 1))
-    in_newton = steering(as_thrust(run, {"port": "N", "starboard": "N"}))[0]
+    in_newton = steering_angle(as_thrust(run, {"port": "N", "starboard": "N"}))[0]
     assert np.degrees(in_newton) == pytest.approx(35 * (3 - 1) / (3 + 1))

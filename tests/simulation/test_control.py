@@ -27,7 +27,7 @@ from diffsea.simulation.control import (
     Steering,
     autopilot,
     discrete_lqr,
-    discretised,
+    discretise,
     riccati,
     speed_hold,
     steering_model,
@@ -117,9 +117,9 @@ def test_a_leg_ends_within_the_radius_or_abeam_and_the_path_with_the_last():
     near, _ = law.step(law.init(), state_of(x=9.1), 0.1)
     abeam, _ = law.step(law.init(), state_of(x=10.1, y=4.0), 0.1)
     assert int(near[0]) == int(abeam[0]) == 1
-    assert not law.finished(near)
+    assert not law.is_finished(near)
     end, _ = law.step(near, state_of(x=10.0, y=9.5), 0.1)
-    assert law.finished(end)
+    assert law.is_finished(end)
 
 
 def test_pursuit_goes_on_to_the_next_waypoint():
@@ -129,7 +129,7 @@ def test_pursuit_goes_on_to_the_next_waypoint():
     memory, wanted = law.step(memory, state_of(x=9.5), 0.1)
     assert int(memory) == 1 and float(wanted.heading) == pytest.approx(np.arctan2(10, 0.5))
     memory, _ = law.step(memory, state_of(x=10, y=10), 0.1)
-    assert law.finished(memory)
+    assert law.is_finished(memory)
 
 
 def test_the_integral_of_line_of_sight_meets_a_current():
@@ -181,7 +181,7 @@ def test_the_gain_has_the_derivative_of_its_differences():
 def test_discretisation_is_that_of_a_zero_order_hold():
     A, B, _, _ = _system(1)
     whole = scipy.signal.cont2discrete((A, B, np.eye(4), np.zeros((4, 2))), 0.5)
-    transition, inputs = discretised(jnp.asarray(A), jnp.asarray(B), 0.5)
+    transition, inputs = discretise(jnp.asarray(A), jnp.asarray(B), 0.5)
     np.testing.assert_allclose(transition, whole[0], rtol=1e-10)
     np.testing.assert_allclose(inputs, whole[1], rtol=1e-10)
 

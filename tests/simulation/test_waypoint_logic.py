@@ -102,7 +102,7 @@ def test_orders_are_zero_where_the_last_waypoint_is_reached(vessel):
     logic = waypoint_logic(vessel, [[20.0, 0.0]])
     there = State(*(jnp.asarray(value) for value in (18.0, 0.5, 0.3, 1.0, 0.0, 0.0)))
     memory, orders = logic.step(logic.init(), there, 0.0, 0.05)
-    assert bool(logic.finished(memory))
+    assert bool(logic.is_finished(memory))
     assert {channel: float(order) for channel, order in orders.items()} == {
         "thruster.force": 0.0, "thruster.angle": 0.0,
     }  # fmt: skip

@@ -77,7 +77,7 @@ def curve(
     return Curve(t[rows], value[rows], rate[rows])
 
 
-def known(value: Scalar | Array, found: Bool[Array, "..."]) -> Float[Array, "..."]:
+def value_or_nan(value: Scalar | Array, found: Bool[Array, "..."]) -> Float[Array, "..."]:
     """The value where it was found, else NaN with derivative zero."""
     return jnp.where(found, value, jnp.nan)
 
@@ -131,7 +131,7 @@ def crossing_time(
     curve: Curve, level: Scalar, direction: int = 0, after: Scalar = -jnp.inf
 ) -> Float[Array, ""]:
     """`first_crossing` as a time (s), NaN with derivative zero where there is none."""
-    return known(*first_crossing(curve, level, direction, after))
+    return value_or_nan(*first_crossing(curve, level, direction, after))
 
 
 def highest(
@@ -180,7 +180,7 @@ def slopes(t: Float[Array, "time"], value: Float[Array, "time"]) -> Float[Array,
     return jnp.where(inside[1:-1], central[1:-1], one_sided)
 
 
-def cornered(smooth: Curve, times: Float[Array, "corner"]) -> Curve:
+def with_corners(smooth: Curve, times: Float[Array, "corner"]) -> Curve:
     """The curve with a second sample at each of some times (s), where its slope may jump.
 
     A yaw rate has such a corner where thrust answers an order at once; differences across it
@@ -207,14 +207,14 @@ class _Piece(NamedTuple):
 
 
 def _pieces(curve: Curve) -> _Piece:
-    return _between(
+    return _pieces_between(
         (curve.t[:-1], curve.value[:-1], curve.rate[:-1]),
         (curve.t[1:], curve.value[1:], curve.rate[1:]),
     )
 
 
 def _piece(curve: Curve, i: Int[Array, ""]) -> _Piece:
-    return _between(
+    return _pieces_between(
         (curve.t[i], curve.value[i], curve.rate[i]),
         (curve.t[i + 1], curve.value[i + 1], curve.rate[i + 1]),
     )
@@ -231,7 +231,7 @@ def _exact(p: _Piece, s: Array) -> Array:
     return jnp.where(s == 0, p.start, jnp.where(s == 1, p.end, _hermite(p, s)))
 
 
-def _between(left: tuple[Array, ...], right: tuple[Array, ...]) -> _Piece:
+def _pieces_between(left: tuple[Array, ...], right: tuple[Array, ...]) -> _Piece:
     (t0, value0, rate0), (t1, value1, rate1) = left, right
     proper = t1 > t0
     step = jnp.where(proper, t1 - t0, 1.0)

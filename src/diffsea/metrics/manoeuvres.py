@@ -1,6 +1,4 @@
-"""The circle through the steady part of a turn.
-
-Numbers of the standard trials: turning circle, zig-zag and stopping.
+"""Numbers of the standard trials: turning circle, zig-zag and stopping.
 
 Every function takes one trajectory, reads each number off at an interpolated instant and
 can be differentiated, in both modes, with respect to the trajectory and the times of the
@@ -22,19 +20,24 @@ from diffsea.kinematics import to_body, to_earth
 from diffsea.metrics.crossings import (
     Crossing,
     Curve,
-    cornered,
     first_crossing,
     highest,
     interval_at,
-    known,
     slopes,
     valid_rows,
     value_at,
+    value_or_nan,
+    with_corners,
 )
 from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar
 
 
+APPROACH_SECONDS = 10.0  # before the execute, whose mean is the approach speed
+# IMO MSC.137(76) section 5.3.2: the initial turning ability is judged at this change.
+INITIAL_TURN = math.radians(10)
+# A zig-zag that reverses at 10 deg reverses at 10 deg give or take a sample.
+_REVERSAL_MARGIN = math.radians(1)
 # Spread of the points, relative to its larger axis, below which they lie on a line.
 _FLATTEST = 1e-6
 
@@ -48,8 +51,9 @@ def fitted_radius(
     centroid, which is linear. Position noise of standard deviation s biases the radius R by
     a relative amount of order (s/R)^2, more on short arcs; ask for a quarter of a circle.
     """
+    finite = [jnp.where(jnp.isfinite(p), p, 0.0) for p in (x, y)]
     weight = jnp.where(chosen, 1.0, 0.0) / jnp.maximum(jnp.sum(chosen), 1)
-    x, y = (jnp.where(chosen, p - jnp.sum(weight * p), 0.0) for p in (_filled(x), _filled(y)))
+    x, y = (jnp.where(chosen, p - jnp.sum(weight * p), 0.0) for p in finite)
     square = x**2 + y**2
     xx, xy, yy, xz, yz, mean = (
         jnp.sum(weight * p) for p in (x * x, x * y, y * y, x * square, y * square, square)
@@ -60,17 +64,6 @@ def fitted_radius(
     safe = jnp.where(found, determinant, 1.0)
     a, b = (yy * xz - xy * yz) / (2 * safe), (xx * yz - xy * xz) / (2 * safe)
     return jnp.sqrt(jnp.where(found, a**2 + b**2 + mean, 1.0)), found
-
-
-def _filled(p: Float[Array, "time"]) -> Float[Array, "time"]:
-    return jnp.where(jnp.isfinite(p), p, 0.0)
-
-
-APPROACH_SECONDS = 10.0
-# IMO MSC.137(76) section 5.3.2: the initial turning ability is judged at this change.
-INITIAL_TURN = math.radians(10)
-# A zig-zag that reverses at 10 deg reverses at 10 deg give or take a sample.
-_REVERSAL_MARGIN = math.radians(1)
 
 
 def turning_metrics(
@@ -94,25 +87,27 @@ def turning_metrics(
     The steady part is what follows 360 deg, or in a shorter record the last 180 deg but
     nothing before 180 deg; it needs 270 deg in all.
     """
-    run = _referred(trajectory, execute_time, side, psi0)
+    run = _refer_to_execute(trajectory, execute_time, side, psi0)
     turn, start = run.heading, execute_time
     quarters = jnp.array([0.5, 1.0, 1.5]) * math.pi
     crossings = jax.vmap(lambda angle: first_crossing(turn, angle, +1, after=start))(quarters)
     to_90, to_180, to_270 = map(Crossing, crossings.time, crossings.found)
-    foremost = highest(run.along, 1.0, after=start, before=_until(to_180))
-    outermost = highest(run.across, 1.0, after=start, before=_until(to_270))
+    foremost = highest(run.along, 1.0, after=start, before=_time_or_forever(to_180))
+    outermost = highest(run.across, 1.0, after=start, before=_time_or_forever(to_270))
     approach = _approach_speed(run, start, approach_seconds)
     steady = _steady_turn(run)
     return {
-        "advance": known(value_at(run.along, to_90.time), to_90.found),
-        "transfer": known(value_at(run.across, to_90.time), to_90.found),
-        "tactical_diameter": known(value_at(run.across, to_180.time), to_180.found),
-        "max_advance": known(foremost.value, foremost.found),
-        "max_transfer": known(outermost.value, outermost.found),
-        "time_to_90": known(to_90.time - start, to_90.found),
-        "time_to_180": known(to_180.time - start, to_180.found),
+        "advance": value_or_nan(value_at(run.along, to_90.time), to_90.found),
+        "transfer": value_or_nan(value_at(run.across, to_90.time), to_90.found),
+        "tactical_diameter": value_or_nan(value_at(run.across, to_180.time), to_180.found),
+        "max_advance": value_or_nan(foremost.value, foremost.found),
+        "max_transfer": value_or_nan(outermost.value, outermost.found),
+        "time_to_90": value_or_nan(to_90.time - start, to_90.found),
+        "time_to_180": value_or_nan(to_180.time - start, to_180.found),
         **steady,
-        "speed_loss": known(1 - steady["final_speed"] / _nonzero(approach), approach > 0),
+        "speed_loss": value_or_nan(
+            1 - steady["final_speed"] / _one_unless_positive(approach), approach > 0
+        ),
         "peak_yaw_rate": _peak_yaw_rate(run.yaw, start),
         "approach_speed": approach,
     }
@@ -139,20 +134,28 @@ def zigzag_metrics(
     `period` (s) between reversals 1 and 3; `peak_yaw_rate` (rad/s) either way;
     `approach_speed` (m/s).
     """
-    times, happened = _finite(switch_times)
+    # Zero for those that did not happen, and at least two of them: no NaN in derivatives.
+    times = jnp.atleast_1d(jnp.asarray(switch_times))
+    missing = max(0, 2 - times.shape[0])
+    times = jnp.concatenate([times, jnp.full((missing,), jnp.nan, times.dtype)])
+    happened = jnp.isfinite(times)
+    times = jnp.where(happened, times, 0.0)
     start, first = times[0], times[1]
-    run = _referred(trajectory, start, side, psi0)
+    run = _refer_to_execute(trajectory, start, side, psi0)
     turned = first_crossing(run.heading, INITIAL_TURN, +1, after=start)
     under_order = ~happened[1] | (value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN)
     turned = Crossing(turned.time, turned.found & under_order)
     back = first_crossing(run.heading, 0.0, -1, after=first)
+    period = jnp.full((), jnp.nan)
+    if times.shape[0] >= 4:
+        period = value_or_nan(times[3] - times[1], happened[1] & happened[3])
     return {
         **_overshoots(run, times, happened),
-        "initial_turning_distance": known(value_at(run.along, turned.time), turned.found),
-        "initial_turning_time": known(turned.time - start, turned.found),
-        "reach_time": known(back.time - start, back.found & happened[1]),
-        "period": _period(times, happened),
-        "peak_yaw_rate": _peak_yaw_rate(cornered(run.yaw, times), start),
+        "initial_turning_distance": value_or_nan(value_at(run.along, turned.time), turned.found),
+        "initial_turning_time": value_or_nan(turned.time - start, turned.found),
+        "reach_time": value_or_nan(back.time - start, back.found & happened[1]),
+        "period": period,
+        "peak_yaw_rate": _peak_yaw_rate(with_corners(run.yaw, times), start),
         "approach_speed": _approach_speed(run, start, approach_seconds),
     }
 
@@ -169,22 +172,22 @@ def stopping_metrics(
     heading; `lateral_deviation` (m), positive to starboard; `stopping_time` (s);
     `heading_change` (rad) until then; `approach_speed` (m/s).
     """
-    run = _referred(trajectory, execute_time, 1.0, psi0)
+    run = _refer_to_execute(trajectory, execute_time, 1.0, psi0)
     # A simulated run ends at the stop, with a speed that rounding may leave above zero.
     stopped = 1e-12 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
     stop = first_crossing(run.surge, stopped, -1, after=execute_time)
-    travelled = _travelled(run, stop.time) - _travelled(run, execute_time)
+    travelled = _distance_travelled(run, stop.time) - _distance_travelled(run, execute_time)
     return {
-        "track_reach": known(travelled, stop.found),
-        "head_reach": known(value_at(run.along, stop.time), stop.found),
-        "lateral_deviation": known(value_at(run.across, stop.time), stop.found),
-        "stopping_time": known(stop.time - execute_time, stop.found),
-        "heading_change": known(value_at(run.heading, stop.time), stop.found),
+        "track_reach": value_or_nan(travelled, stop.found),
+        "head_reach": value_or_nan(value_at(run.along, stop.time), stop.found),
+        "lateral_deviation": value_or_nan(value_at(run.across, stop.time), stop.found),
+        "stopping_time": value_or_nan(stop.time - execute_time, stop.found),
+        "heading_change": value_or_nan(value_at(run.heading, stop.time), stop.found),
         "approach_speed": _approach_speed(run, execute_time, approach_seconds),
     }
 
 
-class _Run(NamedTuple):
+class _TrialFrame(NamedTuple):
     """A trajectory referred to the position and heading at the execute."""
 
     heading: Curve  # rad, change towards the side
@@ -197,9 +200,9 @@ class _Run(NamedTuple):
     counts: Bool[Array, "time"]
 
 
-def _referred(
+def _refer_to_execute(
     trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None
-) -> _Run:
+) -> _TrialFrame:
     valid = jnp.asarray(trajectory.valid)
     rows = valid_rows(valid)
     t, x, y, psi, u, v, r = (
@@ -214,34 +217,34 @@ def _referred(
     along, across = to_body(x - x0, y - y0, psi0)
     ahead, abeam = to_body(north, east, psi0)
     surge, sway = Curve(t, u, slopes(t, u)), Curve(t, v, slopes(t, v))
-    return _Run(
+    return _TrialFrame(
         heading=Curve(t, side * (psi - psi0), side * r),
         along=Curve(t, along, ahead),
         across=Curve(t, side * across, side * abeam),
         surge=surge,
         sway=sway,
-        path=_path(surge, sway),
+        path=_cumulative_distance(surge, sway),
         yaw=Curve(t, side * r, side * slopes(t, r)),
         counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
     )
 
 
-def _path(surge: Curve, sway: Curve) -> Float[Array, "time"]:
+def _cumulative_distance(surge: Curve, sway: Curve) -> Float[Array, "time"]:
     """Distance travelled (m) by each sample: trapezoids with their end correction."""
     speed = _magnitude(surge.value, sway.value)
     # Not differences of the speed: those smear its kink where the vessel stops.
     growth = surge.value * surge.rate + sway.value * sway.rate
-    slope = jnp.where(speed > 0, growth / _nonzero(speed), 0.0)
+    slope = jnp.where(speed > 0, growth / _one_unless_positive(speed), 0.0)
     step = jnp.diff(surge.t)
     part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
     return jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)])
 
 
-def _speed_at(run: _Run, time: Scalar) -> Float[Array, ""]:
+def _speed_at(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
     return _magnitude(value_at(run.surge, time), value_at(run.sway, time))
 
 
-def _travelled(run: _Run, time: Scalar) -> Float[Array, ""]:
+def _distance_travelled(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
     """Distance (m) travelled by a time: by the sample before it and on from there."""
     t = run.surge.t
     time = jnp.clip(time, t[0], t[-1])
@@ -252,14 +255,15 @@ def _travelled(run: _Run, time: Scalar) -> Float[Array, ""]:
 def _magnitude(u: Array, v: Array) -> Array:
     # The root has an infinite derivative at rest.
     square = u**2 + v**2
-    return jnp.where(square > 0, jnp.sqrt(_nonzero(square)), 0.0)
+    return jnp.where(square > 0, jnp.sqrt(_one_unless_positive(square)), 0.0)
 
 
-def _approach_speed(run: _Run, execute_time: Scalar, seconds: Scalar) -> Float[Array, ""]:
+def _approach_speed(run: _TrialFrame, execute_time: Scalar, seconds: Scalar) -> Float[Array, ""]:
     """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
     begin = jnp.maximum(execute_time - seconds, run.surge.t[0])
     duration = execute_time - begin
-    mean = (_travelled(run, execute_time) - _travelled(run, begin)) / _nonzero(duration)
+    distance = _distance_travelled(run, execute_time) - _distance_travelled(run, begin)
+    mean = distance / _one_unless_positive(duration)
     return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
 
 
@@ -272,7 +276,7 @@ def _peak_yaw_rate(yaw: Curve, execute_time: Scalar) -> Float[Array, ""]:
     return jnp.maximum(sampled, between)
 
 
-def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
+def _steady_turn(run: _TrialFrame) -> dict[str, Float[Array, ""]]:
     turn = run.heading
     total = jax.lax.stop_gradient(turn.value[-1])
     begin = first_crossing(turn, jnp.clip(total - math.pi, math.pi, 2 * math.pi), +1)
@@ -281,16 +285,16 @@ def _steady_turn(run: _Run) -> dict[str, Float[Array, ""]]:
     radius, round_ = fitted_radius(run.along.value, run.across.value, chosen)
     duration = jnp.where(enough, turn.t[-1] - begin.time, 1.0)
     turned = (run.heading.value[-1] - value_at(run.heading, begin.time)) / duration
-    travelled = (run.path[-1] - _travelled(run, begin.time)) / duration
+    travelled = (run.path[-1] - _distance_travelled(run, begin.time)) / duration
     return {
-        "steady_turning_diameter": known(2 * radius, enough & round_),
-        "steady_yaw_rate": known(turned, enough),
-        "final_speed": known(travelled, enough),
+        "steady_turning_diameter": value_or_nan(2 * radius, enough & round_),
+        "steady_yaw_rate": value_or_nan(turned, enough),
+        "final_speed": value_or_nan(travelled, enough),
     }
 
 
 def _overshoots(
-    run: _Run, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
+    run: _TrialFrame, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
 ) -> dict[str, Float[Array, ""]]:
     starts = times[1:]
     ends = jnp.append(jnp.where(happened[2:], times[2:], jnp.inf), jnp.inf)
@@ -298,34 +302,17 @@ def _overshoots(
     peaks = jax.vmap(highest, (None, 0, 0, 0))(run.heading, senses, starts, ends)
     at_reversal = jax.vmap(value_at, (None, 0))(run.heading, starts)
     found = peaks.found & happened[1:]
-    beyond = known(senses * (peaks.value - at_reversal), found)
-    checked = known(peaks.time - starts, found)
+    beyond = value_or_nan(senses * (peaks.value - at_reversal), found)
+    checked = value_or_nan(peaks.time - starts, found)
     return {
         **{f"overshoot_{k + 1}": angle for k, angle in enumerate(beyond)},
         **{f"time_to_check_yaw_{k + 1}": time for k, time in enumerate(checked)},
     }
 
 
-def _period(times: Float[Array, "switch"], happened: Bool[Array, "switch"]) -> Float[Array, ""]:
-    if times.shape[0] < 4:
-        return jnp.full((), jnp.nan)
-    return known(times[3] - times[1], happened[1] & happened[3])
-
-
-def _finite(
-    switch_times: Float[Array, "switch"],
-) -> tuple[Float[Array, "switch"], Bool[Array, "switch"]]:
-    """The times with zero for those that did not happen, and at least two of them."""
-    times = jnp.atleast_1d(jnp.asarray(switch_times))
-    missing = max(0, 2 - times.shape[0])
-    times = jnp.concatenate([times, jnp.full((missing,), jnp.nan, times.dtype)])
-    happened = jnp.isfinite(times)
-    return jnp.where(happened, times, 0.0), happened
-
-
-def _nonzero(value: Scalar | Array) -> Array:
+def _one_unless_positive(value: Scalar | Array) -> Array:
     return jnp.where(value > 0, value, 1.0)
 
 
-def _until(crossing: Crossing) -> Float[Array, ""]:
+def _time_or_forever(crossing: Crossing) -> Float[Array, ""]:
     return jnp.where(crossing.found, crossing.time, jnp.inf)

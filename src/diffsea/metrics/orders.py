@@ -75,7 +75,7 @@ def steers(channel: str) -> bool:
     return "rudder" in channel.lower() or channel.lower().endswith(".angle")
 
 
-def steering(trajectory: Trajectory) -> tuple[Samples, str] | None:
+def steering_angle(trajectory: Trajectory) -> tuple[Samples, str] | None:
     """Steering angle (rad) in every row and the channel it is from; none if not recorded.
 
     Commands come before executed values. A channel with "rudder" in its name is taken
@@ -158,7 +158,7 @@ def find_orders(trajectory: Trajectory) -> Orders:
 
     The trajectory is a prepared one: every row counts and has a heading.
     """
-    steered = steering(trajectory)
+    steered = steering_angle(trajectory)
     if steered is None:
         return Orders()
     angle, channel = steered
@@ -197,7 +197,7 @@ def largest_turn(trajectory: Trajectory, orders: Orders) -> Orders:
 
 def neutral_share(trajectory: Trajectory, orders: Orders) -> float:
     """Share of the rows before and after the orders in which the steering is near zero."""
-    steered = steering(trajectory)
+    steered = steering_angle(trajectory)
     if steered is None:
         return 0.0
     t = np.asarray(trajectory.t)

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diffsea.metrics.orders import as_thrust, steering
+from diffsea.metrics.orders import as_thrust, steering_angle
 from diffsea.simulation.trials import Trial
 from diffsea.trajectory import Trajectory
 
@@ -117,7 +117,7 @@ def save_trial_series(
     figure = empty_figure(8.0, 9.0)
     heading, speeds, yaw, actuation = plain_axes(figure, 4)
     heading.plot(t, np.degrees(run.psi), color=BLUE, label="heading")
-    steered = steering(as_thrust(run, units or {}))
+    steered = steering_angle(as_thrust(run, units or {}))
     if steered is not None:
         label = "rudder" if "rudder" in steered[1] else "rudder-equivalent order"
         heading.step(t, np.degrees(steered[0]), where="post", color=ORANGE, label=label)

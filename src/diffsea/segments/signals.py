@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.metrics.orders import propulsion, steering, steers
+from diffsea.metrics.orders import propulsion, steering_angle, steers
 from diffsea.recordings.motion import motion_of
 from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import executed_by, recorded_actuation
@@ -219,7 +219,7 @@ def _steered(
 ) -> tuple[Samples, str] | None:
     """Steering angle (rad) of a group of channels; zero where a pair of thrusters is idle."""
     grouped = _grouped(channels, vessel)
-    found = steering(dataclasses.replace(run, commanded=grouped, executed={}))
+    found = steering_angle(dataclasses.replace(run, commanded=grouped, executed={}))
     if found is None:
         return None
     angle, names = found[0], found[1].removeprefix("commanded ")

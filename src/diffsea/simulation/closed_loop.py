@@ -85,7 +85,7 @@ def run_controlled(
         diverged = diverged | (~over & ~is_plausible(vessel, new.state))
         memory = select(over, memory, after)
         motion = select(~over & ~diverged, new, motion)
-        over = over | diverged | controller.finished(memory)
+        over = over | diverged | controller.is_finished(memory)
         return (motion, memory, over, diverged), (row, memory)
 
     no = jnp.zeros((), bool)
@@ -93,7 +93,7 @@ def run_controlled(
     carry = (motion, controller.init(), no, no)
     carry, (rows, memories) = jax.lax.scan(body, carry, jnp.arange(count, dtype=float))
     _, memory, _, diverged = carry
-    outcome = jnp.where(controller.finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
+    outcome = jnp.where(controller.is_finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(diverged, Outcome.DIVERGED, outcome)
     return ClosedLoop(trajectory_of(*rows, outcome), memories)
 

@@ -27,7 +27,7 @@ from diffsea.metrics import (
     value_at,
     zigzag_metrics,
 )
-from diffsea.metrics.crossings import known
+from diffsea.metrics.crossings import value_or_nan
 from diffsea.simulation import manoeuvres
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.trials import Trial, TrialSettings
@@ -147,8 +147,8 @@ def pull_out_numbers(side: float, trial: Trial) -> Numbers:
     rate = side * value_at(yaw, jnp.where(released, ends[0], 0.0))
     return {
         **turning_metrics(turn, trial.execute_time, side),
-        "yaw_rate_at_release": known(rate, released),
-        "residual_yaw_rate": known(side * yaw.value[-1], jnp.isfinite(ends[1])),
+        "yaw_rate_at_release": value_or_nan(rate, released),
+        "residual_yaw_rate": value_or_nan(side * yaw.value[-1], jnp.isfinite(ends[1])),
     }
 
 
@@ -157,7 +157,7 @@ def spiral_numbers(side: float, trial: Trial) -> Numbers:
     yaw, ends = _channel_curve(trial.trajectory, trial.trajectory.r), trial.switch_times
     there = jnp.isfinite(ends)
     rates = jax.vmap(lambda t: value_at(yaw, t))(jnp.where(there, ends, 0.0))
-    return {f"yaw_rate_{k + 1}": known(rates[k], there[k]) for k in range(ends.size)}
+    return {f"yaw_rate_{k + 1}": value_or_nan(rates[k], there[k]) for k in range(ends.size)}
 
 
 def _channel_curve(run: Trajectory, values: Float[Array, "time"]) -> Curve:
@@ -185,7 +185,7 @@ def _speed_change(
     start = value_at(surge, trial.execute_time)
     level = start + share * ((last if upwards else 0.0) - start)
     reached = first_crossing(surge, level, +1 if upwards else -1, after=trial.execute_time)
-    return last, start, known(reached.time - trial.execute_time, reached.found)
+    return last, start, value_or_nan(reached.time - trial.execute_time, reached.found)
 
 
 # What is ordered, and for how long at most

@@ -26,7 +26,7 @@ from diffsea.simulation.control.laws import heading_hold as heading_hold
 from diffsea.simulation.control.laws import speed_hold as speed_hold
 from diffsea.simulation.control.lqr import TrackKeeper as TrackKeeper
 from diffsea.simulation.control.lqr import discrete_lqr as discrete_lqr
-from diffsea.simulation.control.lqr import discretised as discretised
+from diffsea.simulation.control.lqr import discretise as discretise
 from diffsea.simulation.control.lqr import riccati as riccati
 from diffsea.simulation.control.lqr import steering_model as steering_model
 from diffsea.simulation.control.lqr import track_keeper as track_keeper

@@ -1,7 +1,7 @@
 """Controllers: from a vessel's state to the orders of its actuators.
 
 An autopilot is assembled from guidance, a heading law, a speed law and an allocation. Anything with
-`init`, `step` and `finished` is a controller and runs in `simulation.closed_loop`.
+`init`, `step` and `is_finished` is a controller and runs in `simulation.closed_loop`.
 """
 
 import abc
@@ -38,7 +38,7 @@ class AbstractController(eqx.Module, Generic[Memory]):
         """Next memory, and the orders by channel that hold until the next step, `dt` s later."""
 
     @abc.abstractmethod
-    def finished(self, memory: Memory) -> Bool[Array, ""]:
+    def is_finished(self, memory: Memory) -> Bool[Array, ""]:
         """Whether the task is done: the run ends there."""
 
 
@@ -78,13 +78,13 @@ class Autopilot(AbstractController[tuple]):
         self, memory: tuple, state: State, t: Scalar, dt: Scalar
     ) -> tuple[tuple, dict[str, Scalar]]:
         memory, (throttle, angle) = self.steering.step(memory, state, dt)
-        over = self.finished(memory) & self.stop
+        over = self.is_finished(memory) & self.stop
         return memory, self.allocation.orders(
             jnp.where(over, 0.0, throttle), jnp.where(over, 0.0, angle)
         )
 
-    def finished(self, memory: tuple) -> Bool[Array, ""]:
-        return self.steering.guidance.finished(memory[0])
+    def is_finished(self, memory: tuple) -> Bool[Array, ""]:
+        return self.steering.guidance.is_finished(memory[0])
 
 
 def autopilot(

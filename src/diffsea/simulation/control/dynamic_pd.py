@@ -96,7 +96,7 @@ class DynamicPD(AbstractController[Pursued]):
         }
         return Pursued(number, moved, derivative, error, jnp.ones((), bool)), orders
 
-    def finished(self, memory: Pursued) -> Bool[Array, ""]:
+    def is_finished(self, memory: Pursued) -> Bool[Array, ""]:
         return memory.number >= self.waypoints.shape[0]
 
     def base(self, distance: Scalar, error: Scalar) -> Scalar:

@@ -1,7 +1,7 @@
 """Guidance: what heading and what speed to steer for.
 
 Memory of a guidance law is whatever it must remember of its path; `step` gives the next memory
-and what is wanted now. A law that follows waypoints is `finished` at the last one.
+and what is wanted now. A law that follows waypoints is finished at the last one.
 """
 
 import abc
@@ -47,7 +47,7 @@ class AbstractGuidance(eqx.Module, Generic[Memory]):
         """Next memory, and what is wanted now."""
 
     @abc.abstractmethod
-    def finished(self, memory: Memory) -> Bool[Array, ""]:
+    def is_finished(self, memory: Memory) -> Bool[Array, ""]:
         """Whether the path's end was reached."""
 
 
@@ -62,7 +62,7 @@ class Course(AbstractGuidance[tuple]):
     def step(self, memory: tuple, state: State, dt: Scalar) -> tuple[tuple, Wanted]:
         return memory, Wanted(self.heading)
 
-    def finished(self, memory: tuple) -> Bool[Array, ""]:
+    def is_finished(self, memory: tuple) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
 
 
@@ -87,7 +87,7 @@ class Pursuit(AbstractGuidance[Int[Array, ""]]):
         north, east = _offset(self.waypoints, memory, state)
         return memory, Wanted(bearing(north, east))
 
-    def finished(self, memory: Int[Array, ""]) -> Bool[Array, ""]:
+    def is_finished(self, memory: Int[Array, ""]) -> Bool[Array, ""]:
         return memory >= self.waypoints.shape[0]
 
 
@@ -132,7 +132,7 @@ class LineOfSight(AbstractGuidance[tuple[Int[Array, ""], Scalar]]):
         integral = jnp.where(over, 0.0, integral + growth * dt)
         return (number, integral), Wanted(leg.course - jnp.arctan2(reach, self.lookahead))
 
-    def finished(self, memory: tuple[Int[Array, ""], Scalar]) -> Bool[Array, ""]:
+    def is_finished(self, memory: tuple[Int[Array, ""], Scalar]) -> Bool[Array, ""]:
         return memory[0] >= self.waypoints.shape[0] - 1
 
 

@@ -105,7 +105,7 @@ class HeadingHold(AbstractHeadingLaw[Scalar]):
     def step(
         self, memory: Scalar, state: State, heading: Scalar, dt: Scalar
     ) -> tuple[Scalar, Scalar]:
-        off = wrapped(heading - state.psi)
+        off = within_half_turn(heading - state.psi)
         angle = (
             self.gain * off
             - self.rate_gain * self.time_scale * state.r
@@ -135,15 +135,15 @@ class FilteredPD(AbstractHeadingLaw[tuple[Scalar, Scalar, Scalar]]):
         self, memory: tuple[Scalar, Scalar, Scalar], state: State, heading: Scalar, dt: Scalar
     ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
         before, slope, begun = memory
-        off = wrapped(heading - state.psi)
-        change = begun * wrapped(off - before)  # the first error has none before it
+        off = within_half_turn(heading - state.psi)
+        change = begun * within_half_turn(off - before)  # the first error has none before it
         slope = (self.filter_time * slope + change) / (self.filter_time + dt)
         angle = self.gain * off + self.rate_gain * slope
         limited = jnp.clip(angle, -self.largest_angle, self.largest_angle)
         return (off, slope, jnp.ones(())), limited
 
 
-def wrapped(angle: Scalar) -> Scalar:
+def within_half_turn(angle: Scalar) -> Scalar:
     """An angle (rad) within half a turn of zero; its derivative is one everywhere."""
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 

@@ -13,7 +13,7 @@ from diffsea.simulation.control.allocation import ControlAllocation, require_ste
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.balance import throttle_for
 from diffsea.simulation.control.guidance import LineOfSight
-from diffsea.simulation.control.laws import SpeedHold, speed_hold, wrapped
+from diffsea.simulation.control.laws import SpeedHold, speed_hold, within_half_turn
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 
@@ -37,7 +37,7 @@ def riccati(
     """
     identity = jnp.eye(A.shape[0])
 
-    def doubled(carry: tuple, _: None) -> tuple[tuple, None]:
+    def double(carry: tuple, _: None) -> tuple[tuple, None]:
         F, G, H = carry
         W = identity + G @ H
         both = jnp.linalg.solve(W, jnp.concatenate([F, G], axis=1))
@@ -45,7 +45,7 @@ def riccati(
         return (F @ WF, G + F @ WG @ F.T, H + F.T @ H @ WF), None
 
     start = (A, B @ jnp.linalg.solve(R, B.T), Q)
-    return jax.lax.scan(doubled, start, length=doublings)[0][2]
+    return jax.lax.scan(double, start, length=doublings)[0][2]
 
 
 def discrete_lqr(
@@ -59,7 +59,7 @@ def discrete_lqr(
     return jnp.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
 
 
-def discretised(A: Square, B: Inputs, period: Scalar) -> tuple[Square, Inputs]:
+def discretise(A: Square, B: Inputs, period: Scalar) -> tuple[Square, Inputs]:
     """Transition and input matrix of `x' = A x + B u` with `u` held over `period` s."""
     n, m = B.shape
     block = jnp.zeros((n + m, n + m)).at[:n, :n].set(A).at[:n, n:].set(B)
@@ -110,13 +110,13 @@ class TrackKeeper(AbstractController[tuple]):
         path, _ = self.path.step(memory[0], state, dt)
         leg = self.path.leg(path[0], state)
         cross = jnp.clip(leg.cross, -self.largest_cross, self.largest_cross)
-        fed_back = jnp.stack([state.v, state.r, wrapped(state.psi - leg.course), cross])
+        fed_back = jnp.stack([state.v, state.r, within_half_turn(state.psi - leg.course), cross])
         angle = jnp.clip(-self.gain @ fed_back, -self.largest_angle, self.largest_angle)
         speed, throttle = self.speed.step(memory[1], state, 1.0, dt)
         return (path, speed), self.allocation.orders(throttle, angle)
 
-    def finished(self, memory: tuple) -> Bool[Array, ""]:
-        return self.path.finished(memory[0])
+    def is_finished(self, memory: tuple) -> Bool[Array, ""]:
+        return self.path.is_finished(memory[0])
 
 
 def track_keeper(
@@ -140,7 +140,7 @@ def track_keeper(
     whole = whole.at[3, 0].set(1.0).at[3, 2].set(speed)
     inputs = jnp.zeros((4, 1)).at[:2].set(B)
     Q = jnp.diag(jnp.array([0.0, 0.0, 1 / jnp.radians(10.0) ** 2, 4 / length**2]))
-    gain = discrete_lqr(*discretised(whole, inputs, period), Q, jnp.eye(1) / largest_angle**2)
+    gain = discrete_lqr(*discretise(whole, inputs, period), Q, jnp.eye(1) / largest_angle**2)
     if not bool(jnp.all(jnp.isfinite(gain))):
         raise UserError(f"no rudder law steadies {vessel.name!r} at {speed:g} m/s")
     path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)

@@ -14,7 +14,7 @@ from diffsea.errors import UserError
 from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.guidance import Pursuit, Waypoints
-from diffsea.simulation.control.laws import wrapped
+from diffsea.simulation.control.laws import within_half_turn
 from diffsea.types import Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster
 from diffsea.vessel.base import Vessel
@@ -59,9 +59,9 @@ class WaypointLogic(AbstractController[Int[Array, ""]]):
         self, memory: Int[Array, ""], state: State, t: Scalar, dt: Scalar
     ) -> tuple[Int[Array, ""], dict[str, Scalar]]:
         memory, wanted = self.pursuit.step(memory, state, dt)
-        error = wrapped(wanted.heading - state.psi)
+        error = within_half_turn(wanted.heading - state.psi)
         thrust, angle = self.demand(error, self._distance(memory, state))
-        over = self.finished(memory)
+        over = self.is_finished(memory)
         thrust, angle = (jnp.where(over, 0.0, value) for value in (thrust, angle))
         return memory, self.allocation.orders(thrust, angle)
 
@@ -88,8 +88,8 @@ class WaypointLogic(AbstractController[Int[Array, ""]]):
         # The small constant keeps the root differentiable at the waypoint.
         return jnp.sqrt(north**2 + east**2 + 1e-12)
 
-    def finished(self, memory: Int[Array, ""]) -> Bool[Array, ""]:
-        return self.pursuit.finished(memory)
+    def is_finished(self, memory: Int[Array, ""]) -> Bool[Array, ""]:
+        return self.pursuit.is_finished(memory)
 
 
 def waypoint_logic(
