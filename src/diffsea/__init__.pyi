@@ -20,6 +20,7 @@ from .segments.segments import find_segments as find_segments
 from .simulation.closed_loop import run_controlled as run_controlled
 from .simulation.control.autopilot import AbstractController as AbstractController
 from .simulation.planning import plan_trial as plan_trial
+from .simulation.planning import run_plan as run_plan
 from .simulation.replay import horizon_errors as horizon_errors
 from .simulation.replay import replay as replay
 from .simulation.standard import TrialPlan as TrialPlan
