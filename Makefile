@@ -32,7 +32,7 @@ quick: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not experiment"
 
 experiments: setup
-	$(BIN)/python experiments/every.py
+	$(BIN)/python -m experiments.every
 
 clean:
 	rm -rf $(VENV) out

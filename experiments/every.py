@@ -1,6 +1,6 @@
 """Run every experiment, one after the other, in a size that takes minutes; all, or those named.
 
-    python experiments/every.py [NAME ...]
+    python -m experiments.every [NAME ...]
 
 The whole proofs of those that take hours have commands of their own in their READMEs. What each
 printed goes to out/experiments/NAME.log, seconds and exit status of each to
@@ -17,25 +17,25 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 OUT = ROOT / "out" / "experiments"
-ALONE = [["run.py"]]
 FEW = ("--out", "out/concealed/few")
 
-# Where not a plain `run.py`: what it needs first, or a part of what takes hours.
+# Where not a plain `run`: what it needs first, or a part of what takes hours.
 COMMANDS = {
     "kvlcc2_hsva": [
-        ["../real_fits/run.py", "kvlcc2", "--objective", "innovation"], ["run.py"],
+        ["experiments.real_fits.run", "kvlcc2", "--objective", "innovation"],
+        ["experiments.kvlcc2_hsva.run"],
     ],
-    "real_fits": [["run.py", "kvlcc2", "--objective", "free-run"]],
-    "audit_power": [["run.py", "--quick"]],
-    "coverage": [["run.py", "--cases", "10"]],
-    "null_calibration": [["run.py", "--quick"]],
-    "fit_benchmark": [["run.py", "--repeats", "1"]],
+    "real_fits": [["experiments.real_fits.run", "kvlcc2", "--objective", "free-run"]],
+    "audit_power": [["experiments.audit_power.run", "--quick"]],
+    "coverage": [["experiments.coverage.run", "--cases", "10"]],
+    "null_calibration": [["experiments.null_calibration.run", "--quick"]],
+    "fit_benchmark": [["experiments.fit_benchmark.run", "--repeats", "1"]],
     "concealed": [
-        ["-m", "experiments.concealed.generate", "--set", "scored", "--subset", "8", *FEW],
-        ["run.py", "--set", "scored", *FEW],
-        ["-m", "experiments.concealed.score", "--set", "scored", *FEW],
+        ["experiments.concealed.generate", "--set", "scored", "--subset", "8", *FEW],
+        ["experiments.concealed.run", "--set", "scored", *FEW],
+        ["experiments.concealed.score", "--set", "scored", *FEW],
     ],
-}  # fmt: skip
+}
 
 
 def main() -> None:
@@ -60,17 +60,15 @@ def run(name: str) -> dict:
     """Run one experiment's commands up to the first that fails."""
     began, log, status = time.perf_counter(), OUT / f"{name}.log", 0
     with log.open("w") as file:
-        for first, *options in COMMANDS.get(name, ALONE):
-            script = str((HERE / name / first).resolve()) if first.endswith(".py") else first
-            command = [sys.executable, script, *options]
+        for module, *options in COMMANDS.get(name, [[f"experiments.{name}.run"]]):
+            command = [sys.executable, "-m", module, *options]
             status = subprocess.run(command, cwd=ROOT, stdout=file, stderr=file).returncode
             if status:
                 break
     seconds = round(time.perf_counter() - began, 1)
     outcome = "failed" if status else "done"
-    return {
-        "status": status, "outcome": outcome, "seconds": seconds, "log": str(log.relative_to(ROOT)),
-    }  # fmt: skip
+    where = str(log.relative_to(ROOT))
+    return {"status": status, "outcome": outcome, "seconds": seconds, "log": where}
 
 
 if __name__ == "__main__":

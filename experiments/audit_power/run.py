@@ -1,12 +1,11 @@
 """Power and false alarms of the audit: known faults in real recordings and in simulated ones.
 
-python experiments/audit_power/run.py [--quick]
+python -m experiments.audit_power.run [--quick]
 """
 
 import argparse
 import dataclasses
 import json
-import sys
 import time
 import zlib
 from pathlib import Path
@@ -17,9 +16,9 @@ from scipy import optimize, special, stats
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path[:0] = [str(HERE), str(ROOT)]
 
-from faults import GRADED, LABELS, Fault
+from experiments.audit_power.faults import GRADED, LABELS, Fault
+
 from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
 from tests.oracle.simulator import load

@@ -1,13 +1,11 @@
 """BlueBoat field runs: audit as published, repair, diagnose on some runs, predict the others."""
 
-import sys
 from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
 
-from prediction import (
+from experiments.harness.real_runs import (
     Case,
     audited,
     document_of,

@@ -1,6 +1,6 @@
 """Diagnose every case of a set, blind; drawn first where it is not there.
 
-    python experiments/concealed/run.py --set develop [--workers 2] [--redo] [--cases c0001 ...]
+    python -m experiments.concealed.run --set develop [--workers 2] [--redo] [--cases c0001 ...]
 
 Resumable: a case with a result of this tool is left alone unless --redo. Each worker is one
 process on one core that calls the command line in process, so that compiled programs are used
@@ -24,8 +24,6 @@ from pathlib import Path
 
 
 ROOT = Path(__file__).resolve().parents[2]
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
 
 from experiments.concealed import draw, sealing
 

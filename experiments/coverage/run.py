@@ -20,7 +20,6 @@ from scipy.stats import binomtest
 
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
 
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate

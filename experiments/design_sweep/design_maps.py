@@ -1,9 +1,10 @@
 """Figures of the sweep: maps with the IMO limits, predictions, the front."""
 
+from experiments.design_sweep.sweeping import LENGTH, PANELS, Swept, compliant, in_units
+from experiments.harness.reporting import panels
+
 import numpy as np
 from matplotlib.figure import Figure
-from reporting import panels
-from sweeping import LENGTH, PANELS, Swept, compliant, in_units
 
 
 BLUE, ORANGE, RED, GREY = "#2463a6", "#d97706", "#c81e1e", "#8a8a8a"

@@ -1,16 +1,12 @@
 """A few of the designs against the tests' simulator, which shares no code with the library."""
 
-import sys
 import tomllib
 from importlib import resources
 
+from experiments.design_sweep.loading import KINDS, Kind
+from experiments.design_sweep.sweeping import Swept
+
 import numpy as np
-from loading import KINDS, Kind
-from reporting import ROOT
-from sweeping import Swept
-
-
-sys.path.insert(0, str(ROOT))
 from tests.oracle import trials as oracle
 
 

@@ -3,13 +3,14 @@
 import math
 from typing import NamedTuple
 
+from experiments.design_sweep.loading import KINDS, THRUST, loaded, plan, saturation
+from experiments.design_sweep.sweeping import Swept
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from loading import KINDS, THRUST, loaded, plan, saturation
-from sweeping import Swept
 
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.parameters import file_parameters, replace, spread_over_places

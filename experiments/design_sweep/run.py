@@ -1,23 +1,18 @@
 """Thrust by mass: 10^5 designs of a twin-thruster craft through the IMO trials, and back."""
 
-import sys
-from pathlib import Path
+from experiments.design_sweep import (
+    design_maps,
+    independent,
+    neighbours,
+    plain_loops,
+    sweeping,
+    wanted,
+)
+from experiments.design_sweep.loading import KINDS, MASS, STEP, THRUST
+from experiments.harness.memory import peak_memory
+from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
 
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-sys.path.insert(0, str(HERE))
-
-import design_maps
-import independent
-import neighbours
 import numpy as np
-import plain_loops
-import sweeping
-import wanted
-from loading import KINDS, MASS, STEP, THRUST
-from memory import peak_memory
-from reporting import Experiment, compared, comparison, experiment, table
 
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import read_vessel

@@ -3,11 +3,12 @@
 import time
 from typing import NamedTuple
 
+from experiments.design_sweep.loading import KINDS, Kind, axes, designs, plan
+from experiments.harness.reporting import Experiment
+
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from loading import KINDS, Kind, axes, designs, plan
-from reporting import Experiment
 
 from diffsea.studies import sweep
 from diffsea.vessel.base import Vessel

@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from experiments.design_sweep.neighbours import QUANTITIES, with_slopes
+
 import numpy as np
 from jaxtyping import Float
-from neighbours import QUANTITIES, with_slopes
 
 from diffsea.vessel.base import Vessel
 

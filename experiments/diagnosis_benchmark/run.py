@@ -1,6 +1,6 @@
 """How long a diagnosis takes, cold and warm, on one core: time of each stage, and memory.
 
-    python experiments/diagnosis_benchmark/run.py
+    python -m experiments.diagnosis_benchmark.run
 
 Six runs, 13 minutes in all at 10 Hz, the whole catalogue. The first diagnosis of a process
 compiles everything (no cache of compiled programs); the second has other noise and uses the
@@ -10,7 +10,6 @@ programs of the first. Writes out/diagnosis_benchmark/results.json.
 import json
 import os
 import re
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -72,14 +71,14 @@ def one(vessel, document: dict, seed: int) -> dict:
 def main() -> None:
     """Pin the process to one core, diagnose twice, print and write the times."""
     os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[-1]})
-    sys.path.insert(0, str(ROOT))
     from diffsea.runtime import set_xla_flags
 
     set_xla_flags()
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from experiments.memory import peak_memory
+    from experiments.harness.memory import peak_memory
+
     from tests.oracle.simulator import load
 
     from diffsea.vessel.files import build

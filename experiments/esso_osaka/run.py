@@ -1,6 +1,6 @@
 """Esso Osaka, wind concealed: audit, diagnose, infer the wind of every run, then score it.
 
-python experiments/esso_osaka/run.py audit circles diagnosis wind
+python -m experiments.esso_osaka.run audit circles diagnosis wind
 """
 
 import copy
@@ -11,14 +11,9 @@ from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
 
-import circles
-import numpy as np
-import pandas as pd
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from prediction import (
+from experiments.esso_osaka import circles
+from experiments.harness.real_runs import (
     DATA,
     Case,
     audited,
@@ -31,6 +26,11 @@ from prediction import (
     study,
     write_results,
 )
+
+import numpy as np
+import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from diffsea.identification.data.dataset import DatasetShape

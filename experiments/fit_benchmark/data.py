@@ -8,7 +8,6 @@ import copy
 import dataclasses
 import json
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,6 @@ class Data:
 
 def make(path: Path, seed: int, gusts: float = 0.0) -> None:
     """Simulate the craft and write what was recorded; `gusts` as tests/oracle has them."""
-    sys.path.insert(0, str(ROOT))
     from tests.oracle import sensors
     from tests.oracle.make_recordings import perform, stream
     from tests.oracle.simulator import load

@@ -8,12 +8,13 @@ accelerations at more than 70 % of the highest speed. README.md says what the pa
 
 from collections.abc import Callable
 
+from experiments.fit_benchmark import plain
+from experiments.fit_benchmark.data import NAMES, RUNS, Data
+from experiments.fit_benchmark.outcome import Outcome
+from experiments.fit_benchmark.with_scipy import compiled_residual
+
 import numpy as np
-import plain
-from data import NAMES, RUNS, Data
-from outcome import Outcome
 from scipy.optimize import minimize
-from with_scipy import compiled_residual
 
 
 WATER = 1025.0  # kg/m^3

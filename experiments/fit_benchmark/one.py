@@ -45,7 +45,7 @@ def main() -> None:
         os.sched_setaffinity(0, {args.core})
     module, name = CONTESTANTS[args.contestant]
     fit = getattr(importlib.import_module(module), name)
-    from data import load
+    from experiments.fit_benchmark.data import load
 
     data = load(args.recordings)
     found = fit(data)
@@ -66,9 +66,10 @@ def judged(data, found) -> dict:
     `refined` is the cost with the first states that suit the parameters best: the only one for
     a method that has no first states.
     """
+    from experiments.fit_benchmark import plain
+    from experiments.fit_benchmark.data import relative_error
+
     import numpy as np
-    import plain
-    from data import relative_error
 
     with np.errstate(all="ignore"):
         refined = plain.with_best_states(data, found.values)[1]

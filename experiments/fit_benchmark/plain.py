@@ -8,8 +8,9 @@ with m11 = m - X_udot, m22 = m - Y_vdot, m33 = I_z - N_rdot. Runge-Kutta steps o
 for each row, thrust held over the row.
 """
 
+from experiments.fit_benchmark.data import NAMES, SIGMA, Data
+
 import numpy as np
-from data import NAMES, SIGMA, Data
 
 
 def coefficients(data: Data, values: np.ndarray) -> tuple:

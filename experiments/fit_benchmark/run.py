@@ -12,8 +12,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from data import OUT, make
-from one import CONTESTANTS
+from experiments.fit_benchmark.data import OUT, ROOT, make
+from experiments.fit_benchmark.one import CONTESTANTS
 
 
 HERE = Path(__file__).parent
@@ -60,10 +60,11 @@ def with_gusts(seeds: Iterable[int]) -> None:
 def asked(name: str, recordings: Path, warm: int) -> dict | None:
     """What one process reports; None, and why, where it fails."""
     one_thread = {f"{kind}_NUM_THREADS": "1" for kind in ("OMP", "OPENBLAS", "MKL")}
-    command = [sys.executable, HERE / "one.py", name, recordings, "--warm", str(warm)]
+    module = "experiments.fit_benchmark.one"
+    command = [sys.executable, "-m", module, name, recordings, "--warm", str(warm)]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=PATIENCE, check=True,
+            command, capture_output=True, text=True, timeout=PATIENCE, check=True, cwd=ROOT,
             env=os.environ | one_thread,
         )  # fmt: skip
     except subprocess.TimeoutExpired:

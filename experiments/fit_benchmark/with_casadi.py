@@ -5,11 +5,12 @@ exactly. In one trial each, windows of 12 s took a third longer to solve, and a 
 row with the exact Hessian took 21 s to build.
 """
 
+from experiments.fit_benchmark import plain
+from experiments.fit_benchmark.data import NAMES, SIGMA, Data
+from experiments.fit_benchmark.outcome import Outcome
+
 import casadi as ca
 import numpy as np
-import plain
-from data import NAMES, SIGMA, Data
-from outcome import Outcome
 
 
 WINDOW = 20  # rows; they divide the run

@@ -5,9 +5,10 @@ Reading the vessel's file and setting up the problem count as part of a fit.
 
 import os
 
+from experiments.fit_benchmark.data import CHANNELS, NAMES, SIGMA, VESSEL, Data
+from experiments.fit_benchmark.outcome import Outcome
+
 import numpy as np
-from data import CHANNELS, NAMES, SIGMA, VESSEL, Data
-from outcome import Outcome
 
 from diffsea.runtime import prepare_jax
 

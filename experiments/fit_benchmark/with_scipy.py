@@ -10,10 +10,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from experiments.fit_benchmark import plain
+from experiments.fit_benchmark.data import SIGMA, Data
+from experiments.fit_benchmark.outcome import Outcome
+
 import numpy as np
-import plain
-from data import SIGMA, Data
-from outcome import Outcome
 from scipy.optimize import least_squares
 
 

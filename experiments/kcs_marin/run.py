@@ -1,14 +1,12 @@
 """KCS, roll withheld and given: is something missed, and is it named when heel is recorded?"""
 
 import dataclasses
-import sys
 from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
 
-from prediction import (
+from experiments.harness.real_runs import (
     Case,
     audited,
     document_of,

@@ -1,6 +1,6 @@
 """KVLCC2 zig-zags: the steering gear from motion alone, dropped terms found again, no weather.
 
-python experiments/kvlcc2_hsva/run.py rudder terms
+python -m experiments.kvlcc2_hsva.run rudder terms
 """
 
 import copy
@@ -11,12 +11,8 @@ from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
 
-import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from prediction import (
+from experiments.harness.real_runs import (
     Case,
     audited,
     document_of,
@@ -27,6 +23,10 @@ from prediction import (
     study,
     write_results,
 )
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from diffsea.simulation.replay import replay
 from diffsea.trajectory import Trajectory

@@ -7,11 +7,12 @@ ideal one.
 
 import functools
 
+from experiments.metamodels.metamodel import ideal_overshoots
+from experiments.metamodels.zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from metamodel import ideal_overshoots
-from zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
 
 from diffsea.metamodels.fit import Trials, identify
 

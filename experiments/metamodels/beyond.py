@@ -3,16 +3,17 @@
 Developed on other seeds than those scored here.
 """
 
+from experiments.metamodels.ferry import CHOSEN, recordings_of, set_of
+from experiments.metamodels.inservice import Piece
+from experiments.metamodels.known import TRUE, sail
+from experiments.metamodels.known import set_of as known_set_of
+from experiments.metamodels.metamodel import cross_validated, ideal_overshoots, identified
+from experiments.metamodels.ship import SPEED
+from experiments.metamodels.zigzags import ideal
+
 import numpy as np
-from ferry import CHOSEN, recordings_of, set_of
-from inservice import Piece
-from known import TRUE, sail
-from known import set_of as known_set_of
-from metamodel import cross_validated, ideal_overshoots, identified
 from scipy.stats import norm
 from scipy.stats import t as student
-from ship import SPEED
-from zigzags import ideal
 
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.metamodels.fit import COMMON, OWN

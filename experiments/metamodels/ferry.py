@@ -1,12 +1,20 @@
 """Case 1: a metamodel from a year of service, cross-validated, and two models judged by it."""
 
+from experiments.metamodels.inservice import CUT_OFF, INTERVAL, Found, Piece, search
+from experiments.metamodels.metamodel import (
+    cross_validated,
+    ideal_overshoots,
+    identified,
+    simulated,
+    told,
+    trials,
+)
+from experiments.metamodels.models import from_dimensions, from_tests
+from experiments.metamodels.ship import answers, ship
+from experiments.metamodels.voyages import year
+
 import jax.numpy as jnp
 import numpy as np
-from inservice import CUT_OFF, INTERVAL, Found, Piece, search
-from metamodel import cross_validated, ideal_overshoots, identified, simulated, told, trials
-from models import from_dimensions, from_tests
-from ship import answers, ship
-from voyages import year
 
 from diffsea.metrics.repeats import fit_percent
 from diffsea.trajectory import Trajectory

@@ -1,8 +1,6 @@
 """Case 2: repeated 10/10 zig-zags on two days, intervals of their overshoots, two speeds."""
 
-import jax.numpy as jnp
-import numpy as np
-from metamodel import (
+from experiments.metamodels.metamodel import (
     cross_validated,
     ideal_overshoots,
     ideal_series,
@@ -11,9 +9,12 @@ from metamodel import (
     told,
     trials,
 )  # fmt: skip
-from models import from_dimensions, from_tests
-from ship import SPEED, answers, ship
-from zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
+from experiments.metamodels.models import from_dimensions, from_tests
+from experiments.metamodels.ship import SPEED, answers, ship
+from experiments.metamodels.zigzags import GOOD, POOR, RECORDED, Records, ideal, run_trials
+
+import jax.numpy as jnp
+import numpy as np
 
 from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width

@@ -3,10 +3,11 @@
 import dataclasses
 import math
 
+from experiments.metamodels.voyages import Log
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
-from voyages import Log
 
 from diffsea.segments.places import by_place
 from diffsea.segments.settings import Settings

@@ -3,12 +3,13 @@
 An autopilot turns her to either side while wind of each trial's own and gusts push her about.
 """
 
+from experiments.metamodels.metamodel import trials
+from experiments.metamodels.ship import RAD, SENSORS, SPEED
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from metamodel import trials
-from ship import RAD, SENSORS, SPEED
 
 from diffsea.metamodels.norrbin import Norrbin
 from diffsea.trajectory import Trajectory

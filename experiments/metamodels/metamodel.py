@@ -1,9 +1,10 @@
 """What every stage does with the metamodel: identify, ask for the ideal trial, compare series."""
 
+from experiments.metamodels.ship import RUDDER_RATE
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from ship import RUDDER_RATE
 
 from diffsea.metamodels.fit import NorrbinFit, Trials, identify
 from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots

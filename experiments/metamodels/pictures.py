@@ -1,7 +1,8 @@
 """The figures of the experiment."""
 
+from experiments.harness.reporting import panels
+
 import numpy as np
-from reporting import panels
 
 
 DARK, LIGHT, ORANGE, GREEN = "#1f5fa8", "#9db8d6", "#d1720f", "#3a8a4f"

@@ -7,12 +7,13 @@ overshoots means nothing; a metamodel asks each what it says of any zig-zag.
 import dataclasses
 from pathlib import Path
 
+from experiments.harness.reporting import ROOT
+from experiments.metamodels.metamodel import cross_validated, identified, told
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from metamodel import cross_validated, identified, told
-from reporting import ROOT
 
 from diffsea.metamodels.fit import Trials
 from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots

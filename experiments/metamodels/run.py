@@ -1,24 +1,11 @@
 """Metamodels for validation (Gavrilin and Steen 2017): a year of service, repeats, real trials.
 
-Run it as `python experiments/metamodels/run.py [--quick]`.
+Run it as `python -m experiments.metamodels.run [--quick]`.
 """
 
-import sys
-from pathlib import Path
+from experiments.harness.reporting import experiment  # isort: skip
 
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-from reporting import experiment  # isort: skip
-
-import averaging
-import beyond
-import ferry
-import gunnerus
-import pictures
-import recorded
-import tables
+from experiments.metamodels import averaging, beyond, ferry, gunnerus, pictures, recorded, tables
 
 
 SEED = 2017

@@ -1,7 +1,8 @@
 """Results as plain numbers, and the README's tables."""
 
+from experiments.harness.reporting import compared, comparison, table
+
 import numpy as np
-from reporting import compared, comparison, table
 
 
 def results(service: dict, repeats: dict, errors: dict, real: dict, further: dict) -> dict:

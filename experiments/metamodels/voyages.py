@@ -2,11 +2,7 @@
 
 import dataclasses
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
-from ship import (
+from experiments.metamodels.ship import (
     RAD,
     SENSORS,
     SPEED,
@@ -19,6 +15,11 @@ from ship import (
     turned,
     weather_of,
 )  # fmt: skip
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 from diffsea.types import State
 

@@ -1,18 +1,13 @@
 """Does the p-value of a diagnosis's first look come out as often as it says?"""
 
-import sys
 import tempfile
 from pathlib import Path
 
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-sys.path.insert(0, str(ROOT / "experiments"))
-
-import numpy as np
 from experiments.concealed import draw
 from experiments.concealed.generate import write_case
-from reporting import Experiment, experiment, panels, table
+from experiments.harness.reporting import Experiment, experiment, panels, table
+
+import numpy as np
 from scipy.stats import binomtest, kstest
 
 from diffsea.diagnosis.bootstrap import FEWEST, Bootstrap, bootstrap

@@ -4,7 +4,6 @@ The runs come from the independent simulator of the tests, which shares no code 
 """
 
 import json
-import sys
 from pathlib import Path
 
 from diffsea.runtime import prepare_jax
@@ -13,7 +12,6 @@ from diffsea.runtime import prepare_jax
 prepare_jax()
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
 
 import equinox as eqx
 import jax

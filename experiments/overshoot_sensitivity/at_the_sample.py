@@ -6,13 +6,14 @@ heading is reached does not enter, since the flip stays at its sample until it j
 
 import math
 
+from experiments.overshoot_sensitivity.factors import Factor, scaled
+from experiments.overshoot_sensitivity.trial_lanes import LANES, Bench
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from factors import Factor, scaled
 from jaxtyping import Array, Float
-from trial_lanes import LANES, Bench
 
 from diffsea.simulation.control import ControlAllocation, throttle_for
 from diffsea.simulation.integrate import advance, begin, history_length

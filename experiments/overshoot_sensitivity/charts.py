@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
+from experiments.harness.reporting import panels
+
 import numpy as np
 from matplotlib.figure import Figure
-from reporting import panels
 
 
 BLUE, ORANGE, GREY, GREEN = "#2463a6", "#d97706", "#8a8a8a", "#2f8f4e"

@@ -1,8 +1,9 @@
 """Central finite differences beside exact derivatives, at many step sizes."""
 
+from experiments.overshoot_sensitivity.trial_lanes import Bench
+
 import numpy as np
 from jaxtyping import Float
-from trial_lanes import Bench
 
 
 STEPS = 10.0 ** -np.arange(1.0, 10.5, 0.5)  # of ln p

@@ -1,10 +1,11 @@
 """Variance-based global sensitivities by SALib, beside what the derivatives alone would say."""
 
+from experiments.overshoot_sensitivity.trial_lanes import Bench, labels
+
 import numpy as np
 from jaxtyping import Float
 from SALib.analyze import sobol as analysis
 from SALib.sample import sobol as sampling
-from trial_lanes import Bench, labels
 
 
 def problem(bench: Bench, width: float) -> dict:

@@ -1,20 +1,18 @@
 """Overshoots against every derivative: exact, by differences, by the naive scheme, globally."""
 
-import sys
-from pathlib import Path
+from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
+from experiments.overshoot_sensitivity import at_the_sample, charts, differences, global_analysis
+from experiments.overshoot_sensitivity.trial_lanes import (
+    CIRCLE_NUMBERS,
+    TRIALS,
+    ZIGZAG_NUMBERS,
+    Bench,
+    Case,
+    jacobian,
+    labels,
+)
 
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-sys.path.insert(0, str(HERE))
-
-import at_the_sample
-import charts
-import differences
-import global_analysis
 import numpy as np
-from reporting import Experiment, compared, comparison, experiment, table
-from trial_lanes import CIRCLE_NUMBERS, TRIALS, ZIGZAG_NUMBERS, Bench, Case, jacobian, labels
 
 from diffsea.metrics.imo import first_overshoot_limit, second_overshoot_limit
 

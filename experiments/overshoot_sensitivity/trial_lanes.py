@@ -11,11 +11,12 @@ import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from experiments.overshoot_sensitivity.factors import Factor, factors, scaled
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from factors import Factor, factors, scaled
 from jaxtyping import Array, Float
 
 from diffsea.metrics import turning_metrics, zigzag_metrics

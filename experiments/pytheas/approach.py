@@ -2,9 +2,10 @@
 
 from typing import NamedTuple
 
+from experiments.pytheas.boat import at_rest, boat, disturbed
+
 import jax
 import jax.numpy as jnp
-from boat import at_rest, boat, disturbed
 from jaxtyping import Array
 
 from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic

@@ -9,11 +9,12 @@ import functools
 import time
 from typing import NamedTuple
 
+from experiments.pytheas.approach import RANGE, TOLERANCE, approach
+from experiments.pytheas.boat import FREQUENCY, MASS, SURGE_SHARE, SWING
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from approach import RANGE, TOLERANCE, approach
-from boat import FREQUENCY, MASS, SURGE_SHARE, SWING
 from jaxtyping import Array, Float
 from scipy.optimize import brentq, linprog
 

@@ -2,11 +2,12 @@
 
 from math import pi
 
+from experiments.harness.reporting import compared, table
+from experiments.pytheas import printed
+from experiments.pytheas.boat import SWING
+from experiments.pytheas.sailing import Track, Trial, battery, boats, run
+
 import numpy as np
-import printed
-from boat import SWING
-from reporting import compared, table
-from sailing import Track, Trial, battery, boats, run
 
 
 BIASES = (10.0, 20.0, 30.0)  # N

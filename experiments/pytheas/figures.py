@@ -1,13 +1,14 @@
 """The experiment's figures."""
 
-import disturbances
+from experiments.harness.reporting import panels
+from experiments.pytheas import disturbances
+from experiments.pytheas.layouts import Flown
+from experiments.pytheas.sailing import Track
+from experiments.pytheas.sweep import Map
+
 import numpy as np
-from layouts import Flown
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from reporting import panels
-from sailing import Track
-from sweep import Map
 
 
 BLUE, RED, GREY, ORANGE = "#1f5fa8", "#b03a48", "#8a8a8a", "#d1720f"

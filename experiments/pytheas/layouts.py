@@ -6,17 +6,18 @@ boat of Table I has one of 20 N; hulls 0.45 m apart; the published lever of 0.4 
 
 import dataclasses
 
-import disturbances
+from experiments.harness.reporting import compared, table
+from experiments.pytheas import disturbances
+from experiments.pytheas.boat import FULL_ANGLE, THRUST, floats
+from experiments.pytheas.disturbances import NAMES, ended
+from experiments.pytheas.sailing import SECONDS, Track, around, run
+from experiments.pytheas.still_water import BEARINGS, REACHED
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from boat import FULL_ANGLE, THRUST, floats
-from disturbances import NAMES, ended
 from jaxtyping import Array, Float
-from reporting import compared, table
-from sailing import SECONDS, Track, around, run
-from still_water import BEARINGS, REACHED
 
 from diffsea.simulation.control.guidance import Pursuit
 from diffsea.simulation.control.waypoint_logic import WaypointLogic

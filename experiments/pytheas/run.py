@@ -1,20 +1,9 @@
 """A boat with one vectored thruster: its published runs, and its design by derivative."""
 
-import sys
-from pathlib import Path
+from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
+from experiments.pytheas import design, disturbances, figures, layouts, still_water, sweep
 
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import design
-import disturbances
-import figures
-import layouts
 import numpy as np
-import still_water
-import sweep
-from reporting import Experiment, compared, comparison, experiment, table
 
 
 SWELL = 20.0  # N, B of D2, D5 and D8

@@ -3,11 +3,12 @@
 import operator
 from typing import NamedTuple
 
+from experiments.pytheas.boat import SWING, at_rest, boat, disturbed
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from boat import SWING, at_rest, boat, disturbed
 from jaxtyping import Array, Float
 
 from diffsea.simulation.closed_loop import run_controlled

@@ -1,10 +1,11 @@
 """Still water: speeding up towards eight waypoints (Table III), and tight turns (figure 5)."""
 
+from experiments.harness.reporting import compared, table
+from experiments.pytheas import printed
+from experiments.pytheas.boat import BEAM, LENGTH, MASS, TOP_SPEED, WATER, draught
+from experiments.pytheas.sailing import Track, Trial, around, boats, run, spread
+
 import numpy as np
-import printed
-from boat import BEAM, LENGTH, MASS, TOP_SPEED, WATER, draught
-from reporting import compared, table
-from sailing import Track, Trial, around, boats, run, spread
 from scipy.optimize import fsolve
 
 

@@ -5,13 +5,14 @@ import os
 import time
 from typing import NamedTuple
 
+from experiments.harness.reporting import table
+from experiments.pytheas.approach import PERIOD, RANGE, Loop, start, step
+from experiments.pytheas.boat import LEVER, boat, disturbed
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from approach import PERIOD, RANGE, Loop, start, step
-from boat import LEVER, boat, disturbed
 from jaxtyping import Array, Float
-from reporting import table
 
 from diffsea.simulation.control.waypoint_logic import waypoint_logic
 from diffsea.types import Scalar

@@ -1,6 +1,6 @@
 """Fits to part of each real set, predictions of the rest, beside the data's own noise.
 
-python experiments/real_fits/run.py kvlcc2 kcs blueboat esso
+python -m experiments.real_fits.run kvlcc2 kcs blueboat esso
 """
 
 import argparse

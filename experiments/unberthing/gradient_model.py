@@ -5,10 +5,11 @@ must stand (Figure 7 shows gamma_vB), and in eq. 6 the prediction under the sum 
 Learning rate and number of samples are not published.
 """
 
+from experiments.unberthing.harbour_ship import PERIOD, TURNS_SQUARED, orders
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from harbour_ship import PERIOD, TURNS_SQUARED, orders
 from jaxtyping import Array, Bool, Float
 
 from diffsea.types import Scalar, State

@@ -6,9 +6,10 @@ changed its sign is then five standard deviations off its prior, and a push that
 has a place of its own to go to.
 """
 
+from experiments.unberthing.harbour_ship import PERIOD, nominal
+
 import equinox as eqx
 import jax.numpy as jnp
-from harbour_ship import PERIOD, nominal
 
 from diffsea.identification.online import rls, trust
 from diffsea.identification.online.gate import Gate

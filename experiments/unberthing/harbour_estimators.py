@@ -2,10 +2,7 @@
 
 import abc
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from gradient_model import (
+from experiments.unberthing.gradient_model import (
     RATES,
     Linear,
     Window,
@@ -16,8 +13,12 @@ from gradient_model import (
     nominal_linear,
     push,
 )
-from guarded_model import guard
-from harbour_ship import KNOT, PERIOD, nominal, orders
+from experiments.unberthing.guarded_model import guard
+from experiments.unberthing.harbour_ship import KNOT, PERIOD, nominal, orders
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.online.guarded import Guarded, Standing, Step

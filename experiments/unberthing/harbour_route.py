@@ -11,7 +11,7 @@ from diffsea.kinematics import wrap
 from diffsea.types import Scalar, State
 
 
-from harbour_ship import KNOT  # isort: skip
+from experiments.unberthing.harbour_ship import KNOT  # isort: skip
 
 SIDEWAYS, AHEAD = 40.0, 300.0  # m, published
 CLOSE = 3.0  # m from the line at which Step 1 is done ...

@@ -1,17 +1,10 @@
 """Unberthing under online estimation: Shioji Maru's control system, its failure and the cure."""
 
-import sys
-from pathlib import Path
-
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import unberthing_figures as figures
-import unberthing_stages as stages
-import unberthing_tables as tables
-from reporting import comparison, experiment
-from unberthing_scores import score
+from experiments.harness.reporting import comparison, experiment
+from experiments.unberthing import unberthing_figures as figures
+from experiments.unberthing import unberthing_stages as stages
+from experiments.unberthing import unberthing_tables as tables
+from experiments.unberthing.unberthing_scores import score
 
 
 def main() -> None:

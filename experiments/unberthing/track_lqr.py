@@ -6,12 +6,13 @@ no gain steadies a course; eq. 16 adds F K c_v to an order of -F x, which turns 
 disturbance, so its sign is reversed. Weights are not published.
 """
 
+from experiments.unberthing.gradient_model import Linear, derivatives, discrete, steady_blades
+from experiments.unberthing.harbour_route import Place
+from experiments.unberthing.harbour_ship import DEGREE, KNOT, PERIOD
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from gradient_model import Linear, derivatives, discrete, steady_blades
-from harbour_route import Place
-from harbour_ship import DEGREE, KNOT, PERIOD
 from jaxtyping import Array, Bool, Float
 
 from diffsea.simulation.control import discrete_lqr

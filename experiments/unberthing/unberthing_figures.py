@@ -1,12 +1,13 @@
 """Plots of the experiments and of the hundred seeds."""
 
+from experiments.harness.reporting import panels
+from experiments.unberthing.harbour_ship import DEGREE
+from experiments.unberthing.unberthing_loop import Log
+from experiments.unberthing.unberthing_scores import Score, wrong_way
+
 import matplotlib.axes
 import numpy as np
-from harbour_ship import DEGREE
 from matplotlib.figure import Figure
-from reporting import panels
-from unberthing_loop import Log
-from unberthing_scores import Score, wrong_way
 
 
 COLOURS = {

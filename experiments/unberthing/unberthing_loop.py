@@ -1,12 +1,13 @@
 """Runs of ship and control system in changing weather, one or a batch of them."""
 
+from experiments.unberthing.harbour_route import place
+from experiments.unberthing.harbour_ship import PERIOD, Weather
+from experiments.unberthing.unberthing_system import ControlSystem
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from harbour_route import place
-from harbour_ship import PERIOD, Weather
 from jaxtyping import Array, Float
-from unberthing_system import ControlSystem
 
 from diffsea.simulation.integrate import advance, begin, history_length
 from diffsea.types import Environment, Scalar, State

@@ -2,9 +2,10 @@
 
 import dataclasses
 
+from experiments.unberthing.harbour_ship import PERIOD
+from experiments.unberthing.unberthing_loop import Log
+
 import numpy as np
-from harbour_ship import PERIOD
-from unberthing_loop import Log
 
 
 STEPS = (1, 2, 3, 4, 5)

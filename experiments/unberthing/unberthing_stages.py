@@ -3,16 +3,25 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
+from experiments.unberthing.harbour_estimators import gradient, recursive
+from experiments.unberthing.harbour_route import AHEAD, SIDEWAYS
+from experiments.unberthing.harbour_ship import (
+    KNOT,
+    PERIOD,
+    Conditions,
+    Weather,
+    drawn,
+    ship,
+    weather,
+)
+from experiments.unberthing.unberthing_loop import Log, run_all, stacked, started
+from experiments.unberthing.unberthing_scores import Score, score
+from experiments.unberthing.unberthing_system import ControlSystem, system
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from harbour_estimators import gradient, recursive
-from harbour_route import AHEAD, SIDEWAYS
-from harbour_ship import KNOT, PERIOD, Conditions, Weather, drawn, ship, weather
-from unberthing_loop import Log, run_all, stacked, started
-from unberthing_scores import Score, score
-from unberthing_system import ControlSystem, system
 
 from diffsea.types import State
 from diffsea.vessel.base import Vessel

@@ -1,13 +1,10 @@
 """The control system: estimator, route tracking, compensation and limits as one controller."""
 
-import equinox as eqx
-import jax.numpy as jnp
-from gradient_model import Linear
-from harbour_estimators import AbstractEstimator, Advice, Seen
-from harbour_route import DONE, Place, next_step, place
-from harbour_ship import PERIOD, nominal, orders
-from jaxtyping import Array, Bool, Float
-from track_lqr import (
+from experiments.unberthing.gradient_model import Linear
+from experiments.unberthing.harbour_estimators import AbstractEstimator, Advice, Seen
+from experiments.unberthing.harbour_route import DONE, Place, next_step, place
+from experiments.unberthing.harbour_ship import PERIOD, nominal, orders
+from experiments.unberthing.track_lqr import (
     SPEED_RATE,
     Surge,
     Weights,
@@ -18,6 +15,10 @@ from track_lqr import (
     limited,
     surge_gains,
 )
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from diffsea.simulation.control import AbstractController
 from diffsea.types import Scalar, State

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 
+from experiments.harness.reporting import compared, table
+from experiments.unberthing.unberthing_loop import Log
+from experiments.unberthing.unberthing_scores import Score, bootstrap, pooled, score, wilson
+
 import numpy as np
-from reporting import compared, table
-from unberthing_loop import Log
-from unberthing_scores import Score, bootstrap, pooled, score, wilson
 
 
 TABLE_3 = {"Exp. 2": (1.4, -4.1, -3.5), "Exp. 3": (3.1, -4.0, -3.9)}  # m, published

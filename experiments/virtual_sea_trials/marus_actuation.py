@@ -9,9 +9,9 @@ import dataclasses
 import math
 from collections.abc import Callable
 
-import marus_published as published
-import marus_trials
-import marus_vessel
+from experiments.virtual_sea_trials import marus_published as published
+from experiments.virtual_sea_trials import marus_trials, marus_vessel
+
 import numpy as np
 
 from diffsea.diagnosis.search import Diagnosis, diagnose

@@ -8,9 +8,9 @@ prior (Laplace), both by the misfits that the best of them leaves.
 import dataclasses
 from collections.abc import Callable
 
+from experiments.virtual_sea_trials import marus_fit, marus_vessel
+
 import jax
-import marus_fit
-import marus_vessel
 import numpy as np
 
 from diffsea.diagnosis.refit import EVIDENCE

@@ -13,12 +13,12 @@ D cos(beta). A radius that is larger at first makes D_T larger, drift makes it s
 import dataclasses
 import math
 
+from experiments.virtual_sea_trials import marus_fit, marus_vessel
+from experiments.virtual_sea_trials import marus_published as published
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import marus_fit
-import marus_published as published
-import marus_vessel
 import numpy as np
 from jaxtyping import Array, Float
 

@@ -3,7 +3,8 @@
 import json
 from pathlib import Path
 
-import marus_trials
+from experiments.virtual_sea_trials import marus_trials
+
 import numpy as np
 
 from diffsea.segments import export

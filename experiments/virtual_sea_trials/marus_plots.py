@@ -2,11 +2,12 @@
 
 import math
 
-import marus_published as published
-import marus_trials
+from experiments.harness.reporting import panels
+from experiments.virtual_sea_trials import marus_published as published
+from experiments.virtual_sea_trials import marus_trials
+
 import numpy as np
 from matplotlib.figure import Figure
-from reporting import panels
 
 
 BLUE, ORANGE, GREY, GREEN = "#1f5fa8", "#d1720f", "#8a939c", "#2b8a4b"

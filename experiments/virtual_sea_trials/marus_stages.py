@@ -3,18 +3,21 @@
 import dataclasses
 import json
 
-import marus_actuation
-import marus_asymmetry
-import marus_diameter
-import marus_export
-import marus_fit
-import marus_plots
-import marus_published as published
-import marus_tables
-import marus_trials
-import marus_vessel
+from experiments.harness.reporting import Experiment
+from experiments.virtual_sea_trials import (
+    marus_actuation,
+    marus_asymmetry,
+    marus_diameter,
+    marus_export,
+    marus_fit,
+    marus_plots,
+    marus_tables,
+    marus_trials,
+    marus_vessel,
+)
+from experiments.virtual_sea_trials import marus_published as published
+
 import numpy as np
-from reporting import Experiment
 
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.trial_numbers import TrialNumbers

@@ -2,11 +2,9 @@
 
 import math
 
-import marus_asymmetry
-import marus_fit
-import marus_published as published
-import marus_trials
-from reporting import compared, comparison, table
+from experiments.harness.reporting import compared, comparison, table
+from experiments.virtual_sea_trials import marus_asymmetry, marus_fit, marus_trials
+from experiments.virtual_sea_trials import marus_published as published
 
 
 def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, dict[str, str]]:

@@ -8,12 +8,12 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from experiments.virtual_sea_trials import marus_fit, marus_vessel
+from experiments.virtual_sea_trials import marus_published as published
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import marus_fit
-import marus_published as published
-import marus_vessel
 import numpy as np
 
 from diffsea.metrics.recorded import recording_metrics

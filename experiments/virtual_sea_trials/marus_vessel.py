@@ -8,8 +8,9 @@ order of magnitude.
 import dataclasses
 import math
 
+from experiments.virtual_sea_trials import marus_published as published
+
 import equinox as eqx
-import marus_published as published
 
 from diffsea.parameters import Parameter, hull_prior
 from diffsea.vessel.base import Vessel

@@ -3,16 +3,9 @@
 Rezayan (2026), arXiv:2606.12349. See README.md.
 """
 
-import sys
-from pathlib import Path
+from experiments.harness.reporting import experiment  # noqa: I001  (sets up JAX)
 
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-from reporting import experiment  # noqa: I001  (sets up JAX)
-
-import marus_stages as stages
+from experiments.virtual_sea_trials import marus_stages as stages
 
 
 def main() -> None:

@@ -7,8 +7,9 @@ receiver, a compass and a gyro of good quality measure every run.
 import dataclasses
 import math
 
+from experiments.vrx_wamv.plant import CHANNELS, NEW, Plant, driven, speed_for
+
 import numpy as np
-from plant import CHANNELS, NEW, Plant, driven, speed_for
 
 from diffsea.trajectory import Trajectory
 

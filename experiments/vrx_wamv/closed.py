@@ -3,18 +3,19 @@
 import dataclasses
 from collections.abc import Mapping
 
+from experiments.vrx_wamv.campaign import NOISE
+from experiments.vrx_wamv.paths import Path, off_path
+from experiments.vrx_wamv.plant import Plant
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from campaign import NOISE
-from plant import Plant
 
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control.dynamic_pd import DynamicPD, Pursued
 from diffsea.types import State
 from diffsea.vessel.base import Vessel
-from paths import Path, off_path
 
 
 PERIOD = 0.1  # s, of the controller

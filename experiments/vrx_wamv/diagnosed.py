@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable, Mapping
 
-from campaign import Run
-from joint import QUADRATIC
-from models import document, truth
-from plant import NEW, Plant
+from experiments.vrx_wamv.campaign import Run
+from experiments.vrx_wamv.joint import QUADRATIC
+from experiments.vrx_wamv.models import document, truth
+from experiments.vrx_wamv.plant import NEW, Plant
 
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.search import diagnose

@@ -4,8 +4,8 @@ import dataclasses
 import time
 from collections.abc import Callable
 
-from campaign import Run
-from models import document, vessel_of
+from experiments.vrx_wamv.campaign import Run
+from experiments.vrx_wamv.models import document, vessel_of
 
 from diffsea.identification.estimates import ParameterEstimate, parameter_estimates
 from diffsea.identification.objectives.base import AbstractObjective

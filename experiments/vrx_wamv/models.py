@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 
+from experiments.vrx_wamv.campaign import NOISE, Run
+from experiments.vrx_wamv.plant import CHANNELS, THRUST_PER_SPEED, Plant, speed_for
+
 import numpy as np
-from campaign import NOISE, Run
-from plant import CHANNELS, THRUST_PER_SPEED, Plant, speed_for
 
 from diffsea.simulation.replay import replay, replay_errors
 from diffsea.vessel.base import Vessel

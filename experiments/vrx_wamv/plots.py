@@ -1,15 +1,15 @@
 """The experiment's figures."""
 
-import numpy as np
-from closed import Driven
-from matplotlib.figure import Figure
-from plant import NEW, speed_for
-from procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
-from reporting import panels
-from stages import Identified
-from tuning import Tuned
+from experiments.harness.reporting import panels
+from experiments.vrx_wamv.closed import Driven
+from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, Path
+from experiments.vrx_wamv.plant import NEW, speed_for
+from experiments.vrx_wamv.procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
+from experiments.vrx_wamv.stages import Identified
+from experiments.vrx_wamv.tuning import Tuned
 
-from paths import KEPT_BACK, PATHS, Path
+import numpy as np
+from matplotlib.figure import Figure
 
 
 PLANT, PAPER, OURS, GREY = "#30363d", "#d1720f", "#1f5fa8", "#9aa4ae"

@@ -11,9 +11,10 @@ import math
 import time
 from collections.abc import Callable
 
+from experiments.vrx_wamv.campaign import Campaign, Run
+from experiments.vrx_wamv.plant import THRUST_PER_SPEED
+
 import numpy as np
-from campaign import Campaign, Run
-from plant import THRUST_PER_SPEED
 from scipy.optimize import minimize
 
 

@@ -1,18 +1,9 @@
 """A twin-thruster boat identified and steered along waypoints: the WAM-V of the VRX simulator."""
 
-import sys
-from pathlib import Path
-
-
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import plots
-import stages
-import tables
-from campaign import held_out
-from diagnosed import diagnosed
-from reporting import comparison, experiment
+from experiments.harness.reporting import comparison, experiment
+from experiments.vrx_wamv import plots, stages, tables
+from experiments.vrx_wamv.campaign import held_out
+from experiments.vrx_wamv.diagnosed import diagnosed
 
 
 FOLLOWED = ("published", tables.THRUST, "joint")

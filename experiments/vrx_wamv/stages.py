@@ -3,9 +3,8 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 
-import numpy as np
-from campaign import Campaign, campaign, held_out
-from closed import (
+from experiments.vrx_wamv.campaign import Campaign, campaign, held_out
+from experiments.vrx_wamv.closed import (
     SLOWEST,
     Driven,
     controller,
@@ -15,10 +14,11 @@ from closed import (
     replayed,
     track,
 )
-from joint import Joint, fit_linear, fit_whole
-from models import errors_on, truth, vessel_of
-from plant import NEW, OLD, driven, speed_for
-from procedure import (
+from experiments.vrx_wamv.joint import Joint, fit_linear, fit_whole
+from experiments.vrx_wamv.models import errors_on, truth, vessel_of
+from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, WIDE
+from experiments.vrx_wamv.plant import NEW, OLD, driven, speed_for
+from experiments.vrx_wamv.procedure import (
     PUBLISHED,
     PUBLISHED_FIRST,
     READINGS,
@@ -29,10 +29,11 @@ from procedure import (
     plateaus,
     steady_speed,
 )
-from tuning import NAMES, SMOOTHING, Tuned, by_hand, problem, slope_check, tune
+from experiments.vrx_wamv.tuning import NAMES, SMOOTHING, Tuned, by_hand, problem, slope_check, tune
+
+import numpy as np
 
 from diffsea.vessel.base import Vessel
-from paths import KEPT_BACK, PATHS, WIDE
 
 
 SEED = 1

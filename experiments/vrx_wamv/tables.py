@@ -1,13 +1,14 @@
 """Rows of the comparison with the paper, and the README's tables."""
 
+from experiments.harness.reporting import compared, table
+from experiments.vrx_wamv.closed import SECONDS
+from experiments.vrx_wamv.models import HULL, truth
+from experiments.vrx_wamv.plant import NEW
+from experiments.vrx_wamv.procedure import PUBLISHED, PUBLISHED_FIRST, masses, readings_of_masses
+from experiments.vrx_wamv.stages import Followed, Identified
+from experiments.vrx_wamv.tuning import NAMES, Tuned
+
 import numpy as np
-from closed import SECONDS
-from models import HULL, truth
-from plant import NEW
-from procedure import PUBLISHED, PUBLISHED_FIRST, masses, readings_of_masses
-from reporting import compared, table
-from stages import Followed, Identified
-from tuning import NAMES, Tuned
 
 
 SPEEDS, THRUST = "speeds alone", "thrust as ordered"

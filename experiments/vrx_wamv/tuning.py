@@ -8,17 +8,18 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
+from experiments.vrx_wamv.closed import GAINS, PERIOD, SECONDS, STEP, controller, on_model
+from experiments.vrx_wamv.paths import Path, off_path
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from closed import GAINS, PERIOD, SECONDS, STEP, controller, on_model
 from scipy.optimize import least_squares
 
 from diffsea.simulation.closed_loop import run_controlled
 from diffsea.types import State
 from diffsea.vessel.base import Vessel
-from paths import Path, off_path
 
 
 # What is tuned and where it is looked for. The largest base order is what the boat is run at.

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-import pytest
 from experiments.concealed import (
     baselines,
     draw,
@@ -37,6 +35,9 @@ from experiments.concealed.simulate import (
     derivative,
     simulate,
 )
+
+import numpy as np
+import pytest
 from tests.paths import ROOT
 
 

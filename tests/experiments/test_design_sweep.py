@@ -19,8 +19,8 @@ PARTS = ("loading", "sweeping", "independent", "plain_loops", "neighbours", "wan
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("design_sweep", *PARTS) as found:
-        yield SimpleNamespace(**found)
+    found = modules("design_sweep", *PARTS)
+    return SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")

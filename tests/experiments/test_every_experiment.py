@@ -1,19 +1,18 @@
 """`make experiments`: every folder takes part, and what it runs is there."""
 
+import importlib.util
 import json
 import subprocess
 import sys
 
+from experiments import every
+from experiments.harness import reporting
+
 import pytest
-from tests.paths import EXPERIMENTS
+from tests.paths import EXPERIMENTS, ROOT
 
 
 HERE = EXPERIMENTS
-sys.path.insert(0, str(HERE))
-
-import every
-import reporting
-
 
 FOLDERS = sorted(path.name for path in HERE.iterdir() if (path / "README.md").exists())
 
@@ -25,13 +24,16 @@ def test_every_experiment_has_a_script_and_is_in_the_list():
         assert f"`{name}`" in listing, name
     assert set(every.COMMANDS) <= set(FOLDERS)
     for name, commands in every.COMMANDS.items():
-        for first, *_ in commands:
-            assert first == "-m" or (HERE / name / first).resolve().exists(), (name, first)
+        for module, *_ in commands:
+            assert importlib.util.find_spec(module), (name, module)
 
 
 def test_a_misspelt_experiment_is_told():
     done = subprocess.run(
-        [sys.executable, HERE / "every.py", "pythea"], capture_output=True, text=True
+        [sys.executable, "-m", "experiments.every", "pythea"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
     )
     assert done.returncode == 1 and "pytheas" in done.stderr and "Traceback" not in done.stderr
 

@@ -23,8 +23,8 @@ DRAG = 77.55  # N, the Otter's at 1 m/s
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("overshoot_sensitivity", *PARTS) as found:
-        yield SimpleNamespace(**found)
+    found = modules("overshoot_sensitivity", *PARTS)
+    return SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")

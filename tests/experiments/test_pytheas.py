@@ -22,8 +22,8 @@ PUBLISHED_TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("pytheas", *PARTS) as found:
-        yield SimpleNamespace(**found)
+    found = modules("pytheas", *PARTS)
+    return SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ DEGREE, KNOT = np.pi / 180, 1852 / 3600
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("unberthing", *MODULES) as found:
-        yield SimpleNamespace(**found)
+    found = modules("unberthing", *MODULES)
+    return SimpleNamespace(**found)
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ MODULES = ("published", "vessel", "trials", "diameter", "asymmetry", "fit")
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("virtual_sea_trials", *(f"marus_{name}" for name in MODULES)) as found:
-        yield {name: found[f"marus_{name}"] for name in MODULES}
+    found = modules("virtual_sea_trials", *(f"marus_{name}" for name in MODULES))
+    return {name: found[f"marus_{name}"] for name in MODULES}
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ MODULES = ("plant", "campaign", "procedure", "paths")
 @pytest.fixture(scope="module")
 def parts():
     """The experiment's modules."""
-    with modules("vrx_wamv", *MODULES) as found:
-        yield found
+    found = modules("vrx_wamv", *MODULES)
+    return found
 
 
 @pytest.fixture(scope="module")

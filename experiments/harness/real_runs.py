@@ -27,7 +27,7 @@ from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import Table, build, dump, read_vessel
 
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 SHOWN = 8  # candidates in tables and plots
 

@@ -1,0 +1,1 @@
+"""What experiments share: options, results, tables and figures; real runs; memory."""
