@@ -10,9 +10,9 @@ from experiments.harness.reporting import Experiment, experiment, panels, table
 import numpy as np
 from scipy.stats import binomtest, kstest
 
-from diffsea.diagnosis.bootstrap import FEWEST, Bootstrap, bootstrap
-from diffsea.diagnosis.screening import candidates
-from diffsea.diagnosis.search import ROOM
+from diffsea.diagnosis.bootstrap import LEAST_DRAWS, Bootstrap, bootstrap
+from diffsea.diagnosis.screening import candidate_effects
+from diffsea.diagnosis.search import EFFECT_COORDINATES
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
 from diffsea.recordings import read_recording
@@ -30,7 +30,7 @@ def main() -> None:
     results = {}
     for hull in hulls:
         case = next(c for c in clean if c["hull"] == hull)
-        drawn = nothing_missing(run, case, FEWEST)
+        drawn = nothing_missing(run, case, LEAST_DRAWS)
         results[hull] = {"case": case["id"], "draws": drawn.draws,
                          "strongest": drawn.strongest, "located": drawn.located}  # fmt: skip
         run.write({"hulls": results, "rates": rates(results)}, {"rates": rates_table(results)})
@@ -45,8 +45,8 @@ def nothing_missing(run: Experiment, case: dict, draws: int) -> Bootstrap:
         vessel = read_vessel(here / "vessel.toml").vessel
         recordings = tuple(read_recording(p) for p in sorted((here / "train").glob("*.csv")))
     free = free_by_default(vessel)
-    effects = candidates(vessel, list(recordings))
-    problem = make_problem(vessel, list(recordings), free, effects, capacity=ROOM)
+    effects = candidate_effects(vessel, list(recordings))
+    problem = make_problem(vessel, list(recordings), free, effects, capacity=EFFECT_COORDINATES)
     nominal = estimate(problem, free)
     tell = lambda message: run.say(f"{case['hull']}: {message}")
     return bootstrap(problem, nominal, draws, tell)

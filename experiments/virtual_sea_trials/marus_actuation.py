@@ -122,12 +122,12 @@ def effects_of(found: Diagnosis) -> list[dict]:
         effect = next(e for e in problem.layout.effects if e.name == one.name)
         physical = problem.layout.physical(one.name, found.final.coordinates)[0]
         said = effect.decode(problem.base, physical)
-        inflation = one.fitted.inflation
+        inflation = one.hypothesis.inflation
         rows.append(
             {
                 "name": one.name,
                 "parameters": {key: float(value) for key, value in said.items()},
-                "log10_odds": float(one.fitted.evidence(inflation) / (2 * math.log(10))),
+                "log10_odds": float(one.hypothesis.evidence(inflation) / (2 * math.log(10))),
                 "alternatives": list(one.rivals),
             }
         )  # fmt: skip

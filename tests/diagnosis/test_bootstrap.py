@@ -1,34 +1,32 @@
 """What simulated and refitted data sets say of chance."""
 
+import dataclasses
 import io
-from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
+from tests.diagnosis.small import DOCUMENT, still_problem, usv
+from tests.runs import random_steps
 
 from diffsea.cli.progress import StagedProgress
-from diffsea.diagnosis import bootstrap as module
-from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap
+from diffsea.diagnosis.bootstrap import (
+    BOOTSTRAP_SEED,
+    NO_BOOTSTRAP,
+    Bootstrap,
+    bootstrap,
+    finite_draws,
+)
+from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import diagnose
 from diffsea.errors import UserError
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
+from diffsea.identification.resimulation import resimulate
+from diffsea.vessel.effects import EFFECTS
 
 
-def dataset(value: float) -> SimpleNamespace:
-    return SimpleNamespace(dataset=SimpleNamespace(measured=np.full((3, 6), value)))
-
-
-@pytest.fixture
-def screened(monkeypatch):
-    """Data sets numbered from one, the screening of each with p-values 1/n and 1/sqrt(n)."""
-    count = iter(range(1, 10**6))
-    nominal = SimpleNamespace(free=(), coordinates=np.zeros(1), noise=None)
-    monkeypatch.setattr(module, "resimulate", lambda *_: dataset(next(count)))
-    monkeypatch.setattr(module, "estimate", lambda made, *_: made.dataset.measured[0, 0])
-    monkeypatch.setattr(
-        module, "screen",
-        lambda made, n: SimpleNamespace(p_value=1 / n, remainder=1 / np.sqrt(n)),
-    )  # fmt: skip
-    return lambda draws, told=lambda text: None: bootstrap(None, nominal, draws, told)
+FREE = ("X_u", "N_r")
 
 
 def test_a_p_value_is_its_rank_among_the_draws():
@@ -41,40 +39,58 @@ def test_a_p_value_is_its_rank_among_the_draws():
 
 
 def test_without_draws_a_p_value_stands():
-    assert (NONE.draws, NONE.of_strongest(0.03), NONE.of_located(0.4)) == (0, 0.03, 0.4)
+    assert NO_BOOTSTRAP.draws == 0
+    assert (NO_BOOTSTRAP.of_strongest(0.03), NO_BOOTSTRAP.of_located(0.4)) == (0.03, 0.4)
 
 
-def test_every_data_set_is_fitted_and_screened(screened):
-    said = []
-    drawn = screened(100, said.append)
-    assert drawn.strongest == pytest.approx(1 / np.arange(100.0, 0, -1))
-    assert drawn.located == pytest.approx(1 / np.sqrt(np.arange(100.0, 0, -1)))
-    assert said[0] == "simulating 1 of 100 data sets" and len(said) == 100
+@pytest.fixture(scope="module")
+def problem():
+    run = random_steps(DOCUMENT, 7, 40.0, 0.5)
+    return make_problem(usv(), [run], FREE, (EFFECTS["gyro-bias"],), capacity=1)
 
 
-def test_too_few_draws_are_refused(screened):
-    with pytest.raises(UserError, match="99 bootstrap draws.*take 100"):
-        screened(99)
+def test_every_data_set_is_fitted_and_screened(problem):
+    nominal, said = estimate(problem, FREE), []
+    drawn = bootstrap(problem, nominal, 5, said.append)
+    assert said == [f"simulating {k} of 5 data sets" for k in range(1, 6)]
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    screenings = []
+    for _ in range(5):
+        another = resimulate(problem, nominal, rng)
+        fitted = estimate(another, FREE, nominal.coordinates, nominal.noise)
+        screenings.append(screen(another, fitted))
+    assert drawn.strongest.tolist() == sorted(one.p_value for one in screenings)
+    assert drawn.located.tolist() == sorted(one.located_p_value for one in screenings)
+    assert len(set(drawn.strongest)) == 5
 
 
-@pytest.mark.parametrize(("every", "refused"), [(20, False), (5, True)])
-def test_others_are_drawn_for_those_that_diverge(screened, monkeypatch, every, refused):
-    count = iter(range(1, 10**6))
-    broken = lambda *_: dataset(np.nan if (n := next(count)) % every == 0 else n)
-    monkeypatch.setattr(module, "resimulate", broken)
-    if refused:
-        with pytest.raises(UserError, match="11 of 55 runs.*diverge"):
-            screened(100)
-    else:
-        assert screened(100).draws == 100
+def test_data_sets_are_one_stage_of_the_progress(problem):
+    said = io.StringIO()
+    bootstrap(problem, estimate(problem, FREE), 2, StagedProgress(4, said))
+    assert said.getvalue().count("\n") == 1 and "simulating 2 data sets" in said.getvalue()
+
+
+def data_sets(every: int):
+    """Endless data sets of which each so many-th diverged."""
+    sound = still_problem()
+    broken = eqx.tree_at(lambda data: data.measured, sound.dataset, sound.dataset.measured * np.nan)
+    number = 0
+    while True:
+        number += 1
+        yield dataclasses.replace(sound, dataset=broken) if number % every == 0 else sound
+
+
+def test_others_are_drawn_for_those_that_diverge():
+    drawn = list(finite_draws(data_sets(every=20), 100))
+    assert len(drawn) == 100
+    assert all(np.isfinite(np.asarray(one.dataset.measured)).all() for one in drawn)
+
+
+def test_a_model_of_which_simulations_diverge_says_nothing_of_chance():
+    with pytest.raises(UserError, match="11 of 55 runs.*diverge.*--bootstrap"):
+        list(finite_draws(data_sets(every=5), 100))
 
 
 def test_too_few_draws_are_refused_before_anything_is_fitted():
-    with pytest.raises(UserError, match="5 bootstrap draws"):
-        diagnose(None, [], draws=5)
-
-
-def test_data_sets_are_one_stage_of_the_progress(screened):
-    said = io.StringIO()
-    screened(100, StagedProgress(4, said))
-    assert said.getvalue().count("\n") == 1 and "simulating 100 data sets" in said.getvalue()
+    with pytest.raises(UserError, match="99 bootstrap draws.*take 100"):
+        diagnose(usv(), [], draws=99)

@@ -4,15 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.oracle.simulator import load
+from tests.diagnosis.small import DOCUMENT, usv
 from tests.runs import random_steps
 
-from diffsea.diagnosis.constancy import SHARE, Constancy, constancy
+from diffsea.diagnosis.constancy import TOLERATED_SHARE, Constancy, constancy_test
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
-from diffsea.vessel.files import build
 
 
 FREE, BIAS = ("X_u", "N_r"), 0.01  # rad/s
@@ -20,48 +19,43 @@ SECONDS, STEP = 96.0, 0.25
 
 
 @pytest.fixture(scope="module")
-def document(request) -> dict:
-    return load(str(request.path.parent / "oracle" / "usv.toml"))
-
-
-@pytest.fixture(scope="module")
-def plain(document) -> Trajectory:
+def plain() -> Trajectory:
     """A run of the oracle without any bias."""
-    return random_steps(document, 7, SECONDS, STEP)
+    return random_steps(DOCUMENT, 7, SECONDS, STEP)
 
 
-def judged(document, run: Trajectory, bias: np.ndarray):
+def judged(run: Trajectory, bias: np.ndarray):
     """The test of a gyro bias fitted to a run whose yaw rate has some bias in each row."""
     biased = dataclasses.replace(run, r=run.r + bias)
-    problem = make_problem(build(document), [biased], FREE, (EFFECTS["gyro-bias"],), False, 1)
+    problem = make_problem(usv(), [biased], FREE, (EFFECTS["gyro-bias"],), False, 1)
     without = estimate(problem, FREE)
     fitted = estimate(problem, (*FREE, "gyro-bias"), without.coordinates)
-    return constancy(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
+    return constancy_test(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
 
 
-def test_a_lasting_bias_has_one_size(document, plain):
-    found = judged(document, plain, np.full(len(plain.t), BIAS))
+def test_a_lasting_bias_has_one_size(plain):
+    found = judged(plain, np.full(len(plain.t), BIAS))
     assert found.holds and found.share < 0.05
     assert found.scatter < 1.5
 
 
-def test_a_bias_that_comes_and_goes_in_each_half_has_not(document, plain):
+def test_a_bias_that_comes_and_goes_in_each_half_has_not(plain):
     # Four eighths of the run, two in either half: halves alone would agree.
     on = np.isin(np.arange(len(plain.t)) * 8 // len(plain.t), (1, 3, 5, 7))
-    found = judged(document, plain, np.where(on, 2 * BIAS, 0.0))
+    found = judged(plain, np.where(on, 2 * BIAS, 0.0))
     assert not found.holds and found.share > 0.5
     assert found.scatter > 5
 
 
-def test_a_bias_of_one_half_has_not(document, plain):
+def test_a_bias_of_one_half_has_not(plain):
     late = np.arange(len(plain.t)) > len(plain.t) // 2
-    assert not judged(document, plain, np.where(late, 2 * BIAS, 0.0)).holds
+    assert not judged(plain, np.where(late, 2 * BIAS, 0.0)).holds
 
 
-def test_a_sensor_error_must_be_there_all_the_time(document, plain):
+def test_a_sensor_error_must_be_there_all_the_time(plain):
     on = np.arange(len(plain.t)) * 12 // len(plain.t) != 5
-    found = judged(document, plain, np.where(on, 4 * BIAS, 0.0))
-    assert not found.holds and found._replace(tolerated=SHARE).holds
+    found = judged(plain, np.where(on, 4 * BIAS, 0.0))
+    assert not found.holds and found._replace(tolerated=TOLERATED_SHARE).holds
 
 
 def test_errors_widened_by_the_scatter_of_parts_cover_their_mean():

@@ -5,17 +5,22 @@ long after the start a filter follows its model, and each innovation is what u i
 """
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import expit
-from tests.oracle.simulator import load
+from tests.diagnosis.small import DOCUMENT, linear_estimate
 from tests.runs import varied
 
-from diffsea.diagnosis import experiment
-from diffsea.diagnosis.experiment import DECISIVE, LONGEST, Experiment, _one_way, commands
+from diffsea.diagnosis.experiment import (
+    DECISIVE,
+    LONGEST,
+    Experiment,
+    choose_manoeuvre,
+    commands,
+    expected_evidence,
+)
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
@@ -34,8 +39,8 @@ PRIOR = 3.0  # prior sizes that an effect's coordinate may be
 
 
 @pytest.fixture(scope="module")
-def document(request) -> dict:
-    return load(str(request.path.parent / "oracle" / "usv.toml"))
+def document() -> dict:
+    return DOCUMENT
 
 
 @pytest.fixture(scope="module")
@@ -45,23 +50,23 @@ def slow(document):
     return build(document | {"thruster": thrusters})
 
 
-def diagnosed(vessel, effects: tuple[str, ...] = ()):
-    """What an experiment asks of a diagnosis, of a run of which only u was recorded."""
+def trained(vessel, effects: tuple[str, ...] = ()):
+    """The problem of a run of which only u was recorded."""
     t, nothing = 0.2 * np.arange(50), np.full(50, np.nan)
     orders = dict.fromkeys(vessel.channels, np.zeros(50))
     run = Trajectory(
         t, *(nothing,) * 3, np.zeros(50), *(nothing,) * 2, orders, {}, {}, np.ones(50, bool)
     )
     catalogue = tuple(EFFECTS[name] for name in effects)
-    train = make_problem(vessel, [run], FREE, catalogue, capacity=4)
-    final = SimpleNamespace(coordinates=np.zeros(train.layout.size))
-    return SimpleNamespace(split=SimpleNamespace(train=train), final=final)
+    return make_problem(vessel, [run], FREE, catalogue, capacity=4)
 
 
 @pytest.mark.parametrize("name", LIBRARY)
 def test_no_order_is_beyond_what_the_actuators_can_do(slow, name):
+    train = trained(slow)
+    final = linear_estimate(size=train.layout.size)
     for seconds in (30.0, 90.0):
-        sequence = commands(diagnosed(slow), Experiment(name, "", seconds, {}))
+        sequence = commands(train, final, Experiment(name, "", seconds, {}))
         t = sequence["t"]
         assert (t[0], t[-1]) == pytest.approx((0.0, seconds)) and (np.diff(t) > 0).all()
         for channel in slow.channels:
@@ -70,17 +75,18 @@ def test_no_order_is_beyond_what_the_actuators_can_do(slow, name):
             assert series.min() >= LOWER and series.max() <= UPPER
 
 
-def test_rivals_that_act_alike_get_no_manoeuvre(slow, monkeypatch):
+def test_rivals_that_act_alike_get_no_manoeuvre(slow):
     time = time_scale(float(slow.rigid_body.length))
     enough = DECISIVE * SECONDS / LONGEST  # of a run of SECONDS sqrt(L / g)
+    rivals = ("thrust-delay:propulsion", "clock-drift")
     for level, exists in ((2 * enough, True), (0.5 * enough, False), (0.0, False)):
-        monkeypatch.setattr(experiment, "_evidence", lambda *_, level=level: level)
-        tried = SimpleNamespace(effect="clock-drift")
-        accepted = SimpleNamespace(name="thrust-delay:propulsion")
-        found = experiment._separating(diagnosed(slow), accepted, tried)
+        evidence = dict.fromkeys(LIBRARY, 0.5 * level) | {"zigzag": level}
+        found = choose_manoeuvre(slow, *rivals, evidence)
         assert found.exists == exists
         record = found.as_dict()
+        assert record["evidence"] == evidence
         if exists:
+            assert record["manoeuvre"] == "zigzag"
             assert record["seconds"] == pytest.approx(LONGEST * time / 2)
             assert record["why"] == "separates thrust-delay from clock-drift"
         else:
@@ -133,9 +139,9 @@ def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     vessel = build(varied(document, {"X_uu": None}))
     drag_at, factor = 60.0, 0.3
     drag, thrust = EFFECTS["drag-change"], EFFECTS["thrust-change"]
-    diagnosis = diagnosed(vessel, (drag.name, thrust.name, "gyro-bias"))
-    fouled = estimated(diagnosis, drag, (factor, drag_at))
-    boosted = estimated(diagnosis, thrust, (-factor, thrust_at))
+    train = trained(vessel, (drag.name, thrust.name, "gyro-bias"))
+    fouled = estimated(train, drag, (factor, drag_at))
+    boosted = estimated(train, thrust, (-factor, thrust_at))
     schedule = LIBRARY["speed steps"]
     run = simulate_manoeuvre(vessel, schedule)
     push = sum(run.commanded[channel] for channel in vessel.channels)
@@ -143,16 +149,15 @@ def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     left = np.append(factor * by_drag / SENSOR, 0.0)
     column = np.append(thrust.sizes(vessel)[0] * by_thrust / SENSOR, 1 / PRIOR)
     kept = left - column * (column @ left) / (column @ column)
-    alone = _one_way(diagnosis, fouled, drag.name, fouled, "gyro-bias", schedule)
+    alone = expected_evidence(train, fouled, drag.name, fouled, "gyro-bias", schedule)
     assert alone == pytest.approx(left @ left, rel=1e-3)
-    told = _one_way(diagnosis, fouled, drag.name, boosted, thrust.name, schedule)
+    told = expected_evidence(train, fouled, drag.name, boosted, thrust.name, schedule)
     assert told == pytest.approx(kept @ kept, rel=1e-3)
     assert told < 0.9 * alone
 
 
-def estimated(diagnosis, effect, physical: tuple[float, ...]):
+def estimated(train, effect, physical: tuple[float, ...]):
     """An estimate with one effect of a known size, and no gusts."""
-    train = diagnosis.split.train
     coordinates = np.zeros(train.layout.size)
     place = train.layout.indices((effect.name,))
     coordinates[place] = np.array(physical) / effect.sizes(train.base)

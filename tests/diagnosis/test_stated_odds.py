@@ -3,17 +3,16 @@ their own priors, effects from Student's t. What is missing is nothing or one of
 each as often.
 """
 
-from types import SimpleNamespace
+import dataclasses
 
 import numpy as np
 import pytest
+from tests.diagnosis.small import candidate, still_problem
 
-from diffsea.diagnosis import refit
-from diffsea.diagnosis.decision import Accepted
-from diffsea.diagnosis.screening import Seen
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList
+from diffsea.diagnosis.refit import make_hypothesis, ranked
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
-from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.parameters import Parameter
 from diffsea.vessel.effects import EFFECTS
 
@@ -28,7 +27,7 @@ def problem():
     effects = tuple(EFFECTS[name] for name in NAMES)
     sizes = tuple((1.0,) * len(effect.coordinates) for effect in effects)
     layout = CoordinateLayout(PARAMETERS, effects, sizes, 1, False)
-    return SimpleNamespace(base=None, layout=layout)
+    return dataclasses.replace(still_problem(), layout=layout)
 
 
 def fitted(problem, X: np.ndarray, y: np.ndarray, free: tuple[str, ...]):
@@ -64,12 +63,12 @@ def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, s
     tried = []
     for name in NAMES:
         count = len(problem.layout.indices((name,)))
-        seen = Seen(ExpansionPoint(name, (0.0,) * count, tuple(range(count))), None, None, 0.0)
+        seen = candidate(name, np.ones((3, count)))
         more = fitted(problem, X, y, (*own, name))
-        tried.append(refit._made(problem, current, more, EFFECTS[name], seen, None))
-    tried = refit.ranked(tried)
+        tried.append(make_hypothesis(problem, current, more, EFFECTS[name], seen))
+    tried = ranked(tried)
     evidence = {one.effect: one.evidence(one.inflation) for one in tried}
-    return evidence, Accepted(tried[0].effect, tried[0], (), tuple(tried)).ahead, truth
+    return evidence, AcceptedEffect.of(tried[0], ShortList(tuple(tried), 0.0)).lead, truth
 
 
 @pytest.fixture(scope="module")

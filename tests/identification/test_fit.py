@@ -13,7 +13,6 @@ from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 
-from diffsea.diagnosis.jacobians import columns_of, residual_at
 from diffsea.errors import UserError
 from diffsea.identification import study
 from diffsea.identification.coordinates import negative_effects, vessel_at
@@ -29,6 +28,7 @@ from diffsea.identification.residual import (
     ResidualInputs,
     fit_coordinates,
     gauss_newton,
+    innovations_at,
     linearise,
     residual_inputs,
 )
@@ -200,8 +200,8 @@ def test_a_residual_without_derivatives_is_the_same_residual(fitted):
     problem, result = fitted
     gains = result.filter_run(problem).gains
     away = result.coordinates + 0.2 * np.resize([1.0, -1.0], result.coordinates.size)
-    whole, _ = columns_of(problem, gains, away, [0])
-    alone = residual_at(problem, gains, away)
+    whole, _ = linearise(problem, gains, away, [0])
+    alone = innovations_at(problem, gains, away)
     np.testing.assert_allclose(alone, whole[: alone.size], atol=1e-12)
     assert alone.size == problem.dataset.measured.size and np.abs(alone).max() > 1.0
 

@@ -10,9 +10,9 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
-from diffsea.diagnosis.jacobians import columns_of, residual_at
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
+from diffsea.identification.residual import innovations_at, linearise
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -81,11 +81,11 @@ def test_the_slope_at_a_clock_that_is_right_is_the_mean_of_both_sides(document):
     def at(step: float) -> np.ndarray:
         moved = np.array(coordinates, float)
         moved[place] += step
-        return np.asarray(residual_at(problem, gains, moved))
+        return np.asarray(innovations_at(problem, gains, moved))
 
     step = 1e-4
     sides = (at(step) - at(0.0)) / step, (at(0.0) - at(-step)) / step
-    slope = columns_of(problem, gains, coordinates, [place])[1][: len(sides[0]), 0]
+    slope = linearise(problem, gains, coordinates, [place]).jacobian[: len(sides[0]), 0]
     size = np.linalg.norm(slope)
     assert np.linalg.norm(sides[0] - sides[1]) > 0.5 * size
     assert np.linalg.norm(slope - 0.5 * (sides[0] + sides[1])) < 0.01 * size

@@ -9,13 +9,13 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
-from diffsea.diagnosis.jacobians import columns_of, residual_at
 from diffsea.errors import UserError
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
 from diffsea.identification.fit import estimate, posterior_deviance
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.identification.residual import innovations_at, linearise
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
@@ -136,11 +136,11 @@ def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
     start, noise = problem.start()
     gains = problem.run_filter(start, noise).gains
     place = problem.layout.indices(("clock-drift",))
-    residual, J = columns_of(problem, gains, start, place)
+    residual, J = linearise(problem, gains, start, place)
     fitted = J @ np.linalg.lstsq(J, residual, rcond=None)[0]
     away = start.copy()
     away[place[1]] = offset / EFFECTS["clock-drift"].sizes(problem.base)[1]
-    gain = (residual**2).sum() - (residual_at(problem, gains, away) ** 2).sum()
+    gain = (residual**2).sum() - (innovations_at(problem, gains, away) ** 2).sum()
     assert (fitted**2).sum() > 0.2 * gain > 20.0
 
 

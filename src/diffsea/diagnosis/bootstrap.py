@@ -1,27 +1,28 @@
 """Chance by simulation: data sets drawn from the fitted model, each fitted and screened again.
 
-`null` has the distribution of the strongest test to first order. Here nothing is linearised: its
-family-wise p-value is itself taken as the statistic, and compared with what it comes to where
-nothing is missing (prepivoting, Beran 1988).
+`score.joint_null` has the distribution of the strongest test to first order. Here nothing is
+linearised: its family-wise p-value is itself taken as the statistic, and compared with what it
+comes to where nothing is missing (prepivoting, Beran 1988).
 """
 
 import dataclasses
-from collections.abc import Callable
+import itertools
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float
 
 from diffsea.diagnosis.screening import screen
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Estimate, PartialProgress
+from diffsea.identification.estimates import Estimate, PartialProgress, Progress, no_progress
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.resimulation import resimulate
 
 
-FEWEST = 100  # draws: fewer cannot show less than one per cent
-FAILED = 0.1  # share of draws that may fail; others are drawn for them
-SEED = 11
+LEAST_DRAWS = 100  # fewer cannot show less than one per cent
+FAILED_SHARE = 0.1  # of the draws that may diverge; others are drawn for them
+BOOTSTRAP_SEED = 11
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Bootstrap:
     """First-order p-values where nothing is missing; without draws they stand as they are."""
 
     strongest: Float[np.ndarray, "draw"]  # of the strongest of all tests
-    located: Float[np.ndarray, "draw"]  # of the strongest located force
+    located: Float[np.ndarray, "draw"]  # of the strongest unnamed force
 
     @property
     def draws(self) -> int:
@@ -38,59 +39,68 @@ class Bootstrap:
 
     def of_strongest(self, p_value: float) -> float:
         """Chance that the strongest test shows so small a p-value, or a smaller one."""
-        return _share(self.strongest, p_value)
+        return _rank_share(self.strongest, p_value)
 
     def of_located(self, p_value: float) -> float:
-        """The same for the strongest located force."""
-        return _share(self.located, p_value)
+        """The same for the strongest unnamed force."""
+        return _rank_share(self.located, p_value)
 
 
-NONE = Bootstrap(np.zeros(0), np.zeros(0))
+NO_BOOTSTRAP = Bootstrap(np.zeros(0), np.zeros(0))
 
 
-def _share(drawn: Float[np.ndarray, "draw"], p_value: float) -> float:
+def _rank_share(drawn: Float[np.ndarray, "draw"], p_value: float) -> float:
     """Rank among the draws, itself counted (Davison and Hinkley 1997, section 4.2)."""
     if not len(drawn):
         return p_value
     return float(1 + np.sum(drawn <= p_value)) / (1 + len(drawn))
 
 
-def check(draws: int) -> None:
+def check_draws(draws: int) -> None:
     """Raise UserError for fewer draws than can show one per cent."""
-    if draws < FEWEST:
-        raise UserError(f"{draws} bootstrap draws cannot show one per cent: take {FEWEST} or more")
+    if draws < LEAST_DRAWS:
+        raise UserError(
+            f"{draws} bootstrap draws cannot show one per cent: take {LEAST_DRAWS} or more"
+        )
 
 
 def bootstrap(
-    problem: Problem,
-    nominal: Estimate,
-    draws: int,
-    progress: Callable[[str], None] = lambda message: None,
+    problem: Problem, nominal: Estimate, draws: int, progress: Progress = no_progress
 ) -> Bootstrap:
     """Draw data sets from the nominal estimate, fit it to each anew, and screen.
 
     Raises:
-        UserError: fewer than 100 draws; more simulated runs diverge than a tenth of `draws`.
+        UserError: more simulated runs diverge than a tenth of `draws`.
     """
-    check(draws)
-    rng = np.random.default_rng(SEED)
-    found: list[tuple[float, float]] = []
-    failed = 0
-    while len(found) < draws:
-        message = f"simulating {len(found) + 1} of {draws} data sets"
-        stage = f"simulating {draws} data sets"
-        progress(PartialProgress(message, len(found) / draws, stage))
-        made = resimulate(problem, nominal, rng)
-        if not np.isfinite(np.asarray(made.dataset.measured)).all():
-            failed += 1
-            if failed > FAILED * draws:
-                raise UserError(
-                    f"{failed} of {failed + len(found)} runs simulated with the fitted model "
-                    "diverge, so it cannot say what chance does: leave --bootstrap out, or check "
-                    "the vessel file"
-                )
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    p_values: list[tuple[float, float]] = []
+    data_sets = (resimulate(problem, nominal, rng) for _ in itertools.count())
+    for number, drawn in enumerate(finite_draws(data_sets, draws)):
+        message = f"simulating {number + 1} of {draws} data sets"
+        progress(PartialProgress(message, number / draws, f"simulating {draws} data sets"))
+        fitted = estimate(drawn, nominal.free, nominal.coordinates, nominal.noise)
+        screening = screen(drawn, fitted)
+        p_values.append((screening.p_value, screening.located_p_value))
+    return Bootstrap(*(np.sort(column) for column in np.array(p_values).T))
+
+
+def finite_draws(data_sets: Iterable[Problem], draws: int) -> Iterator[Problem]:
+    """As many of the simulated data sets as asked for, those whose runs diverge left out.
+
+    Raises:
+        UserError: more of them diverge than a tenth of `draws`.
+    """
+    found = failed = 0
+    for drawn in data_sets:
+        if np.isfinite(np.asarray(drawn.dataset.measured)).all():
+            found += 1
+            yield drawn
+            if found == draws:
+                return
             continue
-        fitted = estimate(made, nominal.free, nominal.coordinates, nominal.noise)
-        screening = screen(made, fitted)
-        found.append((screening.p_value, screening.remainder))
-    return Bootstrap(*(np.sort(column) for column in np.array(found).T))
+        failed += 1
+        if failed > FAILED_SHARE * draws:
+            raise UserError(
+                f"{failed} of {failed + found} runs simulated with the fitted model diverge, so it "
+                "cannot say what chance does: leave --bootstrap out, or check the vessel file"
+            )

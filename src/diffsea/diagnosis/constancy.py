@@ -9,18 +9,19 @@ compared with what the effect itself does.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
-from diffsea.diagnosis.jacobians import columns_at
+from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
 
 
-LEVEL = 0.01
-PARTS = (2, 8)  # of each run
-SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
-SENSOR_SHARE = 0.1  # kinematics has no laws that only nearly hold
+LEVEL = 0.01  # of significance, shared by the tests
+PARTS = (2, 8)  # of each run: what changes once, and what comes and goes
+TOLERATED_SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
+TOLERATED_OF_SENSORS = 0.1  # kinematics has no laws that only nearly hold
 
 
 class Constancy(NamedTuple):
@@ -29,7 +30,7 @@ class Constancy(NamedTuple):
     statistic: float  # chi-squared under a constant size
     p_value: float
     share: float  # of the statistic of the effect itself
-    tolerated: float = SHARE
+    tolerated: float = TOLERATED_SHARE
     degrees: int = 0  # of freedom
 
     @property
@@ -47,37 +48,49 @@ class Constancy(NamedTuple):
         return max(1.0, self.statistic / self.degrees) ** 0.5 if self.degrees else 1.0
 
 
-def constancy(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
+def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model; `explained` is the drop of the deviance by it."""
-    gains = fitted.filter_run(problem).gains
-    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
+    residual, nuisance = linearise_model(problem, fitted).by_name(fitted.free)
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]
     group = next(one.group for one in problem.layout.effects if one.name == effect)
-    tolerated = SENSOR_SHARE if group == "sensor" else SHARE
-    tests = [
-        _differing(problem, residual, nuisance, J, count, explained)._replace(tolerated=tolerated)
-        for count in PARTS
-    ]
+    tolerated = TOLERATED_OF_SENSORS if group == "sensor" else TOLERATED_SHARE
+    tests = []
+    for count in PARTS:
+        columns = _columns_of_parts(problem, J, count)
+        test = _homogeneity_test(problem, residual, nuisance, J, columns, explained)
+        tests.append(test._replace(tolerated=tolerated))
     return min(tests, key=lambda test: (test.holds, test.p_value))
 
 
-def _differing(
+def _columns_of_parts(problem: Problem, J: Columns, count: int) -> Columns:
+    """An effect's columns in each of `count` parts of every run, without those of the prior."""
+    run, recorded = np.asarray(problem.dataset.run), recorded_rows(problem)
+    parts = []
+    for number in range(problem.dataset.runs):
+        for rows in np.array_split(np.flatnonzero((run == number) & recorded), count):
+            if len(rows):
+                member = np.zeros(len(J))
+                member[(6 * rows[:, None] + np.arange(6)).ravel()] = 1.0
+                parts.append(J * member[:, None])
+    columns = np.concatenate(parts, axis=1)
+    # A part without information has nothing to differ in.
+    return columns[:, (columns**2).sum(0) > 1e-9 * (J**2).sum()]
+
+
+def _homogeneity_test(
     problem: Problem,
-    residual: np.ndarray,
-    nuisance: np.ndarray,
-    J: np.ndarray,
-    count: int,
+    residual: Float[np.ndarray, "value"],
+    nuisance: Columns,
+    J: Columns,
+    parts: Columns,
     explained: float,
 ) -> Constancy:
-    """The test with a size for each of `count` parts of every run.
+    """The test with a size for each part.
 
     How the innovations depend on one another in time is taken from what is left with those
     sizes: with one size, what comes and goes would pass for coloured gusts.
     """
-    parts = np.concatenate([J * part[:, None] for part in _parts(problem, len(J), count)], axis=1)
-    # A part without information has nothing to differ in.
-    parts = parts[:, (parts**2).sum(0) > 1e-9 * (J**2).sum()]
     if parts.shape[1] <= J.shape[1]:
         return Constancy(0.0, 1.0, 0.0)
     run = np.asarray(problem.dataset.run)
@@ -87,22 +100,9 @@ def _differing(
     own[: 6 * len(run)] = 0.0
     whole = np.concatenate([nuisance, own], axis=1)
     projection = Projection(residual, whole, run, richer.correlation)
-    score = projection.score(projection.efficient(parts))
+    score = projection.test(projection.efficient(parts))
     degrees = parts.shape[1] - J.shape[1]
     p_value = float(stats.chi2.sf(score.statistic, degrees))
     excess = max(score.statistic - degrees, 0.0)
     share = excess * score.inflation / max(explained, 1e-9)
     return Constancy(score.statistic, p_value, share, degrees=degrees)
-
-
-def _parts(problem: Problem, length: int, count: int) -> list[np.ndarray]:
-    """Which values belong to each of `count` parts of each run, those of the prior to none."""
-    run, known = np.asarray(problem.dataset.run), np.asarray(problem.dataset.known).any(1)
-    out = []
-    for number in range(problem.dataset.runs):
-        for rows in np.array_split(np.flatnonzero((run == number) & known), count):
-            if len(rows):
-                member = np.zeros(length)
-                member.reshape(-1)[(6 * rows[:, None] + np.arange(6)).ravel()] = 1.0
-                out.append(member)
-    return out

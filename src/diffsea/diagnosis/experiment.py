@@ -7,16 +7,16 @@ the smaller of the two directions, is the one to record.
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from diffsea.diagnosis.decision import Accepted
-from diffsea.diagnosis.jacobians import columns_at
-from diffsea.diagnosis.refit import Fitted
-from diffsea.diagnosis.score import Projection
+from diffsea.diagnosis.jacobians import LinearisedModel
 from diffsea.diagnosis.search import Diagnosis
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (
+    Problem,
     first_run_coordinates,
     make_problem,
     vessel_in_environment,
@@ -29,6 +29,7 @@ from diffsea.identification.uncertainty.design import (
     simulate_manoeuvre,
 )
 from diffsea.scales import time_scale
+from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import catalogue_name
 
 
@@ -54,101 +55,97 @@ class Experiment:
         """Whether there is a manoeuvre that would do."""
         return bool(np.isfinite(self.seconds))
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """The record of diagnosis.json."""
-        return {
-            "manoeuvre": self.manoeuvre,
-            "why": self.why,
-            "seconds": self.seconds if self.exists else None,
-            "evidence": self.evidence,
-        }
+        return dataclasses.asdict(self) | {"seconds": self.seconds if self.exists else None}
 
 
 def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
     """What to record next, if two explanations could not be told apart."""
+    train = diagnosis.split.train
     for accepted in diagnosis.effects:
-        rivals = [
-            one
-            for one in accepted.tried
-            if catalogue_name(one.effect) in accepted.rivals and one.effect != accepted.name
-        ]
-        if rivals:
-            return _separating(diagnosis, accepted, rivals[0])
+        for rival in accepted.short_list.hypotheses:
+            if catalogue_name(rival.effect) not in accepted.rivals:
+                continue
+            if rival.effect == accepted.name:
+                continue
+            name, other = accepted.name, rival.effect
+            one, two = accepted.hypothesis.estimate, rival.estimate
+            evidence = {
+                manoeuvre: min(
+                    expected_evidence(train, one, name, two, other, schedule),
+                    expected_evidence(train, two, other, one, name, schedule),
+                )
+                for manoeuvre, schedule in LIBRARY.items()
+            }
+            return choose_manoeuvre(train.base, name, other, evidence)
     return None
 
 
-def _separating(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted) -> Experiment:
-    one, other = catalogue_name(accepted.name), catalogue_name(rival.effect)
-    evidence = {name: _evidence(diagnosis, accepted, rival, LIBRARY[name]) for name in LIBRARY}
+def choose_manoeuvre(
+    vessel: Vessel, name: str, other: str, evidence: dict[str, float]
+) -> Experiment:
+    """The manoeuvre that separates two effects, by the evidence expected of each."""
+    one, two = catalogue_name(name), catalogue_name(other)
     best = max(evidence, key=lambda name: evidence[name])
-    base = diagnosis.split.train.base
-    time = time_scale(float(base.rigid_body.length))
+    time = time_scale(float(vessel.rigid_body.length))
     if evidence[best] <= DECISIVE * SECONDS / LONGEST:
         why = (
-            f"{one} and {other} act alike in every manoeuvre that was weighed, for up to "
+            f"{one} and {two} act alike in every manoeuvre that was weighed, for up to "
             f"{LONGEST * time / 60:.0f} min; what is known of the vessel and its clocks may tell"
         )
         return Experiment("none", why, float("inf"), evidence)
     seconds = max(SECONDS * DECISIVE / evidence[best], SHORTEST) * time
-    return Experiment(best, f"separates {one} from {other}", float(seconds), evidence)
+    return Experiment(best, f"separates {one} from {two}", float(seconds), evidence)
 
 
-def commands(diagnosis: Diagnosis, experiment: Experiment) -> dict[str, np.ndarray]:
-    """The manoeuvre as a command sequence within the vessel's limits.
+def commands(
+    train: Problem, final: Estimate, experiment: Experiment
+) -> dict[str, Float[np.ndarray, "time"]]:
+    """The manoeuvre as a command sequence within the limits of the diagnosed vessel.
 
     `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run.
     """
-    train = diagnosis.split.train
-    vessel = vessel_in_environment(train, first_run_coordinates(train, diagnosis.final.coordinates))
+    vessel = vessel_in_environment(train, first_run_coordinates(train, final.coordinates))
     t, orders = manoeuvre_orders(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
     return {"t": t} | {f"cmd_{channel}": series for channel, series in orders.items()}
 
 
-def _evidence(diagnosis: Diagnosis, accepted: Accepted, rival: Fitted, schedule: Schedule) -> float:
-    """Expected evidence of one run, in the direction in which it is smaller."""
-    one, two = accepted.fitted.estimate, rival.estimate
-    a = _one_way(diagnosis, one, accepted.name, two, rival.effect, schedule)
-    b = _one_way(diagnosis, two, rival.effect, one, accepted.name, schedule)
-    return min(a, b)
-
-
-def _one_way(
-    diagnosis: Diagnosis,
+def expected_evidence(
+    train: Problem,
     true: Estimate,
     name: str,
     otherwise: Estimate,
     other: str,
     schedule: Schedule,
 ) -> float:
-    """Evidence against `other` if the vessel is as estimated with `name`.
+    """Evidence of one run against effect `other` if the vessel is as estimated with `name`.
 
     The other has the onset with which it was fitted: a change happens when it was found to.
     """
-    train = diagnosis.split.train
     coordinates = first_run_coordinates(train, true.coordinates)
-    base = train.base
     vessel = vessel_in_environment(train, coordinates)
     measured = np.asarray(train.dataset.known).any(0)
+    parameters = tuple(parameter.name for parameter in train.layout.parameters)
     problem = make_problem(
-        base, [simulate_manoeuvre(vessel, schedule, measured)],
-        tuple(p.name for p in train.layout.parameters), train.layout.effects, False,
-        train.directions - len(train.layout.parameters),
+        train.base,
+        [simulate_manoeuvre(vessel, schedule, measured)],
+        parameters,
+        train.layout.effects,
+        capacity=train.directions - len(parameters),
         least=train.dataset.shape,
-    )  # fmt: skip
+    )
     effects = {effect.name: effect for effect in problem.layout.effects}
     if effects[other].scanned is not None:
         scanned = problem.layout.indices((other,))[effects[other].scanned[0]]
         coordinates[scanned] = first_run_coordinates(train, otherwise.coordinates)[scanned]
-    at = dataclasses.replace(true, coordinates=coordinates)
-    gains = problem.run_filter(coordinates, true.noise).gains
-    nuisance = tuple(n for n in true.free if n not in (name, other))
-    residual, N = columns_at(problem, gains, at, nuisance)
-    projection = Projection(residual, N, np.asarray(problem.dataset.run))
+    model = LinearisedModel(problem, coordinates, problem.run_filter(coordinates, true.noise).gains)
+    projection = model.projection(tuple(n for n in true.free if n not in (name, other)))
     place = problem.layout.indices((name,))
-    columns = columns_at(problem, gains, at, (name,))[1].copy()
-    columns[projection.rows + np.array(place)] = 0.0  # its prior is no evidence of a manoeuvre
+    columns = model.by_name((name,))[1].copy()
+    columns[projection.data_values + np.array(place)] = 0.0  # its prior is no evidence of a run
     A = projection.efficient(columns)
-    B = projection.efficient(columns_at(problem, gains, at, (other,))[1])
+    B = projection.efficient(model.by_name((other,))[1])
     eta = coordinates[place].copy()
     eta[~effects[name].amounts] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta

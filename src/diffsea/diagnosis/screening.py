@@ -1,15 +1,18 @@
-"""Which effects a diagnosis considers, and how closely it looks at their shapes.
+"""Screening: efficient scores of the whole catalogue and of unnamed forces against one estimate.
 
-Efficient scores of the whole catalogue and of unnamed forces against one estimate.
+Every candidate is linearised at several expansion points (sizes, times of a change, frequencies of
+a wave) and stands for the one that promises most. Screening never decides: it makes a short list,
+and says by its joint null distribution whether anything is missing at all.
 """
 
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
 
-from diffsea.diagnosis.jacobians import columns_at, look_columns, peaks
-from diffsea.diagnosis.localisation import Cell, bin_columns, cells
-from diffsea.diagnosis.score import Null, Projection, Score, joint_null
+from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
+from diffsea.diagnosis.localisation import Cell, locate_forces
+from diffsea.diagnosis.score import NullDistribution, Projection, ScoreTest, joint_null
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
 from diffsea.identification.fit import estimate
@@ -20,7 +23,19 @@ from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.effects.coordinates import PRIOR_SPREAD
 
 
-def candidates(
+SHORT_LIST = 6  # of the strongest candidates, all refitted
+LEADERS = 3  # strongest candidates whose confusables are refitted too
+CONFUSABLE = 0.5  # share of information mimicked from which on a rival is always refitted
+DECLARED = 0.2  # share of the best expected evidence from which on a declared confusable is, too
+WORTHWHILE = 0.15  # share of the best expected evidence below which a refit is not worth its time
+ALWAYS = 3  # candidates that are refitted however little they promise
+REFINEMENTS = (4.0, 16.0)  # of the grid of onsets or frequencies around the best expansion point
+PEAKS = 4  # of the spectrum, at which a wave train is expanded
+COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
+NEIGHBOURHOOD = 40  # frequencies around one whose median is what gusts alone show
+
+
+def candidate_effects(
     vessel: Vessel, recordings: list[Trajectory], per_run: bool = False
 ) -> tuple[Effect, ...]:
     """Effects of the catalogue that this vessel could have and its model lacks.
@@ -29,7 +44,7 @@ def candidates(
     of the vessel's own that come with an environment, where each run has its own.
     """
 
-    def recorded(channel: str) -> bool:
+    def is_recorded(channel: str) -> bool:
         return all(
             channel in run.extra and bool(np.isfinite(np.asarray(run.extra[channel])).any())
             for run in recordings
@@ -39,166 +54,159 @@ def candidates(
         effect
         for effect in EFFECTS.values()
         if effect.possible(vessel)
-        and (not effect.needs or recorded(effect.needs))
+        and (not effect.needs or is_recorded(effect.needs))
         and not (per_run and effect.per_run and effect.has_coefficients)
     )
 
 
-def shape_spacings(
-    effects: tuple[Effect, ...], vessel: Vessel, tried: list[ExpansionPoint], resolution: float
-) -> dict[str, float]:
-    """Distance between neighbouring onsets or frequencies to try for each effect, in prior sizes.
-
-    `resolution` (Hz) is that of a frequency; the distance is zero where nothing is scanned.
-    """
-    out = {}
-    for effect in effects:
-        out[effect.name] = 0.0
-        if effect.scanned is not None:
-            place, scanned = effect.scanned
-            values = [point.at[place] for point in tried if point.effect == effect.name]
-            out[effect.name] = scanned.spacing(values, effect.sizes(vessel)[place], resolution)
-    return out
-
-
-def nearby(effect: Effect, look: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
-    """Points at onsets or frequencies around one, three to each side."""
-    if effect.scanned is None or spacing == 0:
-        return []
-    place, out = effect.scanned[0], []
-    for step in (-3, -2, -1, 1, 2, 3):
-        at = list(look.at)
-        at[place] += step * spacing
-        out.append(dataclasses.replace(look, at=tuple(at)))
-    return out
-
-
-SHORT_LIST = 6
-CONFUSABLE = 0.5  # share of information mimicked from which a rival is always refitted
-WORTH = 0.15  # share of the best first guess below which a refit is not worth its time
-LEAST = 3  # refitted in any case
-DECLARED = 0.2  # share of the best first guess from which a declared confusable is, too
-
-
 @dataclasses.dataclass(frozen=True)
-class Seen:
-    """The best look at one candidate."""
+class Candidate:
+    """One effect of the catalogue at the expansion point that promises most."""
 
-    look: ExpansionPoint
-    score: Score
-    columns: np.ndarray  # efficient, by the moved coordinates
-    expected: float  # first guess of twice the log evidence that a refit would give
-    reach: float = 0.0  # how far a refit may move the shape, in prior sizes
+    point: ExpansionPoint
+    score: ScoreTest
+    columns: Columns  # efficient, by the coordinates that the point is differentiated by
+    expected: float  # evidence that a refit would give, by `expected_evidence`
+    reach: float = 0.0  # how far a refit may move an onset or frequency, in prior sizes
 
 
 @dataclasses.dataclass(frozen=True)
 class Screening:
-    """Scores of all candidates against one estimate, and where the mismatch is."""
+    """Score tests of all candidates and unnamed forces against one estimate."""
 
-    seen: dict[str, Seen]
+    candidates: dict[str, Candidate]
     cells: tuple[Cell, ...]
-    null: Null
+    null: NullDistribution
 
     @property
     def p_value(self) -> float:
         """Family-wise p-value of the strongest test."""
-        tests = [one.score.p_value for one in self.seen.values()]
+        tests = [one.score.p_value for one in self.candidates.values()]
         tests += [cell.p_value for cell in self.cells]
         return self.null.family_wise(min(tests)) if tests else 1.0
 
     @property
-    def remainder(self) -> float:
-        """Family-wise p-value of the strongest located force."""
+    def located_p_value(self) -> float:
+        """Family-wise p-value of the strongest unnamed force."""
         return self.null.family_wise(min((cell.p_value for cell in self.cells), default=1.0))
 
 
-def locate(problem: Problem, fitted: Estimate, better: Estimate) -> Screening:
-    """Where a model fails, measured by the noise of a better one.
+def screen(problem: Problem, fitted: Estimate) -> Screening:
+    """Test every candidate that is not in the model, and locate the mismatch."""
+    model = linearise_model(problem, fitted)
+    projection = model.projection(fitted.free)
+    frequencies, resolution = wave_frequencies(problem, fitted)
+    effects = [effect for effect in problem.layout.effects if effect.name not in fitted.free]
+    points = [
+        point
+        for effect in effects
+        for point in expansion_points(effect, problem.base, problem.dataset.spans, frequencies)
+    ]
+    spacing = scan_spacings(problem.layout.effects, problem.base, points, resolution)
+    columns = [projection.efficient(J) for J in model.by_points(points)]
+    cells, unnamed = locate_forces(model, projection)
+    null = _null_distribution(projection, columns, unnamed)
+    best = _most_promising(points, columns, projection, {}, spacing)
+    for finer in REFINEMENTS:
+        points = [
+            point
+            for effect in problem.layout.effects
+            if effect.name in best and best[effect.name].expected > 0
+            for point in nearby_points(
+                effect, best[effect.name].point, spacing[effect.name] / finer
+            )
+        ]
+        if not points:
+            break
+        columns = [projection.efficient(J) for J in model.by_points(points)]
+        best = _most_promising(points, columns, projection, best, spacing)
+    return Screening(best, cells, null)
+
+
+def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> Screening:
+    """Where a fitted model fails, measured by the noise of a better one; no candidates.
 
     With noise of its own, gusts have grown until they hold what the model lacks: little stands
     out. The better model's innovations also say how they depend on one another in time.
     """
-    run = np.asarray(problem.dataset.run)
-    residual, nuisance = columns_at(problem, better.filter_run(problem).gains, better, better.free)
-    correlation = Projection(residual, nuisance, run).correlation
+    correlation = linearise_model(problem, better).projection(better.free).correlation
     fitted = estimate(
         problem, fitted.free, fitted.coordinates, better.noise, rounds=3, fixed_noise=True
     )
-    gains = fitted.filter_run(problem).gains
-    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
-    projection = Projection(residual, nuisance, run, correlation)
-    bins, J = bin_columns(problem, gains, fitted)
-    where = projection.efficient(J)
-    located = cells(problem, bins, *projection.singles(where))
-    tests = [slice(k, k + 1) for k in range(where.shape[1])]
-    return Screening({}, located, joint_null(where.T @ where, tests))
+    model = linearise_model(problem, fitted)
+    projection = model.projection(fitted.free, correlation)
+    cells, unnamed = locate_forces(model, projection)
+    return Screening({}, cells, _null_distribution(projection, [], unnamed))
 
 
-def screen(problem: Problem, fitted: Estimate) -> Screening:
-    """Score every candidate that is not in the model, and locate the mismatch."""
-    gains = fitted.filter_run(problem).gains
-    residual, nuisance = columns_at(problem, gains, fitted, fitted.free)
-    projection = Projection(residual, nuisance, np.asarray(problem.dataset.run))
-    frequencies, resolution = peaks(problem, fitted)
-    tried = [
-        look
-        for effect in problem.layout.effects
-        if effect.name not in fitted.free
-        for look in expansion_points(effect, problem.base, problem.dataset.spans, frequencies)
-    ]
-    spacing = shape_spacings(problem.layout.effects, problem.base, tried, resolution)
-    parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, tried)]
-    bins, J = bin_columns(problem, gains, fitted)
-    where = projection.efficient(J)
-    located = cells(problem, bins, *projection.singles(where))
-    told = [E[:, projection.told(E)] for E in parts]
-    everything = np.concatenate([*told, where], axis=1)
-    ends = np.cumsum([E.shape[1] for E in told] + [1] * where.shape[1])
+def _null_distribution(
+    projection: Projection, candidates: list[Columns], unnamed: Columns
+) -> NullDistribution:
+    """The joint null of candidates and unnamed forces, columns without information left out."""
+    informative = [E[:, projection.is_informative(E)] for E in candidates]
+    everything = np.concatenate([*informative, unnamed], axis=1)
+    ends = np.cumsum([E.shape[1] for E in informative] + [1] * unnamed.shape[1])
     tests = [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True) if b > a]
-    null = joint_null(everything.T @ everything, tests)
-    best = _best(tried, parts, projection, {}, spacing)
-    for finer in (4.0, 16.0):
-        near = [
-            look
-            for effect in problem.layout.effects
-            if effect.name in best and best[effect.name].expected > 0
-            for look in nearby(effect, best[effect.name].look, spacing[effect.name] / finer)
-        ]
-        if not near:
-            break
-        parts = [projection.efficient(J) for J in look_columns(problem, gains, fitted, near)]
-        best = _best(near, parts, projection, best, spacing)
-    return Screening(best, located, null)
+    return joint_null(everything.T @ everything, tests)
 
 
-def _best(
-    tried: list[ExpansionPoint],
-    parts: list[np.ndarray],
+def _most_promising(
+    points: list[ExpansionPoint],
+    columns: list[Columns],
     projection: Projection,
-    before: dict[str, Seen],
+    before: dict[str, Candidate],
     spacing: dict[str, float],
-) -> dict[str, Seen]:
-    """The look at each effect that promises most."""
+) -> dict[str, Candidate]:
+    """Each effect at the expansion point with the largest expected evidence."""
     best = dict(before)
-    for look, E in zip(tried, parts, strict=True):
-        score = projection.score(E)
-        one = Seen(look, score, E, _expected(score, E), spacing[look.effect])
-        if look.effect not in best or one.expected > best[look.effect].expected:
-            best[look.effect] = one
+    for point, E in zip(points, columns, strict=True):
+        score = projection.test(E)
+        one = Candidate(point, score, E, expected_evidence(score, E), spacing[point.effect])
+        if point.effect not in best or one.expected > best[point.effect].expected:
+            best[point.effect] = one
     return best
 
 
-def _expected(score: Score, columns: np.ndarray) -> float:
+def expected_evidence(score: ScoreTest, columns: Columns) -> float:
     """Twice the log evidence that a refit would give were the model linear."""
-    precision = (
-        columns.T @ columns - np.eye(columns.shape[1]) / PRIOR_SPREAD**2
-    )  # without the prior's
-    information = PRIOR_SPREAD**2 * precision / score.inflation
-    room = float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
-    return score.statistic - room
+    prior = np.eye(columns.shape[1]) / PRIOR_SPREAD**2
+    information = PRIOR_SPREAD**2 * (columns.T @ columns - prior) / score.inflation
+    occam = float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
+    return score.statistic - occam
 
 
-def mimicry(A: np.ndarray, B: np.ndarray) -> float:
+def scan_spacings(
+    effects: tuple[Effect, ...],
+    vessel: Vessel,
+    points: list[ExpansionPoint],
+    resolution: float,
+) -> dict[str, float]:
+    """Distance between neighbouring onsets or frequencies tried for each effect, in prior sizes.
+
+    `resolution` (Hz) is that of a frequency; the distance is zero where nothing is scanned.
+    """
+    out = {effect.name: 0.0 for effect in effects}
+    for effect in effects:
+        if effect.scanned is not None:
+            place, scanned = effect.scanned
+            values = [point.at[place] for point in points if point.effect == effect.name]
+            out[effect.name] = scanned.spacing(values, effect.sizes(vessel)[place], resolution)
+    return out
+
+
+def nearby_points(effect: Effect, point: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
+    """Expansion points at onsets or frequencies around one, three to each side."""
+    if effect.scanned is None or spacing == 0:
+        return []
+    place, out = effect.scanned[0], []
+    for step in (-3, -2, -1, 1, 2, 3):
+        at = list(point.at)
+        at[place] += step * spacing
+        out.append(dataclasses.replace(point, at=tuple(at)))
+    return out
+
+
+def mimicry(A: Float[np.ndarray, "value a"], B: Float[np.ndarray, "value b"]) -> float:
     """Share of the efficient information of columns A that B reproduces, 0 to 1."""
     VA, VB, VAB = A.T @ A, B.T @ B, A.T @ B
     inner = VAB @ np.linalg.pinv(VB, rcond=1e-10, hermitian=True) @ VAB.T
@@ -206,21 +214,82 @@ def mimicry(A: np.ndarray, B: np.ndarray) -> float:
 
 
 def short_list(screening: Screening, declared: dict[str, tuple[str, ...]]) -> list[str]:
-    """The strongest candidates, whatever can mimic the first three, and their declared doubles.
+    """Names of the strongest candidates, and of what may be confused with the first three.
 
     `declared` gives the confusables of each effect by catalogue name.
     """
-    seen = screening.seen
-    ranked = sorted(seen, key=lambda n: -seen[n].expected)
+    candidates = screening.candidates
+    ranked = sorted(candidates, key=lambda name: -candidates[name].expected)
     chosen = ranked[:SHORT_LIST]
-    best = seen[ranked[0]].expected if ranked else 0.0
-    for top in ranked[:3]:
+    best = candidates[ranked[0]].expected if ranked else 0.0
+    for leader in ranked[:LEADERS]:
         for other in ranked[SHORT_LIST:]:
-            close = mimicry(seen[top].columns, seen[other].columns) > CONFUSABLE
-            double = catalogue_name(other) in declared.get(top, ())
-            double = double and seen[other].expected > DECLARED * best
-            if (close or double) and seen[other].expected > 0 and other not in chosen:
+            share = mimicry(candidates[leader].columns, candidates[other].columns)
+            is_double = catalogue_name(other) in declared.get(leader, ())
+            is_double = is_double and candidates[other].expected > DECLARED * best
+            promises = candidates[other].expected > 0
+            if (share > CONFUSABLE or is_double) and promises and other not in chosen:
                 chosen.append(other)
     # A bent nominal fit ranks wrongly, but not by much: what promises little is left out.
-    worth = {name for name in chosen if seen[name].expected > WORTH * best > 0}
-    return [name for name in chosen if name in worth or name in ranked[:LEAST]]
+    worth = {name for name in chosen if candidates[name].expected > WORTHWHILE * best > 0}
+    return [name for name in chosen if name in worth or name in ranked[:ALWAYS]]
+
+
+def latent_acceleration(problem: Problem, fitted: Estimate) -> Float[np.ndarray, "row 3"]:
+    """What the filter finds beside the model: lasting gusts and the rest (m/s^2, rad/s^2)."""
+    filtered = fitted.filter_run(problem)
+    return np.asarray(filtered.gust_impulse) / np.maximum(
+        np.asarray(filtered.gains.gusts.half), 1e-12
+    )
+
+
+def wave_frequencies(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarray, "peak"], float]:
+    """Frequencies (Hz) at which a wave train may be, and the resolution of the data.
+
+    Peaks in the spectrum of the lasting gusts that the filter finds, in earth-fixed axes.
+    """
+    data = problem.dataset
+    gusts = latent_acceleration(problem, fitted)
+    psi = np.asarray(fitted.filter_run(problem).state)[:, 2]
+    t, dt, run = np.asarray(data.run_time), np.asarray(data.dt), np.asarray(data.run)
+    rows = recorded_rows(problem) & (dt > 0)
+    force = (gusts[:, 0] + 1j * gusts[:, 1]) * np.exp(1j * psi)
+    return spectral_peaks(force[rows], t[rows], dt[rows], run[rows])
+
+
+def spectral_peaks(
+    force: Complex[np.ndarray, "row"],
+    t: Float[np.ndarray, "row"],
+    dt: Float[np.ndarray, "row"],
+    run: Int[np.ndarray, "row"],
+) -> tuple[Float[np.ndarray, "peak"], float]:
+    """The most prominent frequencies (Hz) common to all runs, and the resolution of the data.
+
+    Relative to the median of the spectrum around each frequency. Runs whose clocks begin together
+    keep a common phase; of others, powers are added.
+
+    Arguments:
+        force: to north and east, as real and imaginary parts.
+        t: on the runs' clocks, s.
+        dt: until the next row, s.
+    """
+    runs: list[Bool[np.ndarray, row]] = [run == number for number in np.unique(run)]
+    longest = max(float(np.ptp(t[own])) for own in runs)
+    if np.ptp(t) < COMMON_CLOCK * longest:
+        runs = [np.ones(len(t), bool)]
+    resolution = 0.5 / max(longest, 1e-9)
+    grid = np.arange(4 * resolution, 0.25 / float(np.median(dt)), resolution)
+    if len(grid) < 8 or not np.isfinite(force).all():
+        return np.zeros(0), resolution
+    force = force - force.mean()
+    power = np.zeros(len(grid))
+    for own in runs:
+        wave = np.exp(-2j * np.pi * grid[:, None] * t[own]) * dt[own]
+        # North and east are real and imaginary: the power of both is that at f and at -f.
+        power += np.abs(wave @ force[own]) ** 2 + np.abs(wave.conj() @ force[own]) ** 2
+    half = NEIGHBOURHOOD // 2
+    around = [np.median(power[max(0, k - half) : k + half + 1]) for k in range(len(grid))]
+    relative = power / np.maximum(around, 1e-300)
+    inner = relative[1:-1]
+    high = 1 + np.flatnonzero((inner >= relative[:-2]) & (inner >= relative[2:]))
+    return grid[high[np.argsort(-relative[high])][:PEAKS]], resolution

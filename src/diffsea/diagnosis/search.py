@@ -1,6 +1,4 @@
-"""Each accepted effect asked for again, beside those that came after it.
-
-From a mismatch to names: screen, refit a short list, decide, say what is left.
+"""From a mismatch to names: screen, refit a short list, decide, say what is left.
 
 Screening by score tests only makes a short list. Each of it is refitted from the prior
 and judged by evidence and by held-out data; accepted effects are added one at a time
@@ -9,32 +7,35 @@ until nothing is left to explain or nothing explains it, and each is then asked 
 
 import dataclasses
 
-from diffsea.diagnosis.bootstrap import NONE, Bootstrap, bootstrap, check
+from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap, bootstrap, check_draws
 from diffsea.diagnosis.decision import (
-    Accepted,
+    AcceptedEffect,
+    ShortList,
     decide,
-    footholds,
-    nameless,
-    outdone,
-    rivals,
-    stands,
-)  # fmt: skip
+    explain_more_together,
+    needed_evidence,
+    still_stands,
+)
 from diffsea.diagnosis.refit import (
-    EVIDENCE,
-    Fitted,
-    Progress,
-    completed,
+    Hypothesis,
     has_room,
     ranked,
-    refitted,
-    without,
+    refit_fully,
+    refit_short_list,
+    refit_without,
 )
-from diffsea.diagnosis.screening import Screening, candidates, locate, screen, short_list
-from diffsea.diagnosis.unexplained import Remainder, remainder
+from diffsea.diagnosis.screening import (
+    Screening,
+    candidate_effects,
+    locate_by_noise_of,
+    screen,
+    short_list,
+)
+from diffsea.diagnosis.unexplained import UnexplainedForce, model_unexplained_force
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import Split, split_data
+from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -42,93 +43,45 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import catalogue_name
 
 
+ALPHA = 0.01  # family-wise level of significance
+MOST_EFFECTS = 3  # that are named together: more have not been tried on data with known causes
+EFFECT_COORDINATES = 9  # that effects found together may have: waves and a wind, say
+SELDOM_GAINED = 2.0  # times what its score promises: more than that an effect seldom gains
+PAIRS_TRIED = 3  # effects beside which another is sought at most
+MOST_RESUMPTIONS = 2  # times at most that a fit is found to have stopped early
+OWED_TO_THE_FIT = 0.5  # share of a gain that the model without the effect has, too, if fitted on
+
+
 @dataclasses.dataclass(frozen=True)
-class Revision:
-    """What was accepted, after each of it was asked for again."""
+class Search:
+    """Where the search for effects stands."""
 
-    effects: tuple[Accepted, ...]
+    nominal: Estimate
+    nominal_screening: Screening
     estimate: Estimate
-    dropped: tuple[str, ...]
-    changed: bool
-
-
-def revised(
-    data: Split,
-    accepted: list[Accepted],
-    asked: list[Accepted],
-    current: Estimate,
-    progress: Progress,
-) -> Revision:
-    """Ask for some of the effects again, with those that are in the model now.
-
-    Without it, and with each of its near rivals instead: what was accepted was judged beside
-    others, while the effects of later ones were still in the data.
-    """
-    effects, dropped, changed = list(accepted), [], False
-    for one in asked:
-        progress(f"asking again for {one.name}")
-        bare = without(data.train, current, [one.name])
-        options = [one.fitted, *(t for t in one.tried if t.gain is not None and t.possible)]
-        options = {
-            t.effect: t
-            for t in options
-            if t.effect not in bare.free and has_room(data.train, bare, t.effect)
-        }
-        again = ranked([
-            completed(data, bare, t, current.coordinates if t.effect == one.name else None)
-            for t in options.values()
-        ])  # fmt: skip
-        best = decide(data, bare, again, progress)
-        mine = next((t for t in again if t.effect == one.name), None)
-        if best is None and mine is not None and stands(data.train, mine):
-            effects[effects.index(one)] = _beside_the_others(one, mine)
-            continue
-        if best is None:
-            effects.remove(one)
-            dropped.append(one.name)
-            current, changed = bare, True
-        elif best.effect != one.name or rivals(best, again) != one.rivals:
-            new = Accepted(best.effect, best, rivals(best, again), tuple(again))
-            effects[effects.index(one)] = new
-            changed = changed or best.effect != one.name
-            current = best.estimate
-        else:
-            effects[effects.index(one)] = _beside_the_others(one, best)
-    return Revision(tuple(effects), current, tuple(dropped), changed)
-
-
-def _beside_the_others(one: Accepted, again: Fitted) -> Accepted:
-    """What was accepted, with the constancy that its size has now."""
-    return dataclasses.replace(
-        one, fitted=dataclasses.replace(one.fitted, constancy=again.constancy)
-    )
-
-
-ALPHA = 0.01  # family-wise
-MOST_EFFECTS = 3
-ROOM = 9  # coordinates that effects found together may have: waves and a wind, say
-BEYOND = 2.0  # times what its score promises: more than that an effect seldom gains
-FOOTHOLDS = 3  # effects beside which another is sought at most
-RESUMED = 2  # times at most that a fit is found to have stopped early
+    screening: Screening  # against that, or one with the same effects
+    accepted: tuple[AcceptedEffect, ...] = ()
+    first_short_list: ShortList = ShortList((), 0.0)
+    dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """Everything found."""
 
-    verdict: str
-    split_data: Split
+    verdict: str  # "consistent", "explained", "ambiguous" or "unexplained"
+    split: Split
     nominal: Estimate
     final: Estimate
-    effects: tuple[Accepted, ...]
-    refitted: tuple[Fitted, ...]  # the first short list
-    before: Screening  # against the nominal model
-    after: Screening  # against the final one
-    where: Screening  # unnamed forces in the nominal model, measured by the final noise
-    left: float  # family-wise p-value of what no accepted effect explains
+    effects: tuple[AcceptedEffect, ...]
+    short_list: ShortList  # the first one
+    nominal_screening: Screening
+    final_screening: Screening
+    location: Screening  # unnamed forces in the nominal model, measured by the final noise
+    unexplained_p_value: float  # family-wise, of what no accepted effect explains
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
-    unnamed: Remainder | None = None  # a model of what is left, where that is significant
-    bootstrap: Bootstrap = NONE
+    unexplained: UnexplainedForce | None = None  # a model of what is left, if significant
+    bootstrap: Bootstrap = NO_BOOTSTRAP
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,7 +96,7 @@ def diagnose(
     test: list[Trajectory] | None = None,
     per_run: bool = False,
     free: tuple[str, ...] | None = None,
-    progress: Progress = lambda message: None,
+    progress: Progress = no_progress,
     draws: int = 0,
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
@@ -160,176 +113,267 @@ def diagnose(
         UserError: recordings that do not fit the vessel; too few draws.
     """
     if draws:
-        check(draws)
+        check_draws(draws)
     free = free_by_default(vessel) if free is None else free
-    effects = candidates(vessel, [*recordings, *(test or [])], per_run)
-
-    def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, ROOM, least=least)
-
-    data = split_data(problem_of, recordings, test or [], per_run)
+    data = split_for_diagnosis(vessel, recordings, test or [], per_run, free)
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")
-    first = screen(data.train, nominal)
-    drawn = bootstrap(data.train, nominal, draws, progress) if draws else NONE
-    found = forward(data, nominal, first, drawn, progress)
-    return concluded(data, found, drawn, progress)
+    screening = screen(data.train, nominal)
+    null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
+    return explain(data, nominal, screening, null, progress)
 
 
-@dataclasses.dataclass(frozen=True)
-class Forward:
-    """Where the forward search ended."""
+def split_for_diagnosis(
+    vessel: Vessel,
+    recordings: list[Trajectory],
+    test: list[Trajectory],
+    per_run: bool,
+    free: tuple[str, ...],
+) -> Split:
+    """Training and held-out data with every effect that the vessel could have.
 
-    nominal: Estimate
-    first: Screening  # against it
-    current: Estimate
-    screening: Screening  # against that
-    accepted: tuple[Accepted, ...]
-    shown: tuple[Fitted, ...]  # the first short list
-
-
-def forward(
-    data: Split, nominal: Estimate, first: Screening, drawn: Bootstrap, progress: Progress
-) -> Forward:
-    """Add one effect after the other until nothing is left to explain or nothing explains it."""
-    accepted: list[Accepted] = []
-    shown: tuple[Fitted, ...] = ()
-    current, screening, resumed = nominal, first, 0
-    while len(accepted) < MOST_EFFECTS and drawn.of_strongest(screening.p_value) < ALPHA:
-        tried = _tried(data, current, screening, progress)
-        shown = tuple(tried) if not accepted else shown
-        best = decide(data, current, tried, progress)
-        if best is None:
-            room = len(accepted) < MOST_EFFECTS - 1
-            both = together(data, current, tried, drawn, progress) if room else ()
-            if not both:
-                break
-            accepted += both
-            current = both[-1].fitted.estimate
-            screening = screen(data.train, current)
-            continue
-        better = stalled(data.train, current, best) if resumed < RESUMED else None
-        if better is not None:
-            progress(f"{best.effect}: its fit went on where the one without it had stopped")
-            current, resumed = better, resumed + 1
-            screening = screen(data.train, current)
-            nominal, first = (nominal, first) if accepted else (current, screening)
-            continue
-        accepted.append(Accepted(best.effect, best, rivals(best, tried), tuple(tried)))
-        progress(f"accepted: {catalogue_name(best.effect)}")
-        current = best.estimate
-        screening = screen(data.train, current)
-    return Forward(nominal, first, current, screening, tuple(accepted), shown)
-
-
-def together(
-    data: Split, current: Estimate, tried: list[Fitted], drawn: Bootstrap, progress: Progress
-) -> tuple[Accepted, ...]:
-    """Two effects that leave nothing, where one alone has not one size in all the data.
-
-    Each must stand beside the other, and both together explain what the best alone does.
+    Raises:
+        UserError: recordings that do not fit the vessel, or too short to hold anything out.
     """
-    for one in footholds(data, tried)[:FOOTHOLDS]:
-        progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
-        screening = screen(data.train, one.estimate)
-        more = _tried(data, one.estimate, screening, progress)
-        other = decide(data, one.estimate, more, progress)
-        if other is None:
-            continue
-        bare = without(data.train, other.estimate, [one.effect])
-        again = completed(data, bare, one, other.estimate.coordinates)
-        left = screen(data.train, other.estimate)
-        enough = tried[0].estimate.deviance - other.estimate.deviance > -EVIDENCE
-        if enough and stands(data.train, again) and drawn.of_located(left.remainder) > ALPHA:
-            return (
-                Accepted(one.effect, one, rivals(one, tried), tuple(tried)),
-                Accepted(other.effect, other, rivals(other, more), tuple(more)),
-            )
-    return ()
+    effects = candidate_effects(vessel, [*recordings, *test], per_run)
+
+    def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
+        return make_problem(vessel, runs, free, effects, per_run, EFFECT_COORDINATES, least=least)
+
+    return split_data(problem_of, recordings, test, per_run)
 
 
-def concluded(data: Split, found: Forward, drawn: Bootstrap, progress: Progress) -> Diagnosis:
-    """Ask for every name again, withdraw what more than it is left beside, and say what is left."""
-    accepted = list(found.accepted)
-    kept = revised(data, accepted, accepted[:-1], found.current, progress)
-    screening = screen(data.train, kept.estimate) if kept.changed else found.screening
-    left = drawn.of_located(screening.remainder)
-    dropped = list(kept.dropped)
-    doubtful = [one.name for one in kept.effects if left < ALPHA and outdone(one, screening)]
-    if doubtful:
-        # What was found beside them is asked for without them.
-        rest = [one for one in kept.effects if one.name not in doubtful]
-        bare = without(data.train, kept.estimate, doubtful)
-        kept = revised(data, rest, rest, bare, progress)
-        screening = screen(data.train, kept.estimate)
-        left = min(left, drawn.of_located(screening.remainder))
-        dropped += [*kept.dropped, *doubtful]
-    current, named = kept.estimate, kept.effects
-    if not named and nameless(data.train, found.shown):
-        left = min(left, drawn.of_strongest(screening.p_value))
-    verdict = _verdict(named, left)
-    unnamed = None
+def explain(
+    data: Split, nominal: Estimate, screening: Screening, null: Bootstrap, progress: Progress
+) -> Diagnosis:
+    """Name, model and locate what a nominal model that was fitted and screened lacks."""
+    found = forward_search(data, nominal, screening, null, progress)
+    kept = backward_pass(data, found, progress)
+    final = withdraw_outdone(data, kept, null, progress)
+    left = unexplained_p_value(kept, final, null)
+    verdict = verdict_on(final.accepted, left)
+    unexplained, location = None, final.nominal_screening
     if verdict == "unexplained":
         progress("modelling what is left")
-        unnamed = remainder(data, current)
-    where = found.first
-    if named:
+        unexplained = model_unexplained_force(data, final.estimate)
+    if final.accepted:
         progress("locating the mismatch")
-        where = locate(data.train, found.nominal, current)
+        location = locate_by_noise_of(final.estimate, data.train, final.nominal)
     return Diagnosis(
-        verdict, data, found.nominal, current, named, found.shown, found.first, screening, where,
-        left, tuple(dropped), unnamed, drawn,
-    )  # fmt: skip
+        verdict=verdict,
+        split=data,
+        nominal=final.nominal,
+        final=final.estimate,
+        effects=final.accepted,
+        short_list=final.first_short_list,
+        nominal_screening=final.nominal_screening,
+        final_screening=final.screening,
+        location=location,
+        unexplained_p_value=left,
+        dropped=final.dropped,
+        unexplained=unexplained,
+        bootstrap=null,
+    )
 
 
-def stalled(problem: Problem, current: Estimate, best: Fitted) -> Estimate | None:
-    """A better fit without the effect, where the one so far had stopped early; else None.
+def forward_search(
+    data: Split, nominal: Estimate, screening: Screening, null: Bootstrap, progress: Progress
+) -> Search:
+    """Add one effect after the other until nothing is left to explain or nothing explains it."""
+    now = Search(nominal, screening, nominal, screening)
+    resumed = 0
+    while len(now.accepted) < MOST_EFFECTS and null.of_strongest(now.screening.p_value) < ALPHA:
+        tried = refit_candidates(data, now.estimate, now.screening, progress)
+        if not now.accepted:
+            now = dataclasses.replace(now, first_short_list=tried)
+        best = decide(tried, _exchange(data, now.estimate, progress))
+        if best is None:
+            room = len(now.accepted) < MOST_EFFECTS - 1
+            added = find_pair(data, tried, null, progress) if room else ()
+        else:
+            better = None
+            if resumed < MOST_RESUMPTIONS:
+                better = resume_stalled_fit(data.train, now.estimate, best)
+            if better is not None:
+                progress(f"{best.effect}: its fit went on where the one without it had stopped")
+                resumed += 1
+                now = dataclasses.replace(
+                    now, estimate=better, screening=screen(data.train, better)
+                )
+                if not now.accepted:
+                    now = dataclasses.replace(now, nominal=better, nominal_screening=now.screening)
+                continue
+            added = (AcceptedEffect.of(best, tried),)
+            progress(f"accepted: {catalogue_name(best.effect)}")
+        if not added:
+            break
+        fitted = added[-1].hypothesis.estimate
+        now = dataclasses.replace(
+            now,
+            estimate=fitted,
+            screening=screen(data.train, fitted),
+            accepted=(*now.accepted, *added),
+        )
+    return now
 
-    Sought from where the fit with the effect ended, if that gained more than scores promise: a
-    name is not to be had for the progress of a fit.
+
+def refit_candidates(
+    data: Split, current: Estimate, screening: Screening, progress: Progress
+) -> ShortList:
+    """The short list of a screening refitted, as far as the compiled program has room for it.
+
+    Where an accepted effect came out larger than its law holds for, the error of that law is left
+    over and looks like the effect's confusables: these are not asked for.
     """
-    promised = best.seen.score.statistic * best.seen.score.inflation
-    if best.drop < BEYOND * promised:
-        return None
-    again = without(problem, best.estimate, [best.effect])
-    return again if current.deviance - again.deviance > 0.5 * best.drop else None
-
-
-def _doubtful(problem: Problem, current: Estimate) -> set[str]:
-    """Names that what is left over may only resemble.
-
-    Where an effect came out larger than its law holds for, the error of that law is left over,
-    and it looks like the effect's confusables.
-    """
-    names: set[str] = set()
+    problem, doubtful = data.train, set[str]()
     for effect in problem.layout.effects:
         if effect.name in current.free:
             place = problem.layout.indices((effect.name,))[0]
             if abs(current.coordinates[place]) > effect.leading.valid_to:
-                names |= set(effect.confusables)
-    return names
-
-
-def _tried(
-    data: Split, current: Estimate, screening: Screening, progress: Progress
-) -> list[Fitted]:
-    """The short list refitted, as far as the compiled program has room for it."""
-    problem = data.train
+                doubtful |= set(effect.confusables)
     declared = {effect.name: effect.confusables for effect in problem.layout.effects}
     names = [
         name
         for name in short_list(screening, declared)
-        if has_room(problem, current, name)
-        and catalogue_name(name) not in _doubtful(problem, current)
+        if has_room(problem, current, name) and catalogue_name(name) not in doubtful
     ]
-    if not names:
-        return []
-    return refitted(data, current, screening.seen, names, progress)
+    tried = refit_short_list(data, current, screening.candidates, names, progress) if names else []
+    return ShortList(tuple(tried), needed_evidence(problem))
 
 
-def _verdict(accepted: tuple[Accepted, ...], left: float) -> str:
-    if left < ALPHA:
+def _exchange(data: Split, current: Estimate, progress: Progress):
+    """The gain of a hypothesis with training and held-out data exchanged; None if impossible."""
+
+    def gain(one: Hypothesis) -> Gain:
+        progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
+        return exchanged_gain(data, current, one.estimate)
+
+    return gain if data.head is None else None
+
+
+def find_pair(
+    data: Split, alone: ShortList, null: Bootstrap, progress: Progress
+) -> tuple[AcceptedEffect, ...]:
+    """Two effects that leave nothing, where one alone has not one size in all the data.
+
+    Each must stand beside the other, and both together explain what the best `alone` does.
+    """
+    for one in alone.pair_candidates()[:PAIRS_TRIED]:
+        progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
+        screening = screen(data.train, one.estimate)
+        beside = refit_candidates(data, one.estimate, screening, progress)
+        other = decide(beside, _exchange(data, one.estimate, progress))
+        if other is None:
+            continue
+        bare = refit_without(data.train, other.estimate, [one.effect])
+        again = refit_fully(data, bare, one, other.estimate.coordinates)
+        left = null.of_located(screen(data.train, other.estimate).located_p_value)
+        best = alone.hypotheses[0]
+        if explain_more_together(best, again, other, alone.needed) and left > ALPHA:
+            return AcceptedEffect.of(one, alone), AcceptedEffect.of(other, beside)
+    return ()
+
+
+def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) -> Estimate | None:
+    """A better fit without the effect, where the current one had stopped early; else None.
+
+    Sought from where the fit with the effect ended, if that gained more than scores promise: a
+    name is not to be had for the progress of a fit.
+    """
+    score = best.candidate.score
+    if best.deviance_drop < SELDOM_GAINED * score.statistic * score.inflation:
+        return None
+    again = refit_without(problem, best.estimate, [best.effect])
+    gained = current.deviance - again.deviance
+    return again if gained > OWED_TO_THE_FIT * best.deviance_drop else None
+
+
+def backward_pass(data: Split, found: Search, progress: Progress) -> Search:
+    """Ask for all effects but the last again, beside those that came after them."""
+    kept, changed = ask_again(data, found, found.accepted[:-1], progress)
+    if changed:
+        kept = dataclasses.replace(kept, screening=screen(data.train, kept.estimate))
+    return kept
+
+
+def ask_again(
+    data: Split, found: Search, asked: tuple[AcceptedEffect, ...], progress: Progress
+) -> tuple[Search, bool]:
+    """Ask for some of the effects again; and whether another model came of it.
+
+    Without it, and with each of its near rivals instead: what was accepted was judged beside
+    others, while the effects of later ones were still in the data.
+    """
+    current, effects, dropped, changed = found.estimate, list(found.accepted), [], False
+    for one in asked:
+        progress(f"asking again for {one.name}")
+        bare = refit_without(data.train, current, [one.name])
+        options = {
+            hypothesis.effect: hypothesis
+            for hypothesis in (one.hypothesis, *one.short_list.judged)
+            if hypothesis.effect not in bare.free and has_room(data.train, bare, hypothesis.effect)
+        }
+        again = ranked(
+            [
+                refit_fully(data, bare, option, current.coordinates if name == one.name else None)
+                for name, option in options.items()
+            ]
+        )
+        tried = ShortList(tuple(again), needed_evidence(data.train))
+        best = decide(tried, _exchange(data, bare, progress))
+        same = next((option for option in again if option.effect == one.name), None)
+        if best is None and same is not None and still_stands(same, tried.needed):
+            effects[effects.index(one)] = _with_constancy_of(same, one)
+        elif best is None:
+            effects.remove(one)
+            dropped.append(one.name)
+            current, changed = bare, True
+        elif best.effect != one.name or tried.rivals_of(best) != one.rivals:
+            effects[effects.index(one)] = AcceptedEffect.of(best, tried)
+            changed = changed or best.effect != one.name
+            current = best.estimate
+        else:
+            effects[effects.index(one)] = _with_constancy_of(best, one)
+    kept = dataclasses.replace(
+        found, estimate=current, accepted=tuple(effects), dropped=(*found.dropped, *dropped)
+    )
+    return kept, changed
+
+
+def _with_constancy_of(again: Hypothesis, one: AcceptedEffect) -> AcceptedEffect:
+    """What was accepted, with the constancy that its size has beside the others."""
+    hypothesis = dataclasses.replace(one.hypothesis, constancy=again.constancy)
+    return dataclasses.replace(one, hypothesis=hypothesis)
+
+
+def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
+    """Withdraw names that what is left stands out more than; ask for the others without them."""
+    left = null.of_located(kept.screening.located_p_value)
+    outdone = [one for one in kept.accepted if one.is_outdone_by(kept.screening)]
+    if left >= ALPHA or not outdone:
+        return kept
+    names = [one.name for one in outdone]
+    others = tuple(one for one in kept.accepted if one.name not in names)
+    bare = refit_without(data.train, kept.estimate, names)
+    rest = dataclasses.replace(kept, estimate=bare, accepted=others)
+    rest, _ = ask_again(data, rest, others, progress)
+    return dataclasses.replace(
+        rest, screening=screen(data.train, rest.estimate), dropped=(*rest.dropped, *names)
+    )
+
+
+def unexplained_p_value(kept: Search, final: Search, null: Bootstrap) -> float:
+    """Family-wise p-value of what no accepted effect explains, before or after withdrawals."""
+    left = min(null.of_located(one.screening.located_p_value) for one in (kept, final))
+    if not final.accepted and final.first_short_list.has_something_nameless:
+        left = min(left, null.of_strongest(final.screening.p_value))
+    return left
+
+
+def verdict_on(accepted: tuple[AcceptedEffect, ...], unexplained: float) -> str:
+    """The verdict, from what was accepted and the p-value of what it does not explain."""
+    if unexplained < ALPHA:
         return "unexplained"
     if not accepted:
         return "consistent"

@@ -1,0 +1,181 @@
+"""Which hypothesis of a short list is believed, on records of hypotheses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.diagnosis.small import CLEAR_GAIN, STEADY, UNSTEADY, candidate, hypothesis, judged
+
+from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
+from diffsea.diagnosis.decision import (
+    AcceptedEffect,
+    ShortList,
+    decide,
+    explain_more_together,
+    still_stands,
+)
+from diffsea.diagnosis.localisation import Bin, Cell
+from diffsea.diagnosis.score import NullDistribution
+from diffsea.diagnosis.screening import Screening
+from diffsea.diagnosis.search import Search, unexplained_p_value, verdict_on
+from diffsea.identification.holdout import Gain
+
+
+NEEDED = 11.0
+
+
+def listed(*hypotheses) -> ShortList:
+    return ShortList(hypotheses, NEEDED)
+
+
+def left(z: float, p_value: float = 0.5, candidate_p: float = 1.0) -> Screening:
+    """A screening of forces of which the strongest stands out by so many standard errors."""
+    where = Bin(0, 0.0, 9.0, "")
+    cells = (Cell(0, where, 0.5, 1.0, 0.9), Cell(1, where, -z, 1.0, p_value))
+    one = candidate("wind", np.ones((3, 1)))
+    one = dataclasses.replace(one, score=one.score._replace(p_value=candidate_p))
+    return Screening({"wind": one}, cells, NullDistribution(np.ones(1000)))
+
+
+@pytest.mark.parametrize(("total", "nameless"), [(None, True), (2.0, True), (-80.0, False)])
+def test_what_held_out_runs_contradict_is_no_sign_of_something_unnamed(total, nameless):
+    gain = None if total is None else Gain(total, 1.0)
+    assert listed(hypothesis("wind", 60.0, gain=gain)).has_something_nameless == nameless
+
+
+def test_what_diverged_is_no_sign_of_something_unnamed():
+    assert not listed(hypothesis("wind", float("inf"))).has_something_nameless
+
+
+def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
+    fitted = hypothesis("wind", 60.0, statistic=25.0)
+    named = AcceptedEffect.of(fitted, listed(fitted))
+    assert named.is_outdone_by(left(5.1))
+    assert not named.is_outdone_by(left(4.9))
+    assert not named.is_outdone_by(dataclasses.replace(left(5.1), cells=()))
+
+
+def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not_steady():
+    best, second = judged("wind", 160.0, UNSTEADY), judged("current", 130.0, STEADY)
+    weak = judged("lever-arm", 3.0, STEADY)
+    doubtful = judged("gyro-bias", 120.0, STEADY, Gain(8.0, 9.0))
+    assert listed(best, second, weak, doubtful).pair_candidates() == [second, best]
+    assert listed(doubtful, best, second).pair_candidates() == []
+    assert listed().pair_candidates() == []
+
+
+def exchanged(total: float, std: float):
+    return lambda one: Gain(total, std)
+
+
+def test_what_is_asked_of_the_best_alone_does_not_distance_its_rivals():
+    best = judged("wind", 60.0, STEADY, Gain(12.0, 7.0))
+    near = judged("current", 57.0, STEADY, Gain(12.0, 7.0))
+    found = decide(listed(best, near), exchanged(30.0, 7.0))
+    assert found.effect == "wind" and found.pooled_gain.total == 42.0
+    accepted = AcceptedEffect.of(found, listed(best, near))
+    assert accepted.rivals == ("current",)
+    assert accepted.lead == pytest.approx(3.0)
+
+
+def test_held_out_data_that_leave_a_name_open_do_not_give_it():
+    open_one = judged("wind", 60.0, STEADY, Gain(12.0, 7.0))
+    assert decide(listed(open_one), None) is None
+    assert decide(listed(open_one), exchanged(-12.0, 7.0)) is None
+    assert decide(listed(judged("wind", 60.0)), None).effect == "wind"
+
+
+def test_a_name_needs_evidence_one_size_and_to_be_near_the_best():
+    assert decide(listed(judged("wind", NEEDED - 1)), None) is None
+    assert decide(listed(judged("wind", 60.0, UNSTEADY)), None) is None
+    best = judged("wind", 60.0, UNSTEADY)
+    assert decide(listed(best, judged("current", 51.0)), None).effect == "current"
+    assert decide(listed(best, judged("current", 49.0)), None) is None
+    assert decide(listed(hypothesis("wind", 60.0, STEADY, CLEAR_GAIN, False)), None) is None
+
+
+def test_rivals_are_other_names_that_were_judged_and_come_near():
+    best = judged("thrust-lag:propulsion", 60.0)
+    others = [
+        judged("thrust-lag", 59.0),
+        judged("current", 51.0),
+        judged("wind", 49.0),
+        hypothesis("gyro-bias", 59.0, STEADY, CLEAR_GAIN, is_physical=False),
+        hypothesis("lever-arm", 59.0),
+    ]
+    assert listed(best, *others).rivals_of(best) == ("current",)
+
+
+@pytest.mark.parametrize(
+    ("constancy", "gain", "stands"),
+    [
+        (STEADY, CLEAR_GAIN, True),
+        (STEADY, Gain(1.0, 9.0), True),  # beside others held-out data may leave it open
+        (STEADY, Gain(-40.0, 9.0), False),
+        (UNSTEADY, CLEAR_GAIN, False),
+        (None, CLEAR_GAIN, False),
+        (STEADY, None, False),
+    ],
+)
+def test_an_effect_stands_unless_evidence_or_held_out_data_speak_against_it(
+    constancy, gain, stands
+):
+    assert still_stands(hypothesis("wind", 60.0, constancy, gain), NEEDED) == stands
+    assert not still_stands(hypothesis("wind", NEEDED, constancy, gain), NEEDED)
+
+
+@pytest.mark.parametrize(
+    ("first", "gained", "together"),
+    [
+        (STEADY, 100.0, True),
+        (STEADY, -5.0, True),
+        (UNSTEADY, 100.0, False),  # the first has not one size beside the second either
+        (STEADY, -15.0, False),  # the best alone explains more
+    ],
+)
+def test_two_effects_explain_as_much_as_the_best_alone(first, gained, together):
+    best, both = judged("wind", 160.0, UNSTEADY), judged("lever-arm", 160.0 + gained)
+    one = judged("current", 130.0, first)
+    assert explain_more_together(best, one, both, NEEDED) == together
+
+
+@pytest.mark.parametrize(
+    ("rivals", "p_value", "verdict"),
+    [
+        (None, 0.4, "consistent"),
+        (None, 1e-5, "unexplained"),
+        ((), 0.4, "explained"),
+        (("wind",), 0.4, "ambiguous"),
+        (("wind",), 1e-5, "unexplained"),  # a name for a part, and a remainder without one
+    ],
+)
+def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, p_value, verdict):
+    accepted = ()
+    if rivals is not None:
+        best = judged("current", 60.0)
+        others = [judged(name, 55.0) for name in rivals]
+        accepted = (AcceptedEffect.of(best, listed(best, *others)),)
+    assert verdict_on(accepted, p_value) == verdict
+
+
+@pytest.mark.parametrize(
+    ("evidence", "expected", "verdict"), [(60.0, 1e-5, "unexplained"), (3.0, 0.4, "consistent")]
+)
+def test_the_chance_that_is_stated_is_the_one_that_decided(evidence, expected, verdict):
+    """Something that no name could be given to makes the strongest of all tests decide."""
+    null = NullDistribution(np.linspace(0.0, 1.0, 100_001)[1:])
+    screening = dataclasses.replace(left(1.0, p_value=0.4, candidate_p=1e-5), null=null)
+    one = hypothesis("wind", evidence, UNSTEADY)
+    fitted, tried = one.estimate, listed(one)
+    found = Search(fitted, screening, fitted, screening, first_short_list=tried)
+    p_value = unexplained_p_value(found, found, NO_BOOTSTRAP)
+    assert p_value == pytest.approx(expected, rel=0.1)
+    assert verdict_on((), p_value) == verdict
+
+
+def test_what_was_left_before_a_name_was_withdrawn_counts():
+    null = NullDistribution(np.linspace(0.0, 1.0, 100_001)[1:])
+    before, after = (dataclasses.replace(left(1.0, p_value=p), null=null) for p in (0.02, 0.4))
+    fitted = judged("wind", 60.0).estimate
+    kept, final = (Search(fitted, one, fitted, one) for one in (before, after))
+    assert unexplained_p_value(kept, final, NO_BOOTSTRAP) == pytest.approx(0.02, rel=0.1)

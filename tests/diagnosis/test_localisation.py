@@ -1,0 +1,67 @@
+"""Windows, regimes and unnamed forces on two runs, one slow and straight, one fast and turning."""
+
+import numpy as np
+import pytest
+from tests.diagnosis.small import still_run, usv
+
+from diffsea.diagnosis.jacobians import recorded_rows
+from diffsea.diagnosis.localisation import Bin, regime_within, regimes, time_windows
+from diffsea.diagnosis.score import Projection
+from diffsea.diagnosis.unexplained import inclusion_share
+from diffsea.identification.problem import make_problem
+
+
+@pytest.fixture(scope="module")
+def problem():
+    vessel, t = usv(), np.arange(0.0, 100.0, 0.5)
+    screw = {channel: 1.0 + 1e-3 * t for channel in vessel.channels}
+
+    def run(speed: float, yaw_rate: np.ndarray):
+        u = speed + 1e-3 * t
+        motion = {"x": t, "y": t, "u": u, "v": 0.1 * u, "r": yaw_rate + 1e-4 * t}
+        return still_run(vessel, 100.0, commanded=screw, **motion)
+
+    runs = [run(1.0, 0 * t), run(3.0, np.where(t >= 60, 0.3, 0.0))]
+    return make_problem(vessel, runs, ("X_u",))
+
+
+def test_a_window_is_in_the_regime_that_half_of_it_lies_in(problem):
+    texts = [bins[0].regime for binning in regimes(problem) for bins in binning.bins]
+    speeds = [text for text in texts if text.startswith("speed")]
+    turning = [text for text in texts if text.startswith("yaw rate")][-1]
+    begin = [bins[0].start for bins in time_windows(problem).bins][0]
+    first = {bins.run: bins.start for bins in time_windows(problem).bins[0]}
+    assert begin == first[0]
+
+    def within(run: int, start: float, end: float, among: list[str]) -> str | None:
+        window = Bin(run, first[run] + start, first[run] + end, "")
+        return regime_within(problem, window, among)
+
+    assert within(0, 0.0, 49.0, [turning, speeds[-1], speeds[0]]) == speeds[0]
+    assert within(1, 60.0, 99.0, [speeds[0], turning]) == turning
+    assert within(0, 0.0, 49.0, [speeds[-1], turning]) is None
+
+
+def test_windows_are_eighths_of_each_run(problem):
+    windows = time_windows(problem)
+    run, recorded = np.asarray(problem.dataset.run), recorded_rows(problem)
+    for column, bins in enumerate(windows.bins):
+        assert [one.run for one in bins] == [0, 1]
+        for one in bins:
+            own = windows.members[:, column] & (run == one.run)
+            t = np.asarray(problem.dataset.run_time)[own]
+            assert (t.min(), t.max()) == (one.start, one.end)
+            assert own.sum() == pytest.approx((run == one.run)[recorded].sum() / 8, abs=1)
+
+
+def test_an_unnamed_force_is_asked_for_on_halves_of_the_data_alone():
+    """Most rows of the data set are spare: halves of all of them would often hold no data."""
+    rng, rows, spare = np.random.default_rng(3), 400, 3800
+    better, worse = rng.normal(size=(rows, 1)), rng.normal(size=(rows, 1))
+    residual = better[:, 0] + 0.3 * rng.normal(size=rows)
+    padded = lambda a: np.concatenate([a, np.zeros((spare, *a.shape[1:]))])
+    nuisance = np.zeros((rows + spare, 1))
+    nuisance[-1] = 1.0  # a row of the prior
+    run = np.zeros((rows + spare - 6) // 6, int)
+    projection = Projection(padded(residual), nuisance, run, np.zeros((4, 6)))
+    assert inclusion_share(projection, [padded(worse), padded(better)], 1) == 1.0

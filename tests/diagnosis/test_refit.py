@@ -1,0 +1,272 @@
+"""Refits and the evidence for them: closed forms, and problems so small that none is fitted."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+import pytest
+from scipy import stats
+from tests.diagnosis.small import (
+    CLEAR_GAIN,
+    STEADY,
+    candidate,
+    hypothesis,
+    judged,
+    linear_estimate,
+    still_problem,
+    usv,
+)
+
+from diffsea.diagnosis.refit import (
+    Hypothesis,
+    first_guess,
+    has_room,
+    is_physical,
+    make_hypothesis,
+    near_the_best,
+    ranked,
+    start_beside,
+)
+from diffsea.identification.coordinates import CoordinateLayout
+from diffsea.identification.estimates import Estimate, posterior_estimate
+from diffsea.identification.holdout import Gain
+from diffsea.identification.problem import Problem
+from diffsea.vessel.effects import EFFECTS
+
+
+def _linear(rng, columns, spreads, truth):
+    """An exact linear model: the estimate, and the log evidence by the marginal density."""
+    y = columns @ truth + rng.normal(size=len(columns))
+    information = columns.T @ columns
+    precision = information + np.diag(1 / spreads**2)
+    at = np.linalg.solve(precision, columns.T @ y)
+    deviance = ((y - columns @ at) ** 2).sum() + ((at / spreads) ** 2).sum()
+    index = np.arange(len(spreads))
+    fitted = posterior_estimate(("a",), at, deviance, index, spreads, information)
+    covariance = np.eye(len(y)) + columns @ np.diag(spreads**2) @ columns.T
+    return y, fitted, covariance
+
+
+def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
+    rng = np.random.default_rng(8)
+    X, spreads = rng.normal(size=(80, 4)), np.array([1.0, 0.5, 3.0, 3.0])
+    truth = np.array([0.4, -0.3, 0.5, 0.0])
+    y, more, wide = _linear(rng, X, spreads, truth)
+    plain = X[:, :2]
+    at = np.linalg.solve(plain.T @ plain + np.diag(1 / spreads[:2] ** 2), plain.T @ y)
+    deviance = ((y - plain @ at) ** 2).sum() + ((at / spreads[:2]) ** 2).sum()
+    less = posterior_estimate(("a",), at, deviance, np.arange(2), spreads[:2], plain.T @ plain)
+    narrow = np.eye(80) + plain @ np.diag(spreads[:2] ** 2) @ plain.T
+    exact = 2 * (
+        stats.multivariate_normal(cov=wide).logpdf(y)
+        - stats.multivariate_normal(cov=narrow).logpdf(y)
+    )
+    volume = np.linalg.slogdet(more.precision)[1] - np.linalg.slogdet(less.precision)[1]
+    occam = float(volume + 2 * np.log(spreads[2:]).sum())
+    seen = candidate("current", np.ones((3, 2)))
+    one = Hypothesis("current", more, less.deviance - more.deviance, occam, None, seen, True)
+    assert one.evidence(1.0) == pytest.approx(exact, abs=1e-6)
+    assert one.evidence(2.0) < one.evidence(1.0)
+
+
+def test_a_first_guess_keeps_to_the_physical_side():
+    lag = EFFECTS["thrust-lag:propulsion"]
+    seen = candidate(lag.name, np.ones((3, 1)), step=(-2.0,))
+    assert first_guess(lag, seen) == pytest.approx([0.1])
+    bias = EFFECTS["gyro-bias"]
+    seen = candidate(bias.name, np.ones((3, 1)), step=(-9.0,))
+    assert first_guess(bias, seen) == pytest.approx([-3])
+
+
+def test_a_first_guess_is_of_the_size_at_which_it_was_seen():
+    lag = EFFECTS["thrust-lag:propulsion"]
+    seen = candidate(lag.name, np.ones((3, 1)), step=(-2.0,))
+    point = dataclasses.replace(seen.point, at=(2.5,), secant=True)
+    assert first_guess(lag, dataclasses.replace(seen, point=point)) == pytest.approx([2.5])
+
+
+def test_what_is_not_physical_hides_only_what_it_may_be_confused_with():
+    early = hypothesis("sensor-latency:position", 160.0, is_physical=False)
+    drag, lever = hypothesis("crossflow-drag", 60.0), hypothesis("lever-arm", 70.0)
+    assert near_the_best([early, drag]) == ([early, drag], [])
+    assert near_the_best([early, lever]) == ([early], [lever])
+    late = dataclasses.replace(early, is_physical=True)
+    assert near_the_best([late, drag]) == ([late], [drag])
+
+
+def test_every_hypothesis_as_good_as_the_best_is_judged_on_held_out_data():
+    level = [f"quadratic-damping:{name}" for name in ("X_uu", "Y_vv", "N_rr")]
+    strong = {name: 300.0 - k for k, name in enumerate([*level, "wind", "current"])}
+    tried = [hypothesis(name, size) for name, size in (strong | {"gyro-bias": 250.0}).items()]
+    near, rest = near_the_best(tried[::-1])
+    assert [one.effect for one in near] == list(strong)
+    assert [one.effect for one in rest] == ["gyro-bias"]
+    diverged = hypothesis("lever-arm", float("nan"))
+    assert near_the_best([*tried, diverged]) == (near, rest)
+
+
+def test_a_held_out_run_that_diverges_disturbs_the_order_of_nobody_else():
+    weak, strong = judged("wind", 100.0), judged("current", 300.0)
+    lost = judged("gyro-bias", 200.0, STEADY, Gain(float("nan"), float("nan")))
+    first = hypothesis("lever-arm", 400.0)
+    order = [one.effect for one in ranked([first, weak, lost, strong])]
+    assert order == ["current", "wind", "gyro-bias", "lever-arm"]
+
+
+def test_the_order_allows_for_the_dependence_of_the_best():
+    """Held-out gain and evidence of dependent values count for less, room in the prior does not."""
+    best = dataclasses.replace(judged("wind", 300.0), occam=60.0, inflation=10.0)
+    lean = judged("current", 260.0)
+    assert [one.effect for one in ranked([best, lean])] == ["current", "wind"]
+    even = dataclasses.replace(best, inflation=1.0, occam=20.0)
+    assert [one.effect for one in ranked([even, lean])] == ["wind", "current"]
+
+
+def test_waves_beside_an_environment_for_each_run_have_no_room():
+    effects = ("wave-force", "current")
+    for room, fits in ((6, False), (9, True)):  # for 7 kinds of the waves' and 2 of the current's
+        problem = still_problem(*effects, runs=3, per_run=True, capacity=room)
+        current = linear_estimate(("wave-force",))
+        assert has_room(problem, current, "current") == fits
+
+
+def test_instances_for_each_run_need_room_for_all_their_coordinates():
+    problem = still_problem("current", "gyro-bias", runs=3, per_run=True, capacity=2)
+    assert has_room(problem, linear_estimate(("current",)), "gyro-bias")  # 6 + 1 of 8
+    narrow = dataclasses.replace(problem, width=5)
+    assert not has_room(narrow, linear_estimate(), "current")
+
+
+def test_a_refit_starts_without_what_is_not_in_the_model_any_more():
+    problem = still_problem("deadband:propulsion", "rate-limit:propulsion", "wind")
+    layout = problem.layout
+
+    def estimate(free: tuple[str, ...], deviance: float, **values: float) -> Estimate:
+        out = np.zeros(layout.size)
+        for name, value in values.items():
+            effect = next(key for key in (*free, "wind") if key.replace("-", "_").startswith(name))
+            out[layout.indices((effect,))] = value
+        return dataclasses.replace(linear_estimate(free, deviance), coordinates=out)
+
+    limit = "rate-limit:propulsion"
+    then = ("X_u", "deadband:propulsion", limit)
+    one = hypothesis(limit, 9.0)
+    one = dataclasses.replace(one, estimate=estimate(then, 0.0, X_u=7, deadband=8, rate_limit=2))
+    bare = estimate(("X_u", "wind"), 9.0, X_u=1, wind=4)
+    here = estimate(("X_u", "wind", limit), 0.0, X_u=1, wind=4, rate_limit=2).coordinates
+    np.testing.assert_array_equal(start_beside(problem, bare, one), here)
+    same = dataclasses.replace(bare, free=("X_u", "deadband:propulsion"))
+    np.testing.assert_array_equal(start_beside(problem, same, one), one.estimate.coordinates)
+    better = dataclasses.replace(same, deviance=-1.0)
+    np.testing.assert_array_equal(start_beside(problem, better, one), bare.coordinates)
+
+
+def _shallow(amounts, stds, recorded: int) -> tuple[Problem, Estimate]:
+    """A fit of a shallowness for each run, of which the first ones were recorded."""
+    count = len(amounts)
+    least = still_problem(runs=count).dataset.shape
+    problem = still_problem("shallow-water", runs=recorded, per_run=count > 1, least=least)
+    index = np.array(problem.layout.indices(("shallow-water",)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = amounts
+    fitted = dataclasses.replace(
+        linear_estimate(("shallow-water",), size=count),
+        coordinates=coordinates,
+        index=index,
+        precision=np.diag(1 / np.array(stds) ** 2),
+        covariance=np.diag(4.0 * np.array(stds) ** 2),
+    )
+    return problem, fitted
+
+
+@pytest.mark.parametrize(
+    ("amounts", "stds", "recorded", "physical"),
+    [
+        ([2.3, -0.03, 0.0], [0.1, 0.1, 3.0], 2, True),  # what is absent in one run may be
+        ([2.3, -0.5, 0.0], [0.1, 0.1, 3.0], 2, False),
+        ([2.3, -0.03, -9.0], [0.1, 0.1, 3.0], 2, True),  # of a run that is not there
+        ([-0.03, -0.1], [0.1, 0.1], 2, False),
+        ([-0.03], [0.1], 1, False),
+        ([0.03], [0.1], 1, True),
+    ],
+)
+def test_what_cannot_be_negative_may_be_absent_in_some_runs(amounts, stds, recorded, physical):
+    problem, fitted = _shallow(amounts, stds, recorded)
+    effect = EFFECTS["shallow-water"]
+    seen = candidate(effect.name, np.ones((3, 1)))
+    assert is_physical(problem, effect, fitted, seen) == physical
+
+
+def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
+    problem, fitted = _shallow([1.0, 1.0], [0.1, 0.2], 2)
+    seen = candidate("shallow-water", np.ones((3, 1)))
+    one = make_hypothesis(problem, linear_estimate(), fitted, EFFECTS["shallow-water"], seen)
+    assert one.inflation == pytest.approx(4.0)
+    assert (one.instances, one.size) == (2, 2)
+
+
+def _one_size(effect: str, value: float, std: float) -> Estimate:
+    """A fit of one number of an effect's, in SI units."""
+    size = EFFECTS[effect].sizes(usv())[0]
+    problem = still_problem(effect)
+    index = np.array(problem.layout.indices((effect,)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = value / size
+    fitted = dataclasses.replace(linear_estimate((effect,)), coordinates=coordinates, index=index)
+    return dataclasses.replace(fitted, precision=np.array([[(size / std) ** 2]]))
+
+
+def test_sizes_that_no_vessel_has_are_impossible_as_far_as_errors_tell():
+    name, std = "thrust-asymmetry", 0.03
+    problem = still_problem(name)
+    seen = candidate(name, np.ones((3, 1)))
+
+    def possible(ratio: float) -> bool:
+        return is_physical(problem, EFFECTS[name], _one_size(name, ratio, std), seen)
+
+    assert possible(0.9) and possible(-0.9)
+    assert possible(1.0 + 1.9 * std)
+    assert not possible(1.0 + 2.1 * std)
+    assert not possible(-1.5)
+
+
+@pytest.mark.parametrize(
+    ("time", "possible"), [(-2.0, False), (0.0, False), (6.0, True), (19.2, False), (19.5, False)]
+)
+def test_a_change_happens_while_something_is_recorded(time, possible):
+    """The data set counts the time of its first run from `first`; the last row has no value."""
+    name = "drag-change"
+    problem, size = still_problem(name), EFFECTS[name].sizes(usv())[1]
+    rows = np.flatnonzero(np.asarray(problem.dataset.known).any(1))
+    known = problem.dataset.known.at[rows[-1]].set(False)
+    problem = dataclasses.replace(
+        problem, dataset=eqx.tree_at(lambda data: data.known, problem.dataset, known)
+    )
+    first = float(problem.dataset.run_time[rows[0]])
+    index = np.array(problem.layout.indices((name,)))
+    coordinates = np.zeros(problem.layout.size)
+    coordinates[index] = 1.0, (first + time) / size
+    fitted = dataclasses.replace(
+        linear_estimate((name,), size=2), coordinates=coordinates, index=index
+    )
+    seen = candidate(name, np.ones((3, 2)))
+    point = dataclasses.replace(seen.point, at=(0.0, coordinates[index[1]] + 0.5))
+    near = dataclasses.replace(seen, point=point, reach=1.0)
+    assert is_physical(problem, EFFECTS[name], fitted, near) == possible
+    far = dataclasses.replace(near, reach=0.4)
+    assert not is_physical(problem, EFFECTS[name], fitted, far)
+
+
+def test_a_change_late_in_a_long_record_has_room_in_its_prior():
+    effect = EFFECTS["thrust-change"]
+    sizes = effect.sizes(usv())
+    layout = CoordinateLayout((), (effect,), (sizes,), 1, False, latest=100 * sizes[1])
+    assert layout.spreads().tolist() == [3.0, 100.0]
+    assert dataclasses.replace(layout, latest=0.0).spreads().tolist() == [3.0, 3.0]
+
+
+def test_gains_of_exchanged_data_are_pooled():
+    one = judged("wind", 60.0, STEADY, CLEAR_GAIN)
+    assert one.pooled_gain == CLEAR_GAIN
+    both = dataclasses.replace(one, exchanged=Gain(10.0, 12.0)).pooled_gain
+    assert both == pytest.approx((50.0, 15.0))

@@ -1,0 +1,203 @@
+"""The search for effects on a craft with two causes concealed: a current and a gyro's bias.
+
+A catalogue of four effects, two parameters and short runs keep it small.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, usv
+from tests.runs import random_steps
+
+from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.record import summary
+from diffsea.diagnosis.screening import screen
+from diffsea.diagnosis.search import (
+    ask_again,
+    explain,
+    find_pair,
+    forward_search,
+    resume_stalled_fit,
+    withdraw_outdone,
+)
+from diffsea.identification.estimates import no_progress
+from diffsea.identification.fit import estimate
+from diffsea.identification.holdout import split_data
+from diffsea.identification.problem import make_problem
+from diffsea.vessel.effects import EFFECTS
+
+
+FREE = ("X_u", "N_r")
+NAMES = ("gyro-bias", "current", "lever-arm", "wave-force")
+ROOM = 4  # coordinates of effects: a current's two and a lever arm's, no waves beside them
+BIAS = 0.03  # rad/s
+CURRENT = {"current": {"speed": 0.4, "direction": 2.0}}
+
+
+@pytest.fixture(scope="module")
+def data():
+    """One run to explain and one held out."""
+    runs = [random_steps(DOCUMENT, seed, 60.0, 0.5, CURRENT) for seed in (7, 8)]
+    runs = [dataclasses.replace(run, r=run.r + BIAS) for run in runs]
+    effects = tuple(EFFECTS[name] for name in NAMES)
+
+    def problem_of(recordings, least):
+        return make_problem(usv(), recordings, FREE, effects, capacity=ROOM, least=least)
+
+    return split_data(problem_of, runs[:1], runs[1:], per_run=False)
+
+
+@pytest.fixture(scope="module")
+def nominal(data):
+    return estimate(data.train, FREE)
+
+
+@pytest.fixture(scope="module")
+def screening(data, nominal):
+    return screen(data.train, nominal)
+
+
+@pytest.fixture(scope="module")
+def found(data, nominal, screening):
+    return forward_search(data, nominal, screening, NO_BOOTSTRAP, no_progress)
+
+
+def accepted_names(search) -> tuple[str, ...]:
+    return tuple(one.name for one in search.accepted)
+
+
+def with_statistic(accepted: AcceptedEffect, statistic: float) -> AcceptedEffect:
+    """The same effect, had its score test come out as that."""
+    seen = accepted.hypothesis.candidate
+    seen = dataclasses.replace(seen, score=seen.score._replace(statistic=statistic))
+    return dataclasses.replace(
+        accepted, hypothesis=dataclasses.replace(accepted.hypothesis, candidate=seen)
+    )
+
+
+def test_both_causes_are_found_one_after_the_other(data, found):
+    assert set(accepted_names(found)) == {"gyro-bias", "current"}
+    assert {one.effect for one in found.first_short_list.hypotheses} >= {"gyro-bias", "current"}
+    first, second = found.accepted
+    assert first.hypothesis.estimate.free == (*FREE, first.name)
+    assert found.estimate is second.hypothesis.estimate
+    bias = data.train.layout.physical("gyro-bias", found.estimate.coordinates)[0]
+    flow = data.train.layout.physical("current", found.estimate.coordinates)[0]
+    assert bias == pytest.approx([BIAS], rel=0.15)
+    assert flow == pytest.approx(0.4 * np.array([np.cos(2), np.sin(2)]), abs=0.04)
+    assert found.screening.located_p_value > 0.01
+
+
+def test_what_simulated_data_show_as_often_is_not_named(data, nominal, screening):
+    common = Bootstrap(np.linspace(0.0, 1e-30, 200), np.linspace(0.0, 1e-30, 200))
+    record = summary(explain(data, nominal, screening, common, no_progress), [])
+    assert (record["verdict"], record["effects"]) == ("consistent", [])
+    assert record["null"]["p_value"] < 1e-6
+    assert record["null"]["bootstrap"] == {"draws": 200, "p_value": 1.0}
+    assert record["remainder_p_value"] == 1.0
+
+
+def test_an_effect_is_asked_for_again_as_far_as_there_is_room(data, found):
+    """Waves have no room beside the second effect; sizes are as constant as they are by now."""
+    first, second = found.accepted
+    waves = dataclasses.replace(hypothesis("wave-force", 90.0), gain=first.hypothesis.gain)
+    listed = first.short_list
+    listed = dataclasses.replace(listed, hypotheses=(*listed.hypotheses, waves))
+    doctored = dataclasses.replace(first.hypothesis, constancy=UNSTEADY)
+    first = dataclasses.replace(first, hypothesis=doctored, short_list=listed)
+    search = dataclasses.replace(found, accepted=(first, second))
+    kept, changed = ask_again(data, search, (first,), no_progress)
+    assert accepted_names(kept) == accepted_names(found) and not kept.dropped
+    assert kept.accepted[0].hypothesis.constancy.holds
+    assert kept.accepted[1] is second
+    assert kept.estimate is found.estimate and not changed
+
+
+def test_an_effect_that_others_make_needless_is_dropped(data, found):
+    """A lever arm that was never there, accepted beside the two causes."""
+    names = (*FREE, "lever-arm", *accepted_names(found))
+    problem = dataclasses.replace(data.train, width=7, directions=7)
+    both = estimate(problem, names, found.estimate.coordinates, found.estimate.noise)
+    lever = dataclasses.replace(hypothesis("lever-arm", 50.0, STEADY), estimate=both)
+    needless = AcceptedEffect.of(lever, ShortList((lever,), 11.0))
+    search = dataclasses.replace(found, accepted=(needless, *found.accepted), estimate=both)
+    wider = dataclasses.replace(data, train=problem)
+    kept, changed = ask_again(wider, search, (needless,), no_progress)
+    assert changed and kept.dropped == ("lever-arm",)
+    assert accepted_names(kept) == accepted_names(found)
+    assert "lever-arm" not in kept.estimate.free
+
+
+def test_what_was_found_beside_a_withdrawn_name_is_asked_for_without_it(data, found):
+    """What is left stands out more than the first name did; the second is asked for again."""
+    first, second = found.accepted
+    strongest = max(cell.z**2 for cell in found.screening.cells)
+    weak = with_statistic(first, 0.5 * strongest)
+    strong = with_statistic(second, 2 * strongest)
+    strong = dataclasses.replace(
+        strong, hypothesis=dataclasses.replace(strong.hypothesis, constancy=UNSTEADY)
+    )
+    search = dataclasses.replace(found, accepted=(weak, strong))
+    significant = Bootstrap(np.linspace(0.5, 1.0, 999), np.ones(999))
+    final = withdraw_outdone(data, search, significant, no_progress)
+    assert final.dropped[-1] == first.name and first.name not in accepted_names(final)
+    assert first.name not in final.estimate.free
+    asked = [one.hypothesis.constancy for one in final.accepted]
+    assert asked != [UNSTEADY] and set(final.dropped[:-1]) <= {second.name}
+    assert final.screening is not found.screening
+    assert {first.name} <= set(final.screening.candidates)
+
+
+def test_names_stand_where_little_is_left(data, found):
+    first, second = found.accepted
+    search = dataclasses.replace(found, accepted=(with_statistic(first, 0.0), second))
+    common = Bootstrap(np.zeros(200), np.zeros(200))
+    assert withdraw_outdone(data, search, common, no_progress) is search
+
+
+@pytest.fixture(scope="module")
+def alone(found):
+    """A short list whose best, the bias, has not one size in all the data, but the current has."""
+    best, second = found.first_short_list.judged
+    hypotheses = (
+        dataclasses.replace(best, constancy=UNSTEADY),
+        dataclasses.replace(second, constancy=STEADY),
+    )
+    return dataclasses.replace(found.first_short_list, hypotheses=hypotheses)
+
+
+def test_a_pair_is_named_where_both_leave_nothing(data, found, alone):
+    assert decide(alone, None) is None
+    pair = find_pair(data, alone, NO_BOOTSTRAP, no_progress)
+    assert [one.name for one in pair] == ["current", "gyro-bias"]
+    assert set(pair[1].hypothesis.estimate.free) == set(found.estimate.free)
+
+
+def test_a_pair_that_leaves_something_is_not_named(data, alone):
+    never = Bootstrap(np.ones(999), np.ones(999))
+    assert find_pair(data, alone, never, no_progress) == ()
+
+
+def test_a_pair_that_explains_less_than_one_effect_is_not_named(data, alone):
+    best, second = alone.hypotheses
+    low = dataclasses.replace(best.estimate, deviance=best.estimate.deviance - 1e6)
+    better = dataclasses.replace(best, estimate=low)
+    short_list = dataclasses.replace(alone, hypotheses=(better, second))
+    assert find_pair(data, short_list, NO_BOOTSTRAP, no_progress) == ()
+
+
+def test_a_name_is_not_had_for_the_progress_of_a_fit(data, nominal, found):
+    """A nominal fit that had stopped early leaves the first effect more than its score promises."""
+    best = found.accepted[0].hypothesis
+    assert resume_stalled_fit(data.train, nominal, best) is None
+    start = np.array(nominal.coordinates)
+    start[:2] -= 8.0
+    early = estimate(data.train, FREE, start, nominal.noise, rounds=0)
+    early_drop = early.deviance - best.estimate.deviance
+    stalled = dataclasses.replace(best, deviance_drop=early_drop)
+    better = resume_stalled_fit(data.train, early, stalled)
+    assert better is not None and better.deviance == pytest.approx(nominal.deviance, abs=1.0)
+    promised = with_statistic(AcceptedEffect.of(stalled, found.first_short_list), early_drop)
+    assert resume_stalled_fit(data.train, early, promised.hypothesis) is None
