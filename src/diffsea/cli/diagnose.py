@@ -67,5 +67,6 @@ def _write_manoeuvre(path: pathlib.Path, found: "DiagnosisResult", tell: "Progre
     elif not found.experiment.exists:
         tell(f"no manoeuvre is written: {found.experiment.why}")
     else:
-        sequence = pd.DataFrame(commands(found.diagnosis, found.experiment))
+        train = found.diagnosis.split.train
+        sequence = pd.DataFrame(commands(train, found.diagnosis.final, found.experiment))
         sequence.to_csv(path, index=False, float_format="%.6g")
