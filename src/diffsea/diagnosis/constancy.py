@@ -53,8 +53,8 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     residual, nuisance = linearise_model(problem, fitted).by_name(fitted.free)
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]
-    group = next(one.group for one in problem.layout.effects if one.name == effect)
-    tolerated = TOLERATED_OF_SENSORS if group == "sensor" else TOLERATED_SHARE
+    family = next(one.family for one in problem.layout.effects if one.name == effect)
+    tolerated = TOLERATED_OF_SENSORS if family == "sensor" else TOLERATED_SHARE
     tests = []
     for count in PARTS:
         columns = _columns_of_parts(problem, J, count)
