@@ -1,4 +1,7 @@
-"""Fitted effects as people and files have them: SI units, standard errors, tables."""
+"""Fitted effects as people and files have them: SI units, standard errors, tables.
+
+Fits work on coordinates that are zero where an effect is absent; nobody else should have to.
+"""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +28,11 @@ ParameterRecord = dict[str, Any]  # value, std, unit
 def parameter_records(
     problem: Problem, fitted: Estimate, name: str
 ) -> list[dict[str, ParameterRecord]]:
-    """A fitted effect's parameters with standard errors, one dictionary for each instance."""
+    """A fitted effect's parameters with standard errors, one dictionary for each instance.
+
+    An instance is the effect itself, or that of one run where each has an environment of its own.
+    Every parameter has `value`, `std` and `unit`, as `parameters_with_errors` says.
+    """
     layout = problem.layout
     effect = next(e for e in layout.effects if e.name == name)
     sizes = np.array(layout.sizes[layout.effects.index(effect)])
@@ -82,6 +89,9 @@ def is_known(parameters: Mapping[str, ParameterRecord]) -> bool:
 
 
 def effect_table(vessel: Vessel, name: str, parameters: Mapping[str, ParameterRecord]) -> Table:
-    """An `[[effect]]` table for a vessel file."""
+    """An `[[effect]]` table for a vessel file: the values, and what the variant acts on.
+
+    Reading it (`vessel.effects.with_effect`) attaches the effect as it was fitted.
+    """
     values = {key: float(entry["value"]) for key, entry in parameters.items()}
     return {"name": catalogue_name(name), **values, **EFFECTS[name].place.in_file(vessel)}

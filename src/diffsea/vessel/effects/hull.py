@@ -76,9 +76,8 @@ def _derivatives(units: dict[str, str]) -> list[Size]:
 
 
 def _lacks(vessel: Vessel, *names: str, dimensional: bool = False) -> bool:
-    """Whether no force of a vessel has these derivatives.
-
-    `dimensional`: and the hull's derivatives are dimensional.
+    """Whether no force of a vessel has these derivatives, and the hull's are in SI where
+    `dimensional`.
     """
     if dimensional and isinstance(vessel.forces.get("damping"), PrimeDamping):
         return False

@@ -1,5 +1,6 @@
 """Effects on what thrusters, propellers and rudders make of an executed order."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
@@ -34,12 +35,9 @@ def _of_kind(vessel: Vessel, kind: type[Actuator]) -> dict[str, Actuator]:
     return {n: part for n, part in vessel.actuators.items() if isinstance(part, kind)}
 
 
-def _change_parts(
-    vessel: Vessel, parts: Mapping[str, Actuator], change: Callable[[Actuator], Actuator]
-) -> Vessel:
-    """The vessel with some of its actuators changed."""
-    changed = {name: change(part) for name, part in parts.items()}
-    return eqx.tree_at(lambda v: v.actuators, vessel, vessel.actuators | changed)
+def _with_parts(vessel: Vessel, parts: Mapping[str, AbstractActuator]) -> Vessel:
+    """The vessel with other actuators in the place of those of the same names."""
+    return eqx.tree_at(lambda v: v.actuators, vessel, vessel.actuators | dict(parts))
 
 
 def _has_two_sides(vessel: Vessel) -> bool:
@@ -58,11 +56,11 @@ def _has_two_sides(vessel: Vessel) -> bool:
 )
 def thrust_asymmetry(vessel: Vessel, ratio: CoordinateValues) -> Vessel:
     """Port and starboard thrust times (1 - ratio) and (1 + ratio)."""
-    return _change_parts(
-        vessel,
-        vessel.propulsors,
-        lambda part: add_to(part, lambda p: p.losses.asymmetry, jnp.sign(part.y) * ratio[0]),
-    )
+    parts = {
+        name: add_to(part, lambda p: p.losses.asymmetry, jnp.sign(part.y) * ratio[0])
+        for name, part in vessel.propulsors.items()
+    }
+    return _with_parts(vessel, parts)
 
 
 @thrust_effect(
@@ -74,8 +72,8 @@ def thrust_asymmetry(vessel: Vessel, ratio: CoordinateValues) -> Vessel:
 )
 def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     """The push of every fixed thruster turned by `angle`, clockwise from above."""
-    fixed = _of_kind(vessel, FixedThruster)
-    return _change_parts(vessel, fixed, lambda part: add_to(part, lambda p: p.angle, angle[0]))
+    fixed = _of_kind(vessel, FixedThruster).items()
+    return _with_parts(vessel, {n: add_to(part, lambda p: p.angle, angle[0]) for n, part in fixed})
 
 
 @thrust_effect(
@@ -95,11 +93,9 @@ def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
 )
 def thrust_loss_with_speed(vessel: Vessel, slope: CoordinateValues) -> Vessel:
     """T (1 - slope u_r): the tangent of a propeller's falling K_T(J)."""
-    return _change_parts(
-        vessel,
-        vessel.propulsors,
-        lambda part: add_to(part, lambda p: p.losses.with_speed, slope[0]),
-    )
+    every = vessel.propulsors.items()
+    parts = {name: add_to(part, lambda p: p.losses.with_speed, slope[0]) for name, part in every}
+    return _with_parts(vessel, parts)
 
 
 @thrust_effect(
@@ -111,11 +107,9 @@ def thrust_loss_with_speed(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 )
 def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
     """T (1 - slope |r|): ventilation and shadowing in turns."""
-    return _change_parts(
-        vessel,
-        vessel.propulsors,
-        lambda part: add_to(part, lambda p: p.losses.in_turns, slope[0]),
-    )
+    every = vessel.propulsors.items()
+    parts = {name: add_to(part, lambda p: p.losses.in_turns, slope[0]) for name, part in every}
+    return _with_parts(vessel, parts)
 
 
 @thrust_effect(
@@ -196,21 +190,16 @@ def rudder_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle
     straightened by gamma_R (Yasukawa and Yoshimura 2015).
     """
-    length = vessel.rigid_body.length
-
-    def change(part: Rudder) -> Rudder:
-        return eqx.tree_at(
-            lambda p: (p.a_H, p.hull_lever, p.gamma_R_port, p.gamma_R_starboard),
-            part,
-            (
-                part.a_H + at[0],
-                part.hull_lever + at[1] * length - at[0] * part.x_H,
-                part.gamma_R_port - at[2],
-                part.gamma_R_starboard - at[2],
-            ),
+    parts, length = {}, vessel.rigid_body.length
+    for name, rudder in _of_kind(vessel, Rudder).items():
+        parts[name] = dataclasses.replace(
+            rudder,
+            a_H=rudder.a_H + at[0],
+            hull_lever=rudder.hull_lever + at[1] * length - at[0] * rudder.x_H,
+            gamma_R_port=rudder.gamma_R_port - at[2],
+            gamma_R_starboard=rudder.gamma_R_starboard - at[2],
         )
-
-    return _change_parts(vessel, _of_kind(vessel, Rudder), change)
+    return _with_parts(vessel, parts)
 
 
 THRUST = (
