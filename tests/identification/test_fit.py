@@ -324,8 +324,8 @@ def test_starts_of_effects_are_their_sizes_and_times(document, recordings):
     layout = problem.layout
     assert not starts[:, : len(HULL)].any() and not starts[0].any()
     late = [layout.physical("rate-limit:propulsion", row)[0, 0] for row in starts]
-    assert sum(size > 0 for size in late) == len(effects[0].finite) > 1
-    times = [layout.physical("thrust-change", row)[0, effects[1].shape] for row in starts]
+    assert sum(size > 0 for size in late) == len(effects[0].leading.secants) > 1
+    times = [layout.physical("thrust-change", row)[0, 1] for row in starts]
     recorded = [at <= 80.0 or 3000.0 <= at <= 3080.0 for at in times]
     assert len(set(times)) > 4 and all(recorded) and max(times) > 3000.0
     assert not any(layout.physical("current", row).any() for row in starts)
