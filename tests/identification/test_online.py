@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from tests.oracle import sensors
 from tests.oracle.make_recordings import MASSES, gust_scale, perform, perturbed, stream
 from tests.oracle.simulator import Simulator, load
+from tests.paths import ORACLE
 
 from diffsea.errors import UserError
 from diffsea.identification.filter.process_noise import Noise
@@ -50,8 +51,8 @@ def _rls_scan(regression, running, rows):
 
 
 @pytest.fixture(scope="module")
-def document(request) -> dict:
-    return load(str(request.path.parent / "oracle" / "usv.toml"))
+def document() -> dict:
+    return load(str(ORACLE / "usv.toml"))
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,7 @@ class Outputs:
         self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
         return self._elsewhere[file]
 
-    def written(self, name: str) -> pathlib.Path:
+    def path_of(self, name: str) -> pathlib.Path:
         """Where the file `name`, which was written before, is for now."""
         return self._temporary / name
 

@@ -48,8 +48,10 @@ def read_or_propose(args: argparse.Namespace, out: Outputs) -> AuditInput:
     out.text(name, proposal.text)
     message = _message(args, out, name, proposal)
     if not proposal.timed:
-        return AuditInput([], [(path.name, [_untimed(path.name)]) for path in paths], message)
-    return AuditInput(options.read_recordings(paths, out.written(name)), [], message)
+        return AuditInput(
+            [], [(path.name, [_finding_without_time(path.name)]) for path in paths], message
+        )
+    return AuditInput(options.read_recordings(paths, out.path_of(name)), [], message)
 
 
 def _refusal(args: argparse.Namespace) -> str:
@@ -79,7 +81,7 @@ def _message(args: argparse.Namespace, out: Outputs, name: str, proposal: "Propo
     return "\n".join(lines) + "\n\n"
 
 
-def _untimed(name: str) -> "Finding":
+def _finding_without_time(name: str) -> "Finding":
     from diffsea.recordings import Finding
 
     return Finding(

@@ -1,4 +1,8 @@
-"""Runs against what models predict of them, open loop, and by how much they miss."""
+"""Runs against what models predict of them, open loop, and by how much they miss.
+
+A prediction starts at the first measured state and knows nothing but the orders (or the measured
+actuation), so that its error is the model's own; it grows with time, and is told by horizon.
+"""
 
 import dataclasses
 import math
@@ -20,7 +24,13 @@ Errors = Mapping[float, Mapping[str, float]]  # by horizon (s), then by quantity
 
 
 class Prediction(NamedTuple):
-    """What one model makes of a run from its first state and its orders."""
+    """What one model makes of a run from its first state and its orders.
+
+    Attributes:
+        run: the predicted motion at the times of the recording.
+        errors: root mean square by horizon (s) and quantity (m, rad, m/s, rad/s), over `starts`
+            starts along the run.
+    """
 
     run: Trajectory
     errors: Errors
@@ -28,14 +38,18 @@ class Prediction(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ComparedRun:
-    """One run and the predictions of it by model."""
+    """One run and the predictions of it by model, the result last."""
 
     recording: Trajectory
     predictions: dict[str, Prediction]
 
 
 def predict(vessel: Vessel, run: Trajectory) -> Prediction:
-    """One model on one run."""
+    """One model on one run.
+
+    Raises:
+        UserError: the run has no orders for an actuator of the vessel.
+    """
     return Prediction(replay(vessel, run), horizon_errors(vessel, run))
 
 
@@ -77,7 +91,11 @@ def _in_own_environment(
 
 
 def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict]:
-    """Errors of every model at each horizon, root mean square over all starts of all runs."""
+    """Errors of every model at each horizon, root mean square over all starts of all runs.
+
+    **Returns:** for each horizon `seconds`, `starts` (how many predictions), and by model the
+    errors by quantity, as they stand in diagnosis.json and fit.json.
+    """
     models = list(comparisons[0].predictions) if comparisons else []
     horizons = {h for one in comparisons for p in one.predictions.values() for h in p.errors}
     rows = []
@@ -91,12 +109,12 @@ def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict]:
             for model in models
         }
         starts = sum(int(one["starts"]) for one in errors[models[0]])
-        pooled = {model: _pooled(given) for model, given in errors.items()}
+        pooled = {model: _root_mean_square(given) for model, given in errors.items()}
         rows.append({"seconds": horizon, "starts": starts} | pooled)
     return rows
 
 
-def _pooled(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def _root_mean_square(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
     names = dict.fromkeys(name for one in errors for name in one if name != "starts")
     pooled = {}
     for name in names:

@@ -9,9 +9,9 @@ from diffsea.report.evidence import (
     FoundEffect,
     NextExperiment,
     Ranking,
+    candidate_ranking,
     found_effects,
     next_experiment_section,
-    ranking,
     unseen_table,
 )
 from diffsea.report.location import LocationSection, location_section
@@ -95,7 +95,7 @@ def diagnosis_report(
         remainder=remainder_sentence(summary),
         location=location_section(summary, recordings, most),
         effects=found_effects(summary),
-        ranking=ranking(summary),
+        ranking=candidate_ranking(summary),
         own_environment=any("recording" in effect for effect in summary["effects"]),
         predictions=prediction_section(runs, models, most, worst=None),
         next=next_experiment_section(summary),
@@ -115,6 +115,7 @@ def _drawn_rows(recordings: int, held_out: int) -> int:
 
 
 def _fault_table(audit: Sequence[Record]) -> Table:
+    """What the audit found, with sizes and, where there is one, the repair below the message."""
     rows = []
     for finding in audit:
         size = ""

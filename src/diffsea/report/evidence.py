@@ -90,7 +90,11 @@ class NextExperiment:
 
 
 def found_effects(summary: Record) -> list[FoundEffect]:
-    """The effects found, with sizes and 90 % intervals; one of each recording's own as one."""
+    """The effects found, with sizes and 90 % intervals; one of each recording's own as one.
+
+    Arguments:
+        summary: the content of diagnosis.json.
+    """
     out = []
     for group in effect_groups(named_effects(summary)):
         first = group[0]
@@ -124,6 +128,7 @@ def interval_of(entry: Record) -> str:
 
 
 def _evidence_sentences(effect: Record) -> list[str]:
+    """A sentence for each kind of evidence that was computed."""
     evidence = effect["evidence"]
     gain = with_error(evidence.get("held_out_gain"), evidence.get("held_out_gain_std"))
     sentences = {
@@ -138,8 +143,14 @@ def _evidence_sentences(effect: Record) -> list[str]:
     return [text for key, text in sentences.items() if is_known(evidence.get(key))]
 
 
-def ranking(summary: Record) -> Ranking | None:
-    """Every candidate, as bars and as a table; None where they were not ranked."""
+def candidate_ranking(summary: Record) -> Ranking | None:
+    """Every candidate, as bars and as a table; None where they were not ranked.
+
+    First comes what became of a candidate, accepted before rival before rejected, then its odds.
+
+    Arguments:
+        summary: the content of diagnosis.json.
+    """
     places = {status: k for k, status in enumerate(STATUS)}
 
     def order(one: Record) -> tuple[int, float]:
@@ -180,6 +191,7 @@ def candidate_label(candidate: Record) -> str:
 
 
 def _candidate_row(one: Record) -> list[str]:
+    """A row of the ranking; what was not computed stays empty."""
     gain, size, p = one.get("held_out_gain"), one.get("log10_odds"), one.get("p_value")
     sizes = [
         f"{name.replace('_', ' ')} {interval_of(entry)}"
@@ -197,7 +209,11 @@ def _candidate_row(one: Record) -> list[str]:
 
 
 def next_experiment_section(summary: Record) -> NextExperiment:
-    """Rivals that the data cannot tell apart, and the manoeuvre that would tell."""
+    """Rivals that the data cannot tell apart, and the manoeuvre that would tell.
+
+    Arguments:
+        summary: the content of diagnosis.json.
+    """
     sentences = []
     for effect, *_ in effect_groups(named_effects(summary)):
         rivals = [as_words(name) for name in effect.get("alternatives", [])]
@@ -220,6 +236,7 @@ def next_experiment_section(summary: Record) -> NextExperiment:
 
 
 def _advice(proposal: Record) -> str:
+    """What to record next, how long and why; or why nothing would help."""
     seconds = proposal.get("seconds")
     if not is_known(seconds):
         return f"There is no manoeuvre to record next: {proposal['why']}."
@@ -228,6 +245,7 @@ def _advice(proposal: Record) -> str:
 
 
 def _manoeuvre_plot(evidence: Mapping[str, float]) -> Plot | None:
+    """The plot with its words; None where no manoeuvre was weighed."""
     if not evidence:
         return None
     texts = ", ".join(f"{name} {significant(value, 2)}" for name, value in evidence.items())
@@ -297,6 +315,7 @@ def odds_plot(candidates: Sequence[tuple[str, str, float]]) -> go.Figure:
 
 
 def _stretch(size: float) -> float:
+    """Where odds lie on the axis, by the decimal logarithm of them: sign(s) log10(1 + |s|)."""
     return float(np.sign(size) * np.log10(1 + abs(size)))
 
 
@@ -311,7 +330,12 @@ def _spaced_ticks(ticks: Sequence[float], reach: float) -> list[float]:
 
 
 def manoeuvre_plot(evidence: Mapping[str, float], decisive: float) -> go.Figure:
-    """Expected evidence (twice the log of odds) of each manoeuvre, the best on top."""
+    """Expected evidence of each manoeuvre, the best on top, beside what would be decisive.
+
+    Arguments:
+        evidence: twice the natural logarithm of the odds, by manoeuvre.
+        decisive: the evidence of odds of 1000 to 1.
+    """
     ranked = sorted(evidence, key=lambda name: evidence[name])
     values = [evidence[name] for name in ranked]
     bars = go.Bar(

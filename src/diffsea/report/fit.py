@@ -130,7 +130,11 @@ def compare_fit(
 
 
 def worse_warning(runs: Sequence[ComparedRun]) -> str:
-    """A warning where the fit predicts worse than the vessel file did, else nothing."""
+    """A warning where the fit predicts worse than the vessel file did, else nothing.
+
+    A fit that makes up for missing physics with its parameters may follow the next sample better
+    and yet predict worse.
+    """
     row = headline_horizon(horizon_table(runs), tuple(MODELS))
     if row is None:
         return ""
@@ -172,6 +176,7 @@ def _open_questions(study: Study) -> list[str]:
 
 
 def _trial_number_table(study: Study) -> Table:
+    """Trial numbers as given and as fitted, SI units, and their difference in standard errors."""
     cells = []
     for row in study.objective.residuals(study.estimate.coordinates):
         given, fitted, std = row.given, row.fitted, row.std

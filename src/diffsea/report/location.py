@@ -27,7 +27,7 @@ from diffsea.report.plots import (
     panel_of,
     smooth_scale,
     stepped_scale,
-    thinned,
+    thin_rows,
 )
 from diffsea.report.quantities import is_known, probability, significant, typeset, with_error
 from diffsea.report.words import Record, named_effects
@@ -119,10 +119,12 @@ def location_section(
 
 
 def _size(cell: Record) -> float:
+    """|z| of a test, zero where the data cannot tell."""
     return abs(cell.get("z") or 0.0)
 
 
 def _regime_plots(maps: Mapping[str, Record], threshold: float) -> list[Plot]:
+    """A map by regime for each model that has one."""
     plots = []
     for title, one in maps.items():
         if cells := one.get("regime"):
@@ -149,6 +151,7 @@ def _run_plots(
     group: str,
     most: int,
 ) -> RunPlots:
+    """The map of one run over time, by model, and its track; the cursor joins the two."""
     plots = []
     if maps:
         texts = [_alternative(f"{run.name}, {t}", cells, threshold) for t, cells in maps.items()]
@@ -162,6 +165,7 @@ def _run_plots(
 
 
 def _strongest_places(summary: Record) -> Table:
+    """The strongest windows and regimes of the nominal model, as the summary ranks them."""
     rows = []
     for cell in summary.get("where", [])[:LISTED_PLACES]:
         everywhere = cell["recording"] == "all"
@@ -176,7 +180,13 @@ def _strongest_places(summary: Record) -> Table:
 
 
 def time_map(maps: Mapping[str, Cells], threshold: float, group: str) -> go.Figure:
-    """Degree of freedom against time in one run, a row of panels for each model."""
+    """Degree of freedom against time in one run, a row of panels for each model.
+
+    Arguments:
+        maps: tests of windows of this run, by the title of the model.
+        threshold: of |z|, beyond which a test is significant.
+        group: of plots that share a cursor.
+    """
     drawn = figure(margin={"t": 24, "b": 36, "l": 48, "r": 8}, plot_bgcolor=GREY)
     rows = {"autorange": "reversed", "showgrid": False, "fixedrange": True}
     for k, (title, cells) in enumerate(maps.items()):
@@ -192,7 +202,12 @@ def time_map(maps: Mapping[str, Cells], threshold: float, group: str) -> go.Figu
 
 
 def regime_map(title: str, cells: Cells, threshold: float) -> go.Figure:
-    """Regime against degree of freedom, over all runs."""
+    """Regime against degree of freedom, over all runs.
+
+    Arguments:
+        cells: tests of regimes; a pair without a test stays empty.
+        threshold: of |z|, beyond which a test is significant.
+    """
     regimes = list(dict.fromkeys(cell["regime"] for cell in cells))
     found = {(cell["regime"], cell["degree_of_freedom"]): cell for cell in cells}
     tests = [[found.get((regime, degree)) for degree in DEGREES] for regime in regimes]
@@ -213,7 +228,13 @@ def regime_map(title: str, cells: Cells, threshold: float) -> go.Figure:
 def _heatmap(
     tests: Sequence[Sequence[Record | None]], x: Sequence, threshold: float, panel: int
 ) -> go.Heatmap:
-    """Cells coloured by z; only what is significant has its number."""
+    """Cells coloured by z; only what is significant has its number.
+
+    Arguments:
+        tests: a row for each label of the y axis; None where nothing was tested.
+        x: labels of columns, or their borders.
+        panel: whose axes, counted from zero.
+    """
 
     def number(z: float | None) -> str:
         return typeset(f"{z:.0f}") if z is not None and abs(z) >= threshold else ""
@@ -240,11 +261,13 @@ def _heatmap(
 
 
 def _rounded_z(cell: Record | None) -> float | None:
+    """z to two decimals, which a colour does not show and a page need not carry."""
     value = None if cell is None else cell.get("z")
     return round(float(value), 2) if is_known(value) else None
 
 
 def _hover_text(cell: Record | None) -> str:
+    """The force with its standard error, z and when, for whoever points at a cell."""
     if cell is None or not is_known(cell.get("z")):
         return "these data cannot tell"
     force = with_error(cell.get("force"), cell.get("std"), cell.get("unit", ""))
@@ -290,7 +313,13 @@ def _colourings(
 def window_colourings(
     label: str, cells: Cells, runs: Sequence[Trajectory], most: int
 ) -> list[Colouring]:
-    """The force of each window along the tracks, one colouring for each degree of freedom."""
+    """The force of each window along the tracks, one colouring for each degree of freedom.
+
+    Arguments:
+        label: of the model.
+        cells: tests of windows; where several overlap, the strongest counts.
+        most: points of a track.
+    """
     out = []
     for degree, (symbol, unit) in FORCES.items():
         own = [c for c in cells if c["degree_of_freedom"] == degree and is_known(c.get("force"))]
@@ -299,7 +328,7 @@ def window_colourings(
         values = {}
         for run in runs:
             here = [cell for cell in own if cell["recording"] == run.name]
-            tests = [_strongest_test(here, degree, t) for t in thinned(run, "t", most)]
+            tests = [_strongest_test(here, degree, t) for t in thin_rows(run, "t", most)]
             forces = [np.nan if test is None else test["force"] for test in tests]
             values[run.name] = np.array(forces, float)
         limit = max(abs(cell["force"]) for cell in own)
@@ -310,12 +339,17 @@ def window_colourings(
 def latent_colourings(
     label: str, series: Mapping[str, Record], runs: Sequence[Trajectory], most: int
 ) -> list[Colouring]:
-    """A force estimated at every instant: `t`, `X`, `Y`, `N` by recording."""
+    """A force estimated at every instant, the colours ending at its 99th percentile.
+
+    Arguments:
+        series: `t` (s), `X`, `Y` (N), `N` (N m) by recording; None where nothing is known.
+        most: points of a track.
+    """
 
     def sampled(run: Trajectory, symbol: str) -> np.ndarray:
         own = series[run.name]
         times, values = np.array(own["t"], float), np.array(own[symbol], float)  # None: NaN
-        return np.interp(thinned(run, "t", most), times, values, left=np.nan, right=np.nan)
+        return np.interp(thin_rows(run, "t", most), times, values, left=np.nan, right=np.nan)
 
     out = []
     for degree, (symbol, unit) in FORCES.items():
@@ -332,9 +366,12 @@ def latent_colourings(
 def coloured_track(
     run: Trajectory, colourings: Sequence[Colouring], group: str, most: int
 ) -> go.Figure:
-    """The measured track, of at most `most` points; one colouring at a time is visible."""
-    north, east = (numbers(thinned(run, channel, most)) for channel in ("x", "y"))
-    times = numbers(thinned(run, "t", most), TIME_DIGITS)
+    """The measured track, of at most `most` points; one colouring at a time is visible.
+
+    The script of the page shows another one when it is chosen.
+    """
+    north, east = (numbers(thin_rows(run, channel, most)) for channel in ("x", "y"))
+    times = numbers(thin_rows(run, "t", most), TIME_DIGITS)
     line = {"color": "#c3cad2", "width": 3}
     hover = "%{customdata} s<extra></extra>"
     track = go.Scatter(

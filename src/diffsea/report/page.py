@@ -56,7 +56,7 @@ class Plot:
 
 @dataclasses.dataclass(frozen=True)
 class RunPlots:
-    """The plots of one run, which share a time cursor."""
+    """The plots of one run, which share a time cursor: its track, and what it did over time."""
 
     name: str
     plots: Sequence[Plot]
@@ -81,5 +81,12 @@ TEMPLATES.filters["verbatim"] = Verbatim
 
 
 def render(template: str, page: object) -> str:
-    """A page from its template (`diagnosis.html.j2`) and the record that it shows."""
+    """A page from its template (`diagnosis.html.j2`) and the record that it shows.
+
+    Arguments:
+        page: what the template calls `page`; has at least `title` and `subtitle`.
+
+    Raises:
+        jinja2.UndefinedError: the template asks for what the record does not have.
+    """
     return TEMPLATES.get_template(template).render(page=page, plotly=Markup(get_plotlyjs()))

@@ -97,7 +97,7 @@ def add_track_markers(
     return drawn.update_layout(meta={"group": group, "cursor": "track", "curves": list(curves)})
 
 
-def thinned(run: Trajectory, channel: str, most: int) -> Float[np.ndarray, "row"]:
+def thin_rows(run: Trajectory, channel: str, most: int) -> Float[np.ndarray, "row"]:
     """A channel's valid rows, thinned evenly to at most `most`."""
     values = getattr(run.counted(), channel)
     return values[:: max(1, math.ceil(len(values) / most))]

@@ -23,7 +23,7 @@ from diffsea.report.plots import (
     heading,
     numbers,
     panel_of,
-    thinned,
+    thin_rows,
 )
 from diffsea.report.quantities import is_known
 from diffsea.report.words import two_digits
@@ -111,6 +111,7 @@ def worst_predicted(
 
 
 def _error_table(comparisons: Sequence[ComparedRun], models: Mapping[str, str]) -> Table | None:
+    """Errors of all runs together by horizon, of the quantities that any run has."""
     rows = [_error_row(row, models) for row in horizon_table(comparisons)]
     if not rows:
         return None
@@ -133,6 +134,7 @@ def _error_table_by_run(comparisons: Sequence[ComparedRun], models: Mapping[str,
 
 
 def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
+    """Seconds ahead, number of predictions, then `before -> after` of every quantity."""
     cells = []
     for name, _, unit in _QUANTITIES:
         values = [row[model].get(name) for model in models]
@@ -142,6 +144,7 @@ def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
 
 
 def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: int) -> RunPlots:
+    """Track and histories of one run, as far as they were measured."""
     name, who = one.recording.name, " and ".join(models.values())
     plots = []
     if one.recording.has("x") and one.recording.has("y"):
@@ -171,11 +174,11 @@ def compared_tracks(
     """Tracks from above, measured beside predicted, each of at most `most` points."""
     curves = _curves(one, models)
     drawn = figure(**TRACK_LAYOUT | {"showlegend": True})
-    north, east = ([thinned(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
+    north, east = ([thin_rows(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
     room = max(float(np.nanmax(series[0]) - np.nanmin(series[0])) for series in (north, east))
     hover = "%{customdata} s: %{x} m east, %{y} m north"
     for k, (name, run, line) in enumerate(curves):
-        x, y, times = numbers(east[k]), numbers(north[k]), thinned(run, "t", most)
+        x, y, times = numbers(east[k]), numbers(north[k]), thin_rows(run, "t", most)
         drawn.add_scatter(
             x=x, y=y, customdata=numbers(times, TIME_DIGITS), mode="lines", name=name, line=line
         )
@@ -194,12 +197,12 @@ def compared_histories(
     panels = [panel for panel in _PANELS if one.recording.has(panel[0])]
     drawn = figure(hovermode="x", margin={"t": 24, "b": 36, "l": 48, "r": 8}, showlegend=False)
     for k, (channel, title, scale) in enumerate(panels):
-        values = [thinned(run, channel, most) * scale for _, run, _ in curves]
+        values = [thin_rows(run, channel, most) * scale for _, run, _ in curves]
         if channel == "psi":
             values = on_one_turn(values)
         axis = f"y{k + 1}" if k else "y"
         for (name, run, line), series in zip(curves, values, strict=True):
-            x, y = numbers(thinned(run, "t", most), TIME_DIGITS), numbers(series)
+            x, y = numbers(thin_rows(run, "t", most), TIME_DIGITS), numbers(series)
             drawn.add_scatter(x=x, y=y, mode="lines", name=name, line=line, xaxis="x", yaxis=axis)
         domain = panel_of(k, len(panels), MARGIN)
         shape = {"domain": domain, "nticks": 5, "range": _axis_range(values)}

@@ -58,6 +58,7 @@ def _lines(value: object) -> Cell:
 
 
 def _extent(run: Trajectory) -> str:
+    """How long a run is, in s and in samples that count."""
     t = run.counted().t
     return f"{t[-1] - t[0]:.0f} s, {len(t)} samples"
 
@@ -97,7 +98,11 @@ def parameter_table(rows: Sequence[Record]) -> Table:
 
 
 def _basis(share: float) -> str:
-    """How much of an estimate the data determine, in words."""
+    """How much of an estimate the data determine, in words.
+
+    Arguments:
+        share: 0, it rests on the prior, to 1, on the data.
+    """
     percent = f"{100 * share:.0f} %"
     if share > 0.9:
         return f"the data ({percent})"

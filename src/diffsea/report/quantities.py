@@ -26,7 +26,10 @@ def is_known(value: float | None) -> TypeGuard[float]:
 
 
 def significant(value: float, digits: int) -> str:
-    """A number with so many significant digits, without an exponent where that is readable."""
+    """A number with so many significant digits, without an exponent where that is readable.
+
+    From 0.0001 to ten million: `0.00123`, `12300`; beyond, `1.2e-9`.
+    """
     if value == 0:
         return "0"
     if not 1e-4 <= abs(value) < 1e7:
@@ -51,7 +54,13 @@ def _decimals(std: float) -> int:
 
 
 def round_to_error(value: float | None, std: float | None = None, unit: str = "") -> str:
-    """A value alone, rounded as its error suggests: `0.30 m/s`."""
+    """A value alone, rounded as its error suggests: `0.30 m/s`.
+
+    Arguments:
+        value: in SI units; None or not finite is `not known`.
+        std: its standard error; three significant digits where there is none.
+        unit: of both; radians become degrees.
+    """
     if not is_known(value):
         return UNKNOWN
     value, name = for_people(value, unit)
@@ -64,7 +73,13 @@ def round_to_error(value: float | None, std: float | None = None, unit: str = ""
 
 
 def with_error(value: float | None, std: float | None, unit: str = "") -> str:
-    """A value with its standard error: `0.301 +- 0.004 m/s`."""
+    """A value with its standard error: `0.301 +- 0.004 m/s`.
+
+    Arguments:
+        value: in SI units.
+        std: one digit is shown of it, two where it begins with a one.
+        unit: of both; radians become degrees.
+    """
     if not is_known(value) or not is_known(std) or std <= 0:
         return round_to_error(value, None, unit)
     value, name = for_people(value, unit)

@@ -139,7 +139,11 @@ def count_recordings(number: int) -> str:
 
 
 def verdict_sentence(summary: Record) -> str:
-    """What is missing, in one sentence."""
+    """What is missing, in one sentence.
+
+    Arguments:
+        summary: the content of diagnosis.json; so in all functions below.
+    """
     effects = named_effects(summary)
     if not effects:
         return _sentence_without_effects(summary)
@@ -230,7 +234,12 @@ def _headline_quantity(row: Record, models: Sequence[str]) -> str:
 
 
 def horizon_line(row: Record, models: Sequence[str]) -> str:
-    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`."""
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`.
+
+    Arguments:
+        row: of `comparison.horizon_table`.
+        models: keys of the row, the result last.
+    """
     parts = []
     for quantity, unit in _QUANTITIES.items():
         values = [row[model].get(quantity) for model in models]
@@ -325,6 +334,7 @@ def verdict_text(summary: Record) -> str:
 
 
 def _effect_line(effect: Record) -> str:
+    """An effect with its sizes and the odds against the model without any."""
     place = f" in {effect['recording']}" if "recording" in effect else ""
     channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
     size = effect.get("evidence", {}).get("log10_odds")
