@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from diffsea.segments.places import by_place
-from diffsea.segments.settings import Settings
+from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.unordered import turning_motions
 
 
@@ -18,7 +18,7 @@ INTERVAL = 1.0  # s, common to all channels
 CUT_OFF = 0.05  # Hz, of the low-pass filter
 WINDOW = 90.0  # s: averages over 30 s, pieces nearer than 90 s are one
 # 0.2 deg/s is a fifth of the 90 deg per window that settings count in; any turn counts.
-SETTINGS = Settings(window=WINDOW, averaging=1 / 3, merging=1.0, turning_share=0.2,
+SETTINGS = SegmentSettings(window=WINDOW, averaging=1 / 3, merging=1.0, turning_share=0.2,
                     least_turn=math.radians(5.0))  # fmt: skip
 MARGIN = 30.0  # s, kept before and after
 PLAUSIBLE = {"u": (-5.0, 20.0), "v": (-5.0, 5.0), "r": (-0.05, 0.05), "rudder": (-0.7, 0.7)}
@@ -70,7 +70,7 @@ def pieces_in(log: Log) -> list[Piece]:
     """The turning motions of one log, each with a margin."""
     t, even = prepared(log)
     everywhere = np.ones(t.shape, bool)
-    found = turning_motions(t, even["psi"], even["r"], everywhere, WINDOW, SETTINGS)
+    found = turning_motions(t, even["psi"], even["r"], everywhere, SETTINGS)
     margin = round(MARGIN / INTERVAL)
     pieces = []
     for first, last in found:

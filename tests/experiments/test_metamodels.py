@@ -18,7 +18,7 @@ from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots, ov
 from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin, in_degrees
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width
-from diffsea.segments.places import by_place, features
+from diffsea.segments.places import by_place, place_features
 from diffsea.trajectory import Trajectory
 from diffsea.types import Environment, State
 
@@ -231,7 +231,7 @@ def test_trials_are_grouped_by_where_they_began_and_ended():
     labels = by_place(places)
     assert labels.tolist() == [0] * 12 + [1] * 7 + [2] * 5
     assert by_place(places, 1).max() == 0
-    table = features(places)
+    table = place_features(places)
     assert np.abs(table.mean(0)).max() < 1e-12
     with pytest.raises(UserError, match="cannot make 30 groups"):
         by_place(places, 30)

@@ -492,7 +492,7 @@ def test_orders_of_a_zigzag_are_found_where_they_were_given(kind, channels, rate
     orders = find_orders(run)
     np.testing.assert_allclose(orders.times, times, atol=0.11)
     assert recognise_trial(run, orders).name == "zigzag"
-    assert orders.channel.startswith(kind)
+    assert orders.source.group == kind
     np.testing.assert_array_equal(np.sign(orders.angles), [1, -1, 1, -1, 1])
 
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from tests.paths import ROOT
 
-from diffsea.recordings import KINDS, audit, read_recording
+from diffsea.recordings import KINDS, audit, read_recording, readers
+from diffsea.recordings.auditing import responses
+from diffsea.recordings.auditing.repair import repair
 from diffsea.recordings.auditing.responses import zigzag_findings
 from diffsea.recordings.motion import motion_of
 from diffsea.trajectory import Trajectory
@@ -623,6 +625,35 @@ def test_rudder_and_thrust_that_both_turn_the_wrong_way_accuse_the_axes():
     mirrored = {name: -getattr(run, name) for name in ("y", "psi", "v", "r")}
     finding = only(edited(run, **mirrored), "axes")
     assert finding.channels == ("y", "psi", "v", "r")
+
+
+def test_what_an_actuator_does_is_no_matter_of_words(monkeypatch):
+    """Sentences for people may be reworded: units, axes and what follows from them stay."""
+    run = recording("random", 4)
+    mirrored = edited(run, **{name: -getattr(run, name) for name in ("y", "psi", "v", "r")})
+    astern = edited(run, commanded={"propeller": -run.commanded["port"]})
+    units = [only(astern, "sign").unit, only(mirrored, "axes").unit]
+    assert units == ["m/s per unit of actuation", "rad/s per unit of actuation"]
+    monkeypatch.setattr(responses, "_SLOWS", "{channel} turns speed into less speed")
+    monkeypatch.setattr(responses, "_TURNS", "{channel} swings the vessel to {side}")
+    assert [only(astern, "sign").unit, only(mirrored, "axes").unit] == units
+
+
+def test_what_reading_left_out_is_no_matter_of_words(tmp_path, monkeypatch):
+    run = recording("zigzag", 1)
+    time = run.t.copy()
+    time[[100, 200, 300]] = time[[99, 199, 299]]
+    rows = [f"{t},{psi},{r}" for t, psi, r in zip(time, run.psi, run.r, strict=True)]
+    rows[50:50] = [",,"] * 7
+    (tmp_path / "a.csv").write_text("\n".join(["t,psi,r", *rows]) + "\n")
+    monkeypatch.setattr(readers, "REPEATED_TIMES", "9 rows: one instant each")
+    monkeypatch.setattr(readers, "EMPTY_ROWS", "nothing in 9 lines")
+    read = read_recording(tmp_path / "a.csv")
+    assert {finding.kind: finding.value for finding in audit(read)} == {"gap": 7, "duplicate": 3}
+    done = repair(read)
+    assert [step.finding.kind for step in done.applied] == ["duplicate"]
+    assert any(note.startswith("repaired: 9 rows") for note in done.run.provenance)
+    assert {finding.kind for finding in done.left} == {"gap"}
 
 
 def test_an_angle_beyond_half_a_turn_is_in_degrees():

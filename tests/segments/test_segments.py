@@ -18,9 +18,16 @@ from diffsea.cli import main
 from diffsea.cli import segments as command
 from diffsea.errors import UserError
 from diffsea.recordings import read_recording, write_recording
-from diffsea.segments import SEGMENT_KINDS, Settings, cut_out, find_segments, grouped, traceability
+from diffsea.segments import (
+    SEGMENT_KINDS,
+    SegmentSettings,
+    cut_out,
+    find_segments,
+    group_repeats,
+    traceability,
+)
 from diffsea.segments.signals import signals_of
-from diffsea.segments.unordered import own_window
+from diffsea.segments.unordered import quarter_turn_window
 from diffsea.simulation.actuation import executed_by
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import read_vessel
@@ -356,11 +363,11 @@ def test_a_flicker_of_the_steering_does_not_part_a_trial():
 def test_the_window_is_the_time_of_a_quarter_turn():
     t = np.arange(0, 600, 0.1)
     r = np.where((t > 200) & (t < 300), 3 * DEG, 0.0)
-    assert own_window(t, r) == pytest.approx(30, rel=0.02)
+    assert quarter_turn_window(t, r) == pytest.approx(30, rel=0.02)
 
 
 def test_repeats_share_a_group_and_others_do_not(days):
-    found = grouped(find_segments(days["at once"].run()))
+    found = group_repeats(find_segments(days["at once"].run()))
     labels = {(s.onset, s.kind): s.group for s in trials(found)}
     zigzags = [label for (_, kind), label in sorted(labels.items()) if kind == "zigzag"]
     circles = [label for (_, kind), label in sorted(labels.items()) if kind == "turning"]
@@ -376,7 +383,7 @@ def test_members_of_a_group_are_all_alike():
         dataclasses.replace(one, approach=dataclasses.replace(one.approach, speed=s))
         for s in speeds
     ]
-    labels = [s.group for s in grouped(chain)]
+    labels = [s.group for s in group_repeats(chain)]
     assert labels[0] == labels[1] and labels[0] != labels[3]
     assert len({label for label in labels}) == 2
 
@@ -586,7 +593,7 @@ def test_a_recording_without_yaw_is_refused():
     with pytest.raises(UserError, match="rows"):
         find_segments(dataclasses.replace(run, valid=run.t < 1))
     with pytest.raises(UserError, match="window"):
-        Settings(window=-1.0)
+        SegmentSettings(window=-1.0)
 
 
 def test_the_commands_kinds_are_the_librarys():
@@ -625,3 +632,24 @@ def test_signals_of_a_pair_of_thrusters_are_rudder_equivalent():
     signals = signals_of(run)
     assert np.max(signals.steer) == pytest.approx(20 * DEG)
     np.testing.assert_allclose(signals.drive, 1.0)
+
+
+def test_channels_are_what_they_are_called_whatever_their_names_hold():
+    """A comma in the names of a pair: idle together, they do not steer, and are named in full."""
+    run = Log(Ship()).straight(20).circle(20, 90).coast(30).run(twin=True)
+    idle = run.commanded["port"] == 0
+    assert idle.any()
+    turned = {"port, main": run.commanded["port"] + 0.5, "starboard, main": 0.0 * run.t + 0.2}
+    turned["starboard, main"] = np.where(idle, 0.2, run.commanded["starboard"])
+    run = dataclasses.replace(run, commanded=turned, executed=turned)
+    signals = signals_of(run)
+    assert signals.steering_channels == ("port, main", "starboard, main")
+    assert np.all(signals.steer[idle] == 0) and np.max(signals.steer) > 15 * DEG
+
+
+def test_a_piece_that_nothing_begins_is_judged_by_itself(days):
+    found = find_segments(days["at once"].run())
+    straight = next(s for s in found if s.kind == "straight")
+    circle = next(s for s in found if s.manoeuvre == "turning-circle")
+    assert "s of the piece" in straight.approach.why
+    assert "s before the onset" in circle.approach.why

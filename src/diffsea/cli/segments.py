@@ -60,20 +60,20 @@ def segment_command(args: argparse.Namespace) -> None:
       diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
     """
     from diffsea.report.pictures import save_segments
-    from diffsea.segments import Settings, grouped
+    from diffsea.segments import SegmentSettings, group_repeats
     from diffsea.segments.export import record, source_of
-    from diffsea.segments.segments import fitted, segments_of
+    from diffsea.segments.segments import segments_of, with_window
     from diffsea.segments.signals import signals_of
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     runs = options.read_recordings(args.recordings, args.mapping)
     stems = _distinct_stems(runs)
-    settings = Settings(window=args.window)
+    settings = SegmentSettings(window=args.window)
     with Outputs(args.output) as out:
         signals = [signals_of(run, vessel) for run in runs]
-        scales = [fitted(one, settings) for one in signals]
+        scales = [with_window(one, settings) for one in signals]
         found = [segments_of(*pair) for pair in zip(signals, scales, strict=True)]
-        labelled = iter(grouped([segment for own in found for segment in own], settings))
+        labelled = iter(group_repeats([segment for own in found for segment in own], settings))
         entries, texts = [], []
         for k, run in enumerate(runs):
             segments = [next(labelled) for _ in found[k]]

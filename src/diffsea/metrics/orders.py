@@ -39,6 +39,21 @@ _UNLIKE = 0.2  # relative difference of size up to which two orders are a zig-za
 
 
 @dataclasses.dataclass(frozen=True)
+class SteeringSource:
+    """The channels that a steering angle was read from, and their `group`, commanded or executed.
+
+    Of a `pair` of thrusters it is the rudder-equivalent angle. As text it is for notes.
+    """
+
+    group: str = ""
+    channels: tuple[str, ...] = ()
+    pair: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.group} {', '.join(self.channels)}" if self.channels else "none"
+
+
+@dataclasses.dataclass(frozen=True)
 class Orders:
     """Consecutive orders to alternating sides.
 
@@ -49,7 +64,7 @@ class Orders:
     times: tuple[float, ...] = ()
     angles: tuple[float, ...] = ()
     end: float = math.inf
-    channel: str = "none"  # what they were read from, for notes
+    source: SteeringSource = SteeringSource()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,8 +90,8 @@ def steers(channel: str) -> bool:
     return "rudder" in channel.lower() or channel.lower().endswith(".angle")
 
 
-def steering_angle(trajectory: Trajectory) -> tuple[Samples, str] | None:
-    """Steering angle (rad) in every row and the channel it is from; none if not recorded.
+def steering_angle(trajectory: Trajectory) -> tuple[Samples, SteeringSource] | None:
+    """Steering angle (rad) in every row and the channels it is from; none if not recorded.
 
     Commands come before executed values. A channel with "rudder" in its name is taken
     first, then a pair named port / starboard or left / right, then an azimuth angle.
@@ -90,10 +105,11 @@ def steering_angle(trajectory: Trajectory) -> tuple[Samples, str] | None:
         )
         if not rudders and port and starboard:
             angle = equivalent_angle(channels[port], channels[starboard])
-            return angle, f"{kind} {port}, {starboard}"
+            return angle, SteeringSource(kind, (port, starboard), pair=True)
         angles = rudders or [name for name in channels if name.lower().endswith(".angle")]
         if angles:
-            return np.mean([channels[n] for n in angles], axis=0), f"{kind} {', '.join(angles)}"
+            angle = np.mean([channels[n] for n in angles], axis=0)
+            return angle, SteeringSource(kind, tuple(angles))
     return None
 
 
@@ -161,7 +177,7 @@ def find_orders(trajectory: Trajectory) -> Orders:
     steered = steering_angle(trajectory)
     if steered is None:
         return Orders()
-    angle, channel = steered
+    angle, source = steered
     t = np.asarray(trajectory.t, float)
     level = _longest_level(t, angle)
     chains: list[list[Plateau]] = []
@@ -171,13 +187,13 @@ def find_orders(trajectory: Trajectory) -> Orders:
         else:
             chains.append([plateau])
     if not chains:
-        return Orders(channel=channel)
+        return Orders(source=source)
     chain = max(chains, key=lambda c: t[c[-1].last] - t[c[0].first])
     return Orders(
         times=tuple(_order_time(t, angle, plateau.first) for plateau in chain),
         angles=tuple(float(np.median(angle[p.first : p.last + 1])) for p in chain),
         end=float(t[chain[-1].last]),
-        channel=channel,
+        source=source,
     )
 
 

@@ -134,7 +134,7 @@ def recording_metrics(
     if not orders.times and trial.steered:
         raise UserError(
             f"{trajectory.name}: no order was found to start a {manoeuvre} (steering read from "
-            f"{orders.channel}); map a rudder, or a port and a starboard thruster"
+            f"{orders.source}); map a rudder, or a port and a starboard thruster"
         )
     result = {"manoeuvre": trial.name, **trial.read(run, orders, notes)}
     notes += [f"{name} is missing: {why}" for name, why in _missing_numbers(result, run)]
@@ -280,7 +280,7 @@ def _read_stopping(run: Trajectory, orders: Orders, notes: list[str]) -> dict[st
 
 def _read_any_run(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str, Any]:
     """What can be said of any run."""
-    if orders.channel == "none":
+    if not orders.source.channels:
         notes.append("no steering channel was recorded, so no order could be found")
     elapsed = max(run.t[-1] - run.t[0], 1e-12)
     return {
@@ -357,10 +357,10 @@ def _read_order(
     run: Trajectory, orders: Orders, side: float, notes: list[str]
 ) -> dict[str, str | float]:
     if orders.angles[0] * side < 0:
-        notes.append(f"{orders.channel} has the opposite sign: positive turns to port")
-    if ", " in orders.channel and "rudder" not in orders.channel:
-        notes.append(f"order_angle takes {orders.channel} for thrusts, not rev/s or PWM")
-    if orders.channel.startswith("executed"):
+        notes.append(f"{orders.source} has the opposite sign: positive turns to port")
+    if orders.source.pair:
+        notes.append(f"order_angle takes {orders.source} for thrusts, not rev/s or PWM")
+    if orders.source.group == "executed":
         notes.append("no steering command was recorded: orders are read from executed values")
     return {
         "side": "starboard" if side > 0 else "port",

@@ -119,7 +119,11 @@ def save_trial_series(
     heading.plot(t, np.degrees(run.psi), color=BLUE, label="heading")
     steered = steering_angle(as_thrust(run, units or {}))
     if steered is not None:
-        label = "rudder" if "rudder" in steered[1] else "rudder-equivalent order"
+        label = (
+            "rudder"
+            if any("rudder" in name for name in steered[1].channels)
+            else "rudder-equivalent order"
+        )
         heading.step(t, np.degrees(steered[0]), where="post", color=ORANGE, label=label)
     heading.set_ylabel("deg")
     heading.set_title(title, loc="left")

@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 
-from diffsea.segments.settings import Settings
+from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import Signals
 
 
-_FEWEST = 5  # rows that an approach must have to be judged
+_FEWEST_ROWS = 5  # that an approach must have to be judged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,20 +31,30 @@ class Approach:
     why: str
 
 
-def approach_to(signals: Signals, start: float, onset: float, settings: Settings) -> Approach:
-    """The approach from `start` to just before `onset` (s)."""
+def approach_to(
+    signals: Signals,
+    start: float,
+    onset: float,
+    settings: SegmentSettings,
+    period: str = "before the onset",
+) -> Approach:
+    """The approach from `start` to just before `onset` (s); `period` names that time for people."""
     rows = signals.rows(start, onset)
     rows = slice(rows.start, max(rows.stop - 1, rows.start))
     t, psi = signals.t[rows], signals.psi[rows]
-    if len(t) < _FEWEST:
-        return _unknown(f"{len(t)} rows before the onset are too few to judge the approach")
+    if len(t) < _FEWEST_ROWS:
+        why = f"{len(t)} rows {period} are too few to judge the approach"
+        return Approach(0.0, *(math.nan,) * 5, "unknown", why)
     wander, fastest = float(np.ptp(psi)), float(np.max(np.abs(signals.r[rows])))
     seconds = float(t[-1] - t[0])
     if signals.speed is None:
-        return dataclasses.replace(
-            _unknown("the speed is not known"), seconds=seconds, yaw_rate=fastest, wander=wander
-        )
-    mean, spread, trend = speed_over(signals, rows)
+        unknown = (math.nan,) * 3
+        return Approach(seconds, *unknown, fastest, wander, "unknown", "the speed is not known")
+    speed = signals.speed[rows]
+    mean = float(np.mean(speed))
+    slope, offset = np.polyfit(t - t[0], speed, 1)
+    spread = float(np.std(speed - offset - slope * (t - t[0])))
+    trend = float(slope * (t[-1] - t[0]))
     faults = []
     if abs(trend) > settings.steady_speed * mean:
         faults.append(f"speed {'rises' if trend > 0 else 'falls'} by {abs(trend) / mean:.0%}")
@@ -52,20 +62,6 @@ def approach_to(signals: Signals, start: float, onset: float, settings: Settings
         faults.append(f"speed scatters by {spread / mean:.0%}")
     if wander > settings.steady_heading:
         faults.append(f"heading wanders over {math.degrees(wander):.1f} deg")
-    why = f"over {seconds:.3g} s before the onset " + (", ".join(faults) or "nothing changes")
-    return Approach(
-        seconds, mean, spread, trend, fastest, wander, "unsteady" if faults else "steady", why
-    )
-
-
-def speed_over(signals: Signals, rows: slice) -> tuple[float, float, float]:
-    """Mean speed (m/s), scatter about its trend, and gain along the trend over some rows."""
-    t, speed = signals.t[rows], np.asarray(signals.speed)[rows]
-    mean = float(np.mean(speed))
-    slope, offset = np.polyfit(t - t[0], speed, 1) if len(t) > 1 else (0.0, mean)
-    spread = float(np.std(speed - offset - slope * (t - t[0])))
-    return mean, spread, float(slope * (t[-1] - t[0]))
-
-
-def _unknown(why: str) -> Approach:
-    return Approach(0.0, *(math.nan,) * 5, "unknown", why)
+    why = f"over {seconds:.3g} s {period} " + (", ".join(faults) or "nothing changes")
+    verdict = "unsteady" if faults else "steady"
+    return Approach(seconds, mean, spread, trend, fastest, wander, verdict, why)

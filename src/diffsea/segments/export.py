@@ -9,6 +9,7 @@ import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def export(
     interval: float | None = None,
     suffix: str = ".csv",
     checks: Mapping[int, Sequence[Check]] | None = None,
-) -> list[dict]:
+) -> list[dict[str, Any]]:
     """Write every segment of a recording into a folder, and return the entries of the record.
 
     An entry has the segment's numbers (SI units, rad), its `file` and that file's `sha256`,
@@ -69,7 +70,8 @@ def export(
             {
                 "file": path.name,
                 "sha256": digest(path),
-                **described(segment),
+                **dataclasses.asdict(segment),
+                "steady": segment.steady,
                 "steps": list(piece.provenance),
                 "checks": [dataclasses.asdict(c) for c in (checks or {}).get(number - 1, ())],
             }
@@ -77,23 +79,17 @@ def export(
     return entries
 
 
-def described(segment: Segment) -> dict:
-    """A segment as it stands in the record: every number under its name, SI units and rad."""
-    return dataclasses.asdict(segment) | {"steady": segment.steady}
-
-
-def source_of(path: Path, mapping: Path | None) -> dict:
+def source_of(path: Path, mapping: Path | None) -> dict[str, Any]:
     """What a recording was read from: file and mapping, each with its hash."""
-    source: dict = {"file": Path(path).name, "sha256": digest(path), "mapping": None}
+    source: dict[str, Any] = {"file": Path(path).name, "sha256": digest(path), "mapping": None}
     if mapping is not None:
         text = Path(mapping).read_text(encoding="utf-8")
-        source["mapping"] = {
-            "file": Path(mapping).name, "sha256": digest(mapping), "text": text,
-        }  # fmt: skip
+        name = Path(mapping).name
+        source["mapping"] = {"file": name, "sha256": digest(mapping), "text": text}
     return source
 
 
-def record(recordings: Sequence[dict]) -> dict:
+def record(recordings: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The content of `segments.json`."""
     return {
         "format": FORMAT,

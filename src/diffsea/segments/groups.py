@@ -9,43 +9,45 @@ import numpy as np
 from scipy.cluster import hierarchy
 
 from diffsea.segments.segments import Segment
-from diffsea.segments.settings import Settings
+from diffsea.segments.settings import SegmentSettings
 
 
-def grouped(found: Sequence[Segment], settings: Settings | None = None) -> list[Segment]:
+def group_repeats(
+    found: Sequence[Segment], settings: SegmentSettings | None = None
+) -> list[Segment]:
     """The segments with `group` filled in: one label for those that repeat one another.
 
     All members of a group are alike: order and approach speed differ by no more than
     `settings.alike` of the larger (an order by less than `settings.order` in any case).
     What has no order or no speed is compared by what it has. The label says what is common.
     """
-    settings = Settings() if settings is None else settings
-    kinds: dict[tuple, list[int]] = defaultdict(list)
+    settings = SegmentSettings() if settings is None else settings
+    kinds: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for number, segment in enumerate(found):
-        kinds[_shape(segment)].append(number)
+        kinds[_group_key(segment)].append(number)
     labels: dict[int, str] = {}
     taken: set[str] = set()
     for numbers in kinds.values():
         for cluster in _clusters([found[n] for n in numbers], settings):
             members = [numbers[k] for k in cluster]
-            label = _unused(_label([found[n] for n in members]), taken)
+            label = _unused_label(_common_label([found[n] for n in members]), taken)
             taken.add(label)
             labels |= dict.fromkeys(members, label)
     return [dataclasses.replace(item, group=labels[n]) for n, item in enumerate(found)]
 
 
-def _shape(segment: Segment) -> tuple:
+def _group_key(segment: Segment) -> tuple[object, ...]:
     """What must be the same: kind, manoeuvre, side, and which numbers are known."""
     known = math.isfinite(segment.order), math.isfinite(segment.approach.speed)
     return segment.kind, segment.manoeuvre, segment.side, *known
 
 
-def _clusters(found: list[Segment], settings: Settings) -> list[list[int]]:
+def _clusters(found: list[Segment], settings: SegmentSettings) -> list[list[int]]:
     """Complete linkage: the two members of a group that differ most are still alike."""
     if len(found) == 1:
         return [[0]]
     pairs = [
-        _difference(found[i], found[j], settings)
+        _relative_difference(found[i], found[j], settings)
         for i in range(len(found))
         for j in range(i + 1, len(found))
     ]
@@ -53,7 +55,7 @@ def _clusters(found: list[Segment], settings: Settings) -> list[list[int]]:
     return [list(np.flatnonzero(numbers == n)) for n in dict.fromkeys(numbers)]
 
 
-def _difference(one: Segment, other: Segment, settings: Settings) -> float:
+def _relative_difference(one: Segment, other: Segment, settings: SegmentSettings) -> float:
     """How unlike two segments are; one is just alike."""
     differences = [0.0]
     if math.isfinite(one.order):
@@ -66,7 +68,7 @@ def _difference(one: Segment, other: Segment, settings: Settings) -> float:
     return max(differences)
 
 
-def _label(members: list[Segment]) -> str:
+def _common_label(members: list[Segment]) -> str:
     first = members[0]
     words = [first.kind if first.manoeuvre == "unknown" else first.manoeuvre, first.side or ""]
     if math.isfinite(first.order):
@@ -76,7 +78,7 @@ def _label(members: list[Segment]) -> str:
     return " ".join(word for word in words if word)
 
 
-def _unused(label: str, taken: set[str]) -> str:
+def _unused_label(label: str, taken: set[str]) -> str:
     number = 2
     name = label
     while name in taken:

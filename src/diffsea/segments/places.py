@@ -12,14 +12,14 @@ from jaxtyping import Float, Int
 from diffsea.errors import UserError
 
 
-MOST = 12  # groups that are looked for
-STARTS = 10  # of k-means
-ENOUGH = 0.02  # of silhouette, that fewer groups may be worse and still be preferred
+_MOST_GROUPS = 12  # that are looked for; no route had more trials at different places
+_RESTARTS = 10  # of k-means
+_NEARLY_AS_GOOD = 0.02  # of silhouette, that fewer groups may be worse and still be preferred
 
 Place = tuple[float, float, float, float]
 
 
-def features(places: Sequence[Place]) -> Float[np.ndarray, "trial 4"]:
+def place_features(places: Sequence[Place]) -> Float[np.ndarray, "trial 4"]:
     """Beginning and end, north and east (m), without their mean, over one common spread.
 
     North and east keep their scale to each other: a degree of longitude is shorter than one of
@@ -46,32 +46,32 @@ def by_place(
 
     Raises `UserError` without scikit-learn, or for more groups than trials.
     """
-    table = features(places)
+    table = place_features(places)
     if count is not None and not 1 <= count <= len(table):
         raise UserError(f"{len(table)} trials cannot make {count} groups")
     if len(table) < 3 or count == 1:
         return np.zeros(len(table), int)
-    labels = _labels(table, _best_count(table, seed) if count is None else count, seed)
+    labels = _place_labels(table, _best_count(table, seed) if count is None else count, seed)
     sizes = np.bincount(labels)
     rank = np.empty(len(sizes), int)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     return rank[labels]
 
 
-def _labels(table: np.ndarray, count: int, seed: int) -> np.ndarray:
-    return _cluster().KMeans(count, n_init=STARTS, random_state=seed).fit_predict(table)
+def _place_labels(table: np.ndarray, count: int, seed: int) -> np.ndarray:
+    return _sklearn_cluster().KMeans(count, n_init=_RESTARTS, random_state=seed).fit_predict(table)
 
 
 def _best_count(table: np.ndarray, seed: int) -> int:
     """The number of groups by the mean silhouette (Rousseeuw 1987)."""
     from sklearn.metrics import silhouette_score
 
-    most = min(MOST, len(table) - 1)
-    scores = [silhouette_score(table, _labels(table, k, seed)) for k in range(2, most + 1)]
-    return 2 + int(np.flatnonzero(np.array(scores) > max(scores) - ENOUGH)[0])
+    most = min(_MOST_GROUPS, len(table) - 1)
+    scores = [silhouette_score(table, _place_labels(table, k, seed)) for k in range(2, most + 1)]
+    return 2 + int(np.flatnonzero(np.array(scores) > max(scores) - _NEARLY_AS_GOOD)[0])
 
 
-def _cluster():
+def _sklearn_cluster():
     try:
         import sklearn.cluster
     except ImportError:

@@ -12,11 +12,17 @@ import numpy as np
 
 from diffsea.metrics.orders import departure_row
 from diffsea.segments.approach import Approach, approach_to
-from diffsea.segments.settings import Settings
+from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import MEASURED, NOTHING, Signals, signals_of
-from diffsea.segments.spans import NOISE, ONSET, Span, approach_row, scatter_of, window_of
-from diffsea.segments.trials import given, leaving, switches_of, trials_in
-from diffsea.segments.unordered import own_window, rest_in, turns_in
+from diffsea.segments.spans import (
+    ONSET_SCATTER,
+    ONSET_SHARE,
+    Span,
+    approach_row,
+    robust_scatter,
+)
+from diffsea.segments.trials import find_trials, leaving_row, order_row, switch_rows
+from diffsea.segments.unordered import find_rest, find_turns, quarter_turn_window
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -62,7 +68,7 @@ class Segment:
 
 
 def find_segments(
-    run: Trajectory, vessel: Vessel | None = None, settings: Settings | None = None
+    run: Trajectory, vessel: Vessel | None = None, settings: SegmentSettings | None = None
 ) -> list[Segment]:
     """Every trial, turning motion, straight run, coasting and rest in a recording, in order.
 
@@ -74,25 +80,40 @@ def find_segments(
     return segments_of(signals_of(run, vessel), settings)
 
 
-def segments_of(signals: Signals, settings: Settings | None = None) -> list[Segment]:
+def with_window(signals: Signals, settings: SegmentSettings | None = None) -> SegmentSettings:
+    """The settings with the window of this recording, if none was given."""
+    settings = SegmentSettings() if settings is None else settings
+    if settings.window is not None:
+        return settings
+    return dataclasses.replace(settings, window=quarter_turn_window(signals.t, signals.r))
+
+
+def segments_of(signals: Signals, settings: SegmentSettings | None = None) -> list[Segment]:
     """The segments of a recording whose signals are at hand."""
-    settings = fitted(signals, settings)
-    trials = trials_in(signals, settings)
-    turns = turns_in(signals, settings, trials)
-    spans = sorted(
-        [*trials, *turns, *rest_in(signals, settings, [*trials, *turns])],
-        key=lambda span: span.first,
-    )
+    settings = with_window(signals, settings)
+    spans = find_trials(signals, settings)
+    spans = [*spans, *find_turns(signals, settings, spans)]
+    spans = [*spans, *find_rest(signals, settings, spans)]
     found: list[Segment] = []
-    for span in spans:
-        segment = _segment(signals, settings, span, _taken(found, signals))
+    for span in sorted(spans, key=lambda span: span.first):
+        segment = _segment(signals, settings, span, _earliest_start(found, signals))
+        # What nothing begins gives way to an approach.
         if found and segment.start <= found[-1].end:
-            found = _shortened(signals, settings, found, segment.start)
+            last = found.pop()
+            if segment.start - last.start >= settings.piece * settings.seconds:
+                rows = signals.rows(last.start, segment.start)
+                end = Span(last.kind, rows.start, rows.stop - 2, "")
+                change = float(signals.psi[end.last] - signals.psi[end.first])
+                approach = _own_conditions(signals, settings, end)
+                stop = float(signals.t[end.last])
+                found.append(
+                    dataclasses.replace(last, end=stop, approach=approach, heading_change=change)
+                )
         found.append(segment)
     return found
 
 
-def _taken(found: list[Segment], signals: Signals) -> float:
+def _earliest_start(found: list[Segment], signals: Signals) -> float:
     """From when on (s) a segment may begin; what nothing begins gives way to an approach."""
     if not found:
         return float(signals.t[0])
@@ -101,33 +122,27 @@ def _taken(found: list[Segment], signals: Signals) -> float:
     return float(signals.t[min(signals.rows(0.0, found[-1].end).stop, len(signals.t) - 1)])
 
 
-def fitted(signals: Signals, settings: Settings | None = None) -> Settings:
-    """The settings with the window of this recording, if none was given."""
-    settings = Settings() if settings is None else settings
-    if settings.window is not None:
-        return settings
-    return dataclasses.replace(settings, window=own_window(signals.t, signals.r))
-
-
-def _segment(signals: Signals, settings: Settings, span: Span, earliest: float) -> Segment:
+def _segment(signals: Signals, settings: SegmentSettings, span: Span, earliest: float) -> Segment:
+    """The segment of a span: its onset, approach, orders and heading."""
     t, psi = signals.t, signals.psi
-    begun = span.kind not in _PASSIVE
     first, threshold, ordered = span.first, math.nan, math.nan
-    if begun and signals.steer is not None and span.kind != "coasting":
-        first, threshold = _onset(signals, settings, span)
-        ordered = _ordered(signals, settings, span)
-    elif span.kind == "coasting":
-        first = _pushed_less(signals, settings, first, span.last)
+    if span.kind == "coasting":
+        first = _row_of_less_push(signals, settings, first, span.last)
         ordered = math.nan if signals.throttle is None else float(t[span.first])
+    elif span.kind not in _PASSIVE and signals.steer is not None:
+        first, threshold = _onset(signals, settings, span)
+        if signals.commanded is not None and span.plateaus:
+            ordered = float(t[order_row(signals, settings, span.plateaus[0])[0]])
     onset = float(t[first])
-    if begun:
+    if span.kind in _PASSIVE:
+        start, approach = onset, _own_conditions(signals, settings, span)
+    else:
         start = float(t[approach_row(signals, settings, first)])
         approach = approach_to(signals, start, onset, settings)
         start = max(start, earliest)
-    else:
-        start, approach = onset, _itself(signals, settings, span)
     change = float(psi[span.last] - psi[first])
-    switches = switches_of(signals, settings, span.holds) if span.holds else []
+    side = _side(signals, span, change)
+    switches = switch_rows(signals, settings, span.plateaus) if span.plateaus else []
     return Segment(
         kind=span.kind,
         start=start,
@@ -136,57 +151,49 @@ def _segment(signals: Signals, settings: Settings, span: Span, earliest: float) 
         reference_heading=float(psi[first]),
         approach=approach,
         manoeuvre=span.manoeuvre,
-        side=_side(signals, span, change),
-        order=_order(signals, span),
+        side=side,
+        order=_order_size(signals, span),
         heading_change=change,
         ordered=ordered,
         threshold=threshold,
         switches=tuple(float(t[row]) for row in switches),
         actuation=signals.origin,
-        why=_why(signals, span, change),
+        why=_why(signals, span, side, change),
         recording=signals.run.name,
     )
 
 
-def _onset(signals: Signals, settings: Settings, span: Span) -> tuple[int, float]:
+def _onset(signals: Signals, settings: SegmentSettings, span: Span) -> tuple[int, float]:
     """Row of the onset, and the threshold (rad) that the executed angle passes there."""
-    if span.holds:
-        return leaving(signals, settings, span.holds[0])
+    if span.plateaus:
+        return leaving_row(signals, settings, span.plateaus[0])
     angle = np.asarray(signals.steer)
     earliest = approach_row(signals, settings, span.first)
     level = float(np.median(angle[span.first : span.last + 1]))
-    before, scatter = float(np.median(angle[earliest : span.first + 1])), 0.0
-    scatter = scatter_of(angle[earliest : span.first + 1])
-    threshold = max(NOISE * scatter, ONSET * abs(level - before), settings.order)
+    before = float(np.median(angle[earliest : span.first + 1]))
+    scatter = robust_scatter(angle[earliest : span.first + 1])
+    threshold = max(ONSET_SCATTER * scatter, ONSET_SHARE * abs(level - before), settings.order)
     # Steering that does not move before the vessel turns is not what turned it.
     if abs(angle[span.first] - before) <= threshold:
         return span.first, math.nan
     return departure_row(angle, before, threshold, span.first, earliest), threshold
 
 
-def _ordered(signals: Signals, settings: Settings, span: Span) -> float:
-    """When the order that the onset answers was given (s)."""
-    if signals.commanded is None or not span.holds:
-        return math.nan
-    return float(signals.t[given(signals, settings, span.holds[0])[0]])
-
-
-def _pushed_less(signals: Signals, settings: Settings, first: int, last: int) -> int:
+def _row_of_less_push(signals: Signals, settings: SegmentSettings, first: int, last: int) -> int:
     """The row from which on the executed push falls, after the order to coast in row `first`."""
     drive = np.asarray(signals.drive)
     before = float(np.median(drive[max(first - 5, 0) : first])) if first else 0.0
     if signals.throttle is None or before <= settings.idle:
         return first
-    fallen = np.flatnonzero(drive[first : last + 1] < (1 - ONSET) * before)
+    fallen = np.flatnonzero(drive[first : last + 1] < (1 - ONSET_SHARE) * before)
     return first + int(fallen[0]) if fallen.size else first
 
 
-def _itself(signals: Signals, settings: Settings, span: Span) -> Approach:
-    """The conditions of a piece that nothing begins."""
+def _own_conditions(signals: Signals, settings: SegmentSettings, span: Span) -> Approach:
+    """The conditions of a piece that nothing begins, as if it were an approach."""
     t = signals.t
-    step = float(t[span.last] - t[span.last - 1])
-    own = approach_to(signals, float(t[span.first]), float(t[span.last]) + step, settings)
-    return dataclasses.replace(own, why=own.why.replace("before the onset ", "of the piece "))
+    end = float(t[span.last]) + float(t[span.last] - t[span.last - 1])
+    return approach_to(signals, float(t[span.first]), end, settings, "of the piece")
 
 
 def _side(signals: Signals, span: Span, change: float) -> str | None:
@@ -194,46 +201,27 @@ def _side(signals: Signals, span: Span, change: float) -> str | None:
     if span.kind not in ("turning", "zigzag"):
         return None
     if span.kind == "zigzag":
-        hold = span.holds[1]
-        change = float(signals.psi[hold.first] - signals.psi[span.first])
+        change = float(signals.psi[span.plateaus[1].first] - signals.psi[span.first])
     return "starboard" if change >= 0 else "port"
 
 
-def _order(signals: Signals, span: Span) -> float:
+def _order_size(signals: Signals, span: Span) -> float:
     """Mean size of the orders (rad); of turning without a held order, the median angle."""
-    if span.holds:
-        return float(np.mean([abs(hold.level) for hold in span.holds]))
+    if span.plateaus:
+        return float(np.mean([abs(plateau.level) for plateau in span.plateaus]))
     if span.kind == "turning" and signals.steer is not None:
         return float(abs(np.median(signals.steer[span.first : span.last + 1])))
     return math.nan
 
 
-def _why(signals: Signals, span: Span, change: float) -> str:
+def _why(signals: Signals, span: Span, side: str | None, change: float) -> str:
+    """What made the span what it is, in words for people."""
     notes = [span.why]
-    if span.holds:
-        side = 1.0 if _side(signals, span, change) == "starboard" else -1.0
-        if span.holds[0].level * side < 0:
+    if span.plateaus:
+        if span.plateaus[0].level * (1.0 if side == "starboard" else -1.0) < 0:
             notes.append(f"positive {signals.channel} turns to port")
+        if signals.origin != MEASURED:
+            notes.append(f"executed steering is {signals.origin}, not measured")
     elif span.kind == "turning":
         notes.append(f"heading changed by {math.degrees(change):.0f} deg")
-    if span.holds and signals.origin != MEASURED:
-        notes.append(f"executed steering is {signals.origin}, not measured")
     return "; ".join(notes)
-
-
-def _shortened(
-    signals: Signals, settings: Settings, found: list[Segment], end: float
-) -> list[Segment]:
-    """The segments with the last, passive one giving up its end to an approach."""
-    last = found[-1]
-    if end - last.start < settings.piece * window_of(settings):
-        return found[:-1]
-    rows = signals.rows(last.start, end)
-    span = Span(last.kind, rows.start, rows.stop - 2, "")
-    return [
-        *found[:-1],
-        dataclasses.replace(
-            last, end=float(signals.t[span.last]), approach=_itself(signals, settings, span),
-            heading_change=float(signals.psi[span.last] - signals.psi[span.first]),
-        ),
-    ]  # fmt: skip

@@ -7,11 +7,13 @@ from diffsea.errors import UserError
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class SegmentSettings:
     """Thresholds that no statistic of the recording can give. Angles in rad.
 
     Times follow from one of the vessel's own, the `window`: as long as it takes to turn by 90
     deg at the fastest rate that the recording shows.
+
+    Raises `UserError` for any that is not above zero.
     """
 
     window: float | None = None  # s; None takes it from the recording
@@ -36,3 +38,9 @@ class Settings:
             value = getattr(self, field.name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UserError(f"{field.name} must be above zero, not {value}")
+
+    @property
+    def seconds(self) -> float:
+        """The window (s), which must be known by now, see `with_window`."""
+        assert self.window is not None
+        return self.window

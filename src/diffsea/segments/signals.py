@@ -11,24 +11,23 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from diffsea.errors import UserError
-from diffsea.metrics.orders import propulsion, steering_angle, steers
-from diffsea.recordings.motion import motion_of
+from diffsea.metrics.orders import SteeringSource, propulsion, steering_angle, steers
+from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import executed_by, recorded_actuation
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import Samples, Trajectory
 from diffsea.vessel.base import Vessel
 
 
 MEASURED, RECONSTRUCTED, ORDERED, NOTHING = "measured", "reconstructed", "commanded", "none"
-_GAP = 5.0  # median time steps: a longer one is a hole in the recording
-_USUAL = 0.98  # quantile of push that stands for the largest: orders have peaks
+_FEWEST_ROWS = 20  # in which a trial can be found
+_HOLE = 5.0  # median time steps: a longer one is a hole in the recording
+_USUAL_PUSH = 0.98  # quantile of push that stands for the largest: orders have peaks
 _SIDES = ("port", "left", "starboard", "stbd", "right")
 _SLACK = 0.1  # of the largest thrust: below it a pair of thrusters does not steer
-
-Samples = Float[np.ndarray, "time"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,10 +51,15 @@ class Signals:
     throttle: Samples | None  # the same of the orders
     working: Bool[np.ndarray, "time"]  # whether anything pushes
     origin: str  # of `steer` and `drive`
-    channel: str
+    steering_channels: tuple[str, ...]
     known: Bool[np.ndarray, "time"]
     breaks: tuple[int, ...]
     notes: tuple[str, ...]
+
+    @property
+    def channel(self) -> str:
+        """The steering channels as text."""
+        return ", ".join(self.steering_channels) or "none"
 
     @property
     def orders(self) -> Samples | None:
@@ -80,19 +84,26 @@ def signals_of(run: Trajectory, vessel: Vessel | None = None) -> Signals:
 
     Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
     """
-    run = _counting(run)
+    run = run.counted()
+    run = run.rows(strictly_later(run.t))
+    if run.t.size < _FEWEST_ROWS:
+        raise UserError(
+            f"{run.name} has {run.t.size} rows; trials cannot be found in fewer than {_FEWEST_ROWS}"
+        )
     motion = motion_of(run)
     notes: list[str] = []
     psi, r, known = _yaw(motion, run.name, notes)
-    origin, executed = _executed(run, vessel, notes)
-    asked = _within_limits(run.commanded, vessel)
-    ordered = _steered(run, asked, vessel)
-    done = _steered(run, executed, vessel)
-    shown = _grouped(executed, vessel)
-    drive = _push(run, shown)
+    origin, executed = _executed_actuation(run, vessel, notes)
+    orders = _within_limits(run.commanded, vessel)
+    commanded = _group_angle(run, orders, vessel)
+    steered = _group_angle(run, executed, vessel)
+    throttle = _push(run, _by_side(orders, vessel))
+    pushing = _by_side(executed, vessel)
+    drive = _push(run, pushing)
     if drive is None and executed is run.executed:
-        drive, shown = _push(run, _grouped(asked, vessel)), asked
+        drive, pushing = throttle, orders
         notes += [] if drive is None else ["executed push was not measured: orders stand for it"]
+    steps = np.diff(motion.t)
     return Signals(
         run=run,
         t=motion.t,
@@ -100,31 +111,22 @@ def signals_of(run: Trajectory, vessel: Vessel | None = None) -> Signals:
         r=r,
         speed=_speed(motion, notes),
         ahead=motion.values["u"] >= 0 if motion.has("u") else np.ones(motion.t.shape, bool),
-        commanded=None if ordered is None else ordered[0],
-        steer=None if done is None else done[0],
+        commanded=None if commanded is None else commanded[0],
+        steer=None if steered is None else steered[0],
         drive=drive,
-        throttle=_push(run, _grouped(asked, vessel)),
-        working=_working(shown, len(motion.t)),
-        origin=origin if done is not None or shown else NOTHING,
-        channel="none" if done is None else done[1],
+        throttle=throttle,
+        working=_is_working(pushing, len(motion.t)),
+        origin=origin if steered is not None or pushing else NOTHING,
+        steering_channels=() if steered is None else steered[1].channels,
         known=known,
-        breaks=_breaks(motion.t),
+        breaks=tuple(int(k) + 1 for k in np.flatnonzero(steps > _HOLE * np.median(steps))),
         notes=tuple(notes),
     )
 
 
-def _counting(run: Trajectory) -> Trajectory:
-    """The rows that count, at strictly increasing times."""
-    run = run.counted()
-    run = run.rows(strictly_later(run.t))
-    if run.t.size < 20:
-        raise UserError(
-            f"{run.name} has {run.t.size} rows; trials cannot be found in fewer than 20"
-        )
-    return run
-
-
-def _yaw(motion, name: str, notes: list[str]) -> tuple[Samples, Samples, np.ndarray]:
+def _yaw(
+    motion: MeasuredMotion, name: str, notes: list[str]
+) -> tuple[Samples, Samples, Bool[np.ndarray, "time"]]:
     """Heading, yaw rate, and where they are known; one derived from the other if need be."""
     values, known = motion.values, motion.known
     if motion.has("psi") and motion.has("r"):
@@ -141,7 +143,7 @@ def _yaw(motion, name: str, notes: list[str]) -> tuple[Samples, Samples, np.ndar
     )
 
 
-def _speed(motion, notes: list[str]) -> Samples | None:
+def _speed(motion: MeasuredMotion, notes: list[str]) -> Samples | None:
     values = motion.values
     if motion.has("u"):
         return np.hypot(values["u"], values["v"] if motion.has("v") else 0.0)
@@ -152,18 +154,13 @@ def _speed(motion, notes: list[str]) -> Samples | None:
     return None
 
 
-def _breaks(t: Samples) -> tuple[int, ...]:
-    steps = np.diff(t)
-    return tuple(int(k) + 1 for k in np.flatnonzero(steps > _GAP * np.median(steps)))
-
-
-def _executed(
+def _executed_actuation(
     run: Trajectory, vessel: Vessel | None, notes: list[str]
 ) -> tuple[str, dict[str, Samples]]:
-    """Executed actuation and where it is from. Groups are never mixed."""
+    """Where executed actuation is from, and what it is. Groups are never mixed."""
     if run.executed and set(run.commanded) <= set(run.executed):
         return MEASURED, run.executed
-    if _steered(run, run.executed, vessel) is not None:
+    if _group_angle(run, run.executed, vessel) is not None:
         absent = ", ".join(c for c in run.commanded if c not in run.executed)
         notes.append(f"executed {absent} was not measured and is left out")
         return MEASURED, run.executed
@@ -183,17 +180,16 @@ def _executed(
 
 def _within_limits(orders: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:
     """Orders as the vessel's servos take them: a controller may ask for more than there is."""
-    if vessel is None:
-        return orders
-    return {
-        name: np.asarray(jax.vmap(vessel.servos[name].target)(jnp.asarray(series)), float)
-        if name in vessel.servos
-        else series
+    servos = {} if vessel is None else vessel.servos
+    taken = {
+        name: np.asarray(jax.vmap(servos[name].target)(jnp.asarray(series)), float)
         for name, series in orders.items()
+        if name in servos
     }
+    return {name: taken.get(name, series) for name, series in orders.items()}
 
 
-def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:
+def _by_side(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, Samples]:
     """The channels by what they do: with a vessel its thrusts are summed by side."""
     if vessel is None:
         return channels
@@ -214,20 +210,18 @@ def _grouped(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, S
     return grouped
 
 
-def _steered(
+def _group_angle(
     run: Trajectory, channels: dict[str, Samples], vessel: Vessel | None
-) -> tuple[Samples, str] | None:
+) -> tuple[Samples, SteeringSource] | None:
     """Steering angle (rad) of a group of channels; zero where a pair of thrusters is idle."""
-    grouped = _grouped(channels, vessel)
+    grouped = _by_side(channels, vessel)
     found = steering_angle(dataclasses.replace(run, commanded=grouped, executed={}))
-    if found is None:
-        return None
-    angle, names = found[0], found[1].removeprefix("commanded ")
-    pair = [grouped[name] for name in names.split(", ") if name in grouped]
-    if len(pair) == 2 and not any(map(steers, names.split(", "))):
-        largest = max(np.nanmax(np.abs(side)) for side in pair)
-        angle = np.where(np.max(np.abs(pair), axis=0) < _SLACK * largest, 0.0, angle)
-    return angle, names
+    if found is None or not found[1].pair:
+        return found
+    angle, source = found
+    pair = [grouped[name] for name in source.channels]
+    largest = max(np.nanmax(np.abs(side)) for side in pair)
+    return np.where(np.max(np.abs(pair), axis=0) < _SLACK * largest, 0.0, angle), source
 
 
 def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
@@ -239,11 +233,11 @@ def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
         push = propulsion(dataclasses.replace(run, commanded=driving, executed={}))
     if push is None or not np.max(np.abs(push)) > 0:
         return None
-    usual = np.quantile(np.abs(push), _USUAL)
+    usual = np.quantile(np.abs(push), _USUAL_PUSH)
     return push / (usual if usual > 0 else np.max(np.abs(push)))
 
 
-def _working(channels: dict[str, Samples], rows: int) -> np.ndarray:
+def _is_working(channels: dict[str, Samples], rows: int) -> Bool[np.ndarray, "time"]:
     """Whether any propulsor pushes noticeably; everywhere, where none was recorded."""
     loads = [
         np.abs(series) / max(np.nanmax(np.abs(series)), 1e-12)
