@@ -24,7 +24,7 @@ from diffsea.diagnosis.refit import (
     is_physical,
     make_hypothesis,
     near_the_best,
-    ranked,
+    rank_hypotheses,
     start_beside,
 )
 from diffsea.identification.coordinates import CoordinateLayout
@@ -109,7 +109,7 @@ def test_a_held_out_run_that_diverges_disturbs_the_order_of_nobody_else():
     weak, strong = judged("wind", 100.0), judged("current", 300.0)
     lost = judged("gyro-bias", 200.0, STEADY, Gain(float("nan"), float("nan")))
     first = hypothesis("lever-arm", 400.0)
-    order = [one.effect for one in ranked([first, weak, lost, strong])]
+    order = [one.effect for one in rank_hypotheses([first, weak, lost, strong])]
     assert order == ["current", "wind", "gyro-bias", "lever-arm"]
 
 
@@ -117,9 +117,9 @@ def test_the_order_allows_for_the_dependence_of_the_best():
     """Held-out gain and evidence of dependent values count for less, room in the prior does not."""
     best = dataclasses.replace(judged("wind", 300.0), occam=60.0, inflation=10.0)
     lean = judged("current", 260.0)
-    assert [one.effect for one in ranked([best, lean])] == ["current", "wind"]
+    assert [one.effect for one in rank_hypotheses([best, lean])] == ["current", "wind"]
     even = dataclasses.replace(best, inflation=1.0, occam=20.0)
-    assert [one.effect for one in ranked([even, lean])] == ["wind", "current"]
+    assert [one.effect for one in rank_hypotheses([even, lean])] == ["wind", "current"]
 
 
 def test_waves_beside_an_environment_for_each_run_have_no_room():

@@ -10,7 +10,7 @@ import pytest
 from tests.diagnosis.small import candidate, still_problem
 
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
-from diffsea.diagnosis.refit import make_hypothesis, ranked
+from diffsea.diagnosis.refit import make_hypothesis, rank_hypotheses
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.parameters import Parameter
@@ -66,7 +66,7 @@ def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, s
         seen = candidate(name, np.ones((3, count)))
         more = fitted(problem, X, y, (*own, name))
         tried.append(make_hypothesis(problem, current, more, EFFECTS[name], seen))
-    tried = ranked(tried)
+    tried = rank_hypotheses(tried)
     evidence = {one.effect: one.evidence(one.inflation) for one in tried}
     return evidence, AcceptedEffect.of(tried[0], ShortList(tuple(tried), 0.0)).lead, truth
 

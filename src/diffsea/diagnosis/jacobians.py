@@ -82,11 +82,11 @@ class LinearisedModel:
             coordinates, index = np.array(self.coordinates, float), list[int]()
             for number in batch:
                 self._move_to(coordinates, points[number])
-                index += self._differentiated(points[number])
+                index += self._differentiated_index(points[number])
             J = self.by_index(index, coordinates)[1]
             position = 0
             for number in batch:
-                size = len(self._differentiated(points[number]))
+                size = len(self._differentiated_index(points[number]))
                 out[number] = J[:, position : position + size]
                 position += size
         secants = [number for number, point in enumerate(points) if point.secant]
@@ -100,7 +100,7 @@ class LinearisedModel:
         coordinates = np.array(self.coordinates, float)
         self._move_to(coordinates, point)
         change = innovations_at(self.problem, self.gains, coordinates) - base
-        prior, index = np.zeros(self.problem.layout.size), self._differentiated(point)
+        prior, index = np.zeros(self.problem.layout.size), self._differentiated_index(point)
         prior[index] = 1 / self.problem.layout.spreads()[index]
         return np.concatenate([change / point.at[0], prior])[:, None]
 
@@ -109,7 +109,7 @@ class LinearisedModel:
         index = self.problem.layout.indices((point.effect,))
         coordinates[index] = np.tile(point.at, len(index) // len(point.at))
 
-    def _differentiated(self, point: ExpansionPoint) -> list[int]:
+    def _differentiated_index(self, point: ExpansionPoint) -> list[int]:
         """Coordinates that an expansion point is differentiated by, for each run of its own."""
         index, size = self.problem.layout.indices((point.effect,)), len(point.at)
         return [k for position, k in enumerate(index) if position % size in point.directions]
@@ -120,9 +120,9 @@ class LinearisedModel:
         for number, point in enumerate(points):
             if point.secant:
                 continue
-            width, size = len(self._differentiated(point)), len(point.directions)
+            width, size = len(self._differentiated_index(point)), len(point.directions)
             for k, (members, effects, used) in enumerate(batches):
-                total = sum(len(self._differentiated(points[m])) for m in members) + width
+                total = sum(len(self._differentiated_index(points[m])) for m in members) + width
                 room = used + size <= self.problem.directions and total <= self.problem.width
                 if room and point.effect not in effects:
                     batches[k] = ([*members, number], effects | {point.effect}, used + size)

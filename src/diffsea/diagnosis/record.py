@@ -73,7 +73,7 @@ def summary(
         "fit": _fit(diagnosis),
         "parameters": [one.as_dict() for one in fitted],
         "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),
-        "screening": _screening(diagnosis.nominal_screening),
+        "screening": _score_records(diagnosis.nominal_screening),
         "candidates": _candidates(diagnosis),
         "dropped": [catalogue_name(name) for name in diagnosis.dropped],
         "detection_limits": [_limit(problem, limit) for limit in limits],
@@ -112,7 +112,9 @@ def _where(diagnosis: Diagnosis) -> list[Record]:
         records.append(
             {
                 "degree_of_freedom": DEGREES_OF_FREEDOM[cell.degree],
-                "recording": "all" if window.run is None else _recording(diagnosis, window.run),
+                "recording": "all"
+                if window.run is None
+                else _recording_name(diagnosis, window.run),
                 "start": start,
                 "end": end,
                 "regime": regime or "no regime stands out",
@@ -125,7 +127,7 @@ def _where(diagnosis: Diagnosis) -> list[Record]:
     return records
 
 
-def _recording(diagnosis: Diagnosis, run: int) -> str:
+def _recording_name(diagnosis: Diagnosis, run: int) -> str:
     return diagnosis.split.recordings[run].name
 
 
@@ -136,7 +138,7 @@ def _map(diagnosis: Diagnosis, screening: Screening) -> Record:
         place: Record = {"regime": cell.bin.regime}
         if cell.bin.run is not None:
             place = {
-                "recording": _recording(diagnosis, cell.bin.run),
+                "recording": _recording_name(diagnosis, cell.bin.run),
                 "start": cell.bin.start,
                 "end": cell.bin.end,
             }
@@ -176,7 +178,7 @@ def _effects(diagnosis: Diagnosis) -> list[Record]:
         records.append(
             {
                 "name": "unexplained",
-                "remainder": None if left is None else _unexplained(left),
+                "remainder": None if left is None else _unexplained_record(left),
                 "parameters": {},
                 "evidence": {"score": 0.0, "p_value": p, "cost_drop": 0.0},
                 "alternatives": [],
@@ -185,7 +187,7 @@ def _effects(diagnosis: Diagnosis) -> list[Record]:
     return records
 
 
-def _unexplained(force: UnexplainedForce) -> Record:
+def _unexplained_record(force: UnexplainedForce) -> Record:
     classes = zip(force.classes.texts, force.force, force.std, strict=True)
     return {
         "degree_of_freedom": DEGREES_OF_FREEDOM[force.degree],
@@ -225,7 +227,7 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
         if len(instances) == 1:
             records.append(record)
         elif number < len(diagnosis.split.recordings) and is_known(parameters):
-            records.append(record | {"recording": _recording(diagnosis, number)})
+            records.append(record | {"recording": _recording_name(diagnosis, number)})
     return records
 
 
@@ -284,7 +286,7 @@ def _fit(diagnosis: Diagnosis) -> Record:
     }
 
 
-def _screening(screening: Screening) -> list[Record]:
+def _score_records(screening: Screening) -> list[Record]:
     scores = {name: one.score for name, one in screening.candidates.items()}
     return [
         {

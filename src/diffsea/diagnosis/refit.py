@@ -101,7 +101,7 @@ def refit_short_list(
     near, rest = near_the_best(tried)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         full = list(pool.map(lambda one: refit_fully(data, current, one), near))
-    return ranked([*full, *rest])
+    return rank_hypotheses([*full, *rest])
 
 
 def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
@@ -133,7 +133,7 @@ def _are_confusable(one: Hypothesis, other: Hypothesis) -> bool:
     return names[0] == names[1] or names[1] in declared[0] or names[0] in declared[1]
 
 
-def ranked(tried: list[Hypothesis]) -> list[Hypothesis]:
+def rank_hypotheses(tried: list[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses by what all data say, those not judged on held-out data last."""
     judged = [one for one in tried if one.is_judged]
     best = max(judged, key=lambda one: np.nan_to_num(one.deviance_drop, nan=-np.inf), default=None)

@@ -19,7 +19,6 @@ from diffsea.diagnosis.decision import (
 from diffsea.diagnosis.refit import (
     Hypothesis,
     has_room,
-    ranked,
     refit_fully,
     refit_short_list,
     refit_without,
