@@ -313,7 +313,7 @@ def ask_again(
             for hypothesis in (one.hypothesis, *one.short_list.judged)
             if hypothesis.effect not in bare.free and has_room(data.train, bare, hypothesis.effect)
         }
-        again = ranked(
+        again = rank_hypotheses(
             [
                 refit_fully(data, bare, option, current.coordinates if name == one.name else None)
                 for name, option in options.items()
