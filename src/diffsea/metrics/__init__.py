@@ -1,4 +1,9 @@
-"""Numbers of the standard trials, from simulated and measured runs alike."""
+"""Numbers of the standard trials, from simulated and measured runs alike.
+
+`crossings` reads curves at interpolated instants, `manoeuvres` has the numbers, `orders` finds what
+was ordered in a recording, `recorded` which trial it is. The room imports nothing above
+trajectories and rotations: not vessels, nor recordings.
+"""
 
 from diffsea.metrics.crossings import Crossing as Crossing
 from diffsea.metrics.crossings import Curve as Curve

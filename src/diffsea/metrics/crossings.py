@@ -96,11 +96,7 @@ def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
 
 
 def first_crossing(
-    curve: Curve,
-    level: Scalar,
-    direction: int,
-    after: Scalar = -jnp.inf,
-    before: Scalar = jnp.inf,
+    curve: Curve, level: Scalar, direction: int, after: Scalar = -jnp.inf, before: Scalar = jnp.inf
 ) -> Crossing:
     """First time that a curve passes a level between two times.
 

@@ -153,13 +153,7 @@ def horizon_errors(
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     length = _LENGTH_MULTIPLE * math.ceil((ends.max() + 1) / _LENGTH_MULTIPLE)
     states = _integrate_from_each(
-        vessel,
-        inputs.states_at(begin),
-        rows[begin],
-        ends,
-        inputs.steps,
-        inputs.actuation,
-        length,
+        vessel, inputs.states_at(begin), rows[begin], ends, inputs.steps, inputs.actuation, length
     )
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     errors = {}

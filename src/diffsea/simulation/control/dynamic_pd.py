@@ -5,6 +5,8 @@ Dual-Thruster USV, eq. 18 and Algorithm 1: straight at the next waypoint, slow n
 by a difference of the two orders.
 """
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,13 +15,13 @@ from jaxtyping import Array, Bool, Int
 from diffsea.errors import UserError
 from diffsea.kinematics import wrap
 from diffsea.simulation.control.autopilot import AbstractController
-from diffsea.simulation.control.guidance import Waypoints, bearing
+from diffsea.simulation.control.guidance import Waypoints, bearing, offset_to
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
 
-TURN = 0.17453292519943295  # rad, 10 deg: a larger error keeps half the base order, Algorithm 1
-MARGIN = 0.1  # of a threshold: where decisions are smooth, they are made within it
+_WIDE_TURN = math.radians(10)  # a larger error keeps half of the base order, Algorithm 1
+_SMOOTH_MARGIN = 0.1  # of a threshold: where decisions are smooth, they are made within it
 
 
 class Pursued(eqx.Module):
@@ -102,7 +104,7 @@ class DynamicPD(AbstractController[Pursued]):
     def base(self, distance: Scalar, error: Scalar) -> Scalar:
         """Base order of Algorithm 1 at a distance (m) and a heading error (rad)."""
         share = jnp.clip((distance - self.near) / (self.far - self.near), 0.0, 1.0)
-        turning = self._whether(jnp.abs(error) - TURN, TURN)
+        turning = self._whether(jnp.abs(error) - _WIDE_TURN, _WIDE_TURN)
         turning = turning * self._whether(self.near - distance, self.near)
         return self.base_min + (self.base_max - self.base_min) * (share + 0.5 * turning)
 
@@ -114,11 +116,11 @@ class DynamicPD(AbstractController[Pursued]):
         """One where `excess` is not negative, else zero; where it is smooth, within the margin."""
         if self.smoothing == 0:
             return jnp.where(excess >= 0, 1.0, 0.0)
-        return jax.nn.sigmoid(excess / (MARGIN * scale))
+        return jax.nn.sigmoid(excess / (_SMOOTH_MARGIN * scale))
 
     def _progress(self, memory: Pursued, state: State, dt: Scalar) -> tuple[Int[Array, ""], Scalar]:
         """Which waypoint is next, and how far on the way to the one after it the target is."""
-        north, east = self._offset(memory.number, state)
+        north, east = offset_to(self.waypoints, memory.number, state)
         distance = jnp.sqrt(north**2 + east**2 + 1e-12)
         if self.smoothing == 0:
             reached = distance < self.radius
@@ -134,13 +136,9 @@ class DynamicPD(AbstractController[Pursued]):
 
     def _target(self, number: Int[Array, ""], moved: Scalar, state: State) -> tuple[Scalar, Scalar]:
         """North and east (m) of the target relative to the vessel."""
-        here, after = self._offset(number, state), self._offset(number + 1, state)
+        here, after = (offset_to(self.waypoints, n, state) for n in (number, number + 1))
         share = moved**2 * (3 - 2 * moved)
         return here[0] + share * (after[0] - here[0]), here[1] + share * (after[1] - here[1])
-
-    def _offset(self, number: Int[Array, ""], state: State) -> tuple[Scalar, Scalar]:
-        at = jnp.minimum(number, self.waypoints.shape[0] - 1)
-        return self.waypoints[at, 0] - state.x, self.waypoints[at, 1] - state.y
 
 
 def dynamic_pd(
@@ -171,7 +169,6 @@ def dynamic_pd(
             f"{vessel.name!r} has {len(sides[False])} fixed thrusters to port and "
             f"{len(sides[True])} to starboard; the PD law for pairs needs one on each side"
         )
-    return DynamicPD(
-        jnp.asarray(waypoints, float), K_p, K_d, T_f, base_min, base_max, near, far, radius,
-        largest, *sides[False], *sides[True], smoothing,
-    )  # fmt: skip
+    gains = (K_p, K_d, T_f, base_min, base_max, near, far, radius, largest)
+    (port,), (starboard,) = sides[False], sides[True]
+    return DynamicPD(jnp.asarray(waypoints, float), *gains, port, starboard, smoothing)

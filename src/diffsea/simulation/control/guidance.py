@@ -82,9 +82,9 @@ class Pursuit(AbstractGuidance[Int[Array, ""]]):
     def step(
         self, memory: Int[Array, ""], state: State, dt: Scalar
     ) -> tuple[Int[Array, ""], Wanted]:
-        north, east = _offset(self.waypoints, memory, state)
+        north, east = offset_to(self.waypoints, memory, state)
         memory = memory + (jnp.hypot(north, east) < self.radius)
-        north, east = _offset(self.waypoints, memory, state)
+        north, east = offset_to(self.waypoints, memory, state)
         return memory, Wanted(bearing(north, east))
 
     def is_finished(self, memory: Int[Array, ""]) -> Bool[Array, ""]:
@@ -142,7 +142,7 @@ def bearing(north: Scalar, east: Scalar) -> Scalar:
     return jnp.arctan2(east, jnp.where(near, 1.0, north))
 
 
-def _offset(waypoints: Waypoints, number: Int[Array, ""], state: State) -> tuple[Scalar, Scalar]:
+def offset_to(waypoints: Waypoints, number: Int[Array, ""], state: State) -> tuple[Scalar, Scalar]:
     """North and east (m) to a waypoint, to the last one after it."""
     at = jax.lax.stop_gradient(jnp.minimum(number, waypoints.shape[0] - 1))
     return waypoints[at, 0] - state.x, waypoints[at, 1] - state.y

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Int
 from diffsea.errors import UserError
 from diffsea.simulation.control.allocation import ControlAllocation
 from diffsea.simulation.control.autopilot import AbstractController
-from diffsea.simulation.control.guidance import Pursuit, Waypoints
+from diffsea.simulation.control.guidance import Pursuit, Waypoints, offset_to
 from diffsea.simulation.control.laws import within_half_turn
 from diffsea.types import Scalar, State
 from diffsea.vessel.actuators import AzimuthThruster
@@ -82,9 +82,7 @@ class WaypointLogic(AbstractController[Int[Array, ""]]):
         return jax.nn.sigmoid(self.sharpness * (ratio - 1))
 
     def _distance(self, memory: Int[Array, ""], state: State) -> Scalar:
-        points = self.pursuit.waypoints
-        at = jnp.minimum(memory, points.shape[0] - 1)
-        north, east = points[at, 0] - state.x, points[at, 1] - state.y
+        north, east = offset_to(self.pursuit.waypoints, memory, state)
         # The small constant keeps the root differentiable at the waypoint.
         return jnp.sqrt(north**2 + east**2 + 1e-12)
 
