@@ -27,15 +27,14 @@ def throttle_for(vessel: Vessel, speed: Scalar) -> Scalar:
     """
     if not ControlAllocation(vessel).propelled:
         return jnp.zeros(())
-    return _root(lambda throttle, at: straight_balance(at[0], at[1], throttle),
-                 _first_throttle(vessel, speed), (vessel, speed))  # fmt: skip
+    guess = _first_throttle(vessel, speed)
+    return _root(lambda x, at: straight_balance(at[0], at[1], x), guess, (vessel, speed))
 
 
 def speed_for(vessel: Vessel, throttle: Scalar) -> Scalar:
     """Speed (m/s) that a throttle keeps straight ahead in still water."""
     guess = froude_speed(vessel.rigid_body.length, 0.6) * 0.3
-    return _root(lambda speed, at: straight_balance(at[0], speed, at[1]), guess,
-                 (vessel, throttle))  # fmt: skip
+    return _root(lambda x, at: straight_balance(at[0], x, at[1]), guess, (vessel, throttle))
 
 
 def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
