@@ -56,7 +56,7 @@ CHANNEL_DIMENSIONS = {
 EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")  # beside motion and actuation
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
 
-# The first words of the provenance notes that the audit looks for.
+# The first words of the notes of the provenance on rows that reading left out.
 REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
 EMPTY_ROWS = "dropped empty rows"
 
