@@ -115,7 +115,7 @@ def test_a_held_out_run_that_diverges_disturbs_the_order_of_nobody_else():
 
 def test_the_order_allows_for_the_dependence_of_the_best():
     """Held-out gain and evidence of dependent values count for less, room in the prior does not."""
-    best = dataclasses.replace(judged("wind", 300.0), occam=60.0, inflation=10.0)
+    best = dataclasses.replace(judged("wind", 300.0), occam=30.0, inflation=10.0)
     lean = judged("current", 260.0)
     assert [one.effect for one in rank_hypotheses([best, lean])] == ["current", "wind"]
     even = dataclasses.replace(best, inflation=1.0, occam=20.0)

@@ -19,6 +19,7 @@ from diffsea.diagnosis.decision import (
 from diffsea.diagnosis.refit import (
     Hypothesis,
     has_room,
+    rank_hypotheses,
     refit_fully,
     refit_short_list,
     refit_without,
