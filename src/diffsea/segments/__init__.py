@@ -4,7 +4,7 @@ The room knows orders and motion, not forces: it imports recordings, metrics and
 vessel, and JAX with them, but nothing of identification.
 """
 
-from diffsea.segments.approach import Approach as Approach
+from diffsea.segments.approach import ApproachConditions as ApproachConditions
 from diffsea.segments.export import cut_out as cut_out
 from diffsea.segments.export import export as export
 from diffsea.segments.groups import group_repeats as group_repeats

@@ -13,7 +13,7 @@ _FEWEST_ROWS = 5  # that an approach must have to be judged
 
 
 @dataclasses.dataclass(frozen=True)
-class Approach:
+class ApproachConditions:
     """Conditions over the window before an onset; NaN where they are not known.
 
     `speed` is the mean resultant speed over ground (m/s), `spread` its standard deviation
@@ -37,19 +37,21 @@ def approach_to(
     onset: float,
     settings: SegmentSettings,
     period: str = "before the onset",
-) -> Approach:
+) -> ApproachConditions:
     """The approach from `start` to just before `onset` (s); `period` names that time for people."""
     rows = signals.rows(start, onset)
     rows = slice(rows.start, max(rows.stop - 1, rows.start))
     t, psi = signals.t[rows], signals.psi[rows]
     if len(t) < _FEWEST_ROWS:
         why = f"{len(t)} rows {period} are too few to judge the approach"
-        return Approach(0.0, *(math.nan,) * 5, "unknown", why)
+        return ApproachConditions(0.0, *(math.nan,) * 5, "unknown", why)
     wander, fastest = float(np.ptp(psi)), float(np.max(np.abs(signals.r[rows])))
     seconds = float(t[-1] - t[0])
     if signals.speed is None:
         unknown = (math.nan,) * 3
-        return Approach(seconds, *unknown, fastest, wander, "unknown", "the speed is not known")
+        return ApproachConditions(
+            seconds, *unknown, fastest, wander, "unknown", "the speed is not known"
+        )
     speed = signals.speed[rows]
     mean = float(np.mean(speed))
     slope, offset = np.polyfit(t - t[0], speed, 1)
@@ -64,4 +66,4 @@ def approach_to(
         faults.append(f"heading wanders over {math.degrees(wander):.1f} deg")
     why = f"over {seconds:.3g} s {period} " + (", ".join(faults) or "nothing changes")
     verdict = "unsteady" if faults else "steady"
-    return Approach(seconds, mean, spread, trend, fastest, wander, verdict, why)
+    return ApproachConditions(seconds, mean, spread, trend, fastest, wander, verdict, why)

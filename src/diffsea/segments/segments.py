@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from diffsea.metrics.orders import departure_row
-from diffsea.segments.approach import Approach, approach_to
+from diffsea.segments.approach import ApproachConditions, approach_to
 from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import MEASURED, NOTHING, Signals, signals_of
 from diffsea.segments.spans import (
@@ -48,7 +48,7 @@ class Segment:
     end: float
     onset: float
     reference_heading: float
-    approach: Approach
+    approach: ApproachConditions
     manoeuvre: str = "unknown"
     side: str | None = None
     order: float = math.nan
@@ -189,7 +189,7 @@ def _row_of_less_push(signals: Signals, settings: SegmentSettings, first: int, l
     return first + int(fallen[0]) if fallen.size else first
 
 
-def _own_conditions(signals: Signals, settings: SegmentSettings, span: Span) -> Approach:
+def _own_conditions(signals: Signals, settings: SegmentSettings, span: Span) -> ApproachConditions:
     """The conditions of a piece that nothing begins, as if it were an approach."""
     t = signals.t
     end = float(t[span.last]) + float(t[span.last] - t[span.last - 1])
