@@ -20,9 +20,7 @@ from diffsea.recordings import logs
 from diffsea.recordings.geodesy import place_fixes
 from diffsea.recordings.mappings import Column, Mapping, read_mapping
 from diffsea.recordings.tables import PARQUET_SUFFIXES, numeric_column, read_table
-from diffsea.recordings.vocabulary import EMPTY_ROWS as EMPTY_ROWS
-from diffsea.recordings.vocabulary import EXTRA_CHANNELS, is_channel
-from diffsea.recordings.vocabulary import REPEATED_TIMES as REPEATED_TIMES
+from diffsea.recordings.vocabulary import EMPTY_ROWS, EXTRA_CHANNELS, REPEATED_TIMES, is_channel
 from diffsea.series import hold_at, hold_last, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Series, Trajectory
 
