@@ -8,7 +8,7 @@ and says by its joint null distribution whether anything is missing at all.
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Complex, Float, Int
 
 from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
 from diffsea.diagnosis.localisation import Cell, locate_forces
@@ -273,7 +273,7 @@ def spectral_peaks(
         t: on the runs' clocks, s.
         dt: until the next row, s.
     """
-    runs: list[Bool[np.ndarray, row]] = [run == number for number in np.unique(run)]
+    runs = [run == number for number in np.unique(run)]
     longest = max(float(np.ptp(t[own])) for own in runs)
     if np.ptp(t) < COMMON_CLOCK * longest:
         runs = [np.ones(len(t), bool)]
