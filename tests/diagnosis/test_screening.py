@@ -124,7 +124,8 @@ def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(apart):
     rng, dt, rows = np.random.default_rng(5), 0.5, 600
     t = np.concatenate([dt * np.arange(rows), apart + dt * np.arange(rows)])
     noise = rng.normal(size=2 * rows) + 1j * rng.normal(size=2 * rows)
-    force = noise + 0.8 * (1 + 1j) * np.cos(2 * np.pi * 0.11 * t)
+    phase = np.repeat([0.0, np.pi if apart else 0.0], rows)
+    force = noise + 0.8 * (1 + 1j) * np.cos(2 * np.pi * 0.11 * t + phase)
     run = np.repeat([0, 1], rows)
     peaks, resolution = spectral_peaks(force, t, np.full(2 * rows, dt), run)
     assert resolution == pytest.approx(0.5 / (dt * rows), rel=0.01)
