@@ -1,13 +1,25 @@
-"""Settings of the test run: those of the command line, so that compiled programs are shared."""
+"""Settings of the test run: those of the command line, and stricter.
 
-import pytest
+Shape annotations are checked at run time, dtypes promoted strictly, warnings are errors (in
+`pyproject.toml`).
+"""
 
 from diffsea.runtime import prepare_jax
 
 
 prepare_jax()  # before jax is imported, or its XLA flags would come too late
 
-import jax  # isort: skip
+import tests.shapes  # noqa: F401  the hook finds it by name
+from jaxtyping import install_import_hook
+
+
+install_import_hook("diffsea", "tests.shapes.check_shapes")
+
+import jax
+import pytest
+
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 @pytest.fixture(scope="module", autouse=True)

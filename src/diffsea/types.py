@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 from diffsea.trajectory import Trajectory
 
 
-Scalar = Float[Array, ""] | Float[np.ndarray, ""] | float
+# One number, or elementwise one for each of a block of vessels: the physics is written for both.
+Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | float | int
 
 _LABELS = ("name", "provenance", "read")  # of a trajectory: no arrays, the same in all of a batch
 jax.tree_util.register_dataclass(

@@ -52,7 +52,7 @@ def fitted_radius(
     a relative amount of order (s/R)^2, more on short arcs; ask for a quarter of a circle.
     """
     finite = [jnp.where(jnp.isfinite(p), p, 0.0) for p in (x, y)]
-    weight = jnp.where(chosen, 1.0, 0.0) / jnp.maximum(jnp.sum(chosen), 1)
+    weight = jnp.where(chosen, 1.0, 0.0) / jnp.maximum(jnp.sum(chosen, dtype=float), 1)
     x, y = (jnp.where(chosen, p - jnp.sum(weight * p), 0.0) for p in finite)
     square = x**2 + y**2
     xx, xy, yy, xz, yz, mean = (

@@ -91,7 +91,7 @@ def run_approach(
     fixed = FixedThrottle(throttle)
     speed_law = SpeedHold(speed, throttle, scale) if settings.hold_speed else fixed
     hold = Steering(Course(zero), HeadingHold(scale), speed_law)
-    needed = jnp.ceil(settings.steady_lengths * scale / step)
+    needed = jnp.ceil(settings.steady_lengths * scale / step).astype(int)
 
     def is_steady(before: State, after: State) -> Bool[Array, ""]:
         """Speed at its target, or unchanging where none is held; no yawing, no sway building up."""
