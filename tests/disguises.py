@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pandas as pd
 
-from diffsea.recordings import read_recording
+from diffsea import read_recording
 
 
 KNOT = 1852.0 / 3600.0

@@ -13,12 +13,12 @@ import numpy as np
 from tests.oracle import sensors
 from tests.oracle.simulator import simulate
 
+from diffsea import Environment, State, Trajectory
 from diffsea.simulation.control import ControlAllocation
 from diffsea.simulation.integrate import SimulationState, advance, begin, history_length
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
-from diffsea.types import Environment, State
+from diffsea.trajectory import MOTION_CHANNELS
 
 
 CALM = Environment()

@@ -23,7 +23,8 @@ from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
 from tests.oracle.simulator import load
 
-from diffsea.recordings import audit, read_recording
+from diffsea import read_recording
+from diffsea.recordings import audit
 
 
 DATA = ROOT.parent / "shared" / "data"

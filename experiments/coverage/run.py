@@ -24,11 +24,11 @@ ROOT = Path(__file__).resolve().parents[2]
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
-from diffsea.errors import UserError
+from diffsea import Trajectory, UserError
 from diffsea.identification.estimates import parameter_estimates
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 

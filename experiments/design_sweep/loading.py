@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 
-from diffsea.parameters import named
+from diffsea import TrialPlan, Vessel, named
 from diffsea.simulation import planning
 from diffsea.simulation.control import speed_for, throttle_for_thrust
-from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Designs
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
 
 
 STEP = 0.1  # s; the error it makes is measured, see `independent`

@@ -12,14 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from diffsea import TrialPlan, Vessel, replace, run_trial
 from diffsea.metrics import turning_metrics, zigzag_metrics
-from diffsea.parameters import file_parameters, replace, spread_over_places
+from diffsea.parameters import file_parameters, spread_over_places
 from diffsea.simulation import manoeuvres
 from diffsea.simulation.control import speed_for, throttle_for_thrust
 from diffsea.simulation.manoeuvres import Stages
-from diffsea.simulation.standard import TrialPlan
-from diffsea.simulation.trials import run_trial
-from diffsea.vessel.base import Vessel
 
 
 QUANTITIES = ("tactical diameter", "advance", "overshoot 20/20", "approach speed")  # L, L, deg, m/s

@@ -14,8 +14,7 @@ from experiments.harness.reporting import Experiment, compared, comparison, expe
 
 import numpy as np
 
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import read_vessel
+from diffsea import Vessel, read_vessel
 
 
 LIMIT = 5.0  # ship lengths, of the tactical diameter

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from diffsea import Vessel
 from diffsea.studies import sweep
-from diffsea.vessel.base import Vessel
 
 
 # Panel: title, kind, column of the table, unit, IMO limit, its section of MSC.137(76).

@@ -8,7 +8,7 @@ from experiments.design_sweep.neighbours import QUANTITIES, with_slopes
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.vessel.base import Vessel
+from diffsea import Vessel
 
 
 START = (100.0, 100.0)  # N, kg: where a search begins without known designs

@@ -41,10 +41,11 @@ def one(vessel, document: dict, seed: int) -> dict:
     """Time one diagnosis of six fresh runs."""
     from tests.oracle import make_recordings
 
+    from diffsea import read_recording
     from diffsea.diagnosis.experiment import next_experiment
     from diffsea.diagnosis.record import summary
     from diffsea.diagnosis.search import diagnose
-    from diffsea.recordings import audit, read_recording
+    from diffsea.recordings import audit
 
     with tempfile.TemporaryDirectory() as folder:
         make_recordings.produce(

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from diffsea import Trajectory
 from diffsea.metrics.drift import circle_drift
-from diffsea.trajectory import Trajectory
 
 
 STEADY = 30.0  # s after the rudder is over

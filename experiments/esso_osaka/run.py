@@ -33,14 +33,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from diffsea import EFFECTS, Trajectory
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.effect_records import parameter_records
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, held_out_coordinates, row_deviance, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import Table, build
 
 

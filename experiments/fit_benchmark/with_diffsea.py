@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
+from diffsea import Trajectory, read_vessel
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter import kalman
@@ -30,8 +31,6 @@ from diffsea.identification.least_squares import with_known_jacobian
 from diffsea.identification.objectives import output_error as objective
 from diffsea.identification.objectives import shooting
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.files import read_vessel
 
 
 STEPS = 200

@@ -15,16 +15,15 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from diffsea import Diagnosis, Trajectory, cut, read_mapping, read_recording, read_vessel
 from diffsea.diagnosis.experiment import next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-from diffsea.diagnosis.search import Diagnosis, diagnose
-from diffsea.recordings import audit, read_mapping, read_recording
-from diffsea.recordings.conditioning import cut
+from diffsea.diagnosis.search import diagnose
+from diffsea.recordings import audit
 from diffsea.report.comparison import compare, horizon_table
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.words import verdict_text
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.files import Table, build, dump, read_vessel
+from diffsea.vessel.files import Table, build, dump
 
 
 ROOT = Path(__file__).resolve().parents[2]

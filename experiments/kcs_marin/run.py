@@ -18,7 +18,7 @@ from experiments.harness.real_runs import (
     write_results,
 )
 
-from diffsea.trajectory import Trajectory
+from diffsea import Trajectory
 
 
 # Fitted: the large zig-zag, which heels most, and a small one to the other side.

@@ -28,9 +28,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diffsea.simulation.replay import replay
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.files import Table, read_vessel
+from diffsea import Trajectory, read_vessel, replay
+from diffsea.vessel.files import Table
 
 
 # Small and large zig-zags to both sides, short enough; none of the runs held out was fitted by

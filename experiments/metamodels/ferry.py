@@ -16,9 +16,8 @@ from experiments.metamodels.voyages import year
 import jax.numpy as jnp
 import numpy as np
 
+from diffsea import Environment, Trajectory
 from diffsea.metrics.repeats import fit_percent
-from diffsea.trajectory import Trajectory
-from diffsea.types import Environment
 
 
 CHOSEN = 12  # trials with the least side wind, as published

@@ -16,9 +16,9 @@ from experiments.metamodels.zigzags import GOOD, POOR, RECORDED, Records, ideal,
 import jax.numpy as jnp
 import numpy as np
 
+from diffsea import Environment
 from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width
-from diffsea.types import Environment
 
 
 RATIO = 0.75  # 7.5 over 10 knots

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from diffsea import Trajectory
 from diffsea.metamodels.norrbin import Norrbin
-from diffsea.trajectory import Trajectory
 
 
 TRUE = Norrbin(-5e-5, 0.022, 0.2, 120.0, 2.0e-3)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from diffsea.vessel.files import read_vessel
+from diffsea import read_vessel
 
 
 LINEAR = ("Y_v", "Y_r", "N_v", "N_r")

@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
+from diffsea import Trajectory, read_mapping, read_recording
 from diffsea.metamodels.fit import Trials
 from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots
-from diffsea.recordings import read_mapping, read_recording
-from diffsea.trajectory import Trajectory
 
 
 DATA = ROOT.parent / "shared" / "data"

@@ -12,10 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.parameters import replace
-from diffsea.types import Environment, State
+from diffsea import Environment, State, read_vessel, replace
 from diffsea.vessel.effects.environment import default_wind
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 RAD = math.pi / 180

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.types import State
+from diffsea import State
 
 
 STEP = 1.0  # s, of simulation and log

@@ -21,8 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.trajectory import Trajectory
-from diffsea.types import State
+from diffsea import State, Trajectory
 
 
 STEP = 0.5  # s

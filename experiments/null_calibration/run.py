@@ -10,13 +10,12 @@ from experiments.harness.reporting import Experiment, experiment, panels, table
 import numpy as np
 from scipy.stats import binomtest, kstest
 
+from diffsea import read_recording, read_vessel
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, Bootstrap, bootstrap
 from diffsea.diagnosis.screening import candidate_effects
 from diffsea.diagnosis.search import EFFECT_COORDINATES
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import free_by_default, make_problem
-from diffsea.recordings import read_recording
-from diffsea.vessel.files import read_vessel
 
 
 LEVELS = (0.01, 0.05, 0.1, 0.5)

@@ -24,12 +24,11 @@ from tests.oracle import sensors
 from tests.oracle.make_recordings import MASSES, gust_scale, perform, perturbed, stream
 from tests.oracle.simulator import load
 
+from diffsea import State, Trajectory, Vessel
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import ekf
 from diffsea.identification.online.guarded import OnlineRun, run_least_squares, run_online
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
-from diffsea.types import State
-from diffsea.vessel.base import Vessel
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import Environment, State, Vessel
 from diffsea.simulation.control import ControlAllocation, throttle_for
 from diffsea.simulation.integrate import advance, begin, history_length
-from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import Vessel
+from diffsea.types import Scalar
 
 
 def first_overshoot(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffsea.parameters import file_parameters, named, replace
-from diffsea.vessel.base import Vessel
+from diffsea import Vessel, named, replace
+from diffsea.parameters import file_parameters
 
 
 # Limits that no trial reaches, and a dimension that enters no force.

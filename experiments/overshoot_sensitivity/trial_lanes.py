@@ -19,12 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import Outcome, Vessel, read_vessel, run_trial
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.simulation.manoeuvres import Stages, zigzag
-from diffsea.simulation.trials import TrialSettings, run_trial
-from diffsea.trajectory import Outcome
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import read_vessel
+from diffsea.simulation.trials import TrialSettings
 
 
 TRIALS = ("zigzag 10/10", "zigzag 20/20", "circle 35")

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from diffsea import Environment, Vessel
 from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic
 from diffsea.simulation.integrate import SimulationState, advance, begin
-from diffsea.types import Environment, Scalar
-from diffsea.vessel.base import Vessel
+from diffsea.types import Scalar
 
 
 RANGE, TOLERANCE = 20.0, 2.5  # m: the waypoint lies north

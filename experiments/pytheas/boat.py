@@ -4,11 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from diffsea.parameters import replace
-from diffsea.types import Scalar, State
-from diffsea.vessel.base import Vessel
+from diffsea import State, Vessel, read_vessel, replace
+from diffsea.types import Scalar
 from diffsea.vessel.environment import EarthForce
-from diffsea.vessel.files import read_vessel
 
 
 LENGTH, BEAM, WATER = 1.0, 0.55, 1000.0  # m, m, kg/m^3

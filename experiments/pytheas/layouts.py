@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import Vessel, read_vessel
 from diffsea.simulation.control.guidance import Pursuit
 from diffsea.simulation.control.waypoint_logic import WaypointLogic
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 MOTOR, APART, LEVER = 10.0, 0.45, 0.4  # N, m, m

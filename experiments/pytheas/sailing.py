@@ -11,11 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.simulation.closed_loop import run_controlled
+from diffsea import Trajectory, Vessel, run_controlled
 from diffsea.simulation.control.waypoint_logic import waypoint_logic
-from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
 
 
 PERIOD = 0.02  # s, between the controller's samples

@@ -19,15 +19,20 @@ prepare_jax()
 
 import numpy as np
 
-from diffsea.errors import UserError
-from diffsea.identification.study import FitSettings, Study, identify
-from diffsea.metrics import recording_metrics
-from diffsea.recordings import read_mapping, read_recording
+from diffsea import (
+    Study,
+    Trajectory,
+    UserError,
+    Vessel,
+    read_mapping,
+    read_recording,
+    read_vessel,
+    recording_metrics,
+)
+from diffsea.identification.study import FitSettings, identify
 from diffsea.report.comparison import ComparedRun, horizon_table, predict
 from diffsea.simulation import planning
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import build, dump, read_vessel, updated_document
+from diffsea.vessel.files import build, dump, updated_document
 
 
 HERE = Path(__file__).resolve().parent

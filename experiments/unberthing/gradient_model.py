@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffsea.types import Scalar, State
-from diffsea.vessel.base import Vessel
+from diffsea import State, Vessel
+from diffsea.types import Scalar
 
 
 UPDATES = 100  # per control period, published

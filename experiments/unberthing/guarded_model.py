@@ -11,12 +11,11 @@ from experiments.unberthing.harbour_ship import PERIOD, nominal
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea import Parameter, Vessel
 from diffsea.identification.online import rls, trust
 from diffsea.identification.online.gate import Gate
 from diffsea.identification.online.guarded import RLS_CHANNELS, Guarded, Standing, guarded
 from diffsea.identification.online.trust import Limits
-from diffsea.parameters import Parameter
-from diffsea.vessel.base import Vessel
 from diffsea.vessel.environment import SteadyForce
 
 

@@ -21,12 +21,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from diffsea import State, replace
 from diffsea.identification.online.guarded import Guarded, Standing, Step
 from diffsea.identification.online.guarded import step as guarded_step
 from diffsea.identification.online.trust import Limits
 from diffsea.kinematics import to_body
-from diffsea.parameters import replace
-from diffsea.types import Scalar, State
+from diffsea.types import Scalar
 
 
 class Seen(eqx.Module):

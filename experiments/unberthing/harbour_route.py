@@ -7,8 +7,9 @@ port, 300 m ahead, a change of course, 3 and 8 kn), the rest is chosen here.
 import equinox as eqx
 import jax.numpy as jnp
 
+from diffsea import State
 from diffsea.kinematics import wrap
-from diffsea.types import Scalar, State
+from diffsea.types import Scalar
 
 
 from experiments.unberthing.harbour_ship import KNOT  # isort: skip

@@ -11,11 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import Vessel, named, read_vessel, replace
 from diffsea.kinematics import components_towards
-from diffsea.parameters import named, replace
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import read_vessel
 
 
 DEGREE, KNOT = np.pi / 180, 1852 / 3600

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from diffsea import Vessel
 from diffsea.simulation.control import discrete_lqr
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
 
 
 BIAS_GAIN = 16.0  # K of eq. 16, published

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from diffsea import Environment, State, Vessel
 from diffsea.simulation.integrate import advance, begin, history_length
-from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import Vessel
+from diffsea.types import Scalar
 
 
 LONGEST_DELAY = 8.0  # s, of any actuator of any seed's ship

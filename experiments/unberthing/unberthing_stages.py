@@ -23,8 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.types import State
-from diffsea.vessel.base import Vessel
+from diffsea import State, Vessel
 
 
 SECONDS = 1400.0

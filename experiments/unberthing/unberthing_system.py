@@ -20,8 +20,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffsea.simulation.control import AbstractController
-from diffsea.types import Scalar, State
+from diffsea import AbstractController, State
+from diffsea.types import Scalar
 
 
 SMOOTHING = (6.0, 3.0)  # s, time constants of the filters of sway speed and yaw rate; chosen

@@ -14,13 +14,11 @@ from experiments.virtual_sea_trials import marus_trials, marus_vessel
 
 import numpy as np
 
-from diffsea.diagnosis.search import Diagnosis, diagnose
+from diffsea import Diagnosis, Trajectory, Vessel, cut, resample
+from diffsea.diagnosis.search import diagnose
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.recordings import cut, resample
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import build
 
 

@@ -13,10 +13,10 @@ from experiments.virtual_sea_trials import marus_fit, marus_vessel
 import jax
 import numpy as np
 
+from diffsea import Effect
 from diffsea.diagnosis.refit import EVIDENCE
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.trial_numbers import TrialNumbers
-from diffsea.vessel.effects import Effect
 
 
 @dataclasses.dataclass(frozen=True)

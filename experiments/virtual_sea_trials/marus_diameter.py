@@ -22,10 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea import TrialPlan, replace
 from diffsea.identification.objectives.trial_numbers import TrialNumbers
-from diffsea.parameters import replace
 from diffsea.simulation import planning
-from diffsea.simulation.standard import TrialPlan
 
 
 SPREAD = 0.7  # of the draws, in prior widths: half to twice, about

@@ -7,9 +7,9 @@ from experiments.virtual_sea_trials import marus_trials
 
 import numpy as np
 
+from diffsea import Vessel
 from diffsea.segments import export
 from diffsea.segments.export import record
-from diffsea.vessel.base import Vessel
 
 
 def exported(folder: Path, logged: list[marus_trials.Logged], vessel: Vessel) -> dict:

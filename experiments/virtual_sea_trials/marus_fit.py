@@ -15,12 +15,11 @@ from experiments.virtual_sea_trials import marus_vessel
 
 import numpy as np
 
+from diffsea import TrialPlan, Vessel
 from diffsea.identification.estimates import Estimate, normal_interval
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.simulation import planning
-from diffsea.simulation.standard import TrialPlan
-from diffsea.vessel.base import Vessel
 
 
 STEP = 0.05  # s

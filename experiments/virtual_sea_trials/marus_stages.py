@@ -19,11 +19,10 @@ from experiments.virtual_sea_trials import marus_published as published
 
 import numpy as np
 
+from diffsea import Trajectory, read_vessel
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.trial_numbers import TrialNumbers
-from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import catalogue_name
-from diffsea.vessel.files import read_vessel
 
 
 STARTS = 2

@@ -16,14 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.metrics.recorded import recording_metrics
-from diffsea.recordings import resample
+from diffsea import Trajectory, TrialPlan, Vessel, find_segments, recording_metrics, resample
 from diffsea.scales import HARD_OVER
-from diffsea.segments import Segment, find_segments, traceability
+from diffsea.segments import Segment, traceability
 from diffsea.simulation import planning
-from diffsea.simulation.standard import TrialPlan
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import Table, build
 
 

@@ -12,9 +12,9 @@ from experiments.virtual_sea_trials import marus_published as published
 
 import equinox as eqx
 
-from diffsea.parameters import Parameter, hull_prior
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS, Effect, Size
+from diffsea import EFFECTS, Effect, Parameter, Vessel
+from diffsea.parameters import hull_prior
+from diffsea.vessel.effects import Size
 from diffsea.vessel.files import Table, build
 from diffsea.vessel.hull import Damping
 

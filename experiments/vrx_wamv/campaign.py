@@ -11,7 +11,7 @@ from experiments.vrx_wamv.plant import CHANNELS, NEW, Plant, driven, speed_for
 
 import numpy as np
 
-from diffsea.trajectory import Trajectory
+from diffsea import Trajectory
 
 
 RATE = 5.0  # Hz

@@ -12,10 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.simulation.closed_loop import run_controlled
+from diffsea import State, Vessel, run_controlled
 from diffsea.simulation.control.dynamic_pd import DynamicPD, Pursued
-from diffsea.types import State
-from diffsea.vessel.base import Vessel
 
 
 PERIOD = 0.1  # s, of the controller

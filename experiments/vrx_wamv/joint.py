@@ -7,13 +7,13 @@ from collections.abc import Callable
 from experiments.vrx_wamv.campaign import Run
 from experiments.vrx_wamv.models import document, vessel_of
 
+from diffsea import Parameter, Vessel, named
 from diffsea.identification.estimates import ParameterEstimate, parameter_estimates
 from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.parameters import Parameter, hull_prior, named
-from diffsea.vessel.base import Vessel
+from diffsea.parameters import hull_prior
 from diffsea.vessel.files import build
 
 

@@ -7,8 +7,8 @@ from experiments.vrx_wamv.plant import CHANNELS, THRUST_PER_SPEED, Plant, speed_
 
 import numpy as np
 
-from diffsea.simulation.replay import replay, replay_errors
-from diffsea.vessel.base import Vessel
+from diffsea import Vessel, replay
+from diffsea.simulation.replay import replay_errors
 from diffsea.vessel.files import build
 
 

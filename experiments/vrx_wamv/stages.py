@@ -33,7 +33,7 @@ from experiments.vrx_wamv.tuning import NAMES, SMOOTHING, Tuned, by_hand, proble
 
 import numpy as np
 
-from diffsea.vessel.base import Vessel
+from diffsea import Vessel
 
 
 SEED = 1

@@ -17,9 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
-from diffsea.simulation.closed_loop import run_controlled
-from diffsea.types import State
-from diffsea.vessel.base import Vessel
+from diffsea import State, Vessel, run_controlled
 
 
 # What is tuned and where it is looked for. The largest base order is what the boat is run at.

@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT, SWELL
 
+from diffsea import UserError
 from diffsea.cli import fit, main, outputs, recordings, segments
-from diffsea.errors import UserError
 from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metrics import RECORDED_TRIALS
 from diffsea.report.pictures import SEGMENT_COLOURS

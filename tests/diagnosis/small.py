@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from tests.oracle import simulator
 
+from diffsea import EFFECTS, Trajectory, Vessel
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.refit import Hypothesis
 from diffsea.diagnosis.score import ScoreTest
@@ -13,9 +14,6 @@ from diffsea.identification.estimates import Estimate, posterior_estimate
 from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
 
 

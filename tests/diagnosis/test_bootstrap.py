@@ -9,6 +9,7 @@ import pytest
 from tests.diagnosis.small import DOCUMENT, still_problem, usv
 from tests.runs import random_steps
 
+from diffsea import EFFECTS, UserError
 from diffsea.cli.progress import StagedProgress
 from diffsea.diagnosis.bootstrap import (
     BOOTSTRAP_SEED,
@@ -19,11 +20,9 @@ from diffsea.diagnosis.bootstrap import (
 )
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import diagnose
-from diffsea.errors import UserError
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import resimulate
-from diffsea.vessel.effects import EFFECTS
 
 
 FREE = ("X_u", "N_r")

@@ -7,11 +7,10 @@ import pytest
 from tests.diagnosis.small import DOCUMENT, usv
 from tests.runs import random_steps
 
+from diffsea import EFFECTS, Trajectory
 from diffsea.diagnosis.constancy import TOLERATED_SHARE, Constancy, constancy_test
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.effects import EFFECTS
 
 
 FREE, BIAS = ("X_u", "N_r"), 0.01  # rad/s

@@ -7,11 +7,11 @@ import pytest
 from tests.diagnosis.small import DOCUMENT
 from tests.oracle import make_recordings
 
+from diffsea import read_recording
 from diffsea.diagnosis.experiment import commands, next_experiment
 from diffsea.diagnosis.record import summary, vessel_document
 from diffsea.diagnosis.search import diagnose
 from diffsea.identification.holdout import held_out_coordinates
-from diffsea.recordings import read_recording
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.files import build
 

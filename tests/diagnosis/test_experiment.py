@@ -13,6 +13,7 @@ from scipy.special import expit
 from tests.diagnosis.small import DOCUMENT, linear_estimate
 from tests.runs import varied
 
+from diffsea import EFFECTS, Trajectory
 from diffsea.diagnosis.experiment import (
     DECISIVE,
     LONGEST,
@@ -26,8 +27,6 @@ from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, simulate_manoeuvre
 from diffsea.scales import time_scale
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
 
 

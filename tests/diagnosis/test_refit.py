@@ -17,6 +17,7 @@ from tests.diagnosis.small import (
     usv,
 )
 
+from diffsea import EFFECTS
 from diffsea.diagnosis.refit import (
     Hypothesis,
     first_guess,
@@ -31,7 +32,6 @@ from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import Estimate, posterior_estimate
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import EFFECTS
 
 
 def _linear(rng, columns, spreads, truth):

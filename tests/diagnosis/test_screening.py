@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import candidate, still_problem, still_run, usv
 
+from diffsea import EFFECTS
 from diffsea.diagnosis.detection import detection_limits
 from diffsea.diagnosis.score import NullDistribution, ScoreTest
 from diffsea.diagnosis.screening import (
@@ -20,7 +21,6 @@ from diffsea.diagnosis.screening import (
 )
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.expansion_points import expansion_points, merge_spans
-from diffsea.vessel.effects import EFFECTS
 
 
 NULL = NullDistribution(np.linspace(0.0, 1.0, 100))

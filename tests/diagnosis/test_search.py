@@ -10,6 +10,7 @@ import pytest
 from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, usv
 from tests.runs import random_steps
 
+from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
@@ -26,7 +27,6 @@ from diffsea.identification.estimates import no_progress
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
-from diffsea.vessel.effects import EFFECTS
 
 
 FREE = ("X_u", "N_r")

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import candidate, still_problem
 
+from diffsea import EFFECTS, Parameter
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.refit import make_hypothesis, rank_hypotheses
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
-from diffsea.parameters import Parameter
-from diffsea.vessel.effects import EFFECTS
 
 
 NAMES = ("gyro-bias", "heading-offset", "current")  # of one, one and two coordinates

@@ -9,7 +9,7 @@ import pytest
 from tests.experiment_runs import modules, quick_run
 from tests.paths import EXPERIMENTS
 
-from diffsea.vessel.files import read_vessel
+from diffsea import read_vessel
 
 
 HOME = EXPERIMENTS / "design_sweep"

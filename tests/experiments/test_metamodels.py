@@ -12,15 +12,13 @@ from scipy.integrate import solve_ivp
 from scipy.stats import t as student
 from tests.experiment_runs import quick_run
 
-from diffsea.errors import UserError
+from diffsea import Environment, State, Trajectory, UserError
 from diffsea.metamodels.fit import COMMON, OWN, Trials, identify, trials_of
 from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots, overshoots_with_std
 from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin, in_degrees
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width
 from diffsea.segments.places import by_place, place_features
-from diffsea.trajectory import Trajectory
-from diffsea.types import Environment, State
 
 
 RAD = math.pi / 180

@@ -11,8 +11,7 @@ from tests.experiment_runs import modules, quick_run
 from tests.oracle import trials as oracle
 from tests.paths import EXPERIMENTS
 
-from diffsea.parameters import named
-from diffsea.vessel.files import read_vessel
+from diffsea import named, read_vessel
 
 
 HOME = EXPERIMENTS / "overshoot_sensitivity"

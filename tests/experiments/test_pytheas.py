@@ -9,9 +9,8 @@ from scipy.integrate import solve_ivp
 from tests.experiment_runs import modules, quick_run
 from tests.paths import EXPERIMENTS
 
-from diffsea.parameters import named
-from diffsea.types import Environment, State
-from diffsea.vessel.files import build, read_vessel
+from diffsea import Environment, State, named, read_vessel
+from diffsea.vessel.files import build
 
 
 HOME = EXPERIMENTS / "pytheas"

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
-from diffsea.trajectory import Trajectory
+from diffsea import Trajectory
 
 
 FOLDER = ROOT / "experiments" / "virtual_sea_trials"

@@ -13,7 +13,7 @@ from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 
-from diffsea.errors import UserError
+from diffsea import EFFECTS, Parameter, Trajectory, UserError
 from diffsea.identification import study
 from diffsea.identification.coordinates import negative_effects, vessel_at
 from diffsea.identification.estimates import FitOutcome, parameter_estimates
@@ -33,10 +33,8 @@ from diffsea.identification.residual import (
     residual_inputs,
 )
 from diffsea.identification.study import FitSettings
-from diffsea.parameters import Parameter, hull_prior
+from diffsea.parameters import hull_prior
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
 
 

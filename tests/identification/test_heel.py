@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from diffsea import Trajectory
 from diffsea.identification.data.heel import predicted_heel
-from diffsea.trajectory import Trajectory
 
 
 STEP, ROWS, NOISE = 0.2, 900, 0.003

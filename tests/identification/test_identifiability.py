@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
+from diffsea import Parameter
 from diffsea.identification.estimates import (
     Estimate,
     normal_interval,
@@ -26,7 +27,6 @@ from diffsea.identification.uncertainty.design import (
 )
 from diffsea.identification.uncertainty.identifiability import identifiability
 from diffsea.identification.uncertainty.profile import asymmetric_parameters, profile_interval
-from diffsea.parameters import Parameter
 from diffsea.vessel.files import build
 
 

@@ -17,6 +17,7 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import varied
 
+from diffsea import EFFECTS, Environment, Trajectory
 from diffsea.identification.filter.kalman import (
     FilterRow,
     deviance,
@@ -25,9 +26,6 @@ from diffsea.identification.filter.kalman import (
 )
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.trajectory import Trajectory
-from diffsea.types import Environment
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
 from diffsea.vessel.servo import Response
 

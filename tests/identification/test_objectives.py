@@ -10,7 +10,7 @@ from tests.oracle import sensors, trials
 from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 
-from diffsea.errors import UserError
+from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.identification.estimates import FitOutcome, ShootingState, parameter_estimates
 from diffsea.identification.objectives import output_error
 from diffsea.identification.objectives.innovation import Innovations
@@ -19,8 +19,7 @@ from diffsea.identification.objectives.trial_numbers import TrialNumbers, read_t
 from diffsea.identification.problem import default_priors, make_problem
 from diffsea.identification.study import FitSettings, identify
 from diffsea.simulation import planning
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
-from diffsea.vessel.effects import EFFECTS
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 

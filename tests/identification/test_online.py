@@ -15,7 +15,7 @@ from tests.oracle.make_recordings import MASSES, gust_scale, perform, perturbed,
 from tests.oracle.simulator import Simulator, load
 from tests.paths import ORACLE
 
-from diffsea.errors import UserError
+from diffsea import Parameter, State, Trajectory, UserError, named
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import ekf, rls, trust
 from diffsea.identification.online.gate import Gate, passed, shut
@@ -28,9 +28,8 @@ from diffsea.identification.online.guarded import (
     step,
 )
 from diffsea.identification.online.trust import Evidence
-from diffsea.parameters import Parameter, hull_prior, named
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
-from diffsea.types import State
+from diffsea.parameters import hull_prior
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.environment import SteadyForce
 from diffsea.vessel.files import build
 

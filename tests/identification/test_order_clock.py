@@ -10,11 +10,11 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
+from diffsea import EFFECTS, Trajectory
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import innovations_at, linearise
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
-from diffsea.vessel.effects import EFFECTS
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 

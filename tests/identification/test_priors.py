@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
-from diffsea.parameters import Parameter, hull_prior, parameter_meaning, parameter_unit, read_priors
+from diffsea import Parameter, UserError
+from diffsea.parameters import hull_prior, parameter_meaning, parameter_unit, read_priors
 
 
 KINDS = (

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from diffsea import Trajectory
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import draw_process_noise, resimulate
-from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import build
 
 

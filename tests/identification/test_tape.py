@@ -9,15 +9,13 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
-from diffsea.errors import UserError
+from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
 from diffsea.identification.fit import estimate, posterior_deviance
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import innovations_at, linearise
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.files import build
 
 

@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
+from diffsea import Trajectory, UserError
 from diffsea.metrics.drift import circle_drift
-from diffsea.trajectory import Trajectory
 
 
 def circle(north=0.03, east=-0.01, rate=0.1, laps=1.8, noise=0.0, bent=0.0):

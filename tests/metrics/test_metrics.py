@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from tests.paths import DATA
 
-from diffsea.errors import UserError
+from diffsea import Trajectory, UserError, recording_metrics
 from diffsea.metrics import (
     RECORDED_TRIALS,
     crossing_time,
@@ -23,7 +23,6 @@ from diffsea.metrics import (
     imo_verdicts,
     prepare_recording,
     recognise_trial,
-    recording_metrics,
     slopes,
     stopping_metrics,
     turning_metrics,
@@ -31,7 +30,6 @@ from diffsea.metrics import (
     zigzag_metrics,
 )
 from diffsea.metrics.orders import as_thrust, steering_angle
-from diffsea.trajectory import Trajectory
 
 
 ORDER = math.radians(20)

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from tests.paths import ROOT
 
-from diffsea.recordings import KINDS, audit, read_recording, readers
+from diffsea import Trajectory, read_recording, repair
+from diffsea.recordings import KINDS, audit, readers
 from diffsea.recordings.auditing import responses
-from diffsea.recordings.auditing.repair import repair
 from diffsea.recordings.auditing.responses import zigzag_findings
 from diffsea.recordings.motion import motion_of
-from diffsea.trajectory import Trajectory
 
 
 DATA = ROOT.parent / "shared" / "data"

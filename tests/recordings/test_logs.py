@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from diffsea import UserError, read_mapping, read_recording
 from diffsea.cli import main
-from diffsea.errors import UserError
-from diffsea.recordings import audit, read_mapping, read_recording
+from diffsea.recordings import audit
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
 from diffsea.recordings.logs.joining import LogChannel, join_channels

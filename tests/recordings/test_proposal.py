@@ -10,10 +10,9 @@ from tests.disguises import Disguise, choose, disguise, judged
 from tests.oracle.make_recordings import load, produce
 from tests.paths import DATA, EXPERIMENTS, ORACLE
 
+from diffsea import UserError, propose_mapping, read_mapping, read_recording
 from diffsea.cli import main
-from diffsea.errors import UserError
-from diffsea.recordings import read_mapping, read_recording
-from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping, suggest_labels
+from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
 from diffsea.recordings.mapping_proposal.wording import SURE
 
 

@@ -10,18 +10,16 @@ import pandas as pd
 import pytest
 from tests.paths import ROOT
 
-from diffsea.errors import UserError
-from diffsea.recordings import (
+from diffsea import (
+    Trajectory,
+    UserError,
     cut,
     read_mapping,
     read_recording,
     resample,
-    split,
-    to_frame,
-    typical_interval,
     write_recording,
 )
-from diffsea.trajectory import Trajectory
+from diffsea.recordings import split, to_frame, typical_interval
 
 
 DATA = ROOT.parent / "shared" / "data"

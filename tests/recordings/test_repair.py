@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from test_audit import earth_axes, edited, motion, recording, sampled
 
+from diffsea import Mapping, read_mapping, read_recording, repair, write_recording
 from diffsea.cli import main
-from diffsea.recordings import audit, read_mapping, read_recording, write_recording
+from diffsea.recordings import audit
 from diffsea.recordings.auditing.edits import Affine
-from diffsea.recordings.auditing.repair import mapping_text, repair
-from diffsea.recordings.mappings import Column, Mapping
+from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.mappings import Column
 
 
 CHANNELS = ("x", "y", "psi", "u", "v", "r")

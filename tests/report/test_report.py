@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from tests.paths import ORACLE
 
+from diffsea import EFFECTS, Study, Trajectory, Vessel, read_vessel, replay
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import HeldOut, Split
 from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.identification.study import Study
 from diffsea.identification.uncertainty.identifiability import identifiability
 from diffsea.report.comparison import ComparedRun, compare, horizon_table, predict
 from diffsea.report.diagnosis import diagnosis_report
@@ -36,11 +36,7 @@ from diffsea.report.quantities import (
     with_error,
 )
 from diffsea.report.words import phrase, verdict_text
-from diffsea.simulation.replay import replay
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import EFFECTS
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 USV = ORACLE / "usv.toml"

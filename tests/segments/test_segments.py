@@ -14,23 +14,20 @@ import numpy as np
 import pytest
 from tests.paths import ROOT
 
+from diffsea import (
+    Trajectory,
+    UserError,
+    find_segments,
+    read_recording,
+    read_vessel,
+    write_recording,
+)
 from diffsea.cli import main
 from diffsea.cli import segments as command
-from diffsea.errors import UserError
-from diffsea.recordings import read_recording, write_recording
-from diffsea.segments import (
-    SEGMENT_KINDS,
-    SegmentSettings,
-    cut_out,
-    find_segments,
-    group_repeats,
-    traceability,
-)
+from diffsea.segments import SEGMENT_KINDS, SegmentSettings, cut_out, group_repeats, traceability
 from diffsea.segments.signals import signals_of
 from diffsea.segments.unordered import quarter_turn_window
 from diffsea.simulation.actuation import executed_by
-from diffsea.trajectory import Trajectory
-from diffsea.vessel.files import read_vessel
 from diffsea.vessel.servo import Servo
 
 

@@ -11,9 +11,8 @@ import scipy.linalg
 import scipy.signal
 from tests.runs import state_of
 
-from diffsea.errors import UserError
+from diffsea import Environment, Outcome, UserError, read_vessel, run_controlled
 from diffsea.simulation import planning
-from diffsea.simulation.closed_loop import run_controlled
 from diffsea.simulation.control import (
     Autopilot,
     ControlAllocation,
@@ -34,9 +33,7 @@ from diffsea.simulation.control import (
     throttle_for,
     track_keeper,
 )
-from diffsea.trajectory import Outcome
-from diffsea.types import Environment
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 LENGTH, SPEED = 4.9, 1.5

@@ -8,12 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
-from diffsea.simulation.closed_loop import run_controlled
+from diffsea import Outcome, State, UserError, read_vessel, run_controlled
 from diffsea.simulation.control.dynamic_pd import DynamicPD, dynamic_pd
-from diffsea.trajectory import Outcome
-from diffsea.types import State
-from diffsea.vessel.files import read_vessel
 
 
 WAY = np.array([[10.0, 0.0], [10.0, 12.0], [-6.0, 12.0]])

@@ -5,16 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
+from diffsea import Outcome, Sensors, Trajectory, UserError, horizon_errors, replay
 from diffsea.simulation.actuation import how_actuated, over_rows, recorded_actuation
-from diffsea.simulation.replay import (
-    horizon_errors,
-    replay,
-    replay_errors,
-)
-from diffsea.trajectory import Outcome, Trajectory
+from diffsea.simulation.replay import replay_errors
 from diffsea.vessel.files import build
-from diffsea.vessel.sensors import Clock, Sensors
+from diffsea.vessel.sensors import Clock
 
 
 def boat(**thruster):

@@ -18,10 +18,11 @@ from shipmmg.mmg_3dof import (
 )
 from tests.runs import CALM, run, staged_turn, state_of, trajectory
 
+from diffsea import shipped_vessels
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.simulation.control import throttle_for
 from diffsea.simulation.manoeuvres import zigzag
-from diffsea.vessel.files import build, shipped_vessels
+from diffsea.vessel.files import build
 
 
 DOCUMENT = tomllib.loads(shipped_vessels()["kvlcc2"].read_text())

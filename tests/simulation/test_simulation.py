@@ -25,16 +25,14 @@ from tests.runs import (
     varied,
 )
 
+from diffsea import Environment, Outcome, State, Vessel, named, read_vessel, replace, run_trial
 from diffsea.metrics import turning_metrics, zigzag_metrics
-from diffsea.parameters import named, replace
 from diffsea.simulation.control import ControlAllocation, speed_for, throttle_for
 from diffsea.simulation.integrate import advance
 from diffsea.simulation.manoeuvres import turning_circle, zigzag
-from diffsea.simulation.trials import TrialSettings, run_trial
-from diffsea.trajectory import MOTION_CHANNELS, Outcome
-from diffsea.types import Environment, State
-from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import build, read_vessel
+from diffsea.simulation.trials import TrialSettings
+from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.vessel.files import build
 
 
 USV, BOAT = load(ORACLE / "usv.toml"), load(ORACLE / "boat.toml")

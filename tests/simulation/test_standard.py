@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
+from diffsea import Outcome, UserError, read_vessel, shipped_vessels
 from diffsea.simulation import planning
 from diffsea.simulation.control import full_throttle, speed_for, throttle_for, throttle_for_thrust
-from diffsea.trajectory import Outcome
-from diffsea.vessel.files import build, read_vessel, shipped_vessels
+from diffsea.vessel.files import build
 
 
 DRAG, LAG = 20.0, 5.0  # N s/m, and s of mass over drag

@@ -7,12 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
-from diffsea.simulation.closed_loop import run_controlled
+from diffsea import Outcome, State, UserError, read_vessel, run_controlled
 from diffsea.simulation.control.waypoint_logic import waypoint_logic
-from diffsea.trajectory import Outcome
-from diffsea.types import State
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 FULL_THRUST, FULL_ANGLE = 20.0, 0.47 * math.pi

@@ -9,12 +9,12 @@ import pytest
 import tomli_w
 from tests.boats import BOAT, CROSS_FLOW
 
+from diffsea import UserError, read_vessel
 from diffsea.cli import main
-from diffsea.errors import UserError
 from diffsea.parameters import file_parameters, spread_over_places
 from diffsea.simulation import planning
 from diffsea.studies.sensitivity import TrialSensitivities, parameter_names
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 ORDERED = ["--manoeuvre", "zigzag", "--speed", "1.3", "--angle", "15", "--heading", "10"]

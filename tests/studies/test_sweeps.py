@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT
 
+from diffsea import UserError, read_vessel
 from diffsea.cli import main
-from diffsea.errors import UserError
 from diffsea.report.pictures import save_map
 from diffsea.simulation import planning
 from diffsea.studies import sweep
-from diffsea.vessel.files import build, read_vessel
+from diffsea.vessel.files import build
 
 
 ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]

@@ -4,9 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from diffsea.errors import UserError
+from diffsea import Environment, State, UserError
 from diffsea.simulation.control import ControlAllocation
-from diffsea.types import Environment, State
 from diffsea.vessel.actuators import ACTUATORS
 from diffsea.vessel.files import build
 

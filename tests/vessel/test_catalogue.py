@@ -9,18 +9,24 @@ import pytest
 from scipy.optimize import brentq, fsolve
 from tests.paths import ORACLE
 
-from diffsea.errors import UserError
+from diffsea import (
+    EFFECTS,
+    Environment,
+    State,
+    UserError,
+    named,
+    read_vessel,
+    replace,
+    shipped_vessels,
+)
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.effect_records import (
     is_known,
     parameter_records,
     parameters_with_errors,
 )
-from diffsea.parameters import named, replace
-from diffsea.types import Environment, State
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.effects.environment import default_wind
-from diffsea.vessel.files import build, dump, read_vessel, shipped_vessels, updated_document
+from diffsea.vessel.files import build, dump, updated_document
 
 
 NAMES = (

@@ -18,9 +18,9 @@ from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 from tests.runs import disagreement, state_of, varied
 
+from diffsea import State
 from diffsea.simulation.integrate import advance, begin
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.types import State
 from diffsea.vessel.files import build
 
 

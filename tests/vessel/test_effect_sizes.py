@@ -6,9 +6,8 @@ from scipy import stats
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
+from diffsea import EFFECTS, Parameter
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
-from diffsea.parameters import Parameter
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.effects.coordinates import PRIOR_SPREAD
 from diffsea.vessel.files import build
 

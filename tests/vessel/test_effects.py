@@ -13,15 +13,12 @@ from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 from tests.runs import disagreement, replay, state_of, varied
 
-from diffsea.parameters import named
+from diffsea import EFFECTS, Sensors, State, named
 from diffsea.simulation.integrate import begin
 from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.types import State
-from diffsea.vessel.effects import EFFECTS
 from diffsea.vessel.effects.coordinates import ScannedCoordinate
 from diffsea.vessel.files import build
-from diffsea.vessel.sensors import Sensors
 from diffsea.vessel.servo import OrderHistory, Servo
 
 

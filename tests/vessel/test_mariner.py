@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from tests.runs import CALM, columns, run, staged, staged_turn, state_of, trajectory
 
+from diffsea import read_vessel
 from diffsea.metrics import turning_metrics, zigzag_metrics
 from diffsea.metrics.imo import imo_verdicts, turning_criteria, zigzag_criteria
 from diffsea.simulation.manoeuvres import zigzag
-from diffsea.vessel.files import read_vessel
 
 
 VESSEL = read_vessel("mariner").vessel

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from diffsea.errors import UserError
-from diffsea.parameters import named, replace
-from diffsea.types import Environment, State
-from diffsea.vessel.files import build, read_vessel, updated_document
+from diffsea import Environment, State, UserError, named, read_vessel, replace
+from diffsea.vessel.files import build, updated_document
 from diffsea.vessel.hull import Damping, signed_power
 
 
