@@ -9,9 +9,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
+from diffsea.segments.free_motion import turning_motions
 from diffsea.segments.places import by_place
 from diffsea.segments.settings import SegmentSettings
-from diffsea.segments.unordered import turning_motions
 
 
 INTERVAL = 1.0  # s, common to all channels

@@ -19,7 +19,8 @@ from diffsea.identification.coordinates import negative_effects, vessel_at
 from diffsea.identification.estimates import FitOutcome, parameter_estimates
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
-from diffsea.identification.filter.process_noise import Noise, gust_propagation, measurement_update
+from diffsea.identification.filter.process_noise import Noise, gust_propagation
+from diffsea.identification.filter.updates import measurement_update
 from diffsea.identification.fit import estimate, normalised_rms, posterior_deviance
 from diffsea.identification.least_squares import solve_least_squares
 from diffsea.identification.multistart import effect_starts

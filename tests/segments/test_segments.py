@@ -25,8 +25,8 @@ from diffsea import (
 from diffsea.cli import main
 from diffsea.cli import segments as command
 from diffsea.segments import SEGMENT_KINDS, SegmentSettings, cut_out, group_repeats, traceability
+from diffsea.segments.free_motion import quarter_turn_window
 from diffsea.segments.signals import signals_of
-from diffsea.segments.unordered import quarter_turn_window
 from diffsea.simulation.actuation import executed_by
 from diffsea.vessel.servo import Servo
 

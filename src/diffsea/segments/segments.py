@@ -12,6 +12,7 @@ import numpy as np
 
 from diffsea.metrics.orders import departure_row
 from diffsea.segments.approach import ApproachConditions, approach_to
+from diffsea.segments.free_motion import find_rest, find_turns, quarter_turn_window
 from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import MEASURED, NOTHING, Signals, signals_of
 from diffsea.segments.spans import (
@@ -22,7 +23,6 @@ from diffsea.segments.spans import (
     robust_scatter,
 )
 from diffsea.segments.trials import find_trials, leaving_row, order_row, switch_rows
-from diffsea.segments.unordered import find_rest, find_turns, quarter_turn_window
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 

@@ -1,8 +1,8 @@
 """Innovation-form likelihood: how well a model predicts a recording one sample ahead.
 
 An extended Kalman filter (`run_filter`) runs along the data set; its state is the vessel's six
-numbers and the three accelerations of lasting gusts. `process_noise` has its `measurement_update`
-and the `time_update` of its covariance.
+numbers and the three accelerations of lasting gusts. `updates` has its `measurement_update`
+and `time_update`.
 
 Gains and innovation covariances are found once, at the current estimate; the innovations with
 those gains held fixed (`whitened_innovations`) are then a plain nonlinear least-squares residual
@@ -28,10 +28,8 @@ from diffsea.identification.filter.latency import (
     relative_latencies,
     shown_measurements,
 )
-from diffsea.identification.filter.process_noise import (
-    GustPropagation,
-    Noise,
-    gust_propagation,
+from diffsea.identification.filter.process_noise import GustPropagation, Noise, gust_propagation
+from diffsea.identification.filter.updates import (
     matrix_product,
     matrix_vector,
     measurement_update,

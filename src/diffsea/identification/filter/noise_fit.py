@@ -14,13 +14,8 @@ from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter.kalman import FilterRun
-from diffsea.identification.filter.process_noise import (
-    Noise,
-    gust_propagation,
-    matrix_vector,
-    measurement_update,
-    time_update,
-)
+from diffsea.identification.filter.process_noise import Noise, gust_propagation
+from diffsea.identification.filter.updates import matrix_vector, measurement_update, time_update
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.scales import froude_speed, time_scale
 from diffsea.statistics import robust_scale

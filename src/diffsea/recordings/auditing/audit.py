@@ -14,11 +14,11 @@ from diffsea.recordings.auditing.actuators import actuation_findings, order_find
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
 from diffsea.recordings.auditing.channels import bridge_outliers, drop_frozen, rounding_findings
 from diffsea.recordings.auditing.clocks import clock_findings
-from diffsea.recordings.auditing.disagreements import disagreement_findings
 from diffsea.recordings.auditing.finding import KINDS, Finding, wrong_sign
 from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import heading_comparison, velocity_comparison
 from diffsea.recordings.auditing.responses import response_findings
+from diffsea.recordings.auditing.sensor_findings import disagreement_findings
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
 from diffsea.series import integrate

@@ -18,13 +18,13 @@ from jaxtyping import Float, Int
 
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, wrong_sign
-from diffsea.recordings.lags import (
+from diffsea.recordings.motion import MeasuredMotion
+from diffsea.recordings.response_lag import (
     NO_RESPONSE,
     LaggedResponse,
     largest_explained_share,
     response_to,
 )
-from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Samples, Series, Trajectory
 
 
