@@ -16,7 +16,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.metamodels.fit import COMMON, OWN
+from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS
 from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin
 
@@ -56,7 +56,7 @@ def _known(seed: int, sets: int, likely: int, say) -> dict:
     for k in range(sets):
         own = runs[TRIALS * k : TRIALS * (k + 1)]
         table = known_set_of(own)
-        common, apart = identified(table, COMMON), identified(table, OWN)
+        common, apart = identified(table, COMMON_MOMENT), identified(table, OWN_MOMENTS)
         few = student.ppf(0.975, TRIALS - 1)
         _add(out, PUBLISHED, common.model, common.white, norm.ppf(0.975), truth, aside)
         _add(out, TRIALWISE, common.model, common.clustered, few, truth, aside)
@@ -115,9 +115,9 @@ def _service(seed: int, service: dict, sets: int, likely: int) -> dict:
     for k in range(sets):
         chosen = [others[i] for i in draw.choice(len(others), CHOSEN, replace=False)]
         table = set_of(chosen)
-        common = identified(table, COMMON).model
+        common = identified(table, COMMON_MOMENT).model
         add("least squares", common)
-        add("own moments", identified(table, OWN).model)
+        add("own moments", identified(table, OWN_MOMENTS).model)
         if k < likely:
             add("likelihood", _by_likelihood(chosen, common))
     return {

@@ -26,7 +26,7 @@ from tests.oracle.simulator import load
 
 from diffsea import State, Trajectory, Vessel
 from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.online import ekf
+from diffsea.identification.online.ekf import ExtendedKalmanFilter, KalmanBelief, kalman_filter
 from diffsea.identification.online.guarded import OnlineRun, run_least_squares, run_online
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
@@ -74,9 +74,9 @@ def noise(true: dict) -> Noise:
 
 
 @eqx.filter_jit
-def _filtered(filter: ekf.Filter, belief: ekf.Belief, rows: tuple) -> tuple:
-    def body(now: ekf.Belief, row: tuple) -> tuple:
-        now, _ = ekf.step(filter, now, *row)
+def _filtered(filter: ExtendedKalmanFilter, belief: KalmanBelief, rows: tuple) -> tuple:
+    def body(now: KalmanBelief, row: tuple) -> tuple:
+        now, _ = filter.step(now, *row)
         return now, now.coordinates
 
     return jax.lax.scan(body, belief, rows)[1]
@@ -85,7 +85,8 @@ def _filtered(filter: ekf.Filter, belief: ekf.Belief, rows: tuple) -> tuple:
 def bare(vessel: Vessel, recording: Trajectory, true: dict) -> dict:
     """Estimates of the filter alone, which never starts again."""
     motion = np.stack([getattr(recording, c) for c in MOTION_CHANNELS], -1)
-    filter, belief = ekf.init(vessel, FREE, noise(true), State(*motion[0]), drift=DRIFT)
+    filter = kalman_filter(vessel, FREE, noise(true), drift=DRIFT)
+    belief = filter.init(State(*motion[0]))
     held = {c: np.append(x[:1], x[:-1]) for c, x in recording.commanded.items()}
     rows = held, motion, np.diff(recording.t, prepend=0.0)
     found = np.asarray(_filtered(filter, belief, jax.tree.map(jnp.asarray, rows)))

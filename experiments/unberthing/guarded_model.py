@@ -11,11 +11,10 @@ from experiments.unberthing.harbour_ship import PERIOD, nominal
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffsea import Parameter, Vessel
-from diffsea.identification.online import rls, trust
-from diffsea.identification.online.gate import Gate
-from diffsea.identification.online.guarded import RLS_CHANNELS, Guarded, Standing, guarded
-from diffsea.identification.online.trust import Limits
+from diffsea import Parameter, State, Vessel
+from diffsea.identification.online.guarded import Gate, GuardedEstimator, GuardedState
+from diffsea.identification.online.rls import recursive_least_squares
+from diffsea.identification.online.trust import TrustLimits, trust_limits
 from diffsea.vessel.environment import SteadyForce
 
 
@@ -42,14 +41,18 @@ def model_vessel() -> Vessel:
     return eqx.tree_at(lambda v: v.forces, vessel, forces, is_leaf=lambda x: x is vessel.forces)
 
 
-def guard(limits: Limits | None = None) -> tuple[Guarded, Standing]:
+def guard(limits: TrustLimits | None = None) -> tuple[GuardedEstimator, GuardedState]:
     """The estimator behind its gate, before the first measurement."""
-    regression, running = rls.init(
-        model_vessel(), FREE, memory=MEMORY, bandwidth=BANDWIDTH, disturbance_memory=LASTING,
-        noise=NOISE, interval=PERIOD,
-    )  # fmt: skip
+    estimator = recursive_least_squares(
+        model_vessel(),
+        FREE,
+        memory=MEMORY,
+        bandwidth=BANDWIDTH,
+        disturbance_memory=LASTING,
+        noise=NOISE,
+        interval=PERIOD,
+    )
     if limits is None:
-        limits = trust.limits(regression.vessel, regression.parameters, RLS_CHANNELS, WINDOW)
-    gate = Gate(limits.window, reopen=jnp.asarray(REOPEN))
-    made, standing = guarded(regression, running, limits)
-    return eqx.tree_at(lambda g: g.gate, made, gate), standing
+        limits = trust_limits(estimator.vessel, estimator.parameters, estimator.channels, WINDOW)
+    guarded = GuardedEstimator(estimator, limits, Gate(limits.window, reopen=jnp.asarray(REOPEN)))
+    return guarded, guarded.init(estimator.init(State(*jnp.zeros(6))))

@@ -22,9 +22,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea import State, replace
-from diffsea.identification.online.guarded import Guarded, Standing, Step
-from diffsea.identification.online.guarded import step as guarded_step
-from diffsea.identification.online.trust import Limits
+from diffsea.identification.online.guarded import GuardedEstimator, GuardedState, GuardedStep
+from diffsea.identification.online.trust import TrustLimits
 from diffsea.kinematics import to_body
 from diffsea.types import Scalar
 
@@ -83,12 +82,12 @@ class Recursive(AbstractEstimator):
     With `forward` the thrusters also bear the estimated steady force.
     """
 
-    guard: Guarded
-    standing: Standing
+    guard: GuardedEstimator
+    standing: GuardedState
     gated: Scalar = 1.0  # or 0
     forward: Scalar = 0.0  # or 1
 
-    def init(self) -> tuple[Standing, Bool[Array, ""]]:
+    def init(self) -> tuple[GuardedState, Bool[Array, ""]]:
         return self.standing, jnp.zeros((), bool)
 
     def step(self, memory: tuple, seen: Seen) -> tuple[tuple, Advice]:
@@ -104,13 +103,13 @@ class Recursive(AbstractEstimator):
         model = linear_model(A, B, PERIOD * pushed[0])
         return (standing, jnp.ones((), bool)), Advice(model, ahead, out.trust.value)
 
-    def learned(self, memory: tuple, seen: Seen) -> tuple[Standing, Step]:
+    def learned(self, memory: tuple, seen: Seen) -> tuple[GuardedState, GuardedStep]:
         """One step of the guarded estimator on what was measured, unfiltered."""
         standing, begun = memory
         s = seen.state
         row = jnp.stack([s.x, s.y, s.psi, s.u, s.v, s.r])
         dt = jnp.where(begun, PERIOD, 0.0)
-        return guarded_step(self.guard, standing, orders(seen.blades), row, dt)
+        return self.guard.step(standing, orders(seen.blades), row, dt)
 
 
 def gradient(rates: tuple[float, float] = RATES) -> Gradient:
@@ -119,7 +118,9 @@ def gradient(rates: tuple[float, float] = RATES) -> Gradient:
     return Gradient(*models, jnp.array(rates, float))
 
 
-def recursive(limits: Limits | None = None, gated: bool = True, forward: bool = False) -> Recursive:
+def recursive(
+    limits: TrustLimits | None = None, gated: bool = True, forward: bool = False
+) -> Recursive:
     """The library's estimator with its trust and gate."""
     return Recursive(*guard(limits), *(jnp.asarray(switch, float) for switch in (gated, forward)))
 

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from tests.experiment_runs import quick_run
 
 from diffsea import Environment, State, Trajectory, UserError
-from diffsea.metamodels.fit import COMMON, OWN, Trials, identify, trials_of
+from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS, Trials, identify, trials_of
 from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots, overshoots_with_std
 from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin, in_degrees
@@ -180,12 +180,12 @@ def test_trials_of_which_nothing_is_known_do_not_count():
 def test_moments_that_the_autopilot_answers_bias_all_but_a_fit_that_knows_of_them():
     moments = np.array([2.0, -3.0, 1.0, -1.0, 2.5, -1.5]) * 1e-5
     trials = _trials(tuple(moments), noise=1e-5)
-    common, own = identified(trials, COMMON).model, identified(trials, OWN).model
+    common, own = identified(trials, COMMON_MOMENT).model, identified(trials, OWN_MOMENTS).model
     off = np.abs(np.asarray(common.coefficients / MODEL.coefficients) - 1)
     less = np.abs(np.asarray(own.coefficients / MODEL.coefficients) - 1)
     assert off[1] > 0.02 and less[1] < 0.5 * off[1], (off, less)
     assert less[4] < 0.01
-    found = identified(trials, OWN).own[:, 1]
+    found = identified(trials, OWN_MOMENTS).own[:, 1]
     np.testing.assert_allclose(found - np.mean(found), -(moments - moments.mean()), atol=1.5e-6)
 
 

@@ -17,17 +17,18 @@ from tests.paths import ORACLE
 
 from diffsea import Parameter, State, Trajectory, UserError, named
 from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.online import ekf, rls, trust
-from diffsea.identification.online.gate import Gate, passed, shut
+from diffsea.identification.online import trust
+from diffsea.identification.online.ekf import ExtendedKalmanFilter, kalman_filter
 from diffsea.identification.online.guarded import (
-    EKF_CHANNELS,
-    calibrated,
-    guarded,
+    Gate,
+    GuardedEstimator,
+    calibrate_limits,
+    guard_estimator,
     run_least_squares,
     run_online,
-    step,
 )
-from diffsea.identification.online.trust import Evidence
+from diffsea.identification.online.rls import recursive_least_squares
+from diffsea.identification.online.trust import StepEvidence
 from diffsea.parameters import hull_prior
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.environment import SteadyForce
@@ -41,12 +42,13 @@ STD = np.array([sensor.noise for sensor in sensors.suite().values()])
 SEEDS = range(1, 7)
 
 # Compiled once for all tests.
-_guarded_step, _bare_step = eqx.filter_jit(step), eqx.filter_jit(ekf.step)
+_guarded_step = eqx.filter_jit(GuardedEstimator.step)
+_bare_step = eqx.filter_jit(ExtendedKalmanFilter.step)
 
 
 @eqx.filter_jit
 def _rls_scan(regression, running, rows):
-    return jax.lax.scan(lambda now, row: rls.step(regression, now, *row), running, rows)
+    return jax.lax.scan(lambda now, row: regression.step(now, *row), running, rows)
 
 
 @pytest.fixture(scope="module")
@@ -113,9 +115,8 @@ def test_on_a_linear_vessel_it_is_the_kalman_filter(document):
     inertia, damping, g, scale = 180.0 + 12.0, 52.0, 0.02, 15.0
     noise = Noise(*(jnp.log(jnp.asarray(x)) for x in
                     ([g] * 3, [1e-9] * 3, [5.0] * 3, STD)))  # fmt: skip
-    filter, belief = ekf.init(
-        made, [Parameter(force, 0.0, scale)], noise, State(0.0, 0.0, 0.0, 1.0, 0.0, 0.0), drift=0.01
-    )
+    filter = kalman_filter(made, [Parameter(force, 0.0, scale)], noise, drift=0.01)
+    belief = filter.init(State(0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     length = 4.9
     mean = np.array([0.0, 1.0, 0.0])
     P = np.diag([length**2, 0.25 * 9.81 * length, 1.0])
@@ -186,9 +187,8 @@ def test_lost_samples_and_other_rates_cost_information_only(sound, vessel):
 
 
 def test_a_step_without_measurement_in_between_changes_nothing(vessel, document):
-    filter, belief = ekf.init(
-        vessel, HULL, _noise(document), State(0.0, 0.0, 0.4, 1.5, 0.1, 0.2), drift=1e-3
-    )
+    filter = kalman_filter(vessel, HULL, _noise(document), drift=1e-3)
+    belief = filter.init(State(0.0, 0.0, 0.4, 1.5, 0.1, 0.2))
     orders = {"port": jnp.asarray(120.0), "starboard": jnp.asarray(60.0)}
     nothing, advance = jnp.full(6, jnp.nan), _bare_step
     once, news = advance(filter, belief, orders, nothing, jnp.asarray(0.2))
@@ -205,18 +205,20 @@ def test_a_lag_of_the_thrusters_is_estimated(document):
     guess = [t | {"time_constant": 0.5} for t in document["thruster"]]
     sim = perform(document | {"thruster": lagged}, "random-fast", 3, None, 60.0, RATE)
     free = ["port.time_constant", "starboard.time_constant"]
-    filter, belief = ekf.init(
-        build(document | {"thruster": guess}), [hull_prior(n, 0.5) for n in free],
-        _noise(document), State(*(float(sim.at([0.0])[c][0]) for c in MOTION_CHANNELS)),
-        orders={c: float(sim.at([0.0])[f"cmd_{c}"][0]) for c in ("port", "starboard")},
-    )  # fmt: skip
+    priors = [hull_prior(n, 0.5) for n in free]
+    filter = kalman_filter(build(document | {"thruster": guess}), priors, _noise(document))
+    first = sim.at([0.0])
+    belief = filter.init(
+        State(*(float(first[c][0]) for c in MOTION_CHANNELS)),
+        orders={c: float(first[f"cmd_{c}"][0]) for c in ("port", "starboard")},
+    )
     recording = _recorded(sim, 3, seconds=60.0)
     motion = np.stack([getattr(recording, c) for c in MOTION_CHANNELS], -1)
     held = {c: np.append(x[:1], x[:-1]) for c, x in recording.commanded.items()}
     rows = jax.tree.map(jnp.asarray, (held, motion, np.diff(recording.t, prepend=0.0)))
-    scan = jax.jit(lambda f, b, rows: jax.lax.scan(lambda b, row: ekf.step(f, b, *row), b, rows))
+    scan = jax.jit(lambda f, b, rows: jax.lax.scan(lambda b, row: f.step(b, *row), b, rows))
     belief, _ = scan(filter, belief, rows)
-    std = np.sqrt(np.diag(belief.spread)) * np.array(list(belief.values.values()))
+    std = np.sqrt(np.diag(belief.parameter_covariance)) * np.array(list(belief.values.values()))
     for value, deviation in zip(belief.values.values(), std, strict=True):
         assert abs(float(value) - 0.8) < 3 * deviation < 0.3
 
@@ -240,7 +242,8 @@ def test_without_noise_least_squares_finds_the_vessel(document, vessel):
 def test_recursion_equals_the_weighted_batch(memory, vessel, sound):
     """Stabilised forgetting: weights mu^age on the data, and on the prior all that is left."""
     recording = sound[1][1]
-    regression, running = rls.init(vessel, HULL, memory=memory)
+    regression = recursive_least_squares(vessel, HULL, memory=memory)
+    running = regression.init(State(*(0.0 for _ in range(6))))
     motion = np.stack([getattr(recording, c) for c in MOTION_CHANNELS], -1)
     held = {c: np.append(x[:1], x[:-1]) for c, x in recording.commanded.items()}
     dt = np.diff(T, prepend=0.0)
@@ -256,7 +259,9 @@ def test_recursion_equals_the_weighted_batch(memory, vessel, sound):
     batch = np.linalg.lstsq(stacked, np.append(target, np.zeros(len(HULL))), rcond=None)[0]
     assert (weight > 0).sum() > 1500
     np.testing.assert_allclose(running.coordinates, batch, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(running.spread, np.linalg.inv(stacked.T @ stacked), rtol=1e-7)
+    np.testing.assert_allclose(
+        running.parameter_covariance, np.linalg.inv(stacked.T @ stacked), rtol=1e-7
+    )
 
 
 def test_least_squares_is_within_its_standard_deviations(sound, vessel):
@@ -281,16 +286,15 @@ def test_what_is_not_excited_returns_to_the_prior_and_never_winds_up(document, v
 
 def test_parameters_that_are_not_linear_are_refused(vessel):
     with pytest.raises(UserError, match="not linear in 'current_north'"):
-        rls.init(vessel, ["current_north"])
+        recursive_least_squares(vessel, ["current_north"])
     moved = Parameter("x_G", 0.0, scale=0.1)
     with pytest.raises(UserError, match="not linear in 'x_G'"):
-        rls.init(vessel, [moved])
+        recursive_least_squares(vessel, [moved])
     with pytest.raises(UserError, match="do not contain"):
-        rls.init(vessel, [Parameter("sensors.gyro_bias", 0.0, 0.01)])
+        recursive_least_squares(vessel, [Parameter("sensors.gyro_bias", 0.0, 0.01)])
 
 
 def test_bad_choices_are_told(vessel, document):
-    start = State(*(0.0 for _ in range(6)))
     noise = _noise(document)
     for free, message in (
         ((), "nothing to estimate"),
@@ -299,22 +303,22 @@ def test_bad_choices_are_told(vessel, document):
         (("sensors.gyro_bias",), "zero in the vessel"),
     ):
         with pytest.raises(UserError, match=message):
-            ekf.init(vessel, free, noise, start)
+            kalman_filter(vessel, free, noise)
     with pytest.raises(UserError, match="drift"):
-        ekf.init(vessel, HULL, noise, start, drift={"N_rrr": 0.1})
+        kalman_filter(vessel, HULL, noise, drift={"N_rrr": 0.1})
     with pytest.raises(UserError, match="zero or more"):
-        ekf.init(vessel, HULL, noise, start, drift=-1.0)
+        kalman_filter(vessel, HULL, noise, drift=-1.0)
     with pytest.raises(UserError, match="no such actuator"):
-        ekf.init(vessel, HULL, noise, start, measured=("rudder",))
+        kalman_filter(vessel, HULL, noise, measured=("rudder",))
 
 
 # Trust and gate.
 
 
-def _evidence(limits, white, coordinates=None, variance=0.01, change=None) -> Evidence:
+def _evidence(limits, white, coordinates=None, variance=0.01, change=None) -> StepEvidence:
     n = len(limits.parameters)
     zero = jnp.zeros(n)
-    return Evidence(
+    return StepEvidence(
         jnp.asarray(white), jnp.ones(6), zero if change is None else change, jnp.full(n, 1e-4),
         zero if coordinates is None else jnp.asarray(coordinates), variance * jnp.eye(n),
     )  # fmt: skip
@@ -325,7 +329,7 @@ def limits(vessel):
     parameters = [hull_prior(n, float(named(vessel)[n])) for n in HULL]
     parameters = [dataclasses.replace(p, scale=p.std / p.spread, lower=-math.inf, upper=math.inf)
                   for p in parameters]  # fmt: skip
-    return trust.limits(vessel, parameters, EKF_CHANNELS, 10.0, 600.0)
+    return trust.trust_limits(vessel, parameters, MOTION_CHANNELS, 10.0, 600.0)
 
 
 def test_false_alarms_come_as_seldom_as_asked_for(limits):
@@ -341,10 +345,10 @@ def test_false_alarms_come_as_seldom_as_asked_for(limits):
             memory, verdict = trust.assess(limits, memory, _evidence(limits, row), dt)
             return memory, verdict.innovations
 
-        return jax.lax.scan(body, trust.begin(limits), white)[1]
+        return jax.lax.scan(body, limits.init(), white)[1]
 
     answers = np.array(jax.lax.map(quiet, jax.random.split(jax.random.key(0), runs)))[:, 200:]
-    low = answers <= trust.ALARM
+    low = answers <= trust.ALARM_TRUST
     again = np.array([np.convolve(row, np.ones(50))[: row.size] for row in low]) > 0
     alarms = (again[:, 1:] & ~again[:, :-1]).sum()
     expected = runs * (rows - 200) * dt / 60.0
@@ -361,7 +365,7 @@ def test_each_question_has_its_own_reason(limits):
             evidence = _evidence(limits, row, coordinates, variance, change)
             return trust.assess(limits, memory, evidence, 0.2)
 
-        found = jax.lax.scan(body, trust.begin(limits), white)[1]
+        found = jax.lax.scan(body, limits.init(), white)[1]
         return jax.tree.map(lambda leaf: leaf[-1], found)
 
     def verdict(offset=0.0, scale=1.0, coordinates=zero, variance=0.01, change=zero):
@@ -386,8 +390,8 @@ def test_each_question_has_its_own_reason(limits):
 
 def test_a_negative_mass_is_not_trusted(vessel):
     mass = Parameter("Y_vdot", -120.0, scale=120.0)
-    limits = trust.limits(vessel, [mass], EKF_CHANNELS)
-    found = trust.assess(limits, trust.begin(limits), _evidence(limits, np.zeros(6), [2.6]), 0.2)[1]
+    limits = trust.trust_limits(vessel, [mass], MOTION_CHANNELS)
+    found = trust.assess(limits, limits.init(), _evidence(limits, np.zeros(6), [2.6]), 0.2)[1]
     assert not found.inertia and float(found.bounds) == 0
     assert "mass matrix" in " ".join(trust.reasons(limits, found))
 
@@ -396,8 +400,8 @@ def test_a_disturbance_may_drive_the_vessel(vessel):
     # Only what resists must brake: an estimated wind or current pushes.
     vessel = dataclasses.replace(vessel, forces=vessel.forces | {"steady": SteadyForce()})
     push = Parameter("steady.north", 0.0, scale=500.0)
-    limits = trust.limits(vessel, [push], EKF_CHANNELS)
-    found = trust.assess(limits, trust.begin(limits), _evidence(limits, np.zeros(6), [1.0]), 0.2)[1]
+    limits = trust.trust_limits(vessel, [push], MOTION_CHANNELS)
+    found = trust.assess(limits, limits.init(), _evidence(limits, np.zeros(6), [1.0]), 0.2)[1]
     assert found.drag and float(found.bounds) == 1
 
 
@@ -413,16 +417,17 @@ def test_calibration_finds_the_scale_of_sound_innovations(limits):
     one = _evidence(limits, np.zeros(6))
     series = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (rows, *np.shape(leaf))), one)
     series = eqx.tree_at(lambda e: e.white, series, 2.0 * rng.normal(size=(rows, 6)))
-    new = trust.calibrated(limits, [series], [np.full(rows, 0.2)])
+    new = trust.calibrate(limits, [series], [np.full(rows, 0.2)])
     np.testing.assert_allclose(new.scale, 2.0, rtol=0.1)
     assert (np.asarray(new.width.bias) >= 1).all() and np.asarray(new.width.bias).max() < 2.5
 
 
 def test_the_gate_opens_late_closes_at_once_and_forgets_what_waited():
-    gate, passage = Gate(jnp.asarray(8.0)), shut(1)
+    gate = Gate(jnp.asarray(8.0))
+    passage = gate.init(1)
     log = []
     level = [0.9] * 30 + [0.6] * 5 + [0.4] + [0.7] * 20 + [0.9] * 30
-    advance = jax.jit(passed)
+    advance = jax.jit(Gate.step)
     for k, trusted in enumerate(level):
         passage = advance(gate, passage, jnp.array([float(k + 1)]), jnp.asarray(trusted), 1.0)
         log.append((float(passage.handed[0]), bool(passage.open)))
@@ -439,7 +444,7 @@ def test_the_gate_opens_late_closes_at_once_and_forgets_what_waited():
 
 def test_sound_runs_are_not_blocked(sound):
     for _, _, run in sound:
-        assert (run.steps.trust.fault > trust.ALARM).all()
+        assert (run.steps.trust.fault > trust.ALARM_TRUST).all()
         assert run.open[T > 90.0].all(), run.reasons(int(np.argmin(run.trust)))
         assert not run.steps.restarted.any()
         # Closed until the data have said something, then open for good.
@@ -473,11 +478,11 @@ def _loop(document, vessel, seed: int, fault: str, gated: bool, seconds: float =
     effects = {"thrust-asymmetry": {"ratio": 0.1}} if fault == "straight" else None
     sim = Simulator(true, effects, (0, 0, 0.3, 2.0, 0, 0), 100.0, gust=blow,
                     rtol=1e-6, atol=1e-8, max_step=0.5)  # fmt: skip
-    filter, belief = ekf.init(
-        vessel, HULL, _noise(true), State(0.0, 0.0, 0.3, 2.0, 0.0, 0.0), drift=2e-3,
-        orders={"port": 100.0, "starboard": 100.0},
-    )  # fmt: skip
-    guard, now = guarded(filter, belief)
+    filter = kalman_filter(vessel, HULL, _noise(true), drift=2e-3)
+    settled = {"port": 100.0, "starboard": 100.0}
+    belief = filter.init(State(0.0, 0.0, 0.3, 2.0, 0.0, 0.0), orders=settled)
+    guard = guard_estimator(filter)
+    now = guard.init(belief)
     inertia, worst, opened, frozen = float(vessel.mass_matrix()[2, 2]), 0.0, [], None
     held = {"port": 100.0, "starboard": 100.0}
     truth = np.array([true["hull"][n] for n in HULL])
@@ -543,7 +548,7 @@ def test_a_straight_run_hands_on_nothing_that_it_does_not_tell(document, vessel)
 
 def test_calibrated_limits_come_from_runs(sound, vessel):
     runs = [run for _, _, run in sound]
-    made = calibrated(runs)
+    made = calibrate_limits(runs)
     assert (np.asarray(made.scale) < 1.2).all() and (np.asarray(made.width.moved) < 1.6).all()
     with pytest.raises(UserError, match="six windows"):
-        calibrated([])
+        calibrate_limits([])

@@ -19,7 +19,11 @@ from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar
 
 
-STEPS = 25  # of Levenberg-Marquardt
+MAX_STEPS = (
+    25  # of Levenberg and Marquardt: from the regression, enough from the regression's start
+)
+COMMON_MOMENT = 1e9  # a tie so stiffness that trials have no moment of their own
+OWN_MOMENTS = 1e-2  # a tie so weak that every trial's moment is free
 
 
 class Trials(eqx.Module):
@@ -56,56 +60,52 @@ def trials_of(
 
     Raises `UserError` where a recording has no such channel or no yaw rate.
     """
-    columns = [_columns(run, dt, channel) for run in recordings]
+    columns = []
+    for run in recordings:
+        if channel not in run.executed and channel not in run.commanded:
+            names = ", ".join([*run.executed, *run.commanded]) or "none"
+            raise UserError(f"{run.name} has no channel {channel!r}; it has: {names}")
+        if not run.has("r"):
+            raise UserError(
+                f"{run.name} has no yaw rate (r); map one, or differentiate the heading"
+            )
+        even = resample(run, dt)
+        group = even.executed if channel in even.executed else even.commanded
+        columns.append((np.asarray(group[channel], float), np.asarray(even.r, float)))
     count = max(len(r) for _, r in columns) if length is None else length
-    delta = np.stack([np.pad(d, (0, max(0, count - len(d))), "edge")[:count] for d, _ in columns])
-    r = np.stack(
-        [np.pad(s, (0, max(0, count - len(s))), constant_values=np.nan)[:count] for _, s in columns]
-    )
+    shape = (len(columns), count)
+    delta, r = np.empty(shape), np.full(shape, np.nan)
+    for k, (angle, rate) in enumerate(columns):
+        delta[k] = np.pad(angle, (0, max(0, count - len(angle))), "edge")[:count]
+        r[k, : len(rate)] = rate[:count]
     known = np.isfinite(r)
-    return Trials(
-        jnp.asarray(dt),
-        jnp.asarray(delta),
-        jnp.asarray(np.where(known, r, 0.0)),
-        jnp.asarray(known),
-    )
+    measured = np.where(known, r, 0.0)
+    return Trials(*(jnp.asarray(part) for part in (dt, delta, measured, known)))
 
 
-def _columns(run: Trajectory, dt: float, channel: str) -> tuple[np.ndarray, np.ndarray]:
-    if channel not in run.executed and channel not in run.commanded:
-        names = ", ".join([*run.executed, *run.commanded]) or "none"
-        raise UserError(f"{run.name} has no channel {channel!r}; it has: {names}")
-    if not run.has("r"):
-        raise UserError(f"{run.name} has no yaw rate (r); map one, or differentiate the heading")
-    even = resample(run, dt)
-    group = even.executed if channel in even.executed else even.commanded
-    return np.asarray(group[channel], float), np.asarray(even.r, float)
-
-
-COMMON = 1e9  # a tie that leaves trials no moment of their own
-OWN = 1e-2  # one that leaves it free
-
-
-def identify(trials: Trials, tie: Scalar = COMMON, steps: int = STEPS) -> NorrbinFit:
+def identify(trials: Trials, tie: Scalar = COMMON_MOMENT, steps: int = MAX_STEPS) -> NorrbinFit:
     """Coefficients that reproduce the yaw rates of all trials best, by least squares.
 
-    With a `tie` of `COMMON` as published: all that disturbs is white noise. With `OWN` every
-    trial has a steady moment of its own (wind, trim, what the autopilot works against), and
-    `a_0` is their mean: an autopilot answers a moment with rudder, so that without it rudder
-    and disturbance are correlated and every coefficient is biased. The tie is the stiffness to
-    the mean in units of what a trial itself says of its moment.
+    With a `tie` of `COMMON_MOMENT` as published: all that disturbs is white noise. With
+    `OWN_MOMENTS` every trial has a steady moment of its own (wind, trim, what the autopilot works
+    against), and `a_0` is their mean: an autopilot answers a moment with rudder, so that without
+    it rudder and disturbance are correlated and every coefficient is biased. The tie is the
+    stiffness to the mean in units of what a trial itself says of its moment.
 
     Pure: `vmap` it over sets of trials, `jit` it. Starts from the regression of the integrated
     equation, which needs no first guess; at most `steps` of Levenberg and Marquardt.
     """
-    theta = regression(trials)
-    own = jnp.stack([_first_rates(trials), jnp.zeros(trials.r.shape[0])], axis=1)
-    stiff = tie * _normal(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
-    start = (theta, own, _cost(theta, own, trials, stiff), jnp.asarray(1e-2))
-    theta, own, cost, _ = jax.lax.scan(
-        lambda carry, _: (_improved(carry, trials, stiff), None), start, length=steps
-    )[0]
-    return _judged(theta, own, cost, trials, stiff)
+    theta, early = regression(trials), trials.known[:, :5]
+    first_rates = jnp.sum(jnp.where(early, trials.r[:, :5], 0.0), 1) / jnp.maximum(early.sum(1), 1)
+    own = jnp.stack([first_rates, jnp.zeros(trials.r.shape[0])], axis=1)
+    stiffness = tie * _normal_equations(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
+    start = theta, own, _cost(theta, own, trials, stiffness), jnp.asarray(1e-2)
+
+    def body(carry: tuple, _: None) -> tuple[tuple, None]:
+        return _levenberg_marquardt_step(carry, trials, stiffness), None
+
+    theta, own, cost, _ = jax.lax.scan(body, start, length=steps)[0]
+    return _summarise(theta, own, cost, trials, stiffness)
 
 
 def regression(trials: Trials) -> Float[Array, "5"]:
@@ -131,16 +131,11 @@ def regression(trials: Trials) -> Float[Array, "5"]:
     return jnp.linalg.solve(A.T @ A + 1e-6 * jnp.eye(5), A.T @ y) / size
 
 
-def _first_rates(trials: Trials) -> Float[Array, "trial"]:
-    early = trials.known[:, :5]
-    return jnp.sum(jnp.where(early, trials.r[:, :5], 0.0), 1) / jnp.maximum(early.sum(1), 1)
-
-
-def _simulated(theta: Array, own: Array, trials: Trials) -> Array:
-    def one(mine: Array, delta: Array) -> Array:
+def _simulate(theta: Array, own: Array, trials: Trials) -> Array:
+    def simulate(mine: Array, delta: Array) -> Array:
         return Norrbin.of(theta.at[0].add(mine[1])).simulate(mine[0], delta, trials.dt)
 
-    return jax.vmap(one)(own, trials.delta)
+    return jax.vmap(simulate)(own, trials.delta)
 
 
 def _residual(predicted: Array, trials: Trials) -> Array:
@@ -150,29 +145,31 @@ def _residual(predicted: Array, trials: Trials) -> Array:
     return jnp.where(trials.known, jnp.clip(off, -wild, wild), 0.0)
 
 
-def _cost(theta: Array, own: Array, trials: Trials, stiff: Array) -> Array:
-    misfit = jnp.sum(_residual(_simulated(theta, own, trials), trials) ** 2)
-    return misfit + jnp.sum(stiff * own[:, 1] ** 2)
+def _cost(theta: Array, own: Array, trials: Trials, stiffness: Array) -> Array:
+    misfit = jnp.sum(_residual(_simulate(theta, own, trials), trials) ** 2)
+    return misfit + jnp.sum(stiffness * own[:, 1] ** 2)
 
 
-def _normal(theta: Array, own: Array, trials: Trials, stiff: Scalar) -> tuple[Array, Array]:
+def _normal_equations(
+    theta: Array, own: Array, trials: Trials, stiffness: Scalar
+) -> tuple[Array, Array]:
     """Per trial: the Gauss-Newton matrix of the coefficients and its own numbers; the gradient."""
 
     def one(mine: Array, delta: Array, measured: Array, known: Array) -> tuple[Array, Array]:
         alone = Trials(trials.dt, delta[None], measured[None], known[None])
 
         def residual(seven: Array) -> Array:
-            return _residual(_simulated(seven[:5], seven[None, 5:], alone), alone)[0]
+            return _residual(_simulate(seven[:5], seven[None, 5:], alone), alone)[0]
 
         seven = jnp.append(theta, mine)
         J = jax.jacfwd(residual)(seven)
         return J.T @ J, J.T @ residual(seven)
 
     H, g = jax.vmap(one)(own, trials.delta, trials.r, trials.known)
-    return H.at[:, 6, 6].add(stiff), g.at[:, 6].add(stiff * own[:, 1])
+    return H.at[:, 6, 6].add(stiffness), g.at[:, 6].add(stiffness * own[:, 1])
 
 
-def _reduced(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, Array]:
+def _eliminate_own(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, Array]:
     """Matrix and gradients of the coefficients, each trial's own numbers eliminated.
 
     Besides: how those follow the coefficients, and their own steps.
@@ -188,15 +185,17 @@ def _reduced(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, Array, 
     return A, scores, share, -jnp.einsum("nij,nj->ni", inverse, g[:, 5:])
 
 
-def _improved(carry: tuple, trials: Trials, stiff: Array) -> tuple:
+def _levenberg_marquardt_step(carry: tuple, trials: Trials, stiffness: Array) -> tuple:
     """One step of Levenberg and Marquardt, withdrawn where it makes things worse."""
     theta, own, cost, damping = carry
-    A, scores, share, alone = _reduced(*_normal(theta, own, trials, stiff), damping)
+    A, scores, share, alone = _eliminate_own(
+        *_normal_equations(theta, own, trials, stiffness), damping
+    )
     size = jnp.sqrt(jnp.diag(A)) + 1e-150
     scaled = A / jnp.outer(size, size) + damping * jnp.eye(5)
     step = -jnp.linalg.solve(scaled, scores.sum(0) / size) / size
     mine = alone - jnp.einsum("nij,i->nj", share, step)
-    after = _cost(theta + step, own + mine, trials, stiff)
+    after = _cost(theta + step, own + mine, trials, stiffness)
     better = after < cost
     return (
         jnp.where(better, theta + step, theta),
@@ -206,11 +205,13 @@ def _improved(carry: tuple, trials: Trials, stiff: Array) -> tuple:
     )
 
 
-def _judged(theta: Array, own: Array, cost: Array, trials: Trials, stiff: Array) -> NorrbinFit:
-    A, scores, _, _ = _reduced(*_normal(theta, own, trials, stiff), 0.0)
+def _summarise(
+    theta: Array, own: Array, cost: Array, trials: Trials, stiffness: Array
+) -> NorrbinFit:
+    A, scores, _, _ = _eliminate_own(*_normal_equations(theta, own, trials, stiffness), 0.0)
     size = jnp.sqrt(jnp.diag(A)) + 1e-150
     inverse = jnp.linalg.inv(A / jnp.outer(size, size)) / jnp.outer(size, size)
-    predicted = _simulated(theta, own, trials)
+    predicted = _simulate(theta, own, trials)
     count, number = trials.known.sum(), trials.known.any(axis=1).sum()
     left = jnp.sum(_residual(predicted, trials) ** 2)
     # What another Gauss-Newton step promises to gain, against what is left or was there at all.
@@ -219,6 +220,11 @@ def _judged(theta: Array, own: Array, cost: Array, trials: Trials, stiff: Array)
     variance = left / jnp.maximum(count - 5 - number, 1)
     spread = scores.T @ scores * number / jnp.maximum(number - 1, 1)
     return NorrbinFit(
-        Norrbin.of(theta), own, predicted, jnp.sqrt(variance), variance * inverse,
-        inverse @ spread @ inverse, gain < little,
-    )  # fmt: skip
+        model=Norrbin.of(theta),
+        own=own,
+        predicted=predicted,
+        scatter=jnp.sqrt(variance),
+        white=variance * inverse,
+        clustered=inverse @ spread @ inverse,
+        converged=gain < little,
+    )

@@ -41,7 +41,7 @@ class IdealRun(eqx.Module):
     switch_times: Float[Array, "overshoot"]  # s, of the second execute and on; NaN likewise
 
 
-class _Now(eqx.Module):
+class _ZigzagState(eqx.Module):
     psi: Scalar
     r: Scalar
     delta: Scalar
@@ -59,16 +59,14 @@ def ideal_zigzag(model: Norrbin, wanted: Zigzag) -> IdealRun:
     neutral = jnp.asarray(model.neutral, float)
     nothing = jnp.full(wanted.executes - 1, jnp.nan)
     zero = jnp.zeros(())
-    start = _Now(zero, zero, neutral, jnp.zeros((), int), nothing, nothing)
+    start = _ZigzagState(zero, zero, neutral, jnp.zeros((), int), nothing, nothing)
 
-    def body(now: _Now, t: Scalar) -> tuple[_Now, _Now]:
-        return _stepped(model, wanted, now, t), now
+    def body(now: _ZigzagState, t: Scalar) -> tuple[_ZigzagState, _ZigzagState]:
+        return _step(model, wanted, now, t), now
 
     times = wanted.step * jnp.arange(math.ceil(wanted.seconds / wanted.step))
     last, rows = jax.lax.scan(body, start, times)
-    return IdealRun(
-        times, rows.psi, rows.r, rows.delta, last.overshoots, last.switch_times
-    )  # fmt: skip
+    return IdealRun(times, rows.psi, rows.r, rows.delta, last.overshoots, last.switch_times)
 
 
 def overshoots(model: Norrbin, wanted: Zigzag) -> Float[Array, "overshoot"]:
@@ -85,64 +83,64 @@ def overshoots_with_std(
     return overshoots(model, wanted), jnp.sqrt(jnp.einsum("ij,jk,ik->i", J, covariance, J))
 
 
-def _order(model: Norrbin, wanted: Zigzag, stage: Int[Array, ""]) -> Scalar:
-    """The rudder angle ordered in a stage."""
-    sense = wanted.side * (1 - 2 * (jnp.minimum(stage, wanted.executes - 1) % 2))
-    return sense * wanted.angle + (model.neutral if wanted.trimmed else 0.0)
-
-
-def _moved(
-    model: Norrbin, wanted: Zigzag, now: _Now, stage: Int[Array, ""], dt: Scalar
+def _advance(
+    model: Norrbin, wanted: Zigzag, now: _ZigzagState, stage: Int[Array, ""], dt: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Heading, yaw rate and rudder `dt` s later under the order of a stage."""
-    most = wanted.rate_limit * dt
-    order = _order(model, wanted, stage)
-    delta = now.delta + jnp.clip(order - now.delta, -most, most)
+    sense = wanted.side * (1 - 2 * (jnp.minimum(stage, wanted.executes - 1) % 2))
+    order = sense * wanted.angle + (model.neutral if wanted.trimmed else 0.0)
+    largest = wanted.rate_limit * dt
+    delta = now.delta + jnp.clip(order - now.delta, -largest, largest)
     r = model.step(now.r, now.delta, delta, dt)
     # Simpson's rule with the slopes at both ends: of fourth order.
     curve = model.response(now.r, now.delta) - model.response(r, delta)
     return now.psi + 0.5 * dt * (now.r + r) + dt**2 / 12 * curve, r, delta
 
 
-def _stepped(model: Norrbin, wanted: Zigzag, now: _Now, t: Scalar) -> _Now:
+def _step(model: Norrbin, wanted: Zigzag, now: _ZigzagState, t: Scalar) -> _ZigzagState:
     dt = wanted.step
-    psi, r, delta = _moved(model, wanted, now, now.stage, dt)
+    psi, r, delta = _advance(model, wanted, now, now.stage, dt)
     sense = wanted.side * (1 - 2 * (now.stage % 2))
     more = now.stage < wanted.executes - 1
     switches = more & (sense * psi >= wanted.heading) & (sense * now.psi < wanted.heading)
     # Where nothing switches the first part is of no length.
-    s = jnp.where(switches, _fraction(now, psi, r, sense * wanted.heading, dt), 0.0)
-    psi_s, r_s, delta_s = _moved(model, wanted, now, now.stage, s * dt)
-    middle = _Now(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
+    s = jnp.where(switches, _fraction_at_heading(now, psi, r, sense * wanted.heading, dt), 0.0)
+    psi_s, r_s, delta_s = _advance(model, wanted, now, now.stage, s * dt)
+    middle = _ZigzagState(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
     stage = now.stage + switches
-    psi, r, delta = _moved(model, wanted, middle, stage, (1 - s) * dt)
+    psi, r, delta = _advance(model, wanted, middle, stage, (1 - s) * dt)
     here = jnp.arange(wanted.executes - 1)
     times = jnp.where(switches & (here == now.stage), t + s * dt, now.switch_times)
-    ends = _Now(psi, r, delta, stage, times, now.overshoots)
-    return eqx.tree_at(lambda n: n.overshoots, ends, _peaked(wanted, middle, ends, (1 - s) * dt))
+    after = _ZigzagState(psi, r, delta, stage, times, now.overshoots)
+    peaks = _overshoots_after(wanted, middle, after, (1 - s) * dt)
+    return dataclasses.replace(after, overshoots=peaks)
 
 
-def _fraction(now: _Now, psi: Scalar, r: Scalar, level: Scalar, dt: Scalar) -> Scalar:
+def _fraction_at_heading(
+    now: _ZigzagState, psi: Scalar, r: Scalar, level: Scalar, dt: Scalar
+) -> Scalar:
     """Where in a step the heading reaches a level: Newton's method on the cubic."""
     s = (level - now.psi) / jnp.where(psi == now.psi, 1.0, psi - now.psi)
     for _ in range(6):
-        value, slope = _cubic(now.psi, now.r * dt, psi, r * dt, s)
+        value, slope = _hermite(now.psi, now.r * dt, psi, r * dt, s)
         s = jnp.clip(s - (value - level) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
     return s
 
 
-def _cubic(p0: Scalar, m0: Scalar, p1: Scalar, m1: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
+def _hermite(p0: Scalar, m0: Scalar, p1: Scalar, m1: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
     """Value and slope of the cubic with given ends and slopes there, at s from 0 to 1."""
     a, b = 2 * (p0 - p1) + m0 + m1, 3 * (p1 - p0) - 2 * m0 - m1
     return p0 + s * (m0 + s * (b + s * a)), m0 + s * (2 * b + 3 * s * a)
 
 
-def _peaked(wanted: Zigzag, before: _Now, after: _Now, dt: Scalar) -> Float[Array, "overshoot"]:
+def _overshoots_after(
+    wanted: Zigzag, before: _ZigzagState, after: _ZigzagState, dt: Scalar
+) -> Float[Array, "overshoot"]:
     """The overshoots, with that of the present order where the heading turns back."""
     number = after.stage - 1
     sense = wanted.side * (1 - 2 * (number % 2))
     here: Bool[Array, overshoot] = jnp.arange(wanted.executes - 1) == number
     turns = (sense * before.r > 0) & (sense * after.r <= 0) & here & jnp.isnan(after.overshoots)
     s = before.r / jnp.where(before.r == after.r, 1.0, before.r - after.r)
-    peak, _ = _cubic(before.psi, before.r * dt, after.psi, after.r * dt, jnp.clip(s, 0.0, 1.0))
+    peak, _ = _hermite(before.psi, before.r * dt, after.psi, after.r * dt, jnp.clip(s, 0.0, 1.0))
     return jnp.where(turns, sense * peak - wanted.heading, after.overshoots)

@@ -1,7 +1,7 @@
 """Norrbin's metamodel by the innovation likelihood, every trial's disturbances as nuisances.
 
-Each trial has a steady wind of its own and gusts that last; both are estimated with the
-coefficients, where `norrbin.identify` takes all that disturbs for white noise of the sensor.
+Each trial has a steady wind of its own and lasting gusts; both are estimated with the
+coefficients, where `fit.identify` takes all that disturbs for white noise of the sensor.
 """
 
 import dataclasses
@@ -21,11 +21,11 @@ from diffsea.trajectory import Trajectory
 from diffsea.vessel.effects import EFFECTS
 
 
-NAMES = ("norrbin.a0", "norrbin.a1", "norrbin.a2", "norrbin.a3", "rudder.N_d")
+NORRBIN_PARAMETERS = ("norrbin.a0", "norrbin.a1", "norrbin.a2", "norrbin.a3", "rudder.N_d")
 
 
 @dataclasses.dataclass(frozen=True)
-class Likely:
+class LikelihoodFit:
     """What the likelihood found: the model, its covariance, and the whole estimate."""
 
     model: Norrbin
@@ -41,7 +41,7 @@ def identify_by_likelihood(
     speed: float,
     wind_angle: float = math.radians(1.0),
     least: DatasetShape = ANY_SHAPE,
-) -> Likely:
+) -> LikelihoodFit:
     """Coefficients by the innovation likelihood, disturbances of every trial as nuisances.
 
     Arguments:
@@ -59,18 +59,24 @@ def identify_by_likelihood(
     runs = [_yaw_only(run, speed) for run in recordings]
     vessel = start.vessel(length, speed, wind_moment=wind_angle * float(start.b))
     problem = make_problem(
-        vessel, runs, NAMES, (EFFECTS["wind"],), per_run=True, capacity=2, priors=_priors(start),
+        vessel,
+        runs,
+        NORRBIN_PARAMETERS,
+        (EFFECTS["wind"],),
+        per_run=True,
+        capacity=2,
+        priors=_wide_priors(start),
         least=least,
-    )  # fmt: skip
-    found = estimate(problem, (*NAMES, "wind"))
-    values = {p.name: p.decode(c) for p, c in zip(problem.layout.parameters, found.coordinates,
-                                                  strict=False)}  # fmt: skip
+    )
+    found = estimate(problem, (*NORRBIN_PARAMETERS, "wind"))
+    pairs = zip(problem.layout.parameters, found.coordinates, strict=False)
+    values = {p.name: p.decode(c) for p, c in pairs}
     scale = np.array([p.scale for p in problem.layout.parameters])
-    order = [problem.layout.indices((name,))[0] for name in NAMES]
+    order = [problem.layout.indices((name,))[0] for name in NORRBIN_PARAMETERS]
     place = [list(found.index).index(k) for k in order]
     covariance = found.covariance[np.ix_(place, place)] * np.outer(scale[order], scale[order])
-    model = Norrbin(*(float(values[name]) for name in NAMES))
-    return Likely(model, covariance, found, problem)
+    model = Norrbin(*(float(values[name]) for name in NORRBIN_PARAMETERS))
+    return LikelihoodFit(model, covariance, found, problem)
 
 
 def _yaw_only(run: Trajectory, speed: float) -> Trajectory:
@@ -86,7 +92,7 @@ def _yaw_only(run: Trajectory, speed: float) -> Trajectory:
     )
 
 
-def _priors(start: Norrbin) -> dict[str, Parameter]:
+def _wide_priors(start: Norrbin) -> dict[str, Parameter]:
     """Wide normal priors about the start: they rule nothing out."""
     T = 1 / max(abs(float(start.a1)), 1e-6)
     usual = math.radians(0.5)  # rad/s
@@ -95,5 +101,5 @@ def _priors(start: Norrbin) -> dict[str, Parameter]:
     values = (start.a0, start.a1, start.a2, start.a3, start.b)
     return {
         name: Parameter(name, float(value), float(size), 3.0)
-        for name, value, size in zip(NAMES, values, sizes, strict=True)
+        for name, value, size in zip(NORRBIN_PARAMETERS, values, sizes, strict=True)
     }

@@ -71,10 +71,6 @@ class Norrbin(eqx.Module):
         """Rudder angle (rad) under which the vessel runs straight."""
         return self.a0 / self.b
 
-    def init(self, yaw_rate: Scalar = 0.0) -> Scalar:
-        """The state at the start of a run: its yaw rate (rad/s)."""
-        return jnp.asarray(yaw_rate, float)
-
     def response(self, r: Scalar, delta: Scalar) -> Scalar:
         """dr/dt (rad/s^2) at a yaw rate (rad/s) and a rudder angle (rad)."""
         return self.b * delta - (self.a0 + r * (self.a1 + r * (self.a2 + r * self.a3)))
@@ -97,7 +93,7 @@ class Norrbin(eqx.Module):
         def body(now: Scalar, ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
             return self.step(now, *ends, dt), now
 
-        last, rates = jax.lax.scan(body, self.init(r), (delta[:-1], delta[1:]))
+        last, rates = jax.lax.scan(body, jnp.asarray(r, float), (delta[:-1], delta[1:]))
         return jnp.append(rates, last)
 
     def at_speed(self, ratio: Scalar) -> "Norrbin":
@@ -132,7 +128,9 @@ class Norrbin(eqx.Module):
         forces: dict[str, AbstractForce] = {
             "norrbin": NorrbinDamping(self.a0, self.a1, self.a2, self.a3)
         }
-        wind = _yaw_wind(wind_moment, length)
+        # Wind that only yaws, by `wind_moment` at 10 m/s from 45 deg.
+        unit = 0.5 * 1.225 * 10.0**2 * length
+        wind = Wind(0.0, 1.0, length, C_X=0.0, C_Y=0.0, C_N=-wind_moment / unit)
         body = RigidBody(1.0, 1.0, length=length, beam=0.15 * length, draught=draught)
         return Vessel(body, AddedMass(), forces | {"wind": wind}, {"rudder": rudder}, name=name)
 
@@ -155,21 +153,13 @@ class NorrbinDamping(AbstractForce):
         return Force(-r * water.v, r * water.u, N)
 
 
-def _yaw_wind(moment: Scalar, length: Scalar) -> Wind:
-    """Wind that only yaws, by `moment` at 10 m/s from 45 deg."""
-    unit = 0.5 * 1.225 * 10.0**2 * length
-    return Wind(0.0, 1.0, length, C_X=0.0, C_Y=0.0, C_N=-moment / unit)
-
-
-DEGREES = math.degrees(1.0)
-
-
 def in_degrees(model: Norrbin) -> dict[str, Scalar]:
     """The coefficients for rudder angles in deg and yaw rates in deg/s, as ships are quoted."""
+    degrees = math.degrees(1.0)
     return {
-        "a0": model.a0 * DEGREES,
+        "a0": model.a0 * degrees,
         "a1": model.a1,
-        "a2": model.a2 / DEGREES,
-        "a3": model.a3 / DEGREES**2,
+        "a2": model.a2 / degrees,
+        "a3": model.a3 / degrees**2,
         "b": model.b,
     }

@@ -1,5 +1,12 @@
 """An online estimator with its trust and its gate, step by step or along a recording.
 
+Only estimates that stood the test of time reach a controller. A fault is found some time after
+it began, and by then the estimate has followed it. So an estimate waits for `quarantine` seconds,
+and only if trust never fell to the alarm level in between is it handed on. At an alarm the gate
+closes: what waits is thrown away and the controller keeps what it has (the prior mean, where
+nothing was handed on yet). The gate opens again after trust has been above a higher level for as
+long (hysteresis in level and time).
+
 An estimator that followed a fault is sure of what is wrong, and would take long to find back.
 So it starts again, from what the controller has and with the prior's uncertainty, when the gate
 closes, and every two windows after that while its trust is at the alarm level. The same lets it
@@ -19,27 +26,98 @@ from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.noise_fit import noise_prior
 from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.online import ekf, rls, trust
-from diffsea.identification.online.choice import Choice
-from diffsea.identification.online.gate import Gate, Passage, passed, shut
-from diffsea.identification.online.trust import Evidence, Limits, Memory, Trust
+from diffsea.identification.online import trust
+from diffsea.identification.online.ekf import kalman_filter
+from diffsea.identification.online.estimator import (
+    AbstractBelief,
+    AbstractEstimator,
+    ParameterChoice,
+    decode_parameters,
+)
+from diffsea.identification.online.rls import recursive_least_squares
+from diffsea.identification.online.trust import FadingSums, StepEvidence, Trust, TrustLimits
 from diffsea.parameters import Parameter
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import recorded_actuation
-from diffsea.trajectory import MOTION_CHANNELS, Trajectory
+from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
 
-EKF_CHANNELS = MOTION_CHANNELS
-RLS_CHANNELS = ("surge force", "sway force", "yaw moment")
+REOPEN_TRUST = 0.75  # half way between the alarm and the usual level
+_WAITING_SLOTS = 8  # estimates that wait: one passes at most an eighth of a quarantine late
 
 
-class Guarded(eqx.Module):
+class GateState(eqx.Module):
+    """What has passed the gate by one instant."""
+
+    handed: Float[Array, "parameter"]  # coordinates for the controller
+    open: Bool[Array, ""]
+    good: Scalar  # s for which trust has been above the level that opens
+    clock: Scalar  # s since the last estimate began to wait
+    waiting: Float[Array, "slot parameter"]  # the oldest first
+    filled: Scalar  # how many of them are estimates
+
+
+class Gate(eqx.Module):
+    """How long an estimate waits, s, and the levels of trust that close and open."""
+
+    quarantine: Scalar
+    close: Scalar = trust.ALARM_TRUST
+    reopen: Scalar = REOPEN_TRUST
+
+    def init(self, parameters: int) -> GateState:
+        """A closed gate that has handed on the prior mean, coordinates of zero."""
+        zero, slots = jnp.zeros(()), jnp.zeros((_WAITING_SLOTS, parameters))
+        return GateState(jnp.zeros(parameters), jnp.asarray(False), zero, zero, slots, zero)
+
+    def step(
+        self, state: GateState, estimate: Float[Array, "parameter"], trust: Scalar, dt: Scalar
+    ) -> GateState:
+        """What has passed after one more step of `dt` s. Pure, for `jit` and `lax.scan`."""
+        good = jnp.where(trust >= self.reopen, state.good + dt, 0.0)
+        # A trust that is not a number fails both comparisons.
+        sound = trust > self.close
+        opened = jnp.where(state.open, sound, good >= self.quarantine)
+        waits = sound & (state.open | (good > 0))
+        clock = jnp.where(waits, state.clock + dt, 0.0)
+        due = waits & ((clock >= self.quarantine / _WAITING_SLOTS) | (state.filled == 0))
+        ripe = due & (state.filled >= _WAITING_SLOTS) & opened
+        shifted = jnp.concatenate([state.waiting[1:], estimate[None]])
+        return GateState(
+            handed=jnp.where(ripe, state.waiting[0], state.handed),
+            open=opened,
+            good=good,
+            clock=jnp.where(due, 0.0, clock),
+            waiting=jnp.where(due, shifted, state.waiting),
+            filled=jnp.where(waits, jnp.minimum(state.filled + due, _WAITING_SLOTS), 0.0),
+        )
+
+
+class GuardedState(eqx.Module):
+    """Everything that a step carries on."""
+
+    belief: AbstractBelief
+    sums: FadingSums
+    gate: GateState
+    closed: Scalar  # s since the estimator last started, while the gate is closed
+
+
+class GuardedStep(eqx.Module):
+    """What one step of a guarded estimator reports."""
+
+    evidence: StepEvidence
+    trust: Trust
+    handed: Float[Array, "parameter"]  # coordinates for the controller
+    open: Bool[Array, ""]
+    restarted: Bool[Array, ""]  # the estimator started again after this step
+
+
+class GuardedEstimator(eqx.Module):
     """An estimator, what its trust is measured by, and the gate."""
 
-    estimator: ekf.Filter | rls.Regression
-    limits: Limits
+    estimator: AbstractEstimator
+    limits: TrustLimits
     gate: Gate
 
     @property
@@ -49,71 +127,52 @@ class Guarded(eqx.Module):
 
     def decode(self, coordinates: Float[Array, "parameter"]) -> dict[str, Scalar]:
         """Parameters in SI units at some coordinates."""
-        return {p.name: p.decode(c) for p, c in zip(self.parameters, coordinates, strict=True)}
+        return decode_parameters(self.parameters, coordinates)
+
+    def init(self, belief: AbstractBelief) -> GuardedState:
+        """The state before the first measurement, the gate closed."""
+        sums, gate = self.limits.init(), self.gate.init(len(self.parameters))
+        return GuardedState(belief, sums, gate, jnp.zeros(()))
+
+    def step(
+        self,
+        state: GuardedState,
+        orders: dict[str, Scalar],
+        measurement: Float[Array, "6"],
+        dt: Scalar,
+    ) -> tuple[GuardedState, GuardedStep]:
+        """One step of estimator, trust and gate; arguments as of the estimator's. Pure."""
+        belief, news = self.estimator.step(state.belief, orders, measurement, dt)
+        estimate, covariance = belief.coordinates, belief.parameter_covariance
+        evidence = StepEvidence(
+            news.white, news.share, news.change, news.settled, estimate, covariance
+        )
+        sums, verdict = trust.assess(self.limits, state.sums, evidence, dt)
+        gate = self.gate.step(state.gate, estimate, verdict.value, dt)
+        closed = jnp.where(gate.open, 0.0, state.closed + dt)
+        wrong = ~(verdict.fault > self.gate.close) & (closed >= 2 * self.gate.quarantine)
+        again = (state.gate.open & ~gate.open) | wrong
+        fresh = self.estimator.reset(belief, gate.handed), self.limits.init()
+        belief, sums = jax.tree.map(
+            lambda new, old: jnp.where(again, new, old), fresh, (belief, sums)
+        )
+        return (
+            GuardedState(belief, sums, gate, jnp.where(again, 0.0, closed)),
+            GuardedStep(evidence, verdict, gate.handed, gate.open, again),
+        )
 
 
-class Standing(eqx.Module):
-    """Everything that a step carries on."""
-
-    belief: ekf.Belief | rls.Running
-    memory: Memory
-    passage: Passage
-    closed: Scalar  # s since the estimator last started, while the gate is closed
-
-
-def guarded(
-    estimator: ekf.Filter | rls.Regression,
-    belief: ekf.Belief | rls.Running,
-    limits: Limits | None = None,
-) -> tuple[Guarded, Standing]:
+def guard_estimator(
+    estimator: AbstractEstimator, limits: TrustLimits | None = None
+) -> GuardedEstimator:
     """An estimator behind a gate whose quarantine is the trust's window.
 
     Arguments:
-        limits: of the trust; by default those of `trust.limits` for this estimator.
+        limits: of the trust; by default those of `trust.trust_limits` for this estimator.
     """
     if limits is None:
-        channels = EKF_CHANNELS if isinstance(estimator, ekf.Filter) else RLS_CHANNELS
-        limits = trust.limits(estimator.vessel, estimator.parameters, channels)
-    standing = Standing(belief, trust.begin(limits), shut(len(estimator.parameters)), jnp.zeros(()))
-    return Guarded(estimator, limits, Gate(limits.window)), standing
-
-
-class Step(eqx.Module):
-    """What one step of a guarded estimator reports."""
-
-    evidence: Evidence
-    trust: Trust
-    handed: Float[Array, "parameter"]  # coordinates for the controller
-    open: Bool[Array, ""]
-    restarted: Bool[Array, ""]  # the estimator started again after this step
-
-
-def step(
-    guard: Guarded,
-    standing: Standing,
-    orders: dict[str, Scalar],
-    measurement: Float[Array, "6"],
-    dt: Scalar,
-) -> tuple[Standing, Step]:
-    """One step of estimator, trust and gate; arguments as of `ekf.step`. Pure."""
-    kind = ekf if isinstance(guard.estimator, ekf.Filter) else rls
-    belief, news = kind.step(guard.estimator, standing.belief, orders, measurement, dt)
-    evidence = Evidence(
-        news.white, news.share, news.change, news.settled, belief.coordinates, belief.spread
-    )
-    memory, verdict = trust.assess(guard.limits, standing.memory, evidence, dt)
-    passage = passed(guard.gate, standing.passage, belief.coordinates, verdict.value, dt)
-    closed = jnp.where(passage.open, 0.0, standing.closed + dt)
-    wrong = ~(verdict.fault > guard.gate.close) & (closed >= 2 * guard.gate.quarantine)
-    again = (standing.passage.open & ~passage.open) | wrong
-    fresh = kind.reset(guard.estimator, belief, passage.handed), trust.begin(guard.limits)
-    belief, memory = jax.tree.map(
-        lambda new, old: jnp.where(again, new, old), fresh, (belief, memory)
-    )
-    return (
-        Standing(belief, memory, passage, jnp.where(again, 0.0, closed)),
-        Step(evidence, verdict, passage.handed, passage.open, again),
-    )
+        limits = trust.trust_limits(estimator.vessel, estimator.parameters, estimator.channels)
+    return GuardedEstimator(estimator, limits, Gate(limits.window))
 
 
 class OnlineRun(NamedTuple):
@@ -127,9 +186,9 @@ class OnlineRun(NamedTuple):
     degrees: np.ndarray  # its degrees of freedom, (time,)
     trust: np.ndarray  # 0 to 1, (time,)
     open: np.ndarray  # whether the gate is open, (time,)
-    steps: Step  # everything else, leaves (time, ...)
-    guard: Guarded
-    standing: Standing
+    steps: GuardedStep  # everything else, leaves (time, ...)
+    guard: GuardedEstimator
+    state: GuardedState
 
     def reasons(self, row: int) -> tuple[str, ...]:
         """Why trust is at the alarm level or below in a row, in words; the worst first."""
@@ -140,11 +199,11 @@ class OnlineRun(NamedTuple):
 def run_online(
     vessel: Vessel,
     recording: Trajectory,
-    free: Choice,
+    free: ParameterChoice,
     *,
     noise: Noise | None = None,
     drift: float | Mapping[str, float] = 0.0,
-    limits: Limits | None = None,
+    limits: TrustLimits | None = None,
 ) -> OnlineRun:
     """Extended Kalman filter with trust and gate along a recording.
 
@@ -155,53 +214,52 @@ def run_online(
     Arguments:
         noise: gust and sensor noise; by default `noise_prior`, which reads the sensor noise
             off the whole recording.
-        drift, free: as of `ekf.init`.
-        limits: as of `guarded`, calibrated perhaps.
+        drift, free: as of `kalman_filter`.
+        limits: as of `guard_estimator`, calibrated perhaps.
 
     Raises:
         UserError: a recording that does not fit the vessel, or a choice that cannot be estimated.
     """
     dataset = make_dataset(vessel, [recording])
     noise = Noise.of(noise_prior(vessel, dataset).mean) if noise is None else noise
-    rows = _Rows.of(vessel, recording)
-    estimator, belief = ekf.init(
-        vessel, free, noise, State(*rows.first), drift=drift, orders=rows.settled,
-        measured=rows.measured, interval=rows.interval, t=float(rows.t[0]),
-    )  # fmt: skip
-    return _along(*guarded(estimator, belief, limits), rows)
+    steps = _recorded_steps(vessel, recording)
+    estimator = kalman_filter(
+        vessel, free, noise, drift=drift, measured=steps.measured, interval=steps.interval
+    )
+    return _run_along(guard_estimator(estimator, limits), steps)
 
 
 def run_least_squares(
     vessel: Vessel,
     recording: Trajectory,
-    free: Choice,
+    free: ParameterChoice,
     *,
-    limits: Limits | None = None,
+    limits: TrustLimits | None = None,
     **options: float,
 ) -> OnlineRun:
     """Recursive least squares with trust and gate along a recording.
 
     Arguments:
-        options: `memory`, `bandwidth`, `disturbance_memory` and `noise` of `rls.init`.
+        options: `memory`, `bandwidth`, `disturbance_memory` and `noise` of
+            `recursive_least_squares`.
 
     Raises:
         UserError: as `run_online`, or no complete rows of heading and velocities.
     """
-    rows = _Rows.of(vessel, recording)
-    if np.isfinite(rows.measurement[:, 2:]).all(1).sum() < 10:
+    steps = _recorded_steps(vessel, recording)
+    if np.isfinite(steps.measurement[:, 2:]).all(1).sum() < 10:
         raise UserError(
             f"{recording.name}: recursive least squares needs rows with heading, u, v and r "
             "together, and there are fewer than ten; use the extended Kalman filter"
         )
-    vessel = ekf.with_direct(vessel, rows.measured)
-    regression, running = rls.init(
-        vessel, free, orders=rows.settled, interval=rows.interval, t=float(rows.t[0]), **options
+    estimator = recursive_least_squares(
+        vessel, free, measured=steps.measured, interval=steps.interval, **options
     )
-    return _along(*guarded(regression, running, limits), rows)
+    return _run_along(guard_estimator(estimator, limits), steps)
 
 
-def calibrated(runs: Sequence[OnlineRun]) -> Limits:
-    """Limits of the trust by which these runs, known to be sound, are sound: `trust.calibrated`.
+def calibrate_limits(runs: Sequence[OnlineRun]) -> TrustLimits:
+    """Limits of the trust by which these runs, known to be sound, are sound: `trust.calibrate`.
 
     Raises:
         UserError: no run, or none long enough.
@@ -209,57 +267,59 @@ def calibrated(runs: Sequence[OnlineRun]) -> Limits:
     if not any(run.t[-1] - run.t[0] > 6 * run.guard.limits.window for run in runs):
         raise UserError("calibration needs a sound run of at least six windows of the trust")
     steps = [np.diff(run.t, prepend=run.t[0]) for run in runs]
-    return trust.calibrated(runs[0].guard.limits, [run.steps.evidence for run in runs], steps)
+    return trust.calibrate(runs[0].guard.limits, [run.steps.evidence for run in runs], steps)
 
 
-class _Rows(NamedTuple):
+class _RecordedSteps(NamedTuple):
     """A recording as steps: what held before each measurement, and the measurement."""
 
-    t: np.ndarray
+    t: np.ndarray  # s, of the recording's rows
     dt: np.ndarray
     measurement: np.ndarray
     orders: dict[str, np.ndarray]
     kept: np.ndarray  # steps that end in a row of the recording
-    first: np.ndarray
+    start: np.ndarray  # first sample of every channel; zero where there is none
     settled: dict[str, float]
     measured: tuple[str, ...]
     interval: float
 
-    @staticmethod
-    def of(vessel: Vessel, recording: Trajectory) -> "_Rows":
-        run = recording.counted()
-        t, motion = run.t, np.stack([*run.motion.values()], -1)
-        orders, executed = recorded_actuation(vessel, recording)
-        held = {c: executed.get(c, orders[c]) for c in vessel.channels}
-        interval = 5 * median_interval(t)
-        parts = np.maximum(1, np.ceil(np.diff(t) / interval - 1e-9)).astype(int)
-        row = np.append(0, np.repeat(np.arange(1, len(t)), parts))
-        kept = np.append(0, np.cumsum(parts))
-        measurement = np.full((len(row), 6), np.nan)
-        measurement[kept] = motion
-        before = np.maximum(row - 1, 0)
-        return _Rows(
-            t, np.append(0.0, np.repeat(np.diff(t) / parts, parts)), measurement,
-            {c: values[before] for c, values in held.items()}, kept, _first(motion),
-            {c: float(values[0]) for c, values in held.items()}, tuple(executed), interval,
-        )  # fmt: skip
 
-
-def _first(motion: np.ndarray) -> np.ndarray:
-    """First sample of every channel; zero where there is none."""
-    known = np.isfinite(motion)
-    return np.where(known.any(0), motion[known.argmax(0), np.arange(6)], 0.0)
+def _recorded_steps(vessel: Vessel, recording: Trajectory) -> _RecordedSteps:
+    run = recording.counted()
+    t, motion = run.t, np.stack([*run.motion.values()], -1)
+    orders, executed = recorded_actuation(vessel, recording)
+    actuation = {c: executed.get(c, orders[c]) for c in vessel.channels}
+    interval = 5 * median_interval(t)
+    parts = np.maximum(1, np.ceil(np.diff(t) / interval - 1e-9)).astype(int)
+    row = np.append(0, np.repeat(np.arange(1, len(t)), parts))
+    kept = np.append(0, np.cumsum(parts))
+    measurement = np.full((len(row), 6), np.nan)
+    measurement[kept] = motion
+    before, known = np.maximum(row - 1, 0), np.isfinite(motion)
+    return _RecordedSteps(
+        t=t,
+        dt=np.append(0.0, np.repeat(np.diff(t) / parts, parts)),
+        measurement=measurement,
+        orders={c: values[before] for c, values in actuation.items()},
+        kept=kept,
+        start=np.where(known.any(0), motion[known.argmax(0), np.arange(6)], 0.0),
+        settled={c: float(values[0]) for c, values in actuation.items()},
+        measured=tuple(executed),
+        interval=interval,
+    )
 
 
 @eqx.filter_jit
-def _scanned(guard: Guarded, standing: Standing, rows: tuple) -> tuple[Standing, Step]:
-    return jax.lax.scan(lambda now, row: step(guard, now, *row), standing, rows)
+def _scan(guard: GuardedEstimator, state: GuardedState, rows: tuple) -> tuple:
+    return jax.lax.scan(lambda now, row: guard.step(now, *row), state, rows)
 
 
-def _along(guard: Guarded, standing: Standing, rows: _Rows) -> OnlineRun:
-    inputs = jax.tree.map(jnp.asarray, (rows.orders, rows.measurement, rows.dt))
-    standing, steps = _scanned(guard, standing, inputs)
-    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[rows.kept], steps)
+def _run_along(guard: GuardedEstimator, recorded: _RecordedSteps) -> OnlineRun:
+    start, t = State(*recorded.start), float(recorded.t[0])
+    belief = guard.estimator.init(start, orders=recorded.settled, t=t)
+    rows = jax.tree.map(jnp.asarray, (recorded.orders, recorded.measurement, recorded.dt))
+    state, steps = _scan(guard, guard.init(belief), rows)
+    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[recorded.kept], steps)
     coordinates = steps.evidence.coordinates
     deviation = np.sqrt(np.diagonal(steps.evidence.covariance, axis1=1, axis2=2))
     estimate, std, handed = {}, {}, {}
@@ -269,7 +329,15 @@ def _along(guard: Guarded, standing: Standing, rows: _Rows) -> OnlineRun:
         std[p.name] = np.array(slope) * deviation[:, k]
         handed[p.name] = np.asarray(p.decode(steps.handed[:, k]))
     return OnlineRun(
-        rows.t, estimate, std, handed, (steps.evidence.white**2).sum(1),
-        (steps.evidence.share > 0).sum(1), np.asarray(steps.trust.value), steps.open, steps, guard,
-        standing,
-    )  # fmt: skip
+        t=recorded.t,
+        estimate=estimate,
+        std=std,
+        handed=handed,
+        nis=(steps.evidence.white**2).sum(1),
+        degrees=(steps.evidence.share > 0).sum(1),
+        trust=np.asarray(steps.trust.value),
+        open=steps.open,
+        steps=steps,
+        guard=guard,
+        state=state,
+    )

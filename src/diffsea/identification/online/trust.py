@@ -27,19 +27,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from diffsea.identification.online.estimator import decode_parameters
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Force, Vessel
 
 
-ALARM = 0.5  # trust at the alarm level
-_ROOT = np.sqrt(2 * np.pi)
-_USUAL = 0.05  # share of a sound filter's windows beyond which trust falls below one
+ALARM_TRUST = 0.5  # trust at the alarm level
+_SQRT_TWO_PI = np.sqrt(2 * np.pi)
+_USUAL_TAIL = 0.05  # share of a sound filter's windows beyond which trust falls below one
 
 
-class Evidence(eqx.Module):
-    """What one step of an estimator says about itself. EKF and RLS both give it."""
+class StepEvidence(eqx.Module):
+    """What one step of any estimator says about itself."""
 
     white: Float[Array, "channel"]  # whitened innovations, zero where missing
     share: Float[Array, "channel"]  # independent samples that the row counts for, 0 to 1
@@ -49,7 +50,7 @@ class Evidence(eqx.Module):
     covariance: Float[Array, "parameter parameter"]
 
 
-class Limits(eqx.Module):
+class TrustLimits(eqx.Module):
     """What is compared with what."""
 
     vessel: Vessel  # at its prior
@@ -57,13 +58,18 @@ class Limits(eqx.Module):
     window: Scalar  # s, time constant with which the past fades
     false_alarm_interval: Scalar  # s
     scale: Float[Array, "channel"]  # of the innovations of sound runs, one in theory
-    width: "Scores"  # spread of the scores of sound runs, one in theory
+    width: "TrustScores"  # spread of the scores of sound runs, one in theory
     motions: Float[Array, "motion 3"]  # (u, v, r) at which drag must brake
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
 
+    def init(self) -> "FadingSums":
+        """Nothing remembered."""
+        channel, parameter = jnp.zeros(len(self.channels)), jnp.zeros(len(self.parameters))
+        return FadingSums(channel, channel, channel, channel, parameter, parameter)
+
     def level(self, tests: int) -> tuple[Scalar, Scalar]:
-        """Scores of the usual and of the alarm level for the largest of so many two-sided tests.
+        """Usual score and alarm level of the largest of so many two-sided tests.
 
         A fading sum of white noise is a Gauss-Markov process with the window as time constant,
         which leaves +-z every T / (2 z phi(z)) seconds (Leadbetter, Lindgren and Rootzen 1983,
@@ -72,11 +78,11 @@ class Limits(eqx.Module):
         rate = self.window / (2 * tests * self.false_alarm_interval)
         alarm = jnp.sqrt(-2 * jnp.log(rate))
         for _ in range(8):  # z phi(z) = rate, a contraction for z above one
-            alarm = jnp.sqrt(2 * jnp.log(alarm / (rate * _ROOT)))
-        return jax.scipy.stats.norm.isf(_USUAL / (2 * tests)), alarm
+            alarm = jnp.sqrt(2 * jnp.log(alarm / (rate * _SQRT_TWO_PI)))
+        return jax.scipy.stats.norm.isf(_USUAL_TAIL / (2 * tests)), alarm
 
 
-class Scores(eqx.Module):
+class TrustScores(eqx.Module):
     """Test statistics, standard normal for a sound filter."""
 
     size: Float[Array, "channel"]  # of the innovations: positive where they are too large
@@ -84,7 +90,7 @@ class Scores(eqx.Module):
     moved: Float[Array, "parameter"]
 
 
-class Memory(eqx.Module):
+class FadingSums(eqx.Module):
     """Fading sums over the past."""
 
     count: Float[Array, "channel"]  # of weights
@@ -102,7 +108,7 @@ class Trust(eqx.Module):
     excitation: Scalar
     bounds: Scalar
     steadiness: Scalar
-    scores: Scores
+    scores: TrustScores
     determined: Scalar  # share of the prior's variance that the data took, mean over directions
     least: Float[Array, "parameter"]  # variance over the prior's
     far: Float[Array, "parameter"]  # coordinate over the prior's standard deviation
@@ -120,13 +126,13 @@ class Trust(eqx.Module):
         return jnp.minimum(self.fault, self.excitation)
 
 
-def limits(
+def trust_limits(
     vessel: Vessel,
     parameters: Sequence[Parameter],
     channels: Sequence[str],
     window: float = 15.0,
     false_alarm_interval: float = 7200.0,
-) -> Limits:
+) -> TrustLimits:
     """Limits for an estimator of these parameters.
 
     Arguments:
@@ -137,52 +143,52 @@ def limits(
         false_alarm_interval: mean time between false alarms of each of the tests, s.
     """
     spread = jnp.array([parameter.spread for parameter in parameters])
-    width = Scores(jnp.ones(len(channels)), jnp.ones(len(channels)), jnp.ones(len(parameters)))
-    return Limits(
-        vessel, spread, jnp.asarray(float(window)), jnp.asarray(float(false_alarm_interval)),
-        jnp.ones(len(channels)), width,
-        _braked(vessel), tuple(parameters), tuple(channels),
-    )  # fmt: skip
+    width = TrustScores(jnp.ones(len(channels)), jnp.ones(len(channels)), jnp.ones(len(parameters)))
+    return TrustLimits(
+        vessel=vessel,
+        spread=spread,
+        window=jnp.asarray(float(window)),
+        false_alarm_interval=jnp.asarray(float(false_alarm_interval)),
+        scale=jnp.ones(len(channels)),
+        width=width,
+        motions=_dissipative_motions(vessel),
+        parameters=tuple(parameters),
+        channels=tuple(channels),
+    )
 
 
-def begin(limits: Limits) -> Memory:
-    """Nothing remembered."""
-    channel, parameter = jnp.zeros(len(limits.channels)), jnp.zeros(len(limits.parameters))
-    return Memory(channel, channel, channel, channel, parameter, parameter)
-
-
-def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tuple[Memory, Trust]:
+def assess(
+    limits: TrustLimits, sums: FadingSums, evidence: StepEvidence, dt: Scalar
+) -> tuple[FadingSums, Trust]:
     """The trust after one more step of `dt` s. Pure, for `jit` and `lax.scan`."""
     keep = jnp.exp(-dt / limits.window)
     share, white = evidence.share, evidence.white / limits.scale
-    memory = Memory(
-        keep * memory.count + share,
-        keep**2 * memory.squares + share,
-        keep * memory.white + share * white,
-        keep * memory.white_squared + share * white**2,
-        keep * memory.change + evidence.change,
-        keep**2 * memory.settled + evidence.settled,
+    sums = FadingSums(
+        keep * sums.count + share,
+        keep**2 * sums.squares + share,
+        keep * sums.white + share * white,
+        keep * sums.white_squared + share * white**2,
+        keep * sums.change + evidence.change,
+        keep**2 * sums.settled + evidence.settled,
     )
-    raw = scores(memory)
-    found = jax.tree.map(lambda score, width: score / width, raw, limits.width)
+    found = jax.tree.map(lambda score, width: score / width, scores_of_sums(sums), limits.width)
     far = evidence.coordinates / limits.spread
     least = jnp.diag(evidence.covariance) / limits.spread**2
     determined = 1 - jnp.mean(least)
     # Alarm levels: half of the prior's variance left, or twice of it in one parameter.
-    known = jnp.clip(2 * determined - ALARM, 0.0, 1 / jnp.maximum(jnp.max(least), 1.0))
-    vessel = replace(
-        limits.vessel,
-        {p.name: p.decode(evidence.coordinates[k]) for k, p in enumerate(limits.parameters)},
-    )
-    inertia, drag = positive_inertia(vessel.mass_matrix()), _brakes(vessel, limits.motions)
-    within = _answer(limits, far)
+    known = jnp.clip(2 * determined - ALARM_TRUST, 0.0, 1 / jnp.maximum(jnp.max(least), 1.0))
+    values = decode_parameters(limits.parameters, evidence.coordinates)
+    vessel = replace(limits.vessel, values)
+    inertia = positive_inertia(vessel.mass_matrix())
+    drag = jnp.all(_resistance_power(vessel, limits.motions) < 0)
+    within = _trust_of_scores(limits, far)
     # Innovations that are too small make an estimate slow, not wrong.
     both = jnp.concatenate([jnp.maximum(found.size, 0.0), found.bias])
-    return memory, Trust(
-        innovations=_answer(limits, both),
+    return sums, Trust(
+        innovations=_trust_of_scores(limits, both),
         excitation=known,
         bounds=jnp.where(inertia & drag, within, 0.0),
-        steadiness=_answer(limits, found.moved),
+        steadiness=_trust_of_scores(limits, found.moved),
         scores=found,
         determined=determined,
         least=least,
@@ -192,28 +198,28 @@ def assess(limits: Limits, memory: Memory, evidence: Evidence, dt: Scalar) -> tu
     )
 
 
-def scores(memory: Memory) -> Scores:
+def scores_of_sums(sums: FadingSums) -> TrustScores:
     """Test statistics of fading sums.
 
     A sum of squares with fading weights w has mean A = sum w and variance 2 sum w^2 = 2 B: as
     A^2 / B degrees of freedom of chi-squared (Satterthwaite 1946), whose cube root is very
     nearly normal (Wilson and Hilferty 1931).
     """
-    some = memory.squares > 0
-    A, B = (jnp.where(some, part, 1.0) for part in (memory.count, memory.squares))
+    some = sums.squares > 0
+    A, B = (jnp.where(some, part, 1.0) for part in (sums.count, sums.squares))
     scatter = 2 * B / (9 * A**2)
-    size = (jnp.cbrt(memory.white_squared / A) - (1 - scatter)) / jnp.sqrt(scatter)
-    moved = memory.change / jnp.sqrt(jnp.where(memory.settled > 0, memory.settled, 1.0))
-    return Scores(
+    size = (jnp.cbrt(sums.white_squared / A) - (1 - scatter)) / jnp.sqrt(scatter)
+    moved = sums.change / jnp.sqrt(jnp.where(sums.settled > 0, sums.settled, 1.0))
+    return TrustScores(
         jnp.where(some, size, 0.0),
-        jnp.where(some, memory.white / jnp.sqrt(B), 0.0),
-        jnp.where(memory.settled > 0, moved, 0.0),
+        jnp.where(some, sums.white / jnp.sqrt(B), 0.0),
+        jnp.where(sums.settled > 0, moved, 0.0),
     )
 
 
-def calibrated(
-    limits: Limits, sound: Sequence[Evidence], dt: Sequence[Array], settling: float = 3.0
-) -> Limits:
+def calibrate(
+    limits: TrustLimits, sound: Sequence[StepEvidence], dt: Sequence[Array], settling: float = 3.0
+) -> TrustLimits:
     """Limits by which sound runs have innovations and scores of unit size.
 
     For a filter whose noise is a guess, and for residuals that are not white. Neither is made
@@ -231,15 +237,17 @@ def calibrated(
     limits = eqx.tree_at(lambda at: (at.scale, at.width), limits, (jnp.asarray(scale), ones))
 
     @jax.jit
-    def along(evidence: Evidence, dt: Array) -> Scores:
-        def body(memory: Memory, row: tuple) -> tuple[Memory, Scores]:
-            memory, verdict = assess(limits, memory, *row)
-            return memory, verdict.scores
+    def along(evidence: StepEvidence, dt: Array) -> TrustScores:
+        def body(sums: FadingSums, row: tuple) -> tuple[FadingSums, TrustScores]:
+            sums, verdict = assess(limits, sums, *row)
+            return sums, verdict.scores
 
-        return jax.lax.scan(body, begin(limits), (evidence, dt))[1]
+        return jax.lax.scan(body, limits.init(), (evidence, dt))[1]
 
-    found = [jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], along(e, jnp.asarray(steps)))
-             for e, steps, k in zip(sound, dt, late, strict=True)]  # fmt: skip
+    found = []
+    for evidence, steps, rows in zip(sound, dt, late, strict=True):
+        scores = along(evidence, jnp.asarray(steps))
+        found.append(jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], scores))
     together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
     width = jax.tree.map(
         lambda leaf: jnp.asarray(np.maximum(1.0, np.sqrt(np.mean(leaf**2, axis=0)))), together
@@ -250,58 +258,57 @@ def calibrated(
     return eqx.tree_at(lambda at: at.width, limits, width)
 
 
-def reasons(limits: Limits, trust: Trust) -> tuple[str, ...]:
+def reasons(limits: TrustLimits, trust: Trust) -> tuple[str, ...]:
     """What lowers the trust to the alarm level or below, in words; the worst first."""
     found = [
-        (float(trust.innovations), _of_innovations(limits, trust)),
-        (float(trust.excitation), _of_excitation(limits, trust)),
-        (float(trust.bounds), _of_bounds(limits, trust)),
-        (float(trust.steadiness), _of_steadiness(limits, trust)),
+        (float(trust.innovations), _explain_innovations(limits, trust)),
+        (float(trust.excitation), _explain_excitation(limits, trust)),
+        (float(trust.bounds), _explain_bounds(limits, trust)),
+        (float(trust.steadiness), _explain_steadiness(limits, trust)),
     ]
-    return tuple(text for answer, text in sorted(found) if not answer > ALARM)
+    return tuple(text for answer, text in sorted(found) if not answer > ALARM_TRUST)
 
 
-def _answer(limits: Limits, scores: Float[Array, "test"]) -> Scalar:
+def _trust_of_scores(limits: TrustLimits, scores: Float[Array, "test"]) -> Scalar:
     """From the largest score to [0, 1]; a score that is not finite is no trust."""
     usual, alarm = limits.level(scores.size)
     largest = jnp.max(jnp.abs(scores))
-    trust = jnp.clip(1 - (1 - ALARM) * (largest - usual) / (alarm - usual), 0.0, 1.0)
+    trust = jnp.clip(1 - (1 - ALARM_TRUST) * (largest - usual) / (alarm - usual), 0.0, 1.0)
     return jnp.where(jnp.isfinite(largest), trust, 0.0)
 
 
-def _power(vessel: Vessel, motion: Float[Array, "3"]) -> Scalar:
-    """Power (W) that the hull's resistance puts into a motion (u, v, r) through still water.
+def _resistance_power(vessel: Vessel, motions: Float[Array, "motion 3"]) -> Float[Array, "motion"]:
+    """Power (W) that the hull's resistance puts into motions (u, v, r) through still water.
 
     Other forces, an estimated disturbance say, may drive.
     """
-    u, v, r = motion
+    resisting = [force for force in vessel.forces.values() if force.resists]
     zero = jnp.zeros(())
-    state = State(zero, zero, zero, u, v, r)
-    resisting = (force for force in vessel.forces.values() if force.resists)
-    drag = sum((force(state, Environment(), zero) for force in resisting), Force())
-    return drag.X * u + drag.Y * v + drag.N * r
+
+    def power(motion: Float[Array, "3"]) -> Scalar:
+        u, v, r = motion
+        state = State(zero, zero, zero, u, v, r)
+        drag = sum((force(state, Environment(), zero) for force in resisting), Force())
+        return drag.X * u + drag.Y * v + drag.N * r
+
+    return jax.vmap(power)(motions)
 
 
-def _brakes(vessel: Vessel, motions: Float[Array, "motion 3"]) -> Bool[Array, ""]:
-    return jnp.all(jax.vmap(lambda motion: _power(vessel, motion))(motions) < 0)
-
-
-def _braked(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
+def _dissipative_motions(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
     """Motions at which the vessel's own drag brakes.
 
     Derivative sets that hold inertial terms as well (Abkowitz) put power into some motions at
     no fault of theirs; nothing is asked of an estimate there.
     """
     length = float(vessel.rigid_body.length)
-    speed = 0.3 * length / time_scale(float(vessel.rigid_body.length))
+    speed = 0.3 * length / time_scale(length)
     ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
     grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
     grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])
-    power = np.asarray(jax.vmap(lambda motion: _power(vessel, motion))(jnp.asarray(grid)))
-    return grid[power < 0]
+    return grid[np.asarray(_resistance_power(vessel, jnp.asarray(grid))) < 0]
 
 
-def _of_innovations(limits: Limits, trust: Trust) -> str:
+def _explain_innovations(limits: TrustLimits, trust: Trust) -> str:
     size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
     both = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
     k = int(np.argmax(np.where(np.isfinite(both), both, np.inf)))
@@ -314,7 +321,7 @@ def _of_innovations(limits: Limits, trust: Trust) -> str:
     )
 
 
-def _of_excitation(limits: Limits, trust: Trust) -> str:
+def _explain_excitation(limits: TrustLimits, trust: Trust) -> str:
     least = np.asarray(trust.least)
     k = int(np.argmax(least))
     name = limits.parameters[k].name
@@ -326,7 +333,7 @@ def _of_excitation(limits: Limits, trust: Trust) -> str:
     )
 
 
-def _of_bounds(limits: Limits, trust: Trust) -> str:
+def _explain_bounds(limits: TrustLimits, trust: Trust) -> str:
     if not bool(trust.inertia):
         return "the estimated mass matrix is not positive definite"
     if not bool(trust.drag):
@@ -339,7 +346,7 @@ def _of_bounds(limits: Limits, trust: Trust) -> str:
     )
 
 
-def _of_steadiness(limits: Limits, trust: Trust) -> str:
+def _explain_steadiness(limits: TrustLimits, trust: Trust) -> str:
     moved = np.abs(np.asarray(trust.scores.moved))
     k = int(np.argmax(moved))
     return (

@@ -1,0 +1,182 @@
+"""What every online estimator is: parameters, a belief about them, and one step per measurement.
+
+Trust and gate (`guarded`) know an estimator by this interface alone, so that a further one needs
+nothing but its recursion.
+"""
+
+import abc
+from collections.abc import Mapping, Sequence
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffsea.errors import UserError
+from diffsea.parameters import Parameter, check_names, hull_prior, named, replace
+from diffsea.types import Scalar, State
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS
+from diffsea.vessel.effects.actuators import change_servos
+from diffsea.vessel.servo import Servo
+
+
+ParameterChoice = Sequence[str | Parameter]
+
+# Numbers that are usually zero in a vessel file, with the catalogue's size of each.
+_USUAL_SIZES = {"current": EFFECTS["current"], "wind": EFFECTS["wind"]}
+
+
+class AbstractBelief(eqx.Module):
+    """What an estimator knows at one instant."""
+
+    t: eqx.AbstractVar[Scalar]  # s
+    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+
+    @property
+    @abc.abstractmethod
+    def coordinates(self) -> Float[Array, "parameter"]:
+        """Estimates of the parameters' coordinates, zero at the prior mean."""
+
+    @property
+    @abc.abstractmethod
+    def parameter_covariance(self) -> Float[Array, "parameter parameter"]:
+        """Covariance of the coordinates."""
+
+    @property
+    def values(self) -> dict[str, Scalar]:
+        """The parameters in SI units."""
+        return decode_parameters(self.parameters, self.coordinates)
+
+
+Belief = TypeVar("Belief", bound=AbstractBelief)
+
+
+class AbstractInnovation(eqx.Module):
+    """What one measurement said beyond what was expected of it."""
+
+    white: eqx.AbstractVar[Float[Array, "channel"]]  # unit variance; zero where missing
+    share: eqx.AbstractVar[Float[Array, "channel"]]  # independent samples it counts for, 0 to 1
+    change: eqx.AbstractVar[Float[Array, "parameter"]]  # of the coordinates, by this measurement
+    settled: eqx.AbstractVar[Float[Array, "parameter"]]  # variance of them that it took away
+
+
+class AbstractEstimator(eqx.Module, Generic[Belief]):
+    """A recursive estimator of a vessel's parameters; its fields do not change while it runs.
+
+    `channels` names the innovations of each step in their order.
+    """
+
+    channels: eqx.AbstractClassVar[tuple[str, ...]]
+    vessel: eqx.AbstractVar[Vessel]  # at the prior mean
+    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+
+    @abc.abstractmethod
+    def init(
+        self, start: State, *, orders: Mapping[str, float] | None = None, t: float = 0.0
+    ) -> Belief:
+        """The belief before the first measurement.
+
+        Arguments:
+            start: rough guess of the first state (m, rad, m/s, rad/s).
+            orders: orders under which the actuators have settled; zero by default.
+            t: s.
+        """
+
+    @abc.abstractmethod
+    def step(
+        self,
+        belief: Belief,
+        orders: dict[str, Scalar],
+        measurement: Float[Array, "6"],
+        dt: Scalar,
+    ) -> tuple[Belief, AbstractInnovation]:
+        """The belief `dt` s later, after a measurement there. Pure, for `jit` and `lax.scan`.
+
+        Arguments:
+            orders: what held since the last step, by channel in that channel's unit; the
+                executed value for a channel whose execution is measured.
+            measurement: (x, y, psi, u, v, r) in m, rad, m/s, rad/s; NaN where there is none, so
+                that sensors of different rates and lost samples need nothing special.
+            dt: s since the last step; zero for the first measurement of a run.
+        """
+
+    @abc.abstractmethod
+    def reset(self, belief: Belief, coordinates: Float[Array, "parameter"]) -> Belief:
+        """The same motion, the parameters back at `coordinates` with their prior's uncertainty."""
+
+    @property
+    def prior_std(self) -> Float[np.ndarray, "parameter"]:
+        """Prior standard deviation of every coordinate."""
+        return np.array([parameter.spread for parameter in self.parameters])
+
+    def vessel_at(self, coordinates: Float[Array, "parameter"]) -> Vessel:
+        """The vessel with its parameters at these coordinates."""
+        return replace(self.vessel, decode_parameters(self.parameters, coordinates))
+
+
+def decode_parameters(
+    parameters: Sequence[Parameter], coordinates: Float[Array, "parameter"]
+) -> dict[str, Scalar]:
+    """The parameters in SI units at some coordinates, by name."""
+    return {p.name: p.decode(coordinates[k]) for k, p in enumerate(parameters)}
+
+
+def parameters_with_priors(vessel: Vessel, free: ParameterChoice) -> tuple[Parameter, ...]:
+    """The parameters to estimate, those given by name with the prior of `hull_prior`.
+
+    Their coordinate is the number itself, not its logarithm: motion is linear in most of them,
+    and a filter that linearises once and never looks back goes astray in a logarithm. The sign
+    is looked after by `online.trust`. A component of current or wind has the catalogue's size of
+    that effect as its standard deviation.
+
+    Raises:
+        UserError: nothing chosen, an unknown name, one chosen twice, or a number that is zero
+            in the vessel, whose scale cannot be told from it.
+    """
+    if not free:
+        raise UserError("nothing to estimate: name at least one parameter of the vessel")
+    names = [choice.name if isinstance(choice, Parameter) else choice for choice in free]
+    check_names(vessel, names)
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise UserError(f"parameter {twice!r} is chosen twice")
+    values, parameters = named(vessel), []
+    for choice in free:
+        if isinstance(choice, Parameter):
+            parameters.append(choice)
+            continue
+        value = float(values[choice])
+        component = choice.endswith(("_north", "_east"))
+        effect = _USUAL_SIZES.get(choice.split("_")[0]) if component else None
+        if effect is not None:
+            parameters.append(Parameter(choice, value, effect.sizes(vessel)[0], 1.0, unit="m/s"))
+        elif value == 0:
+            raise UserError(
+                f"{choice} is zero in the vessel, which says nothing of its size: give a Parameter "
+                "with a scale, for example Parameter('sensors.gyro_bias', 0.0, scale=0.01)"
+            )
+        else:
+            parameters.append(without_bounds(hull_prior(choice, value)))
+    return tuple(parameters)
+
+
+def without_bounds(parameter: Parameter) -> Parameter:
+    """The same prior mean and standard deviation on the number itself, without bounds."""
+    scale = parameter.slope(0.0)
+    return Parameter(parameter.name, parameter.value, scale, parameter.spread, unit=parameter.unit)
+
+
+def with_measured_actuation(vessel: Vessel, measured: Sequence[str]) -> Vessel:
+    """The vessel whose measured channels execute at once what is passed for their order.
+
+    Raises:
+        UserError: a channel that the vessel does not have.
+    """
+    for channel in measured:
+        if channel not in vessel.channels:
+            raise UserError(
+                f"{channel!r} is said to be measured, but the vessel has no such actuator "
+                f"channel; it has: {', '.join(vessel.channels)}"
+            )
+    return change_servos(vessel, tuple(measured), lambda servo, actuator: Servo())
