@@ -6,7 +6,7 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from diffsea.metamodels.norrbin import Norrbin
 from diffsea.types import Scalar
@@ -98,49 +98,34 @@ def _advance(
 
 
 def _step(model: Norrbin, wanted: Zigzag, now: _ZigzagState, t: Scalar) -> _ZigzagState:
-    dt = wanted.step
+    """One step, in two parts where the heading reaches the one that switches the order."""
+    dt, number = wanted.step, jnp.arange(wanted.executes - 1)
     psi, r, delta = _advance(model, wanted, now, now.stage, dt)
     sense = wanted.side * (1 - 2 * (now.stage % 2))
     more = now.stage < wanted.executes - 1
     switches = more & (sense * psi >= wanted.heading) & (sense * now.psi < wanted.heading)
-    # Where nothing switches the first part is of no length.
-    s = jnp.where(switches, _fraction_at_heading(now, psi, r, sense * wanted.heading, dt), 0.0)
-    psi_s, r_s, delta_s = _advance(model, wanted, now, now.stage, s * dt)
-    middle = _ZigzagState(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
-    stage = now.stage + switches
-    psi, r, delta = _advance(model, wanted, middle, stage, (1 - s) * dt)
-    here = jnp.arange(wanted.executes - 1)
-    times = jnp.where(switches & (here == now.stage), t + s * dt, now.switch_times)
-    after = _ZigzagState(psi, r, delta, stage, times, now.overshoots)
-    peaks = _overshoots_after(wanted, middle, after, (1 - s) * dt)
-    return dataclasses.replace(after, overshoots=peaks)
-
-
-def _fraction_at_heading(
-    now: _ZigzagState, psi: Scalar, r: Scalar, level: Scalar, dt: Scalar
-) -> Scalar:
-    """Where in a step the heading reaches a level: Newton's method on the cubic."""
+    # Where in the step: Newton's method on the cubic; the first part is empty without a switch.
+    level = sense * wanted.heading
     s = (level - now.psi) / jnp.where(psi == now.psi, 1.0, psi - now.psi)
     for _ in range(6):
         value, slope = _hermite(now.psi, now.r * dt, psi, r * dt, s)
         s = jnp.clip(s - (value - level) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
-    return s
+    s = jnp.where(switches, s, 0.0)
+    psi_s, r_s, delta_s = _advance(model, wanted, now, now.stage, s * dt)
+    middle = _ZigzagState(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
+    stage = now.stage + switches
+    psi, r, delta = _advance(model, wanted, middle, stage, (1 - s) * dt)
+    times = jnp.where(switches & (number == now.stage), t + s * dt, now.switch_times)
+    # The overshoot of the present order, where the heading turns back.
+    dt, sense = (1 - s) * dt, wanted.side * (1 - 2 * ((stage - 1) % 2))
+    turns = (sense * r_s > 0) & (sense * r <= 0) & (number == stage - 1) & jnp.isnan(now.overshoots)
+    s = jnp.clip(r_s / jnp.where(r_s == r, 1.0, r_s - r), 0.0, 1.0)
+    peak, _ = _hermite(psi_s, r_s * dt, psi, r * dt, s)
+    peaks = jnp.where(turns, sense * peak - wanted.heading, now.overshoots)
+    return _ZigzagState(psi, r, delta, stage, times, peaks)
 
 
 def _hermite(p0: Scalar, m0: Scalar, p1: Scalar, m1: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
     """Value and slope of the cubic with given ends and slopes there, at s from 0 to 1."""
     a, b = 2 * (p0 - p1) + m0 + m1, 3 * (p1 - p0) - 2 * m0 - m1
     return p0 + s * (m0 + s * (b + s * a)), m0 + s * (2 * b + 3 * s * a)
-
-
-def _overshoots_after(
-    wanted: Zigzag, before: _ZigzagState, after: _ZigzagState, dt: Scalar
-) -> Float[Array, "overshoot"]:
-    """The overshoots, with that of the present order where the heading turns back."""
-    number = after.stage - 1
-    sense = wanted.side * (1 - 2 * (number % 2))
-    here: Bool[Array, overshoot] = jnp.arange(wanted.executes - 1) == number
-    turns = (sense * before.r > 0) & (sense * after.r <= 0) & here & jnp.isnan(after.overshoots)
-    s = before.r / jnp.where(before.r == after.r, 1.0, before.r - after.r)
-    peak, _ = _hermite(before.psi, before.r * dt, after.psi, after.r * dt, jnp.clip(s, 0.0, 1.0))
-    return jnp.where(turns, sense * peak - wanted.heading, after.overshoots)

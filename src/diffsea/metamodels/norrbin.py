@@ -105,17 +105,10 @@ class Norrbin(eqx.Module):
         s = ratio
         return Norrbin(self.a0 * s**2, self.a1 * s, self.a2, self.a3 / s, self.b * s**2)
 
-    def vessel(
-        self,
-        length: Scalar,
-        speed: Scalar,
-        servo: Servo | None = None,
-        wind_moment: Scalar = 0.0,
-        name: str = "norrbin",
-    ) -> Vessel:
+    def vessel(self, length: Scalar, speed: Scalar, wind_moment: Scalar = 0.0) -> Vessel:
         """The model as a vessel, for trials, metrics, likelihoods and everything else.
 
-        One channel, `rudder`, with the given `servo`. The vessel keeps `speed` (m/s) and never
+        One channel, `rudder`, that acts at once. The vessel keeps `speed` (m/s) and never
         drifts; its moment of inertia is one, so that moments are yaw accelerations.
         `length` (m) sets scales of plausibility and noise. `wind_moment` is the yaw
         acceleration (rad/s^2) that wind from 45 deg ahead of abeam causes at 10 m/s apparent.
@@ -123,16 +116,13 @@ class Norrbin(eqx.Module):
         draught = 0.05 * length
         # Unit of moment one at this speed.
         scaling = Scaling("abkowitz", length, draught, 2 / (length**3 * speed**2), speed)
-        servo = Servo() if servo is None else servo
-        rudder = DerivativeRudder({"rudder": servo}, {"N_d": self.b}, scaling)
-        forces: dict[str, AbstractForce] = {
-            "norrbin": NorrbinDamping(self.a0, self.a1, self.a2, self.a3)
-        }
+        rudder = DerivativeRudder({"rudder": Servo()}, {"N_d": self.b}, scaling)
         # Wind that only yaws, by `wind_moment` at 10 m/s from 45 deg.
         unit = 0.5 * 1.225 * 10.0**2 * length
         wind = Wind(0.0, 1.0, length, C_X=0.0, C_Y=0.0, C_N=-wind_moment / unit)
         body = RigidBody(1.0, 1.0, length=length, beam=0.15 * length, draught=draught)
-        return Vessel(body, AddedMass(), forces | {"wind": wind}, {"rudder": rudder}, name=name)
+        forces = {"norrbin": NorrbinDamping(self.a0, self.a1, self.a2, self.a3), "wind": wind}
+        return Vessel(body, AddedMass(), forces, {"rudder": rudder}, name="norrbin")
 
 
 class NorrbinDamping(AbstractForce):

@@ -42,7 +42,7 @@ from diffsea.identification.online.estimator import (
 from diffsea.kinematics import wrap
 from diffsea.parameters import Parameter
 from diffsea.scales import time_scale
-from diffsea.simulation.integrate import SimulationState, advance, begin, history_length
+from diffsea.simulation.integrate import SimulationState, advance
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
@@ -120,15 +120,11 @@ class ExtendedKalmanFilter(AbstractEstimator[KalmanBelief]):
         Its standard deviations are half a ship's length, half a radian and the speeds of a Froude
         number of 0.5 about `start`, and those of the priors.
         """
-        vessel = self.vessel
-        settled = {c: jnp.asarray(float((orders or {}).get(c, 0.0))) for c in vessel.channels}
-        step = self.interval / self.substeps
-        lengths = {c: history_length(servo, step, 3.0) for c, servo in vessel.servos.items()}
-        motion = begin(vessel, start, settled, lengths)
+        motion = self.settled_motion(start, orders, self.interval / self.substeps)
         mean = self._stack(motion, jnp.zeros(3), jnp.zeros(len(self.parameters)))
         variance = jnp.concatenate(
             [
-                first_variance(vessel),
+                first_variance(self.vessel),
                 jnp.exp(2 * self.noise.slow),
                 jnp.zeros(len(self.lagging)),
                 self.prior_std**2,

@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from typing import Generic, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.errors import UserError
 from diffsea.parameters import Parameter, check_names, hull_prior, named, replace
+from diffsea.simulation.integrate import SimulationState, begin, history_length
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS
@@ -82,6 +84,18 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
             orders: orders under which the actuators have settled; zero by default.
             t: s.
         """
+
+    def settled_motion(
+        self, start: State, orders: Mapping[str, float] | None, step: float
+    ) -> SimulationState:
+        """The vessel at `start`, its actuators settled to the orders (zero where none is given).
+
+        `step` (s) is the time between orders: it sets how many of them a delay remembers.
+        """
+        given = orders or {}
+        settled = {c: jnp.asarray(float(given.get(c, 0.0))) for c in self.vessel.channels}
+        lengths = {c: history_length(s, step, 3.0) for c, s in self.vessel.servos.items()}
+        return begin(self.vessel, start, settled, lengths)
 
     @abc.abstractmethod
     def step(

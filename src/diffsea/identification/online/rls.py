@@ -49,7 +49,6 @@ from diffsea.identification.online.estimator import (
 from diffsea.kinematics import through_water
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import froude_speed, time_scale
-from diffsea.simulation.integrate import history_length
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Force, Vessel
 from diffsea.vessel.servo import OrderHistory
@@ -122,22 +121,15 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
         self, start: State, *, orders: Mapping[str, float] | None = None, t: float = 0.0
     ) -> RegressionBelief:
         """The belief before the first measurement, which takes the place of `start`."""
-        vessel, zero = self.vessel, jnp.zeros(())
-        settled = {c: jnp.asarray(float((orders or {}).get(c, 0.0))) for c in vessel.channels}
-        histories = {
-            c: OrderHistory(jnp.linspace(-1e9, -1e8, n), jnp.full(n, settled[c]))
-            for c, n in (
-                (c, history_length(s, self.interval, 3.0)) for c, s in vessel.servos.items()
-            )
-        }
-        count = len(self.parameters)
+        motion = self.settled_motion(start, orders, self.interval)
+        zero, count = jnp.zeros(()), len(self.parameters)
         return RegressionBelief(
             t=jnp.asarray(t, float),
             motion=jnp.zeros(6),
-            executed={c: s.target(settled[c]) for c, s in vessel.servos.items()},
-            histories=histories,
+            executed=motion.executed,
+            histories=motion.histories,
             since=zero,
-            impulse=dict.fromkeys(vessel.channels, zero),
+            impulse=dict.fromkeys(self.vessel.channels, zero),
             age=jnp.asarray(-1.0),
             velocity=jnp.zeros((2, 3)),
             force=jnp.zeros((2, 3, count + 1)),

@@ -142,15 +142,14 @@ def trust_limits(
             longer a smaller one.
         false_alarm_interval: mean time between false alarms of each of the tests, s.
     """
-    spread = jnp.array([parameter.spread for parameter in parameters])
-    width = TrustScores(jnp.ones(len(channels)), jnp.ones(len(channels)), jnp.ones(len(parameters)))
+    one = jnp.ones(len(channels))
     return TrustLimits(
         vessel=vessel,
-        spread=spread,
+        spread=jnp.array([parameter.spread for parameter in parameters]),
         window=jnp.asarray(float(window)),
         false_alarm_interval=jnp.asarray(float(false_alarm_interval)),
-        scale=jnp.ones(len(channels)),
-        width=width,
+        scale=one,
+        width=TrustScores(one, one, jnp.ones(len(parameters))),
         motions=_dissipative_motions(vessel),
         parameters=tuple(parameters),
         channels=tuple(channels),
@@ -260,13 +259,49 @@ def calibrate(
 
 def reasons(limits: TrustLimits, trust: Trust) -> tuple[str, ...]:
     """What lowers the trust to the alarm level or below, in words; the worst first."""
-    found = [
-        (float(trust.innovations), _explain_innovations(limits, trust)),
-        (float(trust.excitation), _explain_excitation(limits, trust)),
-        (float(trust.bounds), _explain_bounds(limits, trust)),
-        (float(trust.steadiness), _explain_steadiness(limits, trust)),
-    ]
-    return tuple(text for answer, text in sorted(found) if not answer > ALARM_TRUST)
+    answers = trust.innovations, trust.excitation, trust.bounds, trust.steadiness
+    answers = [float(answer) for answer in answers]
+    found = sorted(zip(answers, _explanations(limits, trust), strict=True))
+    return tuple(text for answer, text in found if not answer > ALARM_TRUST)
+
+
+def _explanations(limits: TrustLimits, trust: Trust) -> tuple[str, str, str, str]:
+    """What is worst in innovations, excitation, bounds and steadiness."""
+    names = [parameter.name for parameter in limits.parameters]
+    size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
+    scores = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
+    k = int(np.argmax(np.where(np.isfinite(scores), scores, np.inf)))
+    innovations = (
+        f"the innovation of {limits.channels[k % size.size]} "
+        f"{'is biased' if k >= size.size else 'scatters too much'}: {scores[k]:.1f} standard "
+        f"deviations from a sound filter's, alarm at {float(limits.level(scores.size)[1]):.1f}; "
+        "a sensor or the model is not what the filter assumes"
+    )
+    least = np.asarray(trust.least)
+    k = int(np.argmax(least))
+    excitation = (
+        f"{names[k]} is known less than beforehand: {least[k]:.1f} times the prior's variance"
+        if least[k] > 1
+        else f"the data have removed {100 * float(trust.determined):.0f} % of the prior's "
+        f"variance, less than half; {names[k]} is known least: manoeuvre more"
+    )
+    far = np.abs(np.asarray(trust.far))
+    k = int(np.argmax(far))
+    bounds = (
+        f"{names[k]} is {far[k]:.1f} standard deviations of its prior away "
+        f"from {limits.parameters[k].value:.4g}"
+    )
+    if not bool(trust.inertia):
+        bounds = "the estimated mass matrix is not positive definite"
+    elif not bool(trust.drag):
+        bounds = "the estimated drag would put energy into the motion"
+    moved = np.abs(np.asarray(trust.scores.moved))
+    k = int(np.argmax(moved))
+    steadiness = (
+        f"{names[k]} has moved by {moved[k]:.1f} times the standard deviation that the data "
+        "account for"
+    )
+    return innovations, excitation, bounds, steadiness
 
 
 def _trust_of_scores(limits: TrustLimits, scores: Float[Array, "test"]) -> Scalar:
@@ -306,50 +341,3 @@ def _dissipative_motions(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
     grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
     grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])
     return grid[np.asarray(_resistance_power(vessel, jnp.asarray(grid))) < 0]
-
-
-def _explain_innovations(limits: TrustLimits, trust: Trust) -> str:
-    size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
-    both = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
-    k = int(np.argmax(np.where(np.isfinite(both), both, np.inf)))
-    channel = limits.channels[k % size.size]
-    fault = "is biased" if k >= size.size else "scatters too much"
-    alarm = float(limits.level(both.size)[1])
-    return (
-        f"the innovation of {channel} {fault}: {both[k]:.1f} standard deviations from a sound "
-        f"filter's, alarm at {alarm:.1f}; a sensor or the model is not what the filter assumes"
-    )
-
-
-def _explain_excitation(limits: TrustLimits, trust: Trust) -> str:
-    least = np.asarray(trust.least)
-    k = int(np.argmax(least))
-    name = limits.parameters[k].name
-    if least[k] > 1:
-        return f"{name} is known less than beforehand: {least[k]:.1f} times the prior's variance"
-    return (
-        f"the data have removed {100 * float(trust.determined):.0f} % of the prior's "
-        f"variance, less than half; {name} is known least: manoeuvre more"
-    )
-
-
-def _explain_bounds(limits: TrustLimits, trust: Trust) -> str:
-    if not bool(trust.inertia):
-        return "the estimated mass matrix is not positive definite"
-    if not bool(trust.drag):
-        return "the estimated drag would put energy into the motion"
-    far = np.abs(np.asarray(trust.far))
-    k = int(np.argmax(far))
-    return (
-        f"{limits.parameters[k].name} is {far[k]:.1f} standard deviations of its prior away "
-        f"from {limits.parameters[k].value:.4g}"
-    )
-
-
-def _explain_steadiness(limits: TrustLimits, trust: Trust) -> str:
-    moved = np.abs(np.asarray(trust.scores.moved))
-    k = int(np.argmax(moved))
-    return (
-        f"{limits.parameters[k].name} has moved by {moved[k]:.1f} times the standard deviation "
-        "that the data account for"
-    )
