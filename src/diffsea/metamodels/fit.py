@@ -96,7 +96,9 @@ def identify(trials: Trials, tie: Scalar = COMMON_MOMENT, steps: int = MAX_STEPS
     equation, which needs no first guess; at most `steps` of Levenberg and Marquardt.
     """
     theta, early = regression(trials), trials.known[:, :5]
-    first_rates = jnp.sum(jnp.where(early, trials.r[:, :5], 0.0), 1) / jnp.maximum(early.sum(1), 1)
+    first_rates = jnp.sum(jnp.where(early, trials.r[:, :5], 0.0), 1) / jnp.maximum(
+        early.sum(1, dtype=float), 1
+    )
     own = jnp.stack([first_rates, jnp.zeros(trials.r.shape[0])], axis=1)
     stiffness = tie * _normal_equations(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
     start = theta, own, _cost(theta, own, trials, stiffness), jnp.asarray(1e-2)
@@ -116,6 +118,7 @@ def regression(trials: Trials) -> Float[Array, "5"]:
     """
 
     def columns(delta: Array, r: Array, known: Array) -> Array:
+        known = known.astype(float)
         parts = jnp.stack([-jnp.ones_like(r), -r, -(r**2), -(r**3), delta])
         middle = 0.5 * (parts[:, 1:] + parts[:, :-1]) * trials.dt
         integral = jnp.concatenate([jnp.zeros((5, 1)), jnp.cumsum(middle, axis=1)], axis=1)
@@ -212,7 +215,8 @@ def _summarise(
     size = jnp.sqrt(jnp.diag(A)) + 1e-150
     inverse = jnp.linalg.inv(A / jnp.outer(size, size)) / jnp.outer(size, size)
     predicted = _simulate(theta, own, trials)
-    count, number = trials.known.sum(), trials.known.any(axis=1).sum()
+    count = trials.known.sum(dtype=float)
+    number = trials.known.any(axis=1).sum(dtype=float)
     left = jnp.sum(_residual(predicted, trials) ** 2)
     # What another Gauss-Newton step promises to gain, against what is left or was there at all.
     gain = scores.sum(0) @ inverse @ scores.sum(0)

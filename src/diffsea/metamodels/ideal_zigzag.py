@@ -64,7 +64,7 @@ def ideal_zigzag(model: Norrbin, wanted: Zigzag) -> IdealRun:
     def body(now: _ZigzagState, t: Scalar) -> tuple[_ZigzagState, _ZigzagState]:
         return _step(model, wanted, now, t), now
 
-    times = wanted.step * jnp.arange(math.ceil(wanted.seconds / wanted.step))
+    times = wanted.step * jnp.arange(math.ceil(wanted.seconds / wanted.step), dtype=float)
     last, rows = jax.lax.scan(body, start, times)
     return IdealRun(times, rows.psi, rows.r, rows.delta, last.overshoots, last.switch_times)
 
@@ -83,11 +83,16 @@ def overshoots_with_std(
     return overshoots(model, wanted), jnp.sqrt(jnp.einsum("ij,jk,ik->i", J, covariance, J))
 
 
+def _side(wanted: Zigzag, stage: Int[Array, ""]) -> Scalar:
+    """Side of the order of a stage: 1 to starboard, -1 to port."""
+    return wanted.side * (1 - 2 * (stage % 2)).astype(float)
+
+
 def _advance(
     model: Norrbin, wanted: Zigzag, now: _ZigzagState, stage: Int[Array, ""], dt: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Heading, yaw rate and rudder `dt` s later under the order of a stage."""
-    sense = wanted.side * (1 - 2 * (jnp.minimum(stage, wanted.executes - 1) % 2))
+    sense = _side(wanted, jnp.minimum(stage, wanted.executes - 1))
     order = sense * wanted.angle + (model.neutral if wanted.trimmed else 0.0)
     largest = wanted.rate_limit * dt
     delta = now.delta + jnp.clip(order - now.delta, -largest, largest)
@@ -101,7 +106,7 @@ def _step(model: Norrbin, wanted: Zigzag, now: _ZigzagState, t: Scalar) -> _Zigz
     """One step, in two parts where the heading reaches the one that switches the order."""
     dt, number = wanted.step, jnp.arange(wanted.executes - 1)
     psi, r, delta = _advance(model, wanted, now, now.stage, dt)
-    sense = wanted.side * (1 - 2 * (now.stage % 2))
+    sense = _side(wanted, now.stage)
     more = now.stage < wanted.executes - 1
     switches = more & (sense * psi >= wanted.heading) & (sense * now.psi < wanted.heading)
     # Where in the step: Newton's method on the cubic; the first part is empty without a switch.
@@ -113,11 +118,11 @@ def _step(model: Norrbin, wanted: Zigzag, now: _ZigzagState, t: Scalar) -> _Zigz
     s = jnp.where(switches, s, 0.0)
     psi_s, r_s, delta_s = _advance(model, wanted, now, now.stage, s * dt)
     middle = _ZigzagState(psi_s, r_s, delta_s, now.stage, now.switch_times, now.overshoots)
-    stage = now.stage + switches
+    stage = now.stage + switches.astype(now.stage.dtype)
     psi, r, delta = _advance(model, wanted, middle, stage, (1 - s) * dt)
     times = jnp.where(switches & (number == now.stage), t + s * dt, now.switch_times)
     # The overshoot of the present order, where the heading turns back.
-    dt, sense = (1 - s) * dt, wanted.side * (1 - 2 * ((stage - 1) % 2))
+    dt, sense = (1 - s) * dt, _side(wanted, stage - 1)
     turns = (sense * r_s > 0) & (sense * r <= 0) & (number == stage - 1) & jnp.isnan(now.overshoots)
     s = jnp.clip(r_s / jnp.where(r_s == r, 1.0, r_s - r), 0.0, 1.0)
     peak, _ = _hermite(psi_s, r_s * dt, psi, r * dt, s)

@@ -90,7 +90,9 @@ class Gate(eqx.Module):
             good=good,
             clock=jnp.where(due, 0.0, clock),
             waiting=jnp.where(due, shifted, state.waiting),
-            filled=jnp.where(waits, jnp.minimum(state.filled + due, _WAITING_SLOTS), 0.0),
+            filled=jnp.where(
+                waits, jnp.minimum(state.filled + due.astype(float), _WAITING_SLOTS), 0.0
+            ),
         )
 
 

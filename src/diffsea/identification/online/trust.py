@@ -59,7 +59,7 @@ class TrustLimits(eqx.Module):
     false_alarm_interval: Scalar  # s
     scale: Float[Array, "channel"]  # of the innovations of sound runs, one in theory
     width: "TrustScores"  # spread of the scores of sound runs, one in theory
-    motions: Float[Array, "motion 3"]  # (u, v, r) at which drag must brake
+    motions: Float[Array | np.ndarray, "motion 3"]  # (u, v, r) at which drag must brake
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
 
@@ -312,7 +312,9 @@ def _trust_of_scores(limits: TrustLimits, scores: Float[Array, "test"]) -> Scala
     return jnp.where(jnp.isfinite(largest), trust, 0.0)
 
 
-def _resistance_power(vessel: Vessel, motions: Float[Array, "motion 3"]) -> Float[Array, "motion"]:
+def _resistance_power(
+    vessel: Vessel, motions: Float[Array | np.ndarray, "motion 3"]
+) -> Float[Array, "motion"]:
     """Power (W) that the hull's resistance puts into motions (u, v, r) through still water.
 
     Other forces, an estimated disturbance say, may drive.
@@ -339,5 +341,6 @@ def _dissipative_motions(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
     speed = 0.3 * length / time_scale(length)
     ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
     grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
-    grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])
+    sizes = np.array([speed, 0.3 * speed, speed / length])
+    grid = grid[np.abs(grid).sum(1) > 0] * sizes
     return grid[np.asarray(_resistance_power(vessel, jnp.asarray(grid))) < 0]
