@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import websocket
 
@@ -104,7 +105,7 @@ class Page:
         elif event == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
 
-    def run(self, expression: str) -> object:
+    def run(self, expression: str) -> Any:
         """The value of a JavaScript expression."""
         told = self.send("Runtime.evaluate", expression=expression, returnByValue=True,
                          awaitPromise=True)  # fmt: skip

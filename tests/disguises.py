@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Foreign files made of native recordings: other names, units, frames, layouts.
 
 `disguise` writes a file such as somebody else's logger would have written, and `judged` reads

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Runs of the library from a chosen state, and vessel documents, for tests that compare them.
 
 The approach is left out: the run starts at the execute, in a state that another simulator

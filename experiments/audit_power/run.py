@@ -238,7 +238,7 @@ def report(sets: dict, faults) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few recordings, three minutes")
     parser.add_argument("--level", type=float, help="significance instead of the audit's own")
     arguments = parser.parse_args()

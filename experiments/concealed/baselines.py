@@ -202,7 +202,7 @@ def run(folder: Path) -> list[dict]:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--set", default="develop")
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
     args = parser.parse_args()

@@ -61,7 +61,7 @@ def gain(main, folder: Path, case: str, names: list[str]) -> dict:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--set", default="develop")
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
     parser.add_argument("--most", type=int, default=20, help="cases at most (default 20)")

@@ -72,7 +72,7 @@ def generate(set_name: str, count: int, seed: int, part: int | None, folder: Pat
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--set", choices=draw.SETS, default="develop")
     parser.add_argument("--count", type=int, help="cases (default: the set's own number)")
     parser.add_argument("--subset", type=int, help="write only a balanced part of so many cases")

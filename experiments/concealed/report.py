@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The scores as files: JSON, a Markdown table, confusion matrix, power curve, failures by case."""
 
 import csv

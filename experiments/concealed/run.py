@@ -171,7 +171,7 @@ def run(folder: Path, workers: int, wanted: list[str] | None, redo: bool, any_re
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--set", choices=draw.SETS)
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
     parser.add_argument("--count", type=int, help="cases to draw where none are")

@@ -224,7 +224,7 @@ def check_seal(folder: Path) -> None:
 
 def main(argv: list[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--set", default="develop")
     parser.add_argument("--out", type=Path, help="folder of the set (default: out/concealed/SET)")
     parser.add_argument("--table", type=Path, metavar="CASES.CSV",

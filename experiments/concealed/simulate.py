@@ -247,7 +247,7 @@ def simulate(
     labels = model.labels()
     k, end = -lead, rows - 1
     orders = np.zeros((rows, len(labels)))
-    last = {"z": None}
+    last: dict[str, np.ndarray] = {}
 
     def look() -> np.ndarray:
         return _motion(model, inertia, last["z"][None, :])[0]

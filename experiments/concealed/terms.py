@@ -10,6 +10,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.signal import medfilt
@@ -141,7 +142,7 @@ def _run(model: Model, d: dict[str, np.ndarray]):
 
 def thrusts(model: Model, d: dict, u, v, r) -> np.ndarray:
     """(3, n) force of all actuators at the logged orders."""
-    servos = {label: _Held() for label in model.labels()}
+    servos: dict[str, Any] = {label: _Held() for label in model.labels()}
     force = actuator_force(model, servos, 1.0)
     out = np.zeros((3, len(u)))
     for k in range(len(u)):

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Do the 90 % intervals of a fit hold the truth nine times in ten?
 
 Every case draws a vessel's derivatives from the prior of the fit, simulates two noisy, gusty
@@ -38,7 +39,7 @@ FILES = {"usv": "tests/oracle/usv.toml", "boat": "tests/oracle/boat.toml"}
 
 def main() -> None:
     """Fit every case, then print and write the coverage of each parameter."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--vessel", choices=FILES, default="usv")
     parser.add_argument("--cases", type=int, default=100)
     parser.add_argument("--first-seed", type=int, default=1000)
@@ -84,10 +85,10 @@ def case(document: dict, seed: int, gusts: bool) -> list[dict]:
     free = tuple(p.name for p in problem.layout.parameters)
     found = parameter_estimates(problem.layout.parameters, estimate(problem, free))
     table = [one.as_dict() for one in found]
-    for row in table:
-        low, high = row["interval"]
-        row["truth"] = hull[row["name"]]
-        row["inside"] = bool(low <= row["truth"] <= high)
+    for one, row in zip(found, table, strict=True):
+        low, high = one.interval
+        row["truth"] = hull[one.name]
+        row["inside"] = bool(low <= hull[one.name] <= high)
         row["seed"] = seed
     return table
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,8 @@ def loaded(vessel: Vessel, mass: Scalar) -> dict[str, Scalar]:
     base = named(vessel)
     ratio = mass / base["mass"]
     powers = {"I_z": 1, "draught": 1, "X_udot": 1, "Y_vdot": 2, "N_rdot": 2}
-    return {"mass": mass} | {name: base[name] * ratio**k for name, k in powers.items()}
+    changed: dict[str, Any] = {name: base[name] * ratio**k for name, k in powers.items()}
+    return {"mass": mass} | changed
 
 
 def designs(vessel: Vessel, thrust: np.ndarray, mass: np.ndarray) -> Designs:

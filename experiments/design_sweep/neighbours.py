@@ -35,7 +35,7 @@ def both_trials() -> Stages:
     ahead, angle = jnp.ones(count), jnp.full(count, math.radians(CIRCLE.angle))
     levels = _PAST_HALF * jnp.arange(1, count + 1) / count
     circle = Stages(angle, ahead, ahead, 0 * ahead, 0 * ahead, levels)
-    zigzag = manoeuvres.zigzag(*(math.radians(a) for a in (ZIGZAG.angle, ZIGZAG.heading)), count)
+    zigzag = manoeuvres.zigzag(math.radians(ZIGZAG.angle), math.radians(ZIGZAG.heading), count)
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), circle, zigzag)
 
 
@@ -59,7 +59,7 @@ def quantities(
             design, stages, None, throttle, trial.settings, approach_seconds=trial.approach_seconds
         )
         circle = turning_metrics(run.trajectory, run.execute_time, 1.0)
-        switches = jnp.concatenate([run.execute_time[None], run.switch_times[:-1]])
+        switches = jnp.concatenate([jnp.reshape(run.execute_time, 1), run.switch_times[:-1]])
         zigzag = zigzag_metrics(run.trajectory, switches)
         return circle["tactical_diameter"], circle["advance"], zigzag["overshoot_1"]
 

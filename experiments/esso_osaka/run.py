@@ -8,6 +8,7 @@ import dataclasses
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 
 HERE = Path(__file__).resolve().parent
@@ -245,7 +246,7 @@ def scored(found: dict[str, dict], runs: dict[str, Trajectory]) -> dict:
     if not rows:
         return {"rows": []}
     speeds = [[row[key] for row in rows] for key in ("speed", "measured_speed")]
-    rank = spearmanr(*speeds) if len(rows) > 2 else None
+    rank: Any = spearmanr(speeds[0], speeds[1]) if len(rows) > 2 else None
     return {
         "rows": rows,
         "median_direction_error": float(np.median([abs(r["direction_error"]) for r in rows])),

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Six recordings of a craft unlike its file, and the cost that all contestants are judged by.
 
 The recordings come from the independent simulator of the tests. A contestant reads them from a

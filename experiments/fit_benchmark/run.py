@@ -24,7 +24,7 @@ PATIENCE = 1800.0  # s for one process
 
 def main() -> None:
     """Make the recordings, let everybody fit them, print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3, help="processes for each contestant")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=CONTESTANTS, default=list(CONTESTANTS))

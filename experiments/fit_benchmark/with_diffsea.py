@@ -10,6 +10,7 @@ from experiments.fit_benchmark.outcome import Outcome
 
 import numpy as np
 
+from diffsea.identification.estimates import ShootingState
 from diffsea.runtime import prepare_jax
 
 
@@ -55,6 +56,7 @@ def free_run(data: Data) -> Outcome:
     with Counter() as counter:
         fit = objective.OutputError(problem)
         fitted = fit.fit(NAMES)
+    assert isinstance(fitted.state, ShootingState)
     firsts = fit.windows.number[np.flatnonzero(np.asarray(problem.dataset.starts))]
     return Outcome(
         decoded(problem, fitted.coordinates), fitted.state.states[firsts], counter.shots,

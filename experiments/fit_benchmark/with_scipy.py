@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from experiments.fit_benchmark import plain
 from experiments.fit_benchmark.data import SIGMA, Data
@@ -78,7 +79,7 @@ def _fit(data: Data, residual: Callable, jacobian: Callable | None = None) -> Ou
         count["runs"] += 1
         return residual(z)
 
-    given = "2-point" if jacobian is None else jacobian
+    given: Any = "2-point" if jacobian is None else jacobian
     found = least_squares(counted, plain.begin(data), given, max_nfev=STEPS)
     values, first = plain.unpack(data, found.x)
     return Outcome(values, first, count["runs"], found.njev)

@@ -14,6 +14,7 @@ import re
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from diffsea.runtime import prepare_jax
 
@@ -65,7 +66,7 @@ class Experiment:
         print(f"\nwritten to {self.folder} after {seconds:.0f} s")
 
 
-def experiment(script: str, description: str) -> Experiment:
+def experiment(script: str, description: str | None) -> Experiment:
     """Read an experiment's command line; `script` is its `__file__`."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="a small variant, for tests")
@@ -101,7 +102,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(shown(cell) for cell in line) + " |" for line in lines)
 
 
-def shown(value: object) -> str:
+def shown(value: Any) -> str:
     """A number with four digits, None as a dash, anything else as it is."""
     if value is None:
         return "-"

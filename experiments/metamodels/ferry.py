@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Case 1: a metamodel from a year of service, cross-validated, and two models judged by it."""
 
 from experiments.metamodels.inservice import CUT_OFF, INTERVAL, Found, Piece, search

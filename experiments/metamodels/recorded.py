@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Real zig-zags: a tanker model in a basin, and one on a windy pond at several speeds.
 
 Every trial is predicted by a metamodel of the others. No two are alike, so that averaging their

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The ship whose true answer is known: a Mariner in wind, waves and current.
 
 The records of the published ships are not public, so that a catalogue ship sails instead. Wind
@@ -69,9 +70,9 @@ def weather_of(draw: np.random.Generator, steps: int, wind, wind_from, current, 
     """Weather of a batch: arrays of means, noise drawn."""
     count = len(wind)
     shapes = (count, steps, 2), (count, steps)
-    gusts, waves = (jnp.asarray(draw.standard_normal(shape)) for shape in shapes)
-    means = (jnp.asarray(a, float) for a in (wind, wind_from, current, current_to))
-    return Weather(*means, gusts, waves)
+    noises = [jnp.asarray(draw.standard_normal(shape)) for shape in shapes]
+    means = [jnp.asarray(a, float) for a in (wind, wind_from, current, current_to)]
+    return Weather(*means, *noises)
 
 
 def calm_air() -> Air:
@@ -151,7 +152,8 @@ def answers(vessel, delta, first, flow: Environment, dt):
     zero = jnp.zeros(())
 
     def body(state, ends):
-        return moved(vessel, state, *ends, flow, dt), state.r
+        begin, end = ends
+        return moved(vessel, state, begin, end, flow, dt), state.r
 
     start = State(zero, zero, zero, zero + first, zero, zero)
     last, rates = jax.lax.scan(body, start, (delta[:-1], delta[1:]))

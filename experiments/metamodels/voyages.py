@@ -6,6 +6,7 @@ from experiments.metamodels.ship import (
     RAD,
     SENSORS,
     SPEED,
+    Air,
     calm_air,
     environment,
     loaded,
@@ -51,7 +52,7 @@ class _Now(eqx.Module):
     wanted: jax.Array  # rad, heading
     integral: jax.Array
     leg: jax.Array
-    air: object
+    air: Air
 
 
 def _route(legs) -> tuple[np.ndarray, np.ndarray]:

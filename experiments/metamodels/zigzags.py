@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Zig-zag trials as run at sea: in gusts, late at the helm, at angles not quite ordered."""
 
 import dataclasses
@@ -6,6 +7,7 @@ from experiments.metamodels.ship import (
     RAD,
     SENSORS,
     SPEED,
+    Air,
     calm_air,
     environment,
     loaded,
@@ -59,7 +61,7 @@ class _Now(eqx.Module):
     stage: jax.Array
     due: jax.Array  # s, when the next order is given; infinite while none is
     given: jax.Array  # (2, 3) heading (rad) off the course, and time (s), when orders were given
-    air: object
+    air: Air
 
 
 class Records(eqx.Module):

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Online estimation on simulated runs: convergence, a change of drag, and a faulty compass.
 
 The runs come from the independent simulator of the tests, which shares no code with the library.

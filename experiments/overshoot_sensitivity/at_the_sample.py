@@ -72,7 +72,8 @@ def sampled(
     for k in range(0, len(points), LANES):  # all of one size, so that one program serves them
         block = (points[k : k + LANES], directions[k : k + LANES])
         spare = ((0, LANES - len(block[0])), (0, 0))
-        found = _program(vessel, *(jnp.asarray(np.pad(part, spare)) for part in block), kind)
+        padded = [jnp.asarray(np.pad(part, spare)) for part in block]
+        found = _program(vessel, padded[0], padded[1], kind)
         parts.append([np.asarray(part)[: len(block[0])] for part in found])
     value, slope = (np.concatenate(part) for part in zip(*parts, strict=True))
     return value, slope

@@ -1,5 +1,7 @@
 """Overshoots against every derivative: exact, by differences, by the naive scheme, globally."""
 
+from typing import Any
+
 from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
 from experiments.overshoot_sensitivity import at_the_sample, charts, differences, global_analysis
 from experiments.overshoot_sensitivity.trial_lanes import (
@@ -203,7 +205,8 @@ def rank_correlation(local: np.ndarray, total: np.ndarray, least: float = 0.005)
     from scipy.stats import spearmanr
 
     kept = np.maximum(local, total) > least
-    return float(spearmanr(local[kept], total[kept]).statistic)
+    found: Any = spearmanr(local[kept], total[kept])
+    return float(found.statistic)
 
 
 def write(run: Experiment, results: dict, rows: list[dict]) -> None:

@@ -81,7 +81,7 @@ class Bench:
         ]
         first = self._block(*blocks[0], trial)  # compiles
         with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-            others = list(pool.map(lambda block: self._block(*block, trial), blocks[1:]))
+            others = list(pool.map(lambda block: self._block(*block, trial=trial), blocks[1:]))
         return Found(*(np.concatenate(part) for part in zip(first, *others, strict=True)))
 
     def _block(self, points: np.ndarray, directions: np.ndarray, trial: int) -> Found:
@@ -139,11 +139,11 @@ def measured(case: Case, vessel: Vessel, table: Stages) -> tuple[Float[Array, "n
         vessel, table, case.speed, settings=settings, approach_seconds=round(APPROACH * passing, 1)
     )
     run, done = trial.trajectory, trial.trajectory.outcome == Outcome.COMPLETED
-    switches = jnp.concatenate([trial.execute_time[None], trial.switch_times[:-1]])
+    switches = jnp.concatenate([jnp.reshape(trial.execute_time, 1), trial.switch_times[:-1]])
     found = zigzag_metrics(run, switches)
     if case.circle:
         found = turning_metrics(run, trial.execute_time, 1.0) | found
-    return jnp.stack([found[name] for name in case.numbers]), done
+    return jnp.stack([found[name] for name in case.numbers]), jnp.asarray(done)
 
 
 def jacobian(bench: Bench, trial: int) -> tuple[np.ndarray, np.ndarray]:

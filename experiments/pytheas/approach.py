@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """How close a boat comes to its waypoint, without keeping the run: for design and for sweeps."""
 
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """The boat of Table I as a vessel of the library: any thrust, thruster position, mass and D."""
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from diffsea.types import Scalar
 from diffsea.vessel.environment import EarthForce
 
 
+Tree = TypeVar("Tree")
 LENGTH, BEAM, WATER = 1.0, 0.55, 1000.0  # m, m, kg/m^3
 THRUST, LEVER, MASS = 20.0, 0.4, 7.0  # N, m, kg: Tables I and II
 FULL_ANGLE = 0.47 * jnp.pi  # rad
@@ -72,6 +75,6 @@ def at_rest() -> State:
     return State(*(jnp.zeros(()) for _ in range(6)))
 
 
-def floats(tree: eqx.Module) -> eqx.Module:
+def floats(tree: Tree) -> Tree:
     """The same with every number an array, so that runs of several boats share a program."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)

@@ -7,7 +7,7 @@ one margin per direction this is a small problem with many constraints, solved b
 
 import functools
 import time
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from experiments.pytheas.approach import RANGE, TOLERANCE, approach
 from experiments.pytheas.boat import FREQUENCY, MASS, SURGE_SHARE, SWING
@@ -90,7 +90,7 @@ def solve(
     at, radius = np.array([bias + 10.0, side * 0.4]), 0.25
 
     def merit(at: np.ndarray, found: np.ndarray) -> float:
-        return cost @ at + PENALTY * max(0.0, -found.min())
+        return float(cost @ at + PENALTY * max(0.0, -found.min()))
 
     found = np.asarray(margins(at, bias, directions))
     count = 0
@@ -229,7 +229,7 @@ def head_sea_thrust(bias: float) -> float:
         x = (thrust - bias) / d * settled - SWING / d / (1 + (w * lag) ** 2) * swing
         return x.max() - (RANGE - TOLERANCE)
 
-    return brentq(missing, bias, bias + 100.0)
+    return cast(float, brentq(missing, bias, bias + 100.0))
 
 
 HEAD = ("swell, N", "thruster", "least thrust, N", "closed form head on, N", "shortest lever, m",

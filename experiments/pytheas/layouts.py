@@ -1,9 +1,11 @@
+# pyright: reportArgumentType=false
 """The three layouts of figure 12 under the same logic: only the allocation differs.
 
 The paper draws them without numbers. Taken here: motors of 10 N as in its appendix A, two where the
 boat of Table I has one of 20 N; hulls 0.45 m apart; the published lever of 0.4 m ahead and abaft.
 """
 
+import abc
 import dataclasses
 
 from experiments.harness.reporting import compared, table
@@ -32,6 +34,10 @@ RUDDER_AREA, RUDDER_ANGLE = 0.004, 0.6  # m^2 each, rad: not published
 
 class Allocated(eqx.Module):
     """An allocation with its logic: thrust of both motors, and the published angle."""
+
+    @abc.abstractmethod
+    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
+        """Order of each channel."""
 
     def logic(self, waypoints: Float[Array, "waypoint 2"], tolerance: Scalar) -> WaypointLogic:
         """The published logic with this allocation."""

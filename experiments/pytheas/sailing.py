@@ -1,7 +1,8 @@
+# pyright: reportArgumentType=false
 """Runs to waypoints, many at once, and what is read off them."""
 
 import operator
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from experiments.pytheas.boat import SWING, at_rest, boat, disturbed
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea import Trajectory, Vessel, run_controlled
-from diffsea.simulation.control.waypoint_logic import waypoint_logic
+from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic
 from diffsea.types import Scalar
 
 
@@ -64,6 +65,12 @@ class Track(NamedTuple):
         return float(np.hypot(self.x - north, self.y - east).min())
 
 
+class Allocation(Protocol):
+    """What brings the waypoint logic of a vessel with other actuators."""
+
+    def logic(self, waypoints: Float[Array, "waypoint 2"], tolerance: Scalar) -> WaypointLogic: ...
+
+
 def around(radius: float, bearings: Float[Array, "trial"], **fields: Scalar) -> Trial:
     """Trials to waypoints at a distance, one for each bearing (rad)."""
     north, east = radius * jnp.cos(bearings), radius * jnp.sin(bearings)
@@ -76,29 +83,28 @@ def battery(biases: tuple, directions: tuple) -> Trial:
     return spread(Trial(20.0, 0.0, bias=B.ravel(), swing=SWING, direction=k.ravel()), B.size)
 
 
-def spread(tree: eqx.Module, count: int) -> eqx.Module:
+def spread(tree: Trial, count: int) -> Trial:
     """The same with every number repeated for each of `count` trials."""
     return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, float), (count,)), tree)
 
 
-def run(vessels: Vessel, trials: Trial, allocation: object = None) -> list[Track]:
+def run(vessels: Vessel, trials: Trial, allocation: Allocation | None = None) -> list[Track]:
     """Run every vessel of a batch through its trial, under the waypoint logic.
 
     `allocation` is for vessels that have other actuators than one azimuth thruster. In blocks of
     one size, so that vessels of one make share a compiled program whatever their number.
     """
-    batch = (vessels, trials)
     count = len(trials.north)
     found = []
     for first in range(0, count, LANES):
         rows = np.minimum(np.arange(first, first + LANES), count - 1)
-        block = jax.tree.map(operator.itemgetter(rows), batch)
-        found += tracks(_run(*block, allocation))[: count - first]
+        some, theirs = jax.tree.map(operator.itemgetter(rows), (vessels, trials))
+        found += tracks(_run(some, theirs, allocation))[: count - first]
     return found
 
 
 @eqx.filter_jit
-def _run(vessels: Vessel, trials: Trial, allocation: object) -> Trajectory:
+def _run(vessels: Vessel, trials: Trial, allocation: Allocation | None) -> Trajectory:
     def one(vessel: Vessel, trial: Trial) -> Trajectory:
         point = jnp.stack([trial.north, trial.east])[None]
         if allocation is None:
@@ -118,7 +124,7 @@ def tracks(batch: Trajectory) -> list[Track]:
     made = []
     for k, valid in enumerate(batch.valid):
         commanded = {c: orders[k][valid] for c, orders in batch.commanded.items()}
-        made.append(Track(*(field[k][valid] for field in fields), commanded))
+        made.append(Track(*(field[k][valid] for field in fields), commanded=commanded))
     return made
 
 

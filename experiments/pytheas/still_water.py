@@ -1,4 +1,7 @@
+# pyright: reportArgumentType=false
 """Still water: speeding up towards eight waypoints (Table III), and tight turns (figure 5)."""
+
+from typing import cast
 
 from experiments.harness.reporting import compared, table
 from experiments.pytheas import printed
@@ -133,7 +136,7 @@ def steady_radius(thrust: float) -> float:
         ]
 
     start = [thrust * np.cos(b) / 14, thrust * np.sin(b) / 80, boat.lever * thrust / 5]
-    u, v, r = fsolve(forces, start)
+    u, v, r = cast(np.ndarray, fsolve(forces, start))
     return float(np.hypot(u, v) / r)
 
 

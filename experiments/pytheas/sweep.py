@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """A map of 10^5 designs: which thrust for which mass reaches the waypoint, and when."""
 
 import concurrent.futures
@@ -64,7 +65,7 @@ def sweep(count: int, bias: float, direction: float, lever: float = LEVER) -> Ma
 @jax.jit
 def _block(
     designs: Float[Array, "lane 2"], bias: Scalar, direction: Scalar, lever: Scalar
-) -> tuple[Array, Array, Array]:
+) -> tuple[Scalar, Scalar, Array]:
     """Closest approach (m), time (s) and steps run of a block of designs."""
 
     def prepared(design: Float[Array, "2"]) -> tuple:

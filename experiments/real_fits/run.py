@@ -84,7 +84,7 @@ SETS = {
 
 def main() -> None:
     """Fit and predict the sets that are named."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("sets", nargs="*", default=list(SETS), metavar="SET")
     parser.add_argument("--objective", choices=("innovation", "free-run"), nargs="+",
                         default=["innovation", "free-run"])  # fmt: skip

@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float
 
 from diffsea import State, Vessel
 from diffsea.types import Scalar
+from diffsea.vessel.actuators.propeller import Propeller
+from diffsea.vessel.hull import Damping
 
 
 UPDATES = 100  # per control period, published
@@ -92,11 +94,12 @@ def steady_blades(vessel: Vessel, speed: Scalar) -> Scalar:
     Drag and thrust are both quadratic, so that turns go with speed: the positive root of
     `(1 - t) rho D^4 (k_0 n^2 + k_1 n V + k_2 V^2) = -X_uu` at 1 m/s, squared.
     """
-    screw = vessel.actuators["propeller"]
+    screw, damping = vessel.actuators["propeller"], vessel.forces["damping"]
+    assert isinstance(screw, Propeller) and isinstance(damping, Damping)
     k0, k1, k2 = screw.k_T
     V = (1 - screw.wake_fraction) / screw.diameter
     unit = (1 - screw.thrust_deduction) * screw.water_density * screw.diameter**4
-    needed = -vessel.forces["damping"].derivatives["X_uu"] / unit - k2 * V**2
+    needed = -damping.derivatives["X_uu"] / unit - k2 * V**2
     turns = (-k1 * V + jnp.sqrt((k1 * V) ** 2 + 4 * k0 * needed)) / (2 * k0)
     return (turns * speed) ** 2 / TURNS_SQUARED
 

@@ -115,7 +115,7 @@ class Recursive(AbstractEstimator):
 def gradient(rates: tuple[float, float] = RATES) -> Gradient:
     """The published estimator, from the regressions' ship at 1 and at 3 kn."""
     models = (nominal_linear(nominal(), jnp.asarray(knots * KNOT)) for knots in (1.0, 3.0))
-    return Gradient(*models, jnp.array(rates, float))
+    return Gradient(*models, rates=jnp.array(rates, float))
 
 
 def recursive(

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Plots of the experiments and of the hundred seeds."""
 
 from experiments.harness.reporting import panels
@@ -25,7 +26,7 @@ def exp_1(published: Log, cured: Log) -> Figure:
         rows = np.asarray(log.step) <= 2
         t, colour = log.t[rows], COLOURS[name]
         label = {"published": "gradient descent"}.get(name, "least squares, trust, push borne")
-        axes[0, 0].plot(log.state.y[rows], log.state.x[rows], color=colour)
+        axes[0, 0].plot(np.asarray(log.state.y)[rows], np.asarray(log.state.x)[rows], color=colour)
         axes[0, 1].plot(t, log.cross[rows], color=colour, label=label)
         for k, style in ((3, "-"), (4, "--")):
             axes[0, 2].plot(t, log.blades[rows, k - 1] / DEGREE, style, color=colour, lw=1)
@@ -61,7 +62,7 @@ def leaving(found: dict[str, Log]) -> Figure:
         rows = np.asarray(log.step) <= 5
         t = log.t[rows]
         series = (
-            log.cross[rows], log.blades[rows, 1] / DEGREE, log.state.u[rows] / 0.51444,
+            log.cross[rows], log.blades[rows, 1] / DEGREE, np.asarray(log.state.u)[rows] / 0.51444,
             log.model[rows, 0, 5], log.model[rows, 1, 2], log.model[rows, 0, 2],
         )  # fmt: skip
         for ax, values in zip(axes.flat, series, strict=True):

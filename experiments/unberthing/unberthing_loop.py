@@ -1,4 +1,7 @@
+# pyright: reportArgumentType=false
 """Runs of ship and control system in changing weather, one or a batch of them."""
+
+from typing import Any
 
 from experiments.unberthing.harbour_route import place
 from experiments.unberthing.harbour_ship import PERIOD, Weather
@@ -80,7 +83,7 @@ def run_all(vessels: Vessel, control: ControlSystem, weathers: Weather, starts: 
     )
 
 
-def stacked(members: list) -> object:
+def stacked(members: list) -> Any:
     """Vessels or weathers as one batch."""
     return jax.tree.map(
         lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *members

@@ -1,9 +1,10 @@
+# pyright: reportArgumentType=false
 """The runs: the paper's three experiments, and a hundred seeds under every control system."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
-from experiments.unberthing.harbour_estimators import gradient, recursive
+from experiments.unberthing.harbour_estimators import Gradient, gradient, recursive
 from experiments.unberthing.harbour_route import AHEAD, SIDEWAYS
 from experiments.unberthing.harbour_ship import (
     KNOT,
@@ -77,6 +78,7 @@ def systems() -> dict[str, ControlSystem]:
 
 def at_rate(control: ControlSystem, rate: float) -> ControlSystem:
     """The published system with another learning rate while unberthing."""
+    assert isinstance(control.estimator, Gradient)
     rates = control.estimator.rates
     return eqx.tree_at(lambda s: s.estimator.rates, control, rates.at[0].set(rate))
 

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The control system: estimator, route tracking, compensation and limits as one controller."""
 
 from experiments.unberthing.gradient_model import Linear
@@ -87,7 +88,7 @@ class ControlSystem(AbstractController[Memory]):
         return after, orders(blades)
 
     def is_finished(self, memory: Memory) -> Bool[Array, ""]:
-        return memory.step > jnp.minimum(self.last_step, DONE - 1)
+        return jnp.greater(memory.step, jnp.minimum(self.last_step, DONE - 1))
 
 
 def system(estimator: AbstractEstimator, **options: float) -> ControlSystem:

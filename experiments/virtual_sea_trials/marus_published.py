@@ -45,15 +45,17 @@ class Run:
         return f"zig-zag {self.angle:g}/{self.heading:g}, {side} first"
 
 
-def _circle(name: str, side: int, approach: tuple, lengths: tuple) -> Run:
+def _circle(name: str, side: int, approach: tuple[float, float, float], lengths: tuple) -> Run:
     names = ("advance", "transfer", "tactical_diameter", "steady_turning_diameter")
-    numbers = dict(zip(names, lengths, strict=True))
+    numbers: dict[str, float] = dict(zip(names, lengths, strict=True))
     return Run(name, "turning-circle", LARGEST_ANGLE, 0.0, side, *approach, numbers)
 
 
-def _zigzag(name: str, angle: float, side: int, approach: tuple, read: tuple) -> Run:
+def _zigzag(
+    name: str, angle: float, side: int, approach: tuple[float, float, float], read: tuple
+) -> Run:
     names = ("overshoot_1", "overshoot_2", "peak_yaw_rate")
-    numbers = dict(zip(names, read, strict=True))
+    numbers: dict[str, float] = dict(zip(names, read, strict=True))
     return Run(name, "zigzag", angle, angle, side, *approach, numbers)
 
 

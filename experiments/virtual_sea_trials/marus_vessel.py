@@ -7,6 +7,7 @@ order of magnitude.
 
 import dataclasses
 import math
+from typing import Any
 
 from experiments.virtual_sea_trials import marus_published as published
 
@@ -71,7 +72,7 @@ def _parameter(name: str) -> Parameter:
 def _off_centre(vessel: Vessel, at) -> Vessel:
     """Both thrusters moved to starboard: the centre of gravity is off to port."""
 
-    def change(part: eqx.Module) -> eqx.Module:
+    def change(part: Any) -> Any:
         return eqx.tree_at(lambda p: p.y, part, part.y + at[0])
 
     moved = {name: change(part) for name, part in vessel.actuators.items()}

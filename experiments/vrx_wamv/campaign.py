@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The basin runs: what the paper drove, recorded with sensor noise, and runs kept back.
 
 The paper switches its sensors' errors off but its figure 2 still fluctuates. Here a satellite

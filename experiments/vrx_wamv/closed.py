@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The controller on the reference plant and on models of it, and what their runs have in common."""
 
 import dataclasses
@@ -96,9 +97,10 @@ def on_model(vessel: Vessel, law: DynamicPD) -> Driven:
 def replayed(plant: Plant, run: Driven) -> Driven:
     """The plant under a run's orders, without a controller."""
     state, rows = REST, []
-    for k, held in enumerate(zip(run.orders["port"], run.orders["starboard"], strict=True)):
-        rows.append((k * PERIOD, *state, *held))
-        state = plant.advanced(state, *map(float, held), PERIOD)
+    held = zip(run.orders["port"], run.orders["starboard"], strict=True)
+    for k, (port, starboard) in enumerate(held):
+        rows.append((k * PERIOD, *state, port, starboard))
+        state = plant.advanced(state, float(port), float(starboard), PERIOD)
     return _driven(np.array(rows), run.finished)
 
 

@@ -42,7 +42,8 @@ class Plant:
     def drag(self, u: float, v: float, r: float) -> tuple[float, float, float]:
         """Drag forces (N, N, N m) against the motion."""
         pairs = zip((self.surge, self.sway, self.yaw), (u, v, r), strict=True)
-        return tuple((a + b * abs(w)) * w for (a, b), w in pairs)
+        X, Y, N = ((a + b * abs(w)) * w for (a, b), w in pairs)
+        return X, Y, N
 
     def rate(self, state: tuple, port: float, starboard: float) -> tuple:
         """Time derivative of (x, y, psi, u, v, r) under thrusts in N."""
@@ -115,8 +116,8 @@ def driven(
     state = tuple(start) or (0.0,) * 6
     rows, count = [], round(seconds / dt)
     for k in range(count + 1):
-        held = tuple(map(float, orders(k * dt)))
-        rows.append((k * dt, *state, *held))
-        state = plant.advanced(state, *held, dt)
+        port, starboard = map(float, orders(k * dt))
+        rows.append((k * dt, *state, port, starboard))
+        state = plant.advanced(state, port, starboard, dt)
     names = ("t", *CHANNELS, "port", "starboard")
     return dict(zip(names, np.array(rows).T, strict=True))

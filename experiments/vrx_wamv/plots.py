@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The experiment's figures."""
 
 from experiments.harness.reporting import panels

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Rows of the comparison with the paper, and the README's tables."""
 
 from experiments.harness.reporting import compared, table

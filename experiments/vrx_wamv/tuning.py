@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Gains by derivative: least squares through the closed loop on the identified model.
 
 What is minimised, in m^2: the mean square distance from the path along the way, plus `WEIGHT`

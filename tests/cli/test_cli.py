@@ -152,7 +152,7 @@ def test_the_recording_of_a_trial_has_both_kinds_of_actuation(zigzag):
     assert (np.diff(table["t"]) > 0).all()
     # Orders hold from their time stamp: the port thruster slows at the very execute.
     ordered = table["cmd_port"] - table["cmd_starboard"]
-    first = table["t"][ordered < -1e-9].iloc[0]
+    first = table["t"].to_numpy()[ordered.to_numpy() < -1e-9][0]
     assert first == pytest.approx(metrics["execute_time"], abs=1e-9)
     changes = table["t"][1:][np.diff(np.sign(ordered.to_numpy())) != 0]
     np.testing.assert_allclose(changes, metrics["switch_times"], atol=1e-9)

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Small real problems and records of hypotheses, for tests of the diagnosis."""
 
 from pathlib import Path

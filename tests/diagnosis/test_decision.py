@@ -72,6 +72,7 @@ def test_what_is_asked_of_the_best_alone_does_not_distance_its_rivals():
     best = judged("wind", 60.0, STEADY, Gain(12.0, 7.0))
     near = judged("current", 57.0, STEADY, Gain(12.0, 7.0))
     found = decide(listed(best, near), exchanged(30.0, 7.0))
+    assert found is not None and found.pooled_gain is not None
     assert found.effect == "wind" and found.pooled_gain.total == 42.0
     accepted = AcceptedEffect.of(found, listed(best, near))
     assert accepted.rivals == ("current",)
@@ -82,14 +83,16 @@ def test_held_out_data_that_leave_a_name_open_do_not_give_it():
     open_one = judged("wind", 60.0, STEADY, Gain(12.0, 7.0))
     assert decide(listed(open_one), None) is None
     assert decide(listed(open_one), exchanged(-12.0, 7.0)) is None
-    assert decide(listed(judged("wind", 60.0)), None).effect == "wind"
+    found = decide(listed(judged("wind", 60.0)), None)
+    assert found is not None and found.effect == "wind"
 
 
 def test_a_name_needs_evidence_one_size_and_to_be_near_the_best():
     assert decide(listed(judged("wind", NEEDED - 1)), None) is None
     assert decide(listed(judged("wind", 60.0, UNSTEADY)), None) is None
     best = judged("wind", 60.0, UNSTEADY)
-    assert decide(listed(best, judged("current", 51.0)), None).effect == "current"
+    found = decide(listed(best, judged("current", 51.0)), None)
+    assert found is not None and found.effect == "current"
     assert decide(listed(best, judged("current", 49.0)), None) is None
     assert decide(listed(hypothesis("wind", 60.0, STEADY, CLEAR_GAIN, False)), None) is None
 

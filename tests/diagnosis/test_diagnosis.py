@@ -122,6 +122,7 @@ def test_the_manoeuvre_that_separates_rivals_stays_within_the_vessels_limits(cur
     )
     assert next_experiment(current) is None
     experiment = next_experiment(doubtful)
+    assert experiment is not None
     assert experiment.evidence[experiment.manoeuvre] == max(experiment.evidence.values()) > 0
     assert rivals[0] in experiment.why
     sequence = commands(current.split.train, current.final, experiment)

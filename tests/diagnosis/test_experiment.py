@@ -54,7 +54,17 @@ def trained(vessel, effects: tuple[str, ...] = ()):
     t, nothing = 0.2 * np.arange(50), np.full(50, np.nan)
     orders = dict.fromkeys(vessel.channels, np.zeros(50))
     run = Trajectory(
-        t, *(nothing,) * 3, np.zeros(50), *(nothing,) * 2, orders, {}, {}, np.ones(50, bool)
+        t,
+        nothing,
+        nothing,
+        nothing,
+        np.zeros(50),
+        nothing,
+        nothing,
+        orders,
+        {},
+        {},
+        np.ones(50, bool),
     )
     catalogue = tuple(EFFECTS[name] for name in effects)
     return make_problem(vessel, [run], FREE, catalogue, capacity=4)
@@ -109,7 +119,7 @@ def test_what_is_expected_of_a_manoeuvre_follows_its_orders_as_fast_as_actuators
     assert name == "turning-circle" or steepest > 0.9 * RATE
 
 
-def surge(t, thrust, drag_at: float, drag: float, thrust_at: float) -> tuple:
+def surge(t, thrust, drag_at: float, drag: float, thrust_at: float) -> np.ndarray:
     """u that drag * 100 % more drag from `drag_at` on makes, and its slopes by a share of drag
     from then on and by a share of thrust from `thrust_at` on.
     """

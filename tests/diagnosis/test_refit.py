@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Refits and the evidence for them: closed forms, and problems so small that none is fitted."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Screening against closed forms: candidates, expansion points, short list, spectrum, detection."""
 
 import dataclasses

@@ -110,7 +110,8 @@ def test_an_effect_is_asked_for_again_as_far_as_there_is_room(data, found):
     search = dataclasses.replace(found, accepted=(first, second))
     kept, changed = ask_again(data, search, (first,), no_progress)
     assert accepted_names(kept) == accepted_names(found) and not kept.dropped
-    assert kept.accepted[0].hypothesis.constancy.holds
+    constancy = kept.accepted[0].hypothesis.constancy
+    assert constancy is not None and constancy.holds
     assert kept.accepted[1] is second
     assert kept.estimate is found.estimate and not changed
 

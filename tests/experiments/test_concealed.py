@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The blind experiment: an independent generator, sealed truth, and scores that count rightly."""
 
 import ast

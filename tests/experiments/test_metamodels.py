@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Metamodels: Norrbin's equation, its identification, ideal zig-zags, grouping, the experiment."""
 
 import dataclasses

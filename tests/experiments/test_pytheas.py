@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """experiments/pytheas: its quick run, and its pieces against closed forms and scipy."""
 
 from types import SimpleNamespace

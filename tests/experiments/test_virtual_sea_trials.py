@@ -96,7 +96,7 @@ def test_the_data_set_is_ready_to_identify(results):
         assert (folder / segment["file"]).exists() and segment["checks"]
         log = np.genfromtxt(folder / entry["log"], delimiter=",", names=True)
         assert {"psi_relative", "delta_cmd", "delta_exec", "tau_z", "r_calc"} <= set(
-            log.dtype.names
+            log.dtype.names or ()
         )
         at_onset = np.interp(0.0, log["t"], log["psi_relative"])
         assert abs(at_onset) < 1e-6

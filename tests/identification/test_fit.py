@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Fits of recordings from the independent simulator recover what made them."""
 
 import dataclasses
@@ -36,6 +37,7 @@ from diffsea.identification.residual import (
 from diffsea.identification.study import FitSettings
 from diffsea.parameters import hull_prior
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
+from diffsea.vessel.environment import Wind
 from diffsea.vessel.files import build
 
 
@@ -292,7 +294,9 @@ def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
     assert found["speed"]["std"] < 2.0 and found["direction"]["std"] < 0.05
     assert [table["name"] for table in result.effect_tables] == ["wind"]
     again = build(document | {"effect": result.effect_tables})
-    assert float(again.forces["wind"].C_N) == pytest.approx(found["C_N"]["value"])
+    wind = again.forces["wind"]
+    assert isinstance(wind, Wind)
+    assert float(wind.C_N) == pytest.approx(found["C_N"]["value"])
 
 
 def test_coefficients_that_runs_share_are_not_fitted_with_a_wind_of_each_run(document, recordings):

@@ -130,6 +130,7 @@ def test_several_starts_find_the_better_of_two_optima_and_tell_of_the_other():
 
     best, agreement = multistart(Cost(cost), ("A", "B"), 12, seed=3)
     assert best.coordinates == pytest.approx([1.5, 0.0], abs=1e-3)
+    assert agreement is not None
     assert agreement.rival == pytest.approx(3.0, abs=1e-3)
     assert 0 < agreement.agreeing < 12
     assert f"{agreement.agreeing} of 12 starts" in agreement.sentence

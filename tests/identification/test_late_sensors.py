@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Late sensors in a filter against a Kalman filter of two states, on surge simulated exactly.
 
 The vessel runs straight ahead with linear drag: u' = -c u + F / m + a + white gusts, with lasting
@@ -96,8 +97,8 @@ def seen(push: np.ndarray, shown: np.ndarray) -> Trajectory:
     """A run of which nothing is measured but u."""
     t, nothing = STEP * np.arange(len(push)), np.full(len(push), np.nan)
     return Trajectory(
-        t, *(nothing,) * 3, shown, *(nothing,) * 2, {"port": push / 2, "starboard": push / 2}, {},
-        {}, np.ones(len(push), bool),
+        t, nothing, nothing, nothing, shown, nothing, nothing,
+        {"port": push / 2, "starboard": push / 2}, {}, {}, np.ones(len(push), bool),
     )  # fmt: skip
 
 

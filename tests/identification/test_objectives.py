@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Free runs and trial numbers recover what the independent simulator was given."""
 
 import dataclasses
@@ -83,6 +84,7 @@ def test_free_runs_are_fitted_from_far_away_whatever_outliers_there_are(document
     told: list[str] = []
     fitted = objective.fit(HULL, progress=told.append)
     assert_recovered(document, objective.parameters, fitted)
+    assert isinstance(fitted.state, ShootingState)
     assert objective.windows.count >= 6 and len(told) == len(fitted.path)
     # Three positions 8 m off in 240 would raise the standard deviation of x to 0.9 m.
     assert fitted.state.sigma[0] == pytest.approx(0.05, rel=0.3)

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Online estimators against textbook recursions in NumPy and runs of the independent simulator."""
 
 import dataclasses

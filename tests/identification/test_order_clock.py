@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """A clock that is off against the orders, alone and beside a channel that is late, fitted from
 zero: the oracle's runs of random steps of thrust, of which the orders were recorded.
 """

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Recordings on the dataset as they come: gaps, positions alone, and filters that diverge."""
 
 import dataclasses
@@ -97,7 +98,7 @@ def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, 
 
     vessel = build(document)
     late = random_steps(document, 4, 120.0, 0.5, {"clock-drift": off})
-    known = drift.apply(vessel, np.array(drift.coordinates(vessel, off)))
+    known = drift.apply(vessel, np.array(drift.encode(vessel, off)))
     right = white(run, vessel)
     assert white(late, known) == pytest.approx(right, rel=0.5)
     assert white(late, vessel).max() > 3 * right.max()

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Numbers of the trials against closed forms, another integrator and hand counts."""
 
 import dataclasses
@@ -120,7 +121,7 @@ def test_rows_that_do_not_count_are_never_read():
     spoiled, valid = np.full((3, 80), np.nan), np.zeros(80, bool)
     rows = np.sort(np.random.default_rng(0).choice(80, 61, replace=False))
     spoiled[:, rows], valid[rows] = (t, np.sin(t), np.cos(t)), True
-    dirty = curve(*(jnp.asarray(s) for s in spoiled), jnp.asarray(valid))
+    dirty = curve(*(jnp.asarray(s) for s in spoiled), valid=jnp.asarray(valid))
     for level in (0.3, -0.9):
         assert crossing_time(clean, level, -1) == crossing_time(dirty, level, -1)
     assert highest(clean, 1.0).value == highest(dirty, 1.0).value
@@ -793,7 +794,9 @@ def test_shaft_speeds_steer_by_what_they_push():
     t = np.arange(5.0)
     still, ordered = np.zeros((6, 5)), {"port": np.full(5, 3.0), "starboard": np.ones(5)}
     run = trajectory(t, *still, commanded=ordered)
-    in_rev = steering_angle(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))[0]
-    assert np.degrees(in_rev) == pytest.approx(35 * (9 - 1) / (9 + 1))
-    in_newton = steering_angle(as_thrust(run, {"port": "N", "starboard": "N"}))[0]
-    assert np.degrees(in_newton) == pytest.approx(35 * (3 - 1) / (3 + 1))
+    in_rev = steering_angle(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))
+    assert in_rev is not None and np.degrees(in_rev[0]) == pytest.approx(35 * (9 - 1) / (9 + 1))
+    in_newton = steering_angle(as_thrust(run, {"port": "N", "starboard": "N"}))
+    assert in_newton is not None and np.degrees(in_newton[0]) == pytest.approx(
+        35 * (3 - 1) / (3 + 1)
+    )

@@ -37,6 +37,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from . import hull as H
@@ -94,7 +95,7 @@ class Model:
     mass_steps: list[tuple[float, float]] = field(default_factory=list)  # time, kg more
     crossflow: float = 0.0  # cd
     shallow: float = 0.0  # draught / depth
-    heel: object = None  # phi(t) [rad]
+    heel: Callable[[float], float] | None = None  # phi(t) [rad]
 
     @property
     def thrusters(self) -> list[Thruster]:

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Recordings of a vessel unlike its file: other derivatives, gusts, concealed effects.
 
     python -m tests.oracle.make_recordings OUTDIR --vessel V.toml --seed N
@@ -283,7 +284,7 @@ def parse_effects(entries) -> dict[str, dict]:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("out")
     parser.add_argument("--vessel", required=True)
     parser.add_argument("--seed", type=int, required=True)

@@ -96,6 +96,7 @@ class Rudder(Channel):
     def push(self, delta: float, u: float, r: float, v: float = 0.0, others=None):
         """(X, Y, N) about amidships; `others` has the propeller's revolutions."""
         d = self.data
+        assert others is not None
         F = self.normal_force(delta, u, r, v, others[self.propeller.name])
         sine, across = F * math.sin(delta), F * math.cos(delta)
         return (

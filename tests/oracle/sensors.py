@@ -136,6 +136,7 @@ def record(
     for channel, sensor in sensors.items():
         value = np.array(truth[channel], float)
         if sensor.noise:
+            assert rng is not None
             value = value + sensor.noise * rng.standard_normal(len(t))
         if channel == "psi" and wrapped:
             value = wrap(value)

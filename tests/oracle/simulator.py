@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Reference simulation of a vessel file: DOP853 to 1e-11, restarted at every jump and kink.
 
 State (N, E, psi, u_r, v_r, r), velocities through the water:

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Standard trials by located events: zig-zag and turning circle with rudder-equivalent angles.
 
     delta / 35 deg = (T_p - T_s) / (T_p + T_s),  T_p + T_s = total thrust, held constant.
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from scipy.integrate import quad
@@ -60,7 +62,8 @@ def steady_speed(vessel, total: float, environment=None, high: float = 50.0) -> 
 
 def speed_under(vessel, command, environment=None, high: float = 50.0) -> float:
     """Relative surge speed [m/s] at which X = 0 with v = r = 0, under an order."""
-    return brentq(lambda u: balance(vessel, environment, command, u)[0], 0.0, high, xtol=1e-14)
+    found = brentq(lambda u: balance(vessel, environment, command, u)[0], 0.0, high, xtol=1e-14)
+    return cast(float, found)
 
 
 def thrust_for_speed(vessel, speed: float, high: float = 1e5) -> float:
@@ -70,14 +73,15 @@ def thrust_for_speed(vessel, speed: float, high: float = 1e5) -> float:
         return balance(vessel, None, twin(vessel, total, 0.0), speed)[0]
 
     limit = sum(t.get("max_force", math.inf) for t in vessel["thruster"])
-    return brentq(surge, 0.0, min(high, limit), xtol=1e-12)
+    return cast(float, brentq(surge, 0.0, min(high, limit), xtol=1e-12))
 
 
 def steady_turn(vessel, total: float, delta: float, guess=None) -> np.ndarray:
     """(u, v, r) of the steady turn in still water, from the force balance alone."""
     start = guess if guess is not None else (steady_speed(vessel, total), 0.0, 0.1 * np.sign(delta))
     command = twin(vessel, total, delta)
-    return fsolve(lambda s: balance(vessel, None, command, *s), start, xtol=1e-13)
+    found = fsolve(lambda s: balance(vessel, None, command, *s), start, xtol=1e-13)
+    return cast(np.ndarray, found)
 
 
 def begin(vessel, total, speed, environment, heading0, options) -> Simulator:
@@ -203,12 +207,13 @@ def when_turned(sim: Simulator, heading0: float, change: float) -> float | None:
     k = np.flatnonzero(moved >= 0)
     if not len(k) or k[0] == 0:
         return None
-    return brentq(
+    found = brentq(
         lambda t: abs(sim.states(t)[2, 0] - heading0) - change,
         grid[k[0] - 1],
         grid[k[0]],
         xtol=1e-13,
     )
+    return cast(float, found)
 
 
 def track_length(sim: Simulator, until: float) -> float:

@@ -5,6 +5,7 @@ surge, sway and yaw rate, integrated on a fine clock, sampled, and made noisy.
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -460,8 +461,8 @@ def test_findings_are_json_with_the_promised_fields():
     record = only(run, "heading-offset").as_dict()
     assert {"kind", "recording", "value", "std", "unit", "message"} <= set(record)
     assert record["recording"] == "run.csv" and record["kind"] in KINDS
-    assert "psi = " in record["repair"]
-    labelled = only(recording("random", 1, earth_axes), "axes").as_dict()
+    assert "psi = " in str(record["repair"])
+    labelled: dict[str, Any] = only(recording("random", 1, earth_axes), "axes").as_dict()
     assert labelled["value"] > 10 * labelled["std"] > 0  # share left unexplained as labelled
 
 

@@ -347,7 +347,7 @@ cmd_port = { column = "RCOU:C1", scale = 0.002, offset = -3 }
 
 def ardupilot_rows():
     imu = 132
-    rows = [("FMTU", (0, imu, b"s#E", b"F--"))]
+    rows: list[tuple[str, tuple]] = [("FMTU", (0, imu, b"s#E", b"F--"))]
     for i in range(100):
         t = 5_000_000 + 20_000 * i
         rows.append(("ATT", (t, 100, -200, (35800 + 100 * i) % 36000)))

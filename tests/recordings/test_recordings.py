@@ -214,6 +214,7 @@ def test_what_was_dropped_is_known_whatever_the_notes_say(place, monkeypatch):
     monkeypatch.setattr("diffsea.recordings.readers.EMPTY_ROWS", "nothing stood in")
     monkeypatch.setattr("diffsea.recordings.readers.REPEATED_TIMES", "the clock stood still for")
     read = read_recording(place("t,x\n0,1\n,\n1,2\n1,3\n1,4\n2,4\n")).read
+    assert read.empty_rows is not None and read.empty_rows.note is not None
     assert read.empty_rows.count == 1 and "first in line 3" in read.empty_rows.note
     assert [merged.count for merged in read.repeated_times] == [2]
     clean = read_recording(place("t,x\n0,1\n1,2\n")).read

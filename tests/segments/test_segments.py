@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Trials found in long recordings, traced from order to motion, and cut out.
 
 The logs are made here by a simulator that shares nothing with the library: Nomoto's equation
@@ -349,7 +350,8 @@ def test_an_approach_does_not_reach_across_a_hole():
 
 def test_a_flicker_of_the_steering_does_not_part_a_trial():
     log = Log(Ship()).straight(60).circle(20, 180)
-    log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0), log.advance(0.0, 1.0)
+    for _ in range(4):
+        log.advance(0.0, 1.0)
     log.circle(20, 180).straight(30)
     (circle,) = trials(find_segments(log.run()))
     assert circle.onset == pytest.approx(log.truth[1]["start"], abs=0.11)
@@ -627,6 +629,7 @@ def test_a_towing_tanks_zigzags_are_one_trial_each(folder):
 def test_signals_of_a_pair_of_thrusters_are_rudder_equivalent():
     run = Log(Ship()).straight(20).circle(20, 90).run(twin=True)
     signals = signals_of(run)
+    assert signals.steer is not None and signals.drive is not None
     assert np.max(signals.steer) == pytest.approx(20 * DEG)
     np.testing.assert_allclose(signals.drive, 1.0)
 
@@ -641,6 +644,7 @@ def test_channels_are_what_they_are_called_whatever_their_names_hold():
     run = dataclasses.replace(run, commanded=turned, executed=turned)
     signals = signals_of(run)
     assert signals.steering_channels == ("port, main", "starboard, main")
+    assert signals.steer is not None
     assert np.all(signals.steer[idle] == 0) and np.max(signals.steer) > 15 * DEG
 
 

@@ -1,6 +1,8 @@
+# pyright: reportArgumentType=false
 """Laws, guidance, LQR and closed loops against closed forms, scipy and differences."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -177,7 +179,7 @@ def test_the_gain_has_the_derivative_of_its_differences():
 
 def test_discretisation_is_that_of_a_zero_order_hold():
     A, B, _, _ = _system(1)
-    whole = scipy.signal.cont2discrete((A, B, np.eye(4), np.zeros((4, 2))), 0.5)
+    whole: Any = scipy.signal.cont2discrete((A, B, np.eye(4), np.zeros((4, 2))), 0.5)
     transition, inputs = discretise(jnp.asarray(A), jnp.asarray(B), 0.5)
     np.testing.assert_allclose(transition, whole[0], rtol=1e-10)
     np.testing.assert_allclose(inputs, whole[1], rtol=1e-10)

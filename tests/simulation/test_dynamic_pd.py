@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The PD law for pairs of thrusters: its formula, its decisions, its derivatives."""
 
 import math

@@ -1,7 +1,9 @@
+# pyright: reportArgumentType=false
 """The reference simulator against closed forms."""
 
 import csv
 import math
+from typing import cast
 
 import numpy as np
 import pytest
@@ -687,9 +689,8 @@ def test_zigzag_switches_where_the_closed_form_says():
     sign = -1.0
     for _ in range(3):
         q = sign * Q
-        ahead = brentq(
-            lambda s, q=q, sign=sign: heading(s, q) - sign * target, 1e-9, 60, xtol=1e-15
-        )
+        root = brentq(lambda s, q=q, sign=sign: heading(s, q) - sign * target, 1e-9, 60, xtol=1e-15)
+        ahead = cast(float, root)
         psi, r, t = heading(ahead, q), q / k + (r - q / k) * math.exp(-k * ahead), t + ahead
         switches.append(t)
         sign, q = -sign, -q

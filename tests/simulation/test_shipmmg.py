@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """KVLCC2 side by side with shipmmg, an independent MMG simulator with scipy's integrator.
 
 The centre of gravity is put amidships: shipmmg takes speed and drift angle at the centre of
@@ -45,7 +46,7 @@ BASIC = Mmg3DofBasicParams(
 PRIMES = ("X_vv", "X_vr", "X_rr", "X_vvvv", "Y_v", "Y_r", "Y_vvv", "Y_vvr", "Y_vrr", "Y_rrr",
           "N_v", "N_r", "N_vvv", "N_vvr", "N_vrr", "N_rrr")  # fmt: skip
 COEFFICIENTS = Mmg3DofManeuveringParams(
-    *PROPELLER["k_T"], -HULL["X_0"], **{f"{name}_dash": HULL[name] for name in PRIMES}
+    *PROPELLER["k_T"], R_0_dash=-HULL["X_0"], **{f"{name}_dash": HULL[name] for name in PRIMES}
 )
 
 

@@ -428,7 +428,7 @@ def test_the_approach_holds_its_speed_over_ground_in_wind_and_current():
 def test_a_given_throttle_is_left_alone_in_a_current():
     trial = trial_of(build(USV), throttle=THRUST, environment=Environment(-0.3, 0.0))
     approach = np.asarray(trial.stage) == -1
-    pushed = sum(trial.trajectory.commanded.values())[approach]
+    pushed = np.sum(list(trial.trajectory.commanded.values()), axis=0)[approach]
     np.testing.assert_allclose(pushed, THRUST, rtol=1e-12)
     at = np.flatnonzero(np.asarray(trial.stage) == 0)[0]
     still = float(speed_for(build(USV), THRUST))

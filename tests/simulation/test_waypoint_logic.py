@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The waypoint logic: its cases, its blend, and the closed loop that it makes."""
 
 import math
@@ -39,7 +40,7 @@ CASES = [(e, d) for e in (-3.1, -1.7, -1.5, -0.2, 0.0, 0.4, 1.56, 1.58, 3.0) for
 
 @pytest.mark.parametrize(("error", "distance"), CASES)
 def test_the_cases_are_those_of_the_paper(vessel, error, distance):
-    demand = waypoint_logic(vessel, [[20.0, 0.0]]).demand(error, distance)
+    demand = np.asarray(waypoint_logic(vessel, [[20.0, 0.0]]).demand(error, distance))
     np.testing.assert_allclose(demand, written_out(error, distance), rtol=2e-6, atol=1e-12)
 
 
@@ -49,7 +50,7 @@ def test_a_blend_comes_close_to_the_cases_away_from_their_limits(vessel):
         if abs(abs(error) - math.pi / 2) < 0.1 or abs(distance - 10) < 1:
             continue
         np.testing.assert_allclose(
-            logic.demand(error, distance),
+            np.asarray(logic.demand(error, distance)),
             written_out(error, distance),
             rtol=0.0,
             atol=0.01 * FULL_THRUST,

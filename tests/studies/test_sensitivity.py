@@ -40,7 +40,7 @@ def derivatives(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sensitivity")
     patch = pytest.MonkeyPatch()
     patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     (folder / "boat.toml").write_text(BOAT + CROSS_FLOW)
     words = ["sensitivity", str(folder / "boat.toml"), *ORDERED, "-o", str(folder / "out")]
     assert main(words) == 0

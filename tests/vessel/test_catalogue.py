@@ -1,8 +1,10 @@
+# pyright: reportArgumentType=false
 """Vessel files: the ones that ship, what their numbers mean, and what a bad one is told."""
 
 import copy
 import tomllib
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -70,7 +72,14 @@ def total_force(vessel, state, executed):
 
 def steady_speed(vessel, executed, low=0.01, high=20.0):
     """Speed straight ahead at which the surge force vanishes."""
-    return brentq(lambda u: total_force(vessel, moving(u), executed)[0], low, high, xtol=1e-12)
+    found = brentq(lambda u: total_force(vessel, moving(u), executed)[0], low, high, xtol=1e-12)
+    return cast(float, found)
+
+
+def steady_turn(vessel, executed, start) -> np.ndarray:
+    """u, v, r at which all forces are in balance."""
+    found = fsolve(lambda motion: accelerations(vessel, moving(*motion), executed), start)
+    return cast(np.ndarray, found)
 
 
 # -- all shipped vessels ---------------------------------------------------------------------
@@ -202,11 +211,7 @@ def test_marus_usv_turns_as_its_published_circles_by_the_balance_of_forces():
     vessel, hull = read_vessel("marus_usv").vessel, read_vessel("marus_usv").document["hull"]
     thrust = -(hull["X_u"] * 0.8268 + hull["X_uu"] * 0.8268**2)
     executed = {"port": thrust, "starboard": 0.0}
-
-    def unbalanced(motion):
-        return accelerations(vessel, moving(*motion), executed)
-
-    u, v, r = fsolve(unbalanced, [0.65, -0.2, 0.13])
+    u, v, r = steady_turn(vessel, executed, [0.65, -0.2, 0.13])
     diameter = 2 * np.hypot(u, v) / r / hull["length"]
     assert diameter == pytest.approx(0.5 * (3.530 + 3.686), rel=0.02)
     # The tactical diameter is the smaller one, as published, so that it drifts by 13 deg or more.
@@ -327,7 +332,7 @@ def test_esso_osaka_turns_at_the_rate_its_model_did():
     # Free runs at 10 rev/s and 20 deg of rudder: 2.0 deg/s; steady motion from u, v, r forces.
     vessel = read_vessel("esso_osaka").vessel
     executed = {"propeller": 10.0, "rudder": 0.34}
-    found = fsolve(lambda x: accelerations(vessel, moving(*x), executed), [0.2, -0.05, 0.03])
+    found = steady_turn(vessel, executed, [0.2, -0.05, 0.03])
     assert np.degrees(found[2]) == pytest.approx(2.0, rel=0.15)
 
 
@@ -335,7 +340,7 @@ def test_mariner_turns_on_the_published_radius():
     # 15 deg to port: a steady radius of 711 m (Fossen 2011, figure of the Mariner's circle).
     vessel = read_vessel("mariner").vessel
     executed = {"rudder": -np.radians(15)}
-    u, v, r = fsolve(lambda x: accelerations(vessel, moving(*x), executed), [6.0, 0.7, -0.01])
+    u, v, r = steady_turn(vessel, executed, [6.0, 0.7, -0.01])
     assert np.hypot(u, v) / abs(r) == pytest.approx(711, abs=1)
 
 
@@ -685,7 +690,7 @@ def test_what_a_fit_changes_is_written_and_the_rest_stays(tmp_path):
     assert float(again.vessel.servos["port"].upper) == 210.0
     assert float(again.vessel.servos["starboard"].upper) == 250.0
     flow = (again.vessel.environment.current_north, again.vessel.environment.current_east)
-    np.testing.assert_allclose(flow, [0.3 * np.cos(1.2), 0.3 * np.sin(1.2)], rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(flow), [0.3 * np.cos(1.2), 0.3 * np.sin(1.2)], rtol=1e-12)
     kept = {k: v for k, v in document["hull"].items() if k not in ("X_u", "N_rr")}
     assert kept == {k: v for k, v in file.document["hull"].items() if k != "X_u"}
 

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The prior of effects' sizes: scipy's multivariate Student t about zero, normal elsewhere."""
 
 import numpy as np

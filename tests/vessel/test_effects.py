@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Effects: absent at zero, with derivatives there, and the textbook's at finite size."""
 
 import functools
@@ -106,7 +107,8 @@ def measured(coordinates):
         def rate(at):
             return vessel.rate(at, held, environment, 0.0)
 
-        return vessel.sensors.measure(state, *jax.jvp(rate, (state,), (rate(state),)), t)
+        motion, change = jax.jvp(rate, (state,), (rate(state),))
+        return vessel.sensors.measure(state, motion, change, t)
 
     return jax.vmap(shown)(states, orders, STEP * np.arange(1, len(orders["port"]) + 1))
 

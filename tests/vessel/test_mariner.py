@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The Mariner: its published equations integrated by another program, and an IMO failure."""
 
 import math

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Damping by a power of speed, and the Pytheas boat that is published with it."""
 
 import jax
