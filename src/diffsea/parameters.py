@@ -37,7 +37,7 @@ def _name(path: tuple) -> str:
     return ".".join(parts)
 
 
-def named(model: Model) -> dict[str, Scalar]:
+def named(model: object) -> dict[str, Scalar]:
     """Every number of `model` by name, for example `X_u`, `port.angle` or `current_north`."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(model)
     return {_name(path): leaf for path, leaf in leaves}
@@ -47,7 +47,7 @@ def named(model: Model) -> dict[str, Scalar]:
 _COPIED = ("length", "draught", "water_density", "reference_speed")
 
 
-def file_parameters(model: Model) -> dict[str, tuple[str, ...]]:
+def file_parameters(model: object) -> dict[str, tuple[str, ...]]:
     """The numbers of `model` as its file has them: each with the names of all its places.
 
     A vessel file states its length once, and several parts work with it; a design with
@@ -82,7 +82,7 @@ def replace(model: Model, values: Mapping[str, Scalar]) -> Model:
     )
 
 
-def check_names(model: Model, names: Iterable[str]) -> None:
+def check_names(model: object, names: Iterable[str]) -> None:
     """Raise `UserError` for the first name that is not a parameter of `model`."""
     known = named(model)
     for name in names:

@@ -73,7 +73,7 @@ def prepare_library() -> None:
     import jax
 
     lacking = []
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         lacking.append(
             "numbers have 32 bits, too few for fits, diagnoses and located switching "
             "(jax.config.update('jax_enable_x64', True) before anything is calculated)"

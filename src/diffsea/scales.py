@@ -6,13 +6,16 @@ has them.
 """
 
 import math
+from typing import overload
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 
-Scalar = Float[Array, ""] | float
+# One number, or elementwise one for each of a block of vessels: the physics is written for both.
+Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | float | int
 
 GRAVITY = 9.81  # m/s^2
 # Hard over: the largest rudder angle of most ships, and the turning trial's of IMO MSC.137(76).
@@ -21,11 +24,19 @@ HARD_OVER = math.radians(35)  # rad
 _IMPLAUSIBLE_FROUDE = 10.0  # several times that of the fastest planing craft
 
 
+@overload
+def time_scale(length: float) -> float: ...
+@overload
+def time_scale(length: Scalar) -> Scalar: ...
 def time_scale(length: Scalar) -> Scalar:
     """`sqrt(L / g)` in s of a length in m: the time in which gravity moves a hull by its length."""
     return _square_root(length / GRAVITY)
 
 
+@overload
+def froude_speed(length: float, number: float = 1.0) -> float: ...
+@overload
+def froude_speed(length: Scalar, number: float = 1.0) -> Scalar: ...
 def froude_speed(length: Scalar, number: float = 1.0) -> Scalar:
     """Speed in m/s at a Froude number `U / sqrt(g L)` of a hull of `length` m."""
     return number * _square_root(GRAVITY * length)
@@ -35,7 +46,9 @@ def _square_root(value: Scalar) -> Scalar:
     return jnp.sqrt(value) if isinstance(value, jax.Array) else math.sqrt(value)
 
 
-def plausible_motion(length: Scalar, u: Scalar, v: Scalar, r: Scalar) -> Bool[Array, ""]:
+def plausible_motion(
+    length: Scalar, u: Scalar, v: Scalar, r: Scalar
+) -> Bool[Array, "..."] | Bool[np.ndarray, "..."] | bool:
     """Whether velocities (m/s, m/s, rad/s) are those of a craft of `length` m; NaN never is.
 
     Both below ten times the speed at Froude number one, and the yaw rate below what gives the bow

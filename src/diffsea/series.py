@@ -24,6 +24,12 @@ def strictly_later(t: Samples) -> Bool[np.ndarray, "time"]:
     return later
 
 
+def stretches(chosen: Bool[np.ndarray, "time"]) -> list[slice]:
+    """The rows that are chosen, one slice for each stretch without a break."""
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).tolist()
+    return [slice(first, stop) for first, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
 def hold_last(values: Samples, leading: str = "first") -> Samples:
     """Missing values (NaN) as the last one before.
 

@@ -115,7 +115,8 @@ def long_run_covariance(
 ) -> Float[np.ndarray, "coordinate coordinate"]:
     """`E' C E` for columns with six values to a row."""
     E, CE = _with_correlated(columns, correlation)
-    return sum(own @ other.T for own, other in zip(E, CE, strict=True))
+    products = (own @ other.T for own, other in zip(E, CE, strict=True))
+    return sum(products, np.zeros(()))
 
 
 def variance_inflation(

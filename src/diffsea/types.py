@@ -8,14 +8,10 @@ import dataclasses
 
 import equinox as eqx
 import jax
-import numpy as np
-from jaxtyping import Array, Float
 
+from diffsea.scales import Scalar as Scalar
 from diffsea.trajectory import Trajectory
 
-
-# One number, or elementwise one for each of a block of vessels: the physics is written for both.
-Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | float | int
 
 _LABELS = ("name", "provenance", "read")  # of a trajectory: no arrays, the same in all of a batch
 jax.tree_util.register_dataclass(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import still_run, usv
 
-from diffsea.diagnosis.jacobians import recorded_rows
 from diffsea.diagnosis.localisation import Bin, regime_within, regimes, time_windows
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.unexplained import inclusion_share
@@ -44,7 +43,7 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in(problem):
 
 def test_windows_are_eighths_of_each_run(problem):
     windows = time_windows(problem)
-    run, recorded = np.asarray(problem.dataset.run), recorded_rows(problem)
+    run, recorded = np.asarray(problem.dataset.run), problem.dataset.recorded_rows
     for column, bins in enumerate(windows.bins):
         assert [one.run for one in bins] == [0, 1]
         for one in bins:

@@ -8,11 +8,11 @@ import pytest
 from tests.diagnosis.small import candidate, still_problem, still_run, usv
 
 from diffsea import EFFECTS
-from diffsea.diagnosis.detection import detection_limits
 from diffsea.diagnosis.score import NullDistribution, ScoreTest
 from diffsea.diagnosis.screening import (
     Screening,
     candidate_effects,
+    detection_limits,
     expected_evidence,
     mimicry,
     nearby_points,

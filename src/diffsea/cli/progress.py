@@ -38,9 +38,13 @@ class StagedProgress:
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
         console = Console(file=self._stream, force_terminal=self._live, highlight=False)
         columns = (BarColumn(24), TaskProgressColumn(), TimeElapsedColumn(), text)
-        untouched = {"redirect_stdout": False, "redirect_stderr": False}
         self._bar = Progress(
-            *columns, console=console, transient=True, disable=not self._live, **untouched
+            *columns,
+            console=console,
+            transient=True,
+            disable=not self._live,
+            redirect_stdout=False,
+            redirect_stderr=False,
         )
         self._task = self._bar.add_task("", total=self.total)
 

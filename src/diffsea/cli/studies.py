@@ -191,11 +191,11 @@ def sweep_summary(found: "pd.DataFrame", designs: "Designs", rate: float) -> dic
     metrics, imo = {}, {}
     for name in numbers:
         column = found[name]
-        least, median, most = (float(f()) for f in (column.min, column.median, column.max))
-        count = int(column.notna().sum())
+        least, median, most = map(float, column.agg(["min", "median", "max"]))
+        count = len(column.dropna())
         metrics[name] = {"least": least, "median": median, "most": most, "designs": count}
     for name in verdicts:
-        counts = {word: int((found[name] == word).sum()) for word in ("pass", "fail")}
+        counts = {word: list(found[name]).count(word) for word in ("pass", "fail")}
         imo[name.removeprefix("imo_")] = counts
     return {
         "designs": len(found),

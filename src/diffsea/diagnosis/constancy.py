@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
+from diffsea.diagnosis.jacobians import Columns, linearise_model
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
@@ -65,7 +65,7 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
 
 def _columns_of_parts(problem: Problem, J: Columns, count: int) -> Columns:
     """An effect's columns in each of `count` parts of every run, without those of the prior."""
-    run, recorded = np.asarray(problem.dataset.run), recorded_rows(problem)
+    run, recorded = np.asarray(problem.dataset.run), problem.dataset.recorded_rows
     parts = []
     for number in range(problem.dataset.runs):
         for rows in np.array_split(np.flatnonzero((run == number) & recorded), count):

@@ -125,7 +125,7 @@ def expected_evidence(
     """
     coordinates = first_run_coordinates(train, true.coordinates)
     vessel = vessel_in_environment(train, coordinates)
-    measured = np.asarray(train.dataset.known).any(0)
+    measured = train.dataset.recorded_channels
     parameters = tuple(parameter.name for parameter in train.layout.parameters)
     problem = make_problem(
         train.base,
@@ -136,8 +136,9 @@ def expected_evidence(
         least=train.dataset.shape,
     )
     effects = {effect.name: effect for effect in problem.layout.effects}
-    if effects[other].scanned is not None:
-        scanned = problem.layout.indices((other,))[effects[other].scanned[0]]
+    onset = effects[other].scanned
+    if onset is not None:
+        scanned = problem.layout.indices((other,))[onset[0]]
         coordinates[scanned] = first_run_coordinates(train, otherwise.coordinates)[scanned]
     model = LinearisedModel(problem, coordinates, problem.run_filter(coordinates, true.noise).gains)
     projection = model.projection(tuple(n for n in true.free if n not in (name, other)))

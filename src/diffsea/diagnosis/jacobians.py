@@ -8,7 +8,7 @@ its expansion points. The rows of the prior are those of all coordinates, so tha
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
@@ -19,11 +19,6 @@ from diffsea.identification.residual import innovations_at, linearise
 
 
 Columns = Float[np.ndarray, "value column"]  # six to each row of the data set, then the prior's
-
-
-def recorded_rows(problem: Problem) -> Bool[np.ndarray, "row"]:
-    """Which rows of a problem's data set have any measurement; the others fill it up."""
-    return np.asarray(problem.dataset.known).any(1)
 
 
 def linearise_model(problem: Problem, fitted: Estimate) -> "LinearisedModel":
@@ -90,9 +85,9 @@ class LinearisedModel:
                 out[number] = J[:, position : position + size]
                 position += size
         secants = [number for number, point in enumerate(points) if point.secant]
-        base = innovations_at(self.problem, self.gains, self.coordinates) if secants else None
-        for number in secants:
-            out[number] = self._secant(points[number], base)
+        if secants:
+            base = innovations_at(self.problem, self.gains, self.coordinates)
+            out |= {number: self._secant(points[number], base) for number in secants}
         return [out[number] for number in range(len(points))]
 
     def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from diffsea.diagnosis.jacobians import Columns, LinearisedModel, recorded_rows
+from diffsea.diagnosis.jacobians import Columns, LinearisedModel
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.problem import Problem
 
@@ -60,7 +60,7 @@ class Binning(NamedTuple):
 def time_windows(problem: Problem) -> Binning:
     """Windows of as many rows in each run."""
     run, t = np.asarray(problem.dataset.run), np.asarray(problem.dataset.run_time)
-    recorded = recorded_rows(problem)
+    recorded = problem.dataset.recorded_rows
     members = np.zeros((len(run), WINDOWS), bool)
     bins: list[list[Bin]] = [[] for _ in range(WINDOWS)]
     for number in range(problem.dataset.runs):
@@ -86,11 +86,11 @@ def motion_quantities(problem: Problem) -> list[Quantity]:
     data = problem.dataset
     measured, known = np.asarray(data.measured), np.asarray(data.known)
     psi, u, v, r = measured[:, 2], measured[:, 3], measured[:, 4], measured[:, 5]
-    orders = sum(np.asarray(series) for series in data.orders.values())
+    orders = sum((np.asarray(series) for series in data.orders.values()), np.zeros(len(known)))
     drift = np.degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3)))
 
     def quantity(name: str, values: np.ndarray, unit: str, *channels: int) -> Quantity:
-        return Quantity(name, values, unit, known.any(1) & known[:, list(channels)].all(1))
+        return Quantity(name, values, unit, data.recorded_rows & known[:, list(channels)].all(1))
 
     return [
         quantity("drift angle", drift, "deg", 3, 4),
@@ -144,7 +144,12 @@ def regimes(problem: Problem) -> list[Binning]:
 def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None:
     """The first of some regimes in which at least half of a time window's rows lie."""
     t, run = np.asarray(problem.dataset.run_time), np.asarray(problem.dataset.run)
-    rows = recorded_rows(problem) & (run == window.run) & (window.start <= t) & (t <= window.end)
+    rows = (
+        problem.dataset.recorded_rows
+        & (run == window.run)
+        & (window.start <= t)
+        & (t <= window.end)
+    )
     share = {
         bins[0].regime: binning.members[rows, k].mean()
         for binning in regimes(problem)

@@ -11,10 +11,9 @@ from scipy.stats import norm
 
 from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import AcceptedEffect
-from diffsea.diagnosis.detection import DetectionLimit, detection_limits
 from diffsea.diagnosis.localisation import DEGREES_OF_FREEDOM, FORCE_UNITS, Cell, regime_within
 from diffsea.diagnosis.refit import Hypothesis
-from diffsea.diagnosis.screening import Screening
+from diffsea.diagnosis.screening import DetectionLimit, Screening, detection_limits
 from diffsea.diagnosis.search import ALPHA, Diagnosis
 from diffsea.diagnosis.unexplained import UnexplainedForce, latent_force
 from diffsea.identification.effect_records import (

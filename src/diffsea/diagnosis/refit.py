@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.diagnosis.constancy import Constancy, constancy_test
-from diffsea.diagnosis.jacobians import recorded_rows
 from diffsea.diagnosis.screening import Candidate
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.fit import estimate
@@ -272,7 +271,7 @@ def is_physical(problem: Problem, effect: Effect, fitted: Estimate, candidate: C
     place, scanned = effect.scanned
     value = float(values[0, place])
     size = problem.layout.sizes[problem.layout.effects.index(effect)][place]
-    times = np.asarray(problem.dataset.run_time)[recorded_rows(problem)]
+    times = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
     is_near = abs(value - candidate.point.at[place]) < candidate.reach
     return is_near and scanned.lies_within(value * size, times.min(), times.max())
 
@@ -288,7 +287,7 @@ def recorded_instances(problem: Problem, effect: Effect) -> list[int]:
     """Instances of an effect that belong to recorded runs: a data set has spare ones."""
     if problem.layout.instances(effect) == 1:
         return [0]
-    return np.unique(np.asarray(problem.dataset.run)[recorded_rows(problem)]).tolist()
+    return np.unique(np.asarray(problem.dataset.run)[problem.dataset.recorded_rows]).tolist()
 
 
 def has_room(problem: Problem, current: Estimate, name: str) -> bool:

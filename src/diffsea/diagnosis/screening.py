@@ -2,7 +2,8 @@
 
 Every candidate is linearised at several expansion points (sizes, times of a change, frequencies of
 a wave) and stands for the one that promises most. Screening never decides: it makes a short list,
-and says by its joint null distribution whether anything is missing at all.
+and says by its joint null distribution whether anything is missing at all. An effect that was not
+found is absent only as far as the smallest sizes that the data could have shown say.
 """
 
 import dataclasses
@@ -10,7 +11,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
+from diffsea.diagnosis.jacobians import Columns, linearise_model
 from diffsea.diagnosis.localisation import Cell, locate_forces
 from diffsea.diagnosis.score import NullDistribution, Projection, ScoreTest, joint_null
 from diffsea.identification.estimates import Estimate
@@ -33,6 +34,9 @@ REFINEMENTS = (4.0, 16.0)  # of the grid of onsets or frequencies around the bes
 PEAKS = 4  # of the spectrum, at which a wave train is expanded
 COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
 NEIGHBOURHOOD = 40  # frequencies around one whose median is what gusts alone show
+DETECTABLE = 3.0  # standard errors that make a size detectable
+PLAUSIBLE = 30.0  # prior sizes beyond which nothing is expected
+NO_INFORMATION = 1e-12  # in standard errors of a prior size, squared and inverted
 
 
 def candidate_effects(
@@ -252,7 +256,7 @@ def wave_frequencies(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarr
     gusts = latent_acceleration(problem, fitted)
     psi = np.asarray(fitted.filter_run(problem).state)[:, 2]
     t, dt, run = np.asarray(data.run_time), np.asarray(data.dt), np.asarray(data.run)
-    rows = recorded_rows(problem) & (dt > 0)
+    rows = problem.dataset.recorded_rows & (dt > 0)
     force = (gusts[:, 0] + 1j * gusts[:, 1]) * np.exp(1j * psi)
     return spectral_peaks(force[rows], t[rows], dt[rows], run[rows])
 
@@ -293,3 +297,62 @@ def spectral_peaks(
     inner = relative[1:-1]
     high = 1 + np.flatnonzero((inner >= relative[:-2]) & (inner >= relative[2:]))
     return grid[high[np.argsort(-relative[high])][:PEAKS]], resolution
+
+
+# -- what the data could have shown
+
+
+@dataclasses.dataclass(frozen=True)
+class DetectionLimit:
+    """The smallest size of an effect that would have shown."""
+
+    effect: Effect
+    limit: float | None  # of its stated parameter; None where no plausible size would have shown
+
+
+def detection_limits(
+    problem: Problem, screening: Screening, found: tuple[str, ...]
+) -> list[DetectionLimit]:
+    """The smallest detectable size of every candidate that was not found.
+
+    Three standard errors of the effect's own parameter by the data alone, its other coefficients
+    unknown, in the run that says most.
+    """
+    effects = {effect.name: effect for effect in problem.layout.effects}
+    limits = []
+    for name, candidate in screening.candidates.items():
+        if name in found:
+            continue
+        effect, size = effects[name], len(candidate.point.directions)
+        columns = candidate.columns[: problem.dataset.measured.size]  # not the prior's rows
+        V = columns.T @ columns / candidate.score.inflation
+        shown = [
+            value
+            for k in range(0, len(V) // size * size, size)
+            if (value := _smallest_size(problem, effect, candidate, V[k : k + size, k : k + size]))
+        ]
+        limit = (max if effect.stated_inversely else min)(shown) if shown else None
+        limits.append(DetectionLimit(effect, limit))
+    return limits
+
+
+def _smallest_size(
+    problem: Problem, effect: Effect, candidate: Candidate, V: Float[np.ndarray, "moved moved"]
+) -> float | None:
+    """The parameter at three standard errors by the information `V`; None if implausible.
+
+    Along each coordinate alone and along the worst direction, whichever says more of the
+    parameter: a flow's speed has no coordinate of its own.
+    """
+    values, vectors = np.linalg.eigh(V)
+    spread = DETECTABLE / np.sqrt(np.maximum(values, NO_INFORMATION))
+    steps = [*np.diag(np.sqrt((vectors**2) @ spread**2)), spread[0] * vectors[:, 0]]
+    sizes = np.array(effect.sizes(problem.base))
+    named = []
+    for step in steps:
+        at = np.array(candidate.point.at, float)
+        at[list(candidate.point.directions)] = step * (np.sign(step[np.abs(step).argmax()]) or 1.0)
+        value = abs(float(effect.decode(problem.base, at * sizes)[effect.stated_key]))
+        named.append((value, step))
+    value, step = (min if effect.stated_inversely else max)(named, key=lambda pair: pair[0])
+    return None if np.linalg.norm(step) > PLAUSIBLE else value

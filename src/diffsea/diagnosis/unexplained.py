@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.diagnosis.jacobians import Columns, linearise_model, recorded_rows
+from diffsea.diagnosis.jacobians import Columns, linearise_model
 from diffsea.diagnosis.localisation import RegimeClasses, regime_classes, unit_pulses
 from diffsea.diagnosis.score import Projection
 from diffsea.diagnosis.screening import latent_acceleration
@@ -98,7 +98,7 @@ def _held_out_gain(
     model = linearise_model(problem, dataclasses.replace(final, coordinates=coordinates))
     residual, _ = model.by_name(final.free)
     change = model.by_pulses(unit_pulses(classes.members(problem), degree)) @ size
-    rows = recorded_rows(problem)
+    rows = problem.dataset.recorded_rows
     values = len(rows) * 6
     old = (residual[:values] ** 2).reshape(-1, 6).sum(1)
     new = ((residual + change)[:values] ** 2).reshape(-1, 6).sum(1)
@@ -116,7 +116,7 @@ def latent_force(problem: Problem, final: Estimate) -> list[dict[str, np.ndarray
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
     force = latent_acceleration(problem, final) * mass
     run, t = np.asarray(problem.dataset.run), np.asarray(problem.dataset.run_time)
-    rows = recorded_rows(problem) & (np.asarray(problem.dataset.dt) > 0)
+    rows = problem.dataset.recorded_rows & (np.asarray(problem.dataset.dt) > 0)
     out = []
     for number in range(problem.dataset.runs):
         own = np.flatnonzero(rows & (run == number))

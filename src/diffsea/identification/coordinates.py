@@ -21,6 +21,8 @@ from diffsea.vessel.effects import Effect
 # Degrees of freedom of the Student t of an effect's amounts: it may be far larger than expected.
 TAIL_DEGREES = 3.0
 
+CoordinateVector = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
+
 
 @dataclasses.dataclass(frozen=True)
 class CoordinateLayout:
@@ -95,7 +97,7 @@ class CoordinateLayout:
         return together, heavy
 
     def strains(
-        self, coordinates: Float[Array, "coordinate"], spreads: Float[Array, "coordinate"]
+        self, coordinates: CoordinateVector, spreads: CoordinateVector
     ) -> Float[Array, "coordinate"]:
         """Deviations from the prior: the sum of their squares is -2 log of its density.
 
@@ -108,7 +110,7 @@ class CoordinateLayout:
         off = (together @ scaled**2) / heavy
         some = off > 1e-8
         safe = jnp.where(some, off, 1.0)
-        return scaled * jnp.where(some, jnp.sqrt(jnp.log1p(safe) / safe), 1.0 - off / 4)
+        return jnp.where(some, jnp.sqrt(jnp.log1p(safe) / safe), 1.0 - off / 4) * scaled
 
     def local_spreads(
         self, coordinates: Float[np.ndarray, "coordinate"]
@@ -153,7 +155,7 @@ def negative_effects(
 
 
 def vessel_at(
-    base: Vessel, layout: CoordinateLayout, coordinates: Float[Array, "coordinate"]
+    base: Vessel, layout: CoordinateLayout, coordinates: CoordinateVector
 ) -> tuple[Vessel, Environment]:
     """The vessel at these coordinates, and the environment of each run (leaves of shape run).
 

@@ -201,7 +201,8 @@ class ParameterEstimate:
 
     def as_dict(self) -> dict[str, object]:
         """The record of fit.json and diagnosis.json."""
-        return dataclasses.asdict(self) | {"interval": list(self.interval)}
+        record: dict[str, object] = dataclasses.asdict(self)
+        return record | {"interval": list(self.interval)}
 
 
 def parameter_estimates(

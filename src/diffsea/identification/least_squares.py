@@ -1,3 +1,5 @@
+# pyright: reportArgumentType=false
+# Optimistix says float of tolerances that may be traced.
 """Nonlinear least squares with exact Jacobians, as every objective uses it.
 
 Gauss-Newton steps inside a trust region that begins at one unit of the coordinates, about a

@@ -84,7 +84,7 @@ def _shown_in_gusts(
     vessel, dataset = align_to_order_clock(vessel, dataset)
     gusts, _ = gust_propagation(noise, dataset.dt)
 
-    def body(carry: tuple, inputs: tuple) -> tuple:
+    def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:
         row, gust, blown, shock = inputs
         z, history = restart(*carry, row, dataset.memory)
         z = z + jnp.where(row.starts, 1.0, 0.0) * jnp.concatenate([jnp.zeros(6), blown])

@@ -199,7 +199,7 @@ def with_noise(fitted: Estimate, problem: Problem) -> Estimate:
 @one_blas_thread
 def identify(
     vessel: Vessel,
-    data: Sequence[Trajectory] | Sequence[MeasuredTrial],
+    data: Sequence[Trajectory | MeasuredTrial],
     settings: FitSettings = FitSettings(),
     progress: Progress = no_progress,
 ) -> Study:
@@ -294,7 +294,7 @@ def anchor_sentence(vessel: Vessel, free: Sequence[str]) -> str:
 def _objective(
     vessel: Vessel,
     parameters: tuple[Parameter, ...],
-    data: Sequence[Trajectory] | Sequence[MeasuredTrial],
+    data: Sequence[Trajectory | MeasuredTrial],
     settings: FitSettings,
 ) -> AbstractObjective:
     name = settings.objective
@@ -310,6 +310,7 @@ def _objective(
         if settings.effects:
             raise UserError("effects are estimated from recordings, not from trial numbers")
         return TrialNumbers(vessel, parameters, sheets)
+    recordings = [one for one in data if isinstance(one, Trajectory)]
     priors = {p.name: p for p in parameters}
     effects = effects_to_estimate(vessel, settings.effects)
     shared = [effect.name for effect in effects if effect.per_run and effect.has_coefficients]
@@ -320,7 +321,7 @@ def _objective(
         )
     capacity = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(
-        vessel, list(data), tuple(priors), effects, settings.per_recording, capacity, priors
+        vessel, recordings, tuple(priors), effects, settings.per_recording, capacity, priors
     )
     return Innovations(problem) if name == "innovation" else OutputError(problem)
 

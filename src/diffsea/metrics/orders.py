@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from diffsea.scales import HARD_OVER
-from diffsea.series import hold_last
+from diffsea.series import hold_last, stretches
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory
 
@@ -311,9 +311,8 @@ def _plateaus_between(
     low = ndimage.minimum_filter1d(calm, count, mode="nearest")
     middle = _PLATEAU_BAND * np.abs(high + low) / 2
     widest = 2 * np.maximum(np.maximum(middle, 4 * noise), _NARROWEST_BAND)
-    centres, number = ndimage.label(high - low <= widest)
     found: list[Plateau] = []
-    for (rows,) in ndimage.find_objects(centres, number):
+    for rows in stretches(high - low <= widest):
         first = start + max(rows.start - count // 2, 0)
         last = start + min(rows.stop - 1 + count // 2, len(calm) - 1)
         level = float(np.median(angle[first : last + 1]))
@@ -338,13 +337,14 @@ def find_swings(angle: Samples, least: float, breaks: tuple[int, ...] = ()) -> l
     """
     calm = ndimage.median_filter(angle, _OUTLIER_ROWS, mode="nearest")
     side = np.where(np.abs(calm) > least, np.sign(calm), 0).astype(int)
-    edges = np.unique([0, *(np.flatnonzero(np.diff(side)) + 1), *breaks, len(side)])
+    changes = (np.flatnonzero(np.diff(side)) + 1).tolist()
+    edges = np.unique([0, *changes, *breaks, len(side)])
     swings = []
     for start, stop in itertools.pairwise(edges):
         size = np.abs(calm[start:stop])
         if side[start] and stop - start > _OUTLIER_ROWS:
             near = np.flatnonzero(size >= _PEAK * np.max(size)) + start
-            swings.append(Plateau(int(near[0]), int(near[-1]), side[start] * float(np.max(size))))
+            swings.append(Plateau(int(near[0]), int(near[-1]), float(side[start] * np.max(size))))
     return swings
 
 

@@ -392,7 +392,7 @@ def _coloured_points(
     colouring: Colouring, name: str, east: Sequence, north: Sequence, times: Sequence
 ) -> go.Scatter:
     """Points of a track, coloured, where the force is known."""
-    rows = np.flatnonzero(np.isfinite(colouring.values[name]))
+    rows = np.flatnonzero(np.isfinite(colouring.values[name])).tolist()
     x, y, t = ([series[k] for k in rows] for series in (east, north, times))
     bar = {"orientation": "h", "thickness": 9, "len": 0.8, "y": -0.16, "yanchor": "top"}
     bar["title"] = {"text": f"{colouring.label} ({colouring.unit})", "side": "bottom"}

@@ -6,7 +6,7 @@ Drawn by Matplotlib, for documents; pages have interactive plots instead.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -69,7 +69,7 @@ def plain_axes(figure: Figure, rows: int) -> list[Axes]:
     return axes
 
 
-def remove_frame(ax: Axes, grid: str = "both") -> None:
+def remove_frame(ax: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
     """A faint grid along some axes in place of the upper and the right edge."""
     ax.grid(axis=grid, alpha=0.25)
     for side in ("top", "right"):

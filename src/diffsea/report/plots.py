@@ -92,7 +92,7 @@ def add_track_markers(
     circle = {"type": "circle", "x0": -5, "x1": 5, "y0": -5, "y1": 5, "name": "cursor"}
     circle |= {"xsizemode": "pixel", "ysizemode": "pixel", "visible": False}
     for k, colour in zip(curves, fill, strict=True):
-        first = {"xanchor": drawn.data[k].x[0], "yanchor": drawn.data[k].y[0]}
+        first = {"xanchor": drawn.data[k]["x"][0], "yanchor": drawn.data[k]["y"][0]}
         drawn.add_shape(**circle, **first, fillcolor=colour, line={"color": "#fff", "width": 1.5})
     return drawn.update_layout(meta={"group": group, "cursor": "track", "curves": list(curves)})
 

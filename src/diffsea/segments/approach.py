@@ -44,13 +44,17 @@ def approach_to(
     t, psi = signals.t[rows], signals.psi[rows]
     if len(t) < _FEWEST_ROWS:
         why = f"{len(t)} rows {period} are too few to judge the approach"
-        return ApproachConditions(0.0, *(math.nan,) * 5, "unknown", why)
+        return ApproachConditions(0.0, *(math.nan,) * 5, verdict="unknown", why=why)
     wander, fastest = float(np.ptp(psi)), float(np.max(np.abs(signals.r[rows])))
     seconds = float(t[-1] - t[0])
     if signals.speed is None:
-        unknown = (math.nan,) * 3
         return ApproachConditions(
-            seconds, *unknown, fastest, wander, "unknown", "the speed is not known"
+            seconds,
+            *(math.nan,) * 3,
+            yaw_rate=fastest,
+            wander=wander,
+            verdict="unknown",
+            why="the speed is not known",
         )
     speed = signals.speed[rows]
     mean = float(np.mean(speed))

@@ -15,7 +15,7 @@ from scipy import ndimage
 from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import Signals
 from diffsea.segments.spans import Span, plateau_rows
-from diffsea.series import median_interval
+from diffsea.series import median_interval, stretches
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples
 
@@ -62,8 +62,7 @@ def turning_motions(
     """
     turning = turning_rows(t, r, settings) & counts
     pieces: list[tuple[int, int]] = []
-    numbers, number = ndimage.label(turning)
-    for (rows,) in ndimage.find_objects(numbers, number):
+    for rows in stretches(turning):
         if pieces and t[rows.start] - t[pieces[-1][1]] < settings.merging * settings.seconds:
             pieces[-1] = (pieces[-1][0], rows.stop - 1)
         else:
@@ -161,8 +160,8 @@ def find_rest(signals: Signals, settings: SegmentSettings, taken: list[Span]) ->
         free[span.last + 1 : span.last + 1 + (int(calm[0]) if calm.size else 0)] = False
     free &= signals.known
     code = _rest_codes(signals, settings)
-    edges = np.flatnonzero(np.diff(np.where(free, code, -1))) + 1
-    edges = np.unique([0, *edges, *signals.breaks, len(code)])
+    changes = (np.flatnonzero(np.diff(np.where(free, code, -1))) + 1).tolist()
+    edges = np.unique([0, *changes, *signals.breaks, len(code)])
     spans = []
     for first, stop in zip(edges[:-1], edges[1:], strict=True):
         if free[first] and signals.t[stop - 1] - signals.t[first] >= shortest:
@@ -192,6 +191,7 @@ def _is_moving(signals: Signals, settings: SegmentSettings) -> Bool[np.ndarray, 
         return np.ones(signals.t.shape, bool)
     limit = settings.still * float(np.quantile(signals.speed, 0.98))
     limit = max(limit, 3 * noise_scale(signals.speed))
-    stretches, _ = ndimage.label(signals.speed > limit)
-    clear = np.unique(stretches[signals.speed > 1.5 * limit])
-    return np.isin(stretches, clear[clear > 0])
+    moving = signals.speed > limit
+    for rows in stretches(moving):
+        moving[rows] = (signals.speed[rows] > 1.5 * limit).any()
+    return moving

@@ -52,7 +52,7 @@ def _clusters(found: list[Segment], settings: SegmentSettings) -> list[list[int]
         for j in range(i + 1, len(found))
     ]
     numbers = hierarchy.fcluster(hierarchy.complete(np.array(pairs)), 1.0, "distance")
-    return [list(np.flatnonzero(numbers == n)) for n in dict.fromkeys(numbers)]
+    return [np.flatnonzero(numbers == n).tolist() for n in dict.fromkeys(numbers)]
 
 
 def _relative_difference(one: Segment, other: Segment, settings: SegmentSettings) -> float:

@@ -5,6 +5,7 @@ together what was ordered alike; here it is what happened at one place of the ro
 """
 
 from collections.abc import Sequence
+from types import ModuleType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -71,7 +72,7 @@ def _best_count(table: np.ndarray, seed: int) -> int:
     return 2 + int(np.flatnonzero(np.array(scores) > max(scores) - _NEARLY_AS_GOOD)[0])
 
 
-def _sklearn_cluster():
+def _sklearn_cluster() -> ModuleType:
     try:
         import sklearn.cluster
     except ImportError:

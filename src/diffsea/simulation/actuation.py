@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 from diffsea.errors import UserError
 from diffsea.series import hold_last, interpolate_missing
 from diffsea.trajectory import Samples, Trajectory
-from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import OrderHistory, Response, Servo
 
@@ -138,14 +137,16 @@ def servo_path(
         The response in every step, and what is executed from the start of the step on.
     """
     if servo.direct:
-        executed = jax.vmap(servo.target)(orders)
+        executed = jnp.asarray(jax.vmap(servo.target)(orders))
         return constant_response(executed), executed
 
-    def body(executed: Scalar, step: tuple) -> tuple[Scalar, tuple[Response, Scalar]]:
+    def body(
+        executed: Float[Array, "..."], step: tuple
+    ) -> tuple[Float[Array, "..."], tuple[Response, Float[Array, "..."]]]:
         order, start, span = step
         given = OrderHistory(start[None], order[None]) if servo.delay is None else history
         answer = servo.respond(executed, given, start, span)
-        return answer.final, (answer, executed)
+        return jnp.asarray(answer.final), (answer, executed)
 
     settled = jnp.asarray(servo.target(orders[0]), float)
     return jax.lax.scan(body, settled, (orders, t, dt))[1]

@@ -95,7 +95,7 @@ def run_controlled(
     _, memory, _, diverged = carry
     outcome = jnp.where(controller.is_finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(diverged, Outcome.DIVERGED, outcome)
-    return ClosedLoop(trajectory_of(*rows, outcome), memories)
+    return ClosedLoop(trajectory_of(*rows, outcome=outcome), memories)
 
 
 def _as_floats(tree: Tree) -> Tree:

@@ -196,7 +196,7 @@ def _run_stages(
     approach_seconds: float,
     keep_speed: bool,
 ) -> Trial:
-    governor = speed_hold(vessel, speed) if keep_speed else None
+    governor = speed_hold(vessel, speed) if keep_speed and speed is not None else None
     return run_trial(
         vessel,
         stages,
@@ -219,9 +219,10 @@ def _compiled_numbers(trial: Trial, kind: tuple[str, float]) -> Numbers:
 def run_and_measure(vessel: Vessel, plan: TrialPlan) -> tuple[Trial, Numbers]:
     """Run a plan, compiled, with its numbers."""
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
-    start = [None if v is None else jnp.asarray(v, float) for v in (plan.speed, plan.throttle)]
+    speed = None if plan.speed is None else jnp.asarray(plan.speed, float)
+    throttle = None if plan.throttle is None else jnp.asarray(plan.throttle, float)
     settings = plan.settings, plan.approach_seconds, plan.keep_speed
-    trial = _compiled_run(vessel, plan.trial.stages(plan), *start, *settings)
+    trial = _compiled_run(vessel, plan.trial.stages(plan), speed, throttle, *settings)
     return trial, _compiled_numbers(trial, (plan.manoeuvre, plan.side))
 
 

@@ -102,9 +102,10 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     plausible = finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"]))
     now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.actuation.now.items()}
     t = inputs.run.t
+    shown = _as_sensors_show(vessel.sensors, t, true)
     return Trajectory(
-        t=t,
-        **_as_sensors_show(vessel.sensors, t, true),
+        t,
+        *(shown[c] for c in MOTION_CHANNELS),
         commanded=inputs.orders,
         executed=now | inputs.executed,
         extra={},
@@ -153,7 +154,13 @@ def horizon_errors(
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     length = _LENGTH_MULTIPLE * math.ceil((ends.max() + 1) / _LENGTH_MULTIPLE)
     states = _integrate_from_each(
-        vessel, inputs.states_at(begin), rows[begin], ends, inputs.steps, inputs.actuation, length
+        vessel,
+        inputs.states_at(begin),
+        jnp.asarray(rows[begin]),
+        jnp.asarray(ends),
+        inputs.steps,
+        inputs.actuation,
+        length,
     )
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     errors = {}

@@ -182,7 +182,7 @@ def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
 def is_plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
     """Whether a state is finite and its motion that of a craft of this length."""
     within = plausible_motion(vessel.rigid_body.length, state.u, state.v, state.r)
-    return within & jnp.isfinite(state.x + state.y + state.psi)
+    return jnp.isfinite(state.x + state.y + state.psi) & within
 
 
 def run_stages(

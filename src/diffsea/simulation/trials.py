@@ -171,6 +171,8 @@ def run_trial(
         yes = jnp.ones((), bool)
         approach = Approach(motion, throttle, jnp.zeros(()), yes, ~yes, None)
     else:
+        if speed is None:
+            raise ValueError("an approach needs its speed or its throttle")
         seconds = approach_seconds or approach_limit(vessel, float(speed), settings)
         speed = jnp.asarray(speed, float)
         approach = run_approach(vessel, speed, throttle, environment, settings, seconds)

@@ -116,20 +116,18 @@ def sweep(
     known = file_parameters(vessel)
     places = tuple((name, known.get(name, ())) for name in designs.names)
     values = np.asarray(designs.values, float)
-    found, steps, seconds, left = None, 0.0, 0.0, np.ones(len(values), bool)
-    for quicker in _quicker_plans(vessel, plan):
-        if found is None:
-            found, steps, seconds = _run_designs(vessel, quicker, places, values, progress)
-        else:
-            progress(f"{left.sum()} designs take longer; they run again")
-            some, *more = _run_designs(vessel, quicker, places, values[left], progress)
-            for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
-                old[left] = new
-            steps, seconds = steps + more[0], seconds + more[1]
+    first, *longer = _quicker_plans(vessel, plan)
+    found, steps, seconds = _run_designs(vessel, first, places, values, progress)
+    for following in longer:
         unfinished = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY))
         left = found.possible & unfinished
         if not left.any():
             break
+        progress(f"{left.sum()} designs take longer; they run again")
+        some, *more = _run_designs(vessel, following, places, values[left], progress)
+        for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
+            old[left] = new
+        steps, seconds = steps + more[0], seconds + more[1]
     return SweepResult(_results_table(vessel, plan, designs, found), steps / max(seconds, 1e-9))
 
 
@@ -216,7 +214,9 @@ def _batched_trial(
             throttle = throttle_for_thrust(changed, throttle)
         done = planning.run_plan(changed, plan, chosen.get("speed"), throttle)
         numbers, run = planning.trial_numbers(plan, done), done.trajectory
-        return _DesignResults(numbers, run.outcome, _is_possible(changed), jnp.sum(run.valid))
+        return _DesignResults(
+            numbers, jnp.asarray(run.outcome), _is_possible(changed), jnp.sum(run.valid)
+        )
 
     return jax.vmap(one_trial)(values)
 

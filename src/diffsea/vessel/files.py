@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import tomli_w
 
 from diffsea.errors import UserError, nearest
+from diffsea.types import Scalar
 from diffsea.vessel.actuators import ACTUATORS
 from diffsea.vessel.base import AbstractForce, AddedMass, RigidBody, Vessel
 from diffsea.vessel.effects import with_effect
@@ -25,7 +26,6 @@ from diffsea.vessel.tables import check_keys, needed, positive, tables_of
 
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
-_LABELS = {"name": "vessel", "source": ""}
 _HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents", "reference_speed")
 
 
@@ -89,8 +89,8 @@ def build(document: Table) -> Vessel:
     hull = document.get("hull")
     if not isinstance(hull, dict):
         raise UserError("there is no [hull] table; it holds length, beam, draught, mass, I_z ...")
-    named = {key: str(document.get(key, default)) for key, default in _LABELS.items()}
-    vessel = Vessel(*_hull(hull), {}, **named)
+    name, source = str(document.get("name", "vessel")), str(document.get("source", ""))
+    vessel = Vessel(*_hull(hull), {}, name=name, source=source)
     for kind, from_table in ACTUATORS.items():
         for number, table in enumerate(tables_of(document, kind), start=1):
             name = str(table.get("name", kind if number == 1 else f"{kind}{number}"))
@@ -151,7 +151,7 @@ def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     added = AddedMass(
         **{key: numbers[key] for key in _ADDED if key in numbers}, coriolis_terms=terms
     )
-    derivatives = {name: numbers[name] for name in names}
+    derivatives: dict[str, Scalar] = {name: numbers[name] for name in names}
     scaling = _scaling(hull, body, numbers)
     exponents = _exponents(hull, derivatives)
     if scaling is None:
@@ -159,7 +159,7 @@ def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     return body, added, {"damping": PrimeDamping(derivatives, scaling)}
 
 
-def _exponents(hull: Table, derivatives: dict[str, float]) -> dict[str, float]:
+def _exponents(hull: Table, derivatives: dict[str, Scalar]) -> dict[str, Scalar]:
     """Exponents of power laws: `[hull.exponents]` with some of X_u, Y_v and N_r."""
     table, where = hull.get("exponents", {}), "[hull.exponents]"
     if not isinstance(table, dict):

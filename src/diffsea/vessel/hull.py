@@ -46,7 +46,7 @@ def polynomial_force(
     derivatives: dict[str, Scalar], values: dict[str, Scalar], u_is_deviation: bool = False
 ) -> Force:
     """Sum of derivative times monomial on each axis."""
-    sums = {"X": 0.0, "Y": 0.0, "N": 0.0}
+    sums: dict[str, Scalar] = {"X": 0.0, "Y": 0.0, "N": 0.0}
     for name, coefficient in derivatives.items():
         axis, letters = name.split("_")
         sums[axis] = sums[axis] + coefficient * monomial(axis, letters, values, u_is_deviation)

@@ -9,6 +9,7 @@ zero with a derivative that is not.
 """
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -27,7 +28,8 @@ BREAK_ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of 
 # Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
 _SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
 
-Moments = tuple[Scalar, Scalar, Scalar]
+Moments = tuple[Scalar, ...]  # of order 0, 1 and 2
+_Reached = tuple[Scalar, Moments]  # value, and moments of the response so far
 
 
 class OrderHistory(eqx.Module):
@@ -126,7 +128,7 @@ class Servo(eqx.Module):
         return jnp.where(dt > SHORTEST_STEP, dt, shortest)
 
     def respond_to(
-        self, executed: Scalar, breaks: list[Scalar], orders: list[Scalar], dt: Scalar
+        self, executed: Scalar, breaks: Sequence[Scalar], orders: Sequence[Scalar], dt: Scalar
     ) -> Response:
         """Response over a step of `usable_length` to the orders of its segments."""
         targets = [self.target(order) for order in orders]
@@ -159,7 +161,7 @@ class Servo(eqx.Module):
         return [none, *inner[1:], none + 1.0], [history.values[i] for i in index]
 
     def _moments(
-        self, executed: Scalar, targets: list[Scalar], breaks: list[Scalar], dt: Scalar
+        self, executed: Scalar, targets: Sequence[Scalar], breaks: Sequence[Scalar], dt: Scalar
     ) -> tuple[Moments, Scalar]:
         """Moments of order 0 to 2 of the response over the unit step, and its end.
 
@@ -170,7 +172,7 @@ class Servo(eqx.Module):
         tau = 0.0 if self.time_constant is None else self.time_constant / dt
         slow = None if self.slew is None else self.slew / dt
 
-        def segment(so_far: tuple, part: tuple[Scalar, Scalar, Scalar]) -> tuple[tuple, None]:
+        def segment(so_far: _Reached, part: tuple[Scalar, ...]) -> tuple[_Reached, None]:
             value, sums = so_far
             target, begin, end = part
             goal = target if self.backlash is None else _play(value, target, self.backlash)
@@ -205,7 +207,7 @@ def _ramp_moments(error: Scalar, rest: Scalar, slewing: Scalar, slow: Scalar) ->
     return m0, m1, m2
 
 
-def _moments_from(moments: Moments, by: Array) -> Moments:
+def _moments_from(moments: Moments, by: Scalar) -> Moments:
     """Moments about an origin `by` earlier than the one of `moments`."""
     m0, m1, m2 = moments
     return m0, by * m0 + m1, by**2 * m0 + 2 * by * m1 + m2
@@ -270,7 +272,7 @@ def _decay(span: Scalar, tau: Scalar) -> Scalar:
     return jnp.where(span > 0, left, 1.0)
 
 
-def _exponential_moments(span: Array, tau: Scalar) -> Moments:
+def _exponential_moments(span: Scalar, tau: Scalar) -> Moments:
     """Integrals of s^k exp(-s / tau) over [0, span] for k = 0, 1, 2.
 
     From integration by parts, I_k = k tau I_(k-1) - tau span^k exp(-span / tau). Upwards from

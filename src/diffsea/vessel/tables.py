@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from diffsea.errors import UserError, nearest
 
 
 Table = dict[str, Any]
+Default = TypeVar("Default")
 
 
 def check_keys(table: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
@@ -36,7 +37,7 @@ def optional_number(table: Mapping[str, Any], key: str, where: str) -> float | N
     return float(value)
 
 
-def number(table: Mapping[str, Any], key: str, where: str, default: float) -> float:
+def number(table: Mapping[str, Any], key: str, where: str, default: Default) -> float | Default:
     """A finite number, or the default where the key is missing."""
     value = optional_number(table, key, where)
     return default if value is None else value

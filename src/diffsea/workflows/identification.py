@@ -22,7 +22,7 @@ from diffsea.report.words import verdict_text
 from diffsea.simulation.actuation import how_actuated
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
-from diffsea.workflows.audits import Recording, as_recordings, audit
+from diffsea.workflows.audits import Recording, as_recording, as_recordings, audit
 
 
 Progress = Callable[[str], None]
@@ -103,12 +103,11 @@ def fit(
         UserError: an unknown parameter, objective, anchor or effect, or data that do not suit.
     """
     file = as_vessel_file(vessel)
-    tables = (
-        isinstance(data, Sequence)
-        and bool(data)
-        and all(isinstance(d, MeasuredTrial) for d in data)
-    )
-    fitted = list(data) if tables else as_recordings(data, mapping)
+    several = [data] if isinstance(data, Recording) else data
+    fitted = [
+        one if isinstance(one, MeasuredTrial) else as_recording(one, mapping) for one in several
+    ]
+    tables = bool(fitted) and all(isinstance(one, MeasuredTrial) for one in fitted)
     settings = FitSettings(
         objective or ("trial-numbers" if tables else "innovation"),
         None if free is None else tuple(free),

@@ -1,3 +1,5 @@
+# pyright: reportArgumentType=false
+# A data set is of NumPy where it is made, of JAX within programs.
 """Runs of a data set side by side, so that a filter takes one step along several of them at once.
 
 Runs share nothing but parameters. One step of a compiled loop costs nearly as much for two runs

@@ -1,3 +1,5 @@
+# pyright: reportArgumentType=false
+# A data set is of NumPy where it is made, of JAX within programs.
 """The data set: recordings laid end to end on one clock, ready for a filter to run along."""
 
 import dataclasses
@@ -67,9 +69,19 @@ class Dataset(eqx.Module):
     memory: int = eqx.field(static=True)  # rows that delayed channels may reach back
 
     @property
+    def recorded_rows(self) -> Bool[np.ndarray, "row"]:
+        """Which rows have any measurement; the others fill the data set up."""
+        return np.count_nonzero(np.asarray(self.known), axis=1) > 0
+
+    @property
+    def recorded_channels(self) -> Bool[np.ndarray, "6"]:
+        """Which motion channels have any measurement."""
+        return np.count_nonzero(np.asarray(self.known), axis=0) > 0
+
+    @property
     def spans(self) -> list[TimeSpan]:
         """When anything was recorded, on the runs' clocks."""
-        known = np.asarray(self.known).any(1)
+        known = self.recorded_rows
         run, time = np.asarray(self.run)[known], np.asarray(self.run_time)[known]
         return merge_spans(
             (float(time[run == k].min()), float(time[run == k].max())) for k in set(run)

@@ -85,7 +85,7 @@ def _fit_roll_motion(heel: _Row, inputs: list[_Row]) -> _RollMotion:
     def errors(at: np.ndarray) -> _Row:
         a, c, b = np.split(at, [ORDER, 2 * ORDER])
         driven = heel - sum(x * y for x, y in zip((*a, *b), (*past, *forced), strict=True))
-        return lfilter([1.0], np.append(1.0, c), driven)
+        return np.asarray(lfilter([1.0], np.append(1.0, c), driven))
 
     start = _first_guess(heel, past, forced)
     first = errors(start)

@@ -190,7 +190,11 @@ def measurement_jacobian(
     first = jnp.concatenate([A, jnp.eye(6)[:, 3:]], axis=1)
     motion = z[:6], now, matrix_vector(A, now)
     moved = jnp.eye(6, 9), first, matrix_product(A, first)
-    measure = lambda *given: vessel.sensors.measure(*(State(*one) for one in given))
+
+    def measure(*given: Float[Array, "6"]) -> Float[Array, "6"]:
+        state, rate, second = (State(*one) for one in given)
+        return vessel.sensors.measure(state, rate, second)
+
     along = lambda *change: jax.jvp(measure, motion, change)[1]
     return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
 
@@ -234,7 +238,7 @@ def whitened_innovations(
     vessel, dataset = align_to_order_clock(vessel, dataset)
     late = relative_latencies(vessel)
 
-    def body(carry: tuple, inputs: tuple) -> tuple:
+    def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:
         row, correction, whitening, gusts, acceleration = inputs
         z, history = restart(*carry, row, dataset.memory)
         innovation = innovation_of(row, shown_measurements(vessel, z[:6], row.run_time, history))
@@ -274,8 +278,8 @@ def run_filter(
 
     def body(carry: tuple, inputs: tuple) -> tuple:
         row, gust, Q = inputs
-        *before, P = carry
-        z, history = restart(*before, row, dataset.memory)
+        z, history, P = carry
+        z, history = restart(z, history, row, dataset.memory)
         P = jnp.where(row.starts, P0, P)
         innovation = innovation_of(row, shown_measurements(vessel, z[:6], row.run_time, history))
         lasting = z[6:]
@@ -300,7 +304,8 @@ def run_filter(
     gusts, Q = gust_propagation(noise, dataset.dt)
     start = jnp.zeros(9), StateHistory.before_run(jnp.zeros(6), dataset.memory), P0
     _, found = jax.lax.scan(body, start, (filter_rows(vessel, flows, dataset), gusts, Q))
-    return FilterRun(Gains(*found[:3], gusts), *found[3:])
+    correction, whitening, used, *rest = found
+    return FilterRun(Gains(correction, whitening, used, gusts), *rest)
 
 
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:

@@ -130,8 +130,8 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
 
     def between_rows(values: Float[Array, "row"]) -> Float[Array, "row"]:
         """At the true times; on a row, with the mean of both slopes."""
-        either = (jnp.interp(t + side * CLOCK_SIDE, dataset.t, values) for side in (-1, 1))
-        return 0.5 * sum(either)
+        before, after = (jnp.interp(t + s * CLOCK_SIDE, dataset.t, values) for s in (-1, 1))
+        return 0.5 * (before + after)
 
     def with_delay(servo: Servo, _: eqx.Module) -> Servo:
         """With a delay, of zero where there is none: orders change within rows."""

@@ -132,7 +132,9 @@ def _read_trial(
     overshoots = [int(n.rsplit("_", 1)[1]) for n in entry["numbers"] if n.startswith("overshoot_")]
     executes = int(entry.get("executes", max([2, *(k + 1 for k in overshoots)])))
     sign = 1.0 if side == "starboard" else -1.0
-    plan = planning.plan_trial(vessel, entry["manoeuvre"], side=sign, executes=executes, **orders)
+    plan = planning.plan_trial(
+        vessel, entry["manoeuvre"], side=sign, executes=executes, keep_speed=False, **orders
+    )
     rows = [
         _read_number(f"{where}, {name}", name, given, relative, float(vessel.rigid_body.length))
         for name, given in entry["numbers"].items()
@@ -145,7 +147,7 @@ def _read_number(
     where: str, name: str, given: object, relative: float, length: float
 ) -> tuple[str, float, float]:
     """Name as simulated, value and standard deviation."""
-    entry = given if isinstance(given, dict) else {"value": given}
+    entry: dict[str, Any] = given if isinstance(given, dict) else {"value": given}
     for key in entry:
         if key not in ("value", "std", "unit"):
             raise UserError(f"{where}: unknown key {key!r}; give value, std and unit")

@@ -82,7 +82,7 @@ def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre:
     covariance = fitted.covariance[np.ix_(chosen, chosen)]
     free = tuple(names[fitted.index[n]] for n in chosen)
     vessel = vessel_in_environment(problem, first_run_coordinates(problem, fitted.coordinates))
-    measured = np.asarray(problem.dataset.known).any(0)
+    measured = problem.dataset.recorded_channels
     gains, after = {}, {}
     for manoeuvre, schedule in LIBRARY.items():
         recording = simulate_manoeuvre(vessel, schedule, measured)
@@ -121,7 +121,10 @@ def simulate_manoeuvre(
     seconds = SECONDS * time_scale(float(vessel.rigid_body.length))
     t, orders = manoeuvre_orders(vessel, schedule, seconds)
     first = np.where(t == t[0], 0.0, np.nan)
-    run = replay(vessel, Trajectory(t, *(first,) * 6, orders, {}, {}, np.ones(len(t), bool)))
+    ordered = Trajectory(
+        t, *(first,) * 6, commanded=orders, executed={}, extra={}, valid=np.ones(len(t), bool)
+    )
+    run = replay(vessel, ordered)
     if measured is None:
         return run
     missing = [c for c, known in zip(MOTION_CHANNELS, measured, strict=True) if not known]

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.stats import chi2
 
 from diffsea.identification.estimates import INTERVAL_LEVEL, Estimate, Progress, no_progress
@@ -34,7 +34,7 @@ def asymmetric_parameters(objective: AbstractObjective, fitted: Estimate) -> tup
 
     Looked at along the line on which all others follow to first order, without fitting.
     """
-    errors = np.sqrt(chi2.ppf(INTERVAL_LEVEL, 1))
+    errors = float(np.sqrt(chi2.ppf(INTERVAL_LEVEL, 1)))
     names = [p.name for p in objective.parameters]
     asymmetric = []
     for n, k in enumerate(fitted.index):
@@ -86,7 +86,10 @@ def _sign_change(excess: Callable[[float], float], sign: float) -> float:
         if abs(far) > SEARCH_LIMIT:
             return sign * np.inf
     bounded = lambda errors: min(excess(errors), 1e3)
-    return float(brentq(bounded, near, far, xtol=END_TOLERANCE, maxiter=8, disp=False))
+    found = root_scalar(
+        bounded, method="brentq", bracket=(near, far), xtol=END_TOLERANCE, maxiter=8
+    )
+    return float(found.root)
 
 
 def _rise_at_end(fitted: Estimate, n: int) -> float:

@@ -187,7 +187,9 @@ def _best_reading(motion: MeasuredMotion) -> LabelReading:
         moved = (values["x"][end] - values["x"][start]) + 1j * (
             values["y"][end] - values["y"][start]
         )
-        mirrored = any(edit.gain < 0 for fault in heading for edit in fault.edits)
+        mirrored = any(
+            isinstance(edit, Affine) and edit.gain < 0 for fault in heading for edit in fault.edits
+        )
         in_degrees = any(fault.kind == "unit" for fault in heading)
         against = turning * (-1 if mirrored else 1) < -0.5
         # Heading in degrees must have a yaw rate that is out by the same factor.

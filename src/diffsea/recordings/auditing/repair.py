@@ -7,6 +7,7 @@ one stage are made together, judged by another audit, and undone if that is no b
 import dataclasses
 import json
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -232,8 +233,10 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _unusual_fields(record: object, usual: object, without: tuple[str, ...] = ()) -> list:
-    """Names and values of the fields in which two dataclass instances of a kind differ."""
+def _unusual_fields(
+    record: Mapping | Column, usual: Mapping | Column, without: tuple[str, ...] = ()
+) -> list[tuple[str, Any]]:
+    """Names and values of the fields in which two records of a kind differ."""
     names = [field.name for field in dataclasses.fields(record) if field.name not in without]
     pairs = [(name, getattr(record, name)) for name in names]
     return [(name, value) for name, value in pairs if value != getattr(usual, name)]

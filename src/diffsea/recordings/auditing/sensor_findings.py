@@ -49,7 +49,9 @@ def disagreement_findings(
     found = _latencies(heading, velocity)
     compass = velocity is not None and "iron" in velocity.causes
     for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, _VELOCITY_FAULTS)):
-        for cause in () if explanation is None else explanation.causes:
+        if explanation is None:
+            continue
+        for cause in explanation.causes:
             if cause not in makers or (compass and explanation is heading and cause == "gain"):
                 continue
             fault = makers[cause](explanation)

@@ -162,6 +162,9 @@ def _read(
     return header[order], fields, "header stamps", (note,)
 
 
+_Place = tuple[str | int, ...]  # of a field in a message: attributes, then an index and rest
+
+
 def _header_stamps(messages: list) -> np.ndarray | None:
     if not messages or not hasattr(messages[0], "header"):
         return None
@@ -185,15 +188,15 @@ def _quaternions(names: list[str]) -> list[str]:
     return [base for base in bases if all(f"{base}.{part}" in names for part in "xyz")]
 
 
-def _flat(messages: list) -> dict[str, tuple[str, tuple]]:
+def _flat(messages: list) -> dict[str, _Place]:
     """Names of the numeric fields, and where they stand: attributes, then an index and rest."""
-    found: dict[str, tuple[str, tuple]] = {}
+    found: dict[str, _Place] = {}
     for message in messages:
         _gather(message, "", (), found)
     return found
 
 
-def _gather(value: Any, name: str, path: tuple, found: dict) -> None:
+def _gather(value: Any, name: str, path: _Place, found: dict[str, _Place]) -> None:
     if isinstance(value, bool | int | float | np.number | np.bool_):
         found.setdefault(name, path)
     elif isinstance(value, list | np.ndarray):

@@ -63,7 +63,7 @@ class Hypothesis:
 
 def all_orientations() -> tuple[list[tuple[bool, int, int]], list[tuple[int, int]]]:
     """All (swapped, sign, sign) of a pair of columns, and all (turn, quarter) of a heading."""
-    pairs = list(itertools.product((False, True), (1, -1), (1, -1)))
+    pairs: list[tuple[bool, int, int]] = list(itertools.product((False, True), (1, -1), (1, -1)))
     return pairs, list(itertools.product((1, -1), range(4)))
 
 

@@ -203,5 +203,5 @@ class ColumnScreening:
                 columns.append(self.windows.of("integrals", name))
             elif name is not None:
                 flow = self.windows.of("turned", name, heading.column, heading.period)
-                columns += [flow.real, flow.imag]
+                columns += [np.real(flow), np.imag(flow)]
         return np.stack(columns, axis=1)

@@ -136,8 +136,8 @@ def explain_displacements(
     estimated in turn. The scale is NaN, and nothing explained, where it would not be positive.
     """
     columns = [flow, *causes]
-    matrix = np.stack([np.concatenate([c.real, c.imag]) for c in columns], axis=1)
-    target = np.concatenate([moved.real, moved.imag])
+    matrix = np.stack([np.concatenate([np.real(c), np.imag(c)]) for c in columns], axis=1)
+    target = np.concatenate([np.real(moved), np.imag(moved)])
     total = float(target @ target)
     # Nuisances are in the numbers of the velocities: they go with the scale.
     crude = float(matrix[:, 0] @ target) / max(float(matrix[:, 0] @ matrix[:, 0]), 1e-300)
@@ -281,7 +281,8 @@ class _DisplacementModels:
             return ASSUMED_INCREMENTS
         moved, flow = self.displacement(hypothesis), self.flow(hypothesis)
         rest = explain_displacements(moved, flow, self._nuisances(hypothesis, flow))[0]
-        return max(6.0, min(effective_size(rest.real), effective_size(rest.imag), 60.0))
+        north, east = effective_size(np.real(rest)), effective_size(np.imag(rest))
+        return max(6.0, min(north, east, 60.0))
 
     def displacement(self, h: Hypothesis) -> ComplexWindowed:
         """Displacement north + i east over the windows, raw numbers."""
@@ -338,13 +339,13 @@ class _DisplacementModels:
             moved, flow = self.displacement(h), self.flow(h)
             rest, penalty, scale = explain_displacements(moved, flow, self._nuisances(h, flow))
             left = (
-                _component_share(moved.real, rest.real, penalty),
-                _component_share(moved.imag, rest.imag, penalty),
+                _component_share(np.real(moved), np.real(rest), penalty),
+                _component_share(np.imag(moved), np.imag(rest), penalty),
             )
             self._fits[key] = h, left, scale
         first, left, scale = self._fits[key]
         if first.x != h.x:
-            left = left[::-1]
+            left = left[1], left[0]
         free = 2 + (h.v is not None)
         cost = 0.25 * free * math.log(number)
         north, east = (max(0.5 * number * math.log(1 / share) - cost, 0.0) for share in left)

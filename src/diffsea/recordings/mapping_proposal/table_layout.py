@@ -208,7 +208,8 @@ def _header_cells(line: str, way: _WayToParse) -> list[str] | None:
 
 def _looks_named(cells: list[str]) -> bool:
     words = [cell for cell in cells if cell]
-    return np.mean([any(c.isalpha() or c in "[(°%" for c in cell) for cell in words]) > 0.6
+    named = [any(c.isalpha() or c in "[(°%" for c in cell) for cell in words]
+    return bool(np.mean(named) > 0.6)
 
 
 def _is_unit(cell: str) -> bool:

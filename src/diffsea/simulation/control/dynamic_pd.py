@@ -90,7 +90,10 @@ class DynamicPD(AbstractController[Pursued]):
         derivative = (self.T_f * memory.derivative + gain * change) / (self.T_f + dt)
         difference = self.K_p * jnp.log1p(distance) * error + derivative
         base = self.base(distance, error)
-        orders = {self.port: base - difference, self.starboard: base + difference}
+        orders: dict[str, Scalar] = {
+            self.port: base - difference,
+            self.starboard: base + difference,
+        }
         over = number >= self.waypoints.shape[0]
         orders = {
             channel: jnp.where(over, 0.0, jnp.clip(order, -self.largest, self.largest))

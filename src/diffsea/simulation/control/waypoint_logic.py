@@ -110,14 +110,13 @@ def waypoint_logic(
             f"{vessel.name!r} has {len(parts)} azimuth thrusters; the waypoint logic is for one"
         )
     (part,) = parts
-    limits = {
-        "full_thrust": vessel.servos[part.force_channel].upper,
-        "full_angle": vessel.servos[part.angle_channel].upper,
-    }
-    if any(limit is None for limit in limits.values()):
+    thrust = vessel.servos[part.force_channel].upper
+    angle = vessel.servos[part.angle_channel].upper
+    if thrust is None or angle is None:
         raise UserError(
             f"the azimuth thruster of {vessel.name!r} needs max_force and max_angle: "
             "they are the logic's full thrust and angle"
         )
     points = jnp.atleast_2d(jnp.asarray(waypoints, float))
-    return WaypointLogic(Pursuit(points, tolerance), ControlAllocation(vessel), **(limits | fields))
+    limits = {"full_thrust": thrust, "full_angle": angle} | fields
+    return WaypointLogic(Pursuit(points, tolerance), ControlAllocation(vessel), **limits)

@@ -151,7 +151,9 @@ class DerivativeRudder(AbstractActuator):
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "DerivativeRudder":
         where, hull = f"[[rudder]] {name!r}", vessel.forces["damping"]
-        derivatives = {key: needed(table, key, where) for key in table if is_rudder_derivative(key)}
+        derivatives: dict[str, Scalar] = {
+            key: needed(table, key, where) for key in table if is_rudder_derivative(key)
+        }
         check_keys(table, (*_KEYS, *derivatives), where)
         if not isinstance(hull, PrimeDamping):
             raise UserError(f"{where}: rudder derivatives need [hull] nondimensional")

@@ -32,6 +32,7 @@ from diffsea.vessel.tables import Table, needed
 # Spread of the logarithm of a wind coefficient: what is known of an unmeasured superstructure.
 LOG_COEFFICIENT_SPREAD = 0.8
 C_N_SPREAD = 0.1  # of the coefficient of the wind's moment: as large as its usual value
+_OPPOSITE = np.pi  # rad, a wind is named after where it comes from
 CURRENT_SIZE = 0.3  # m/s
 WIND_SIZE = 5.0  # m/s
 environment_effect = functools.partial(entry, "environment")
@@ -57,16 +58,21 @@ def _flow_parametrisation(turn: float, note: str) -> Parametrisation:
         return {"speed": speed, "direction": jnp.mod(direction + turn, 2 * jnp.pi)}
 
     def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-        speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
-        north, east = components_towards(speed, direction - turn)
-        return float(north), float(east)
+        return _flow_components(numbers, turn)
 
     units = {"speed": "m/s", "direction": "rad"}
     return Parametrisation(units, decode, encode, notes={"direction": note})
 
 
+def _flow_components(numbers: Numbers, turn: float) -> tuple[float, float]:
+    """Components north and east (m/s) of a flow, see `_flow_parametrisation`."""
+    speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
+    north, east = components_towards(speed, direction - turn)
+    return float(north), float(east)
+
+
 _CURRENT = _flow_parametrisation(0.0, "flows to")
-_WIND = _flow_parametrisation(np.pi, "comes from")
+_WIND = _flow_parametrisation(_OPPOSITE, "comes from")
 
 
 def default_wind(vessel: Vessel) -> Wind:
@@ -77,7 +83,8 @@ def default_wind(vessel: Vessel) -> Wind:
 
 def _superstructure(vessel: Vessel) -> Wind:
     """The wind's force on a vessel, of the usual areas and coefficients where it states none."""
-    return vessel.forces.get("wind", default_wind(vessel))
+    stated = vessel.forces.get("wind")
+    return stated if isinstance(stated, Wind) else default_wind(vessel)
 
 
 def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
@@ -103,7 +110,11 @@ def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     meant = _superstructure(vessel)
     ratios = (numbers.get(key, getattr(meant, key)) / getattr(meant, key) for key in ("C_X", "C_Y"))
     added = float(numbers.get("C_N", meant.C_N) - meant.C_N)
-    return (*_WIND.encode(vessel, numbers), added, *(float(np.log(ratio)) for ratio in ratios))
+    return (
+        *_flow_components(numbers, _OPPOSITE),
+        added,
+        *(float(np.log(ratio)) for ratio in ratios),
+    )
 
 
 @environment_effect(

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable
 
 import equinox as eqx
-import numpy as np
 
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
@@ -67,7 +66,7 @@ def _derivative_size(name: str, vessel: Vessel) -> float:
     axis, letters = name.split("_")
     force = INERTIA_SHARE * mass * speed**2 / length * (length if axis == "N" else 1.0)
     per = {"u": speed, "v": 0.3 * speed, "r": 0.3 * speed / length}
-    return float(force / np.prod([per[letter] for letter in letters]))
+    return float(force / math.prod(per[letter] for letter in letters))
 
 
 def _derivatives(units: dict[str, str]) -> list[Size]:
@@ -161,8 +160,9 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
     """dY = -1/2 rho cd T |v_r + x r| (v_r + x r) dx, dN = x dY (Faltinsen 1990;
     Fossen 2021, eq. 6.91), one coefficient along the hull.
     """
-    if "crossflow-drag" in vessel.forces:
-        return add_to(vessel, lambda v: v.forces["crossflow-drag"].cd, cd[0])
+    stated = vessel.forces.get("crossflow-drag")
+    if isinstance(stated, CrossFlowDrag):
+        return with_force(vessel, "crossflow-drag", add_to(stated, lambda drag: drag.cd, cd[0]))
     body = vessel.rigid_body
     drag = CrossFlowDrag(cd[0], body.length, body.draught, body.water_density)
     return with_force(vessel, "crossflow-drag", drag)
