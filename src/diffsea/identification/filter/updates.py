@@ -80,7 +80,7 @@ def measurement_update(
         P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
         return (C, P), (fresh / jnp.sqrt(variance), variance)
 
-    channels = H, R, used, jnp.asarray(np.eye(6)), rows_late
+    channels = H, R, used, jnp.eye(6), rows_late
     start = jnp.zeros((9, 6)), P
     (C, P), (whitening, variances) = jax.lax.scan(update_by_channel, start, channels)
     return MeasurementUpdate(C, whitening, P, variances)
