@@ -7,3 +7,9 @@ its nuisances, `screening` makes the short list and says what could have been se
 manoeuvre to record next, and `record` writes it all as diagnosis.json. The room may import
 identification and what lies below it; nothing here knows of reports or the command line.
 """
+
+from diffsea.diagnosis.experiment import Experiment as Experiment
+from diffsea.diagnosis.experiment import next_experiment as next_experiment
+from diffsea.diagnosis.record import summary as summary
+from diffsea.diagnosis.search import Diagnosis as Diagnosis
+from diffsea.diagnosis.search import diagnose as diagnose

@@ -6,3 +6,10 @@
 estimates while the vessel sails. The room may import vessels, their simulation and recordings;
 nothing here knows of diagnoses, reports or the command line.
 """
+
+from diffsea.identification.estimates import Estimate as Estimate
+from diffsea.identification.problem import Problem as Problem
+from diffsea.identification.problem import make_problem as make_problem
+from diffsea.identification.study import FitSettings as FitSettings
+from diffsea.identification.study import Study as Study
+from diffsea.identification.study import identify as identify

@@ -364,7 +364,9 @@ def _times_shown(sensors: Sensors, t: Samples, channel: str) -> Samples:
     return (t + float(sensors.lags(0.0)[channel])) / (1 - float(clock.rate))
 
 
-def _extrapolate(wanted: Samples, times: Samples, values: Samples) -> Samples:
+def _extrapolate(
+    wanted: Float[np.ndarray, "wanted"], times: Samples, values: Samples
+) -> Float[np.ndarray, "wanted"]:
     """Values between samples; beyond the first and the last, on with the slope there.
 
     A clock that is off shows the beginning or the end of a run outside its recording.
