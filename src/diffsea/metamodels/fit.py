@@ -100,7 +100,7 @@ def identify(trials: Trials, tie: Scalar = COMMON_MOMENT, steps: int = MAX_STEPS
         early.sum(1, dtype=float), 1
     )
     own = jnp.stack([first_rates, jnp.zeros(trials.r.shape[0])], axis=1)
-    stiffness = tie * _normal_equations(theta, own, trials, 0.0)[0][:, 6, 6] + 1e-300
+    stiffness = _normal_equations(theta, own, trials, 0.0)[0][:, 6, 6] * tie + 1e-300
     start = theta, own, _cost(theta, own, trials, stiffness), jnp.asarray(1e-2)
 
     def body(carry: tuple, _: None) -> tuple[tuple, None]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from diffsea.metamodels.norrbin import Norrbin
+from diffsea.trajectory import Series
 from diffsea.types import Scalar
 
 
@@ -33,10 +34,10 @@ class Zigzag:
 class IdealRun(eqx.Module):
     """An ideal zig-zag, a row per step. A run that is over goes on under its last order."""
 
-    t: Float[Array, "time"]  # s from the first execute
-    psi: Float[Array, "time"]  # rad
-    r: Float[Array, "time"]  # rad/s
-    delta: Float[Array, "time"]  # rad, executed
+    t: Series  # s from the first execute
+    psi: Series  # rad
+    r: Series  # rad/s
+    delta: Series  # rad, executed
     overshoots: Float[Array, "overshoot"]  # rad, NaN where there was none
     switch_times: Float[Array, "overshoot"]  # s, of the second execute and on; NaN likewise
 

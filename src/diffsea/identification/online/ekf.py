@@ -1,3 +1,5 @@
+# pyright: reportArgumentType=false
+# Equinox leaves abstract variables out of the order of arguments, which pyright cannot follow.
 """Extended Kalman filter of a vessel's motion and its parameters together.
 
 The state is `(x, y, psi, u, v, r)`, three accelerations of lasting gusts, the executed
@@ -210,7 +212,11 @@ class ExtendedKalmanFilter(AbstractEstimator[KalmanBelief]):
         lost = jnp.diag(belief.parameter_covariance) - jnp.diag(after.parameter_covariance)
         change = after.coordinates - belief.coordinates
         return after, KalmanInnovation(
-            innovation, jnp.stack(white), used, change, jnp.maximum(lost, 0.0)
+            residual=innovation,
+            white=jnp.stack(white),
+            used=used,
+            change=change,
+            settled=jnp.maximum(lost, 0.0),
         )
 
     def reset(self, belief: KalmanBelief, coordinates: Float[Array, "parameter"]) -> KalmanBelief:

@@ -93,7 +93,9 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
         `step` (s) is the time between orders: it sets how many of them a delay remembers.
         """
         given = orders or {}
-        settled = {c: jnp.asarray(float(given.get(c, 0.0))) for c in self.vessel.channels}
+        settled: dict[str, Scalar] = {
+            c: jnp.asarray(float(given.get(c, 0.0))) for c in self.vessel.channels
+        }
         lengths = {c: history_length(s, step, 3.0) for c, s in self.vessel.servos.items()}
         return begin(self.vessel, start, settled, lengths)
 

@@ -14,7 +14,7 @@ follow a real change of the vessel that is faster than its random walk.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -237,7 +237,7 @@ def run_least_squares(
     free: ParameterChoice,
     *,
     limits: TrustLimits | None = None,
-    **options: float,
+    **options: Any,
 ) -> OnlineRun:
     """Recursive least squares with trust and gate along a recording.
 

@@ -217,7 +217,10 @@ def scores_of_sums(sums: FadingSums) -> TrustScores:
 
 
 def calibrate(
-    limits: TrustLimits, sound: Sequence[StepEvidence], dt: Sequence[Array], settling: float = 3.0
+    limits: TrustLimits,
+    sound: Sequence[StepEvidence],
+    dt: Sequence[Float[np.ndarray, "time"]],
+    settling: float = 3.0,
 ) -> TrustLimits:
     """Limits by which sound runs have innovations and scores of unit size.
 
