@@ -1,5 +1,8 @@
 """Checks of shape annotations while tests run: what jaxtyping's import hook decorates with."""
 
+import functools
+import operator
+import types
 import typing
 from collections.abc import Callable
 
@@ -7,11 +10,18 @@ import beartype
 import jaxtyping
 
 
-def mentions_shape(hint: object) -> bool:
-    """Whether a type hint has a jaxtyping array in it."""
+def shape_of(hint: typing.Any) -> typing.Any:
+    """A type hint of arrays of NumPy or JAX alike; None where it has no shape to check."""
     if isinstance(hint, type) and issubclass(hint, jaxtyping.AbstractArray):
-        return True
-    return any(mentions_shape(part) for part in typing.get_args(hint))
+        return hint.dtype[typing.Any, hint.dim_str]
+    parts = typing.get_args(hint)
+    if not any(shape_of(part) is not None for part in parts):
+        return None
+    checked = [part if shape_of(part) is None else shape_of(part) for part in parts]
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        return functools.reduce(operator.or_, checked)
+    return origin[tuple(checked)]
 
 
 def check_shapes(function: Callable) -> Callable:
@@ -21,7 +31,7 @@ def check_shapes(function: Callable) -> Callable:
     or not, which annotations of plain types do not say.
     """
     hints = getattr(function, "__annotations__", {})
-    shapes = {name: hint for name, hint in hints.items() if mentions_shape(hint)}
+    shapes = {name: shape_of(hint) for name, hint in hints.items() if shape_of(hint) is not None}
     if not shapes:
         return function
     function.__annotations__ = shapes

@@ -101,7 +101,7 @@ class Trajectory:
     def rows(self, chosen: Bool[np.ndarray, "time"] | Int[np.ndarray, "row"]) -> "Trajectory":
         """The run in the chosen rows (a mask, or their numbers), as plain NumPy arrays."""
 
-        def in_rows(group: dict[str, Series]) -> dict[str, Samples]:
+        def in_rows(group: dict[str, Series]) -> dict[str, Float[np.ndarray, "row"]]:
             return {name: np.asarray(series, float)[chosen] for name, series in group.items()}
 
         return dataclasses.replace(

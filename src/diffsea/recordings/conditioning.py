@@ -89,10 +89,10 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
             f"{run.name} lasts {old[-1] - old[0]:g} s, too short for an interval of {interval:g} s"
         )
 
-    def averaged(group: dict[str, Series]) -> dict[str, Samples]:
+    def averaged(group: dict[str, Series]) -> dict[str, Float[np.ndarray, "row"]]:
         return {name: _averaged(name, old, group[name], new, interval, max_gap) for name in group}
 
-    def holding(group: dict[str, Series]) -> dict[str, Samples]:
+    def holding(group: dict[str, Series]) -> dict[str, Float[np.ndarray, "row"]]:
         return {name: hold_at(old, group[name], new + 1e-6 * interval) for name in group}
 
     even = dataclasses.replace(
