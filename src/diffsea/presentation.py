@@ -8,6 +8,9 @@ from typing import Any
 import pandas as pd
 
 
+_DIGITS = "{:.4g}".format  # of numbers shown
+
+
 class Tabulated(abc.ABC):
     """A record that prints as a headline, a short table and notes.
 
@@ -33,11 +36,17 @@ class Tabulated(abc.ABC):
 
     def __repr__(self) -> str:
         table = self.to_frame()
-        body = [table.to_string(index=False, na_rep="-")] if len(table) else []
+        body = (
+            [table.to_string(index=False, na_rep="-", float_format=_DIGITS)] if len(table) else []
+        )
         return "\n".join([self.headline(), *body, *self.notes()])
 
     def _repr_html_(self) -> str:
         table = self.to_frame()
-        body = table.to_html(index=False, border=0, na_rep="-") if len(table) else ""
+        body = (
+            table.to_html(index=False, border=0, na_rep="-", float_format=_DIGITS)
+            if len(table)
+            else ""
+        )
         notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes())
         return f"<p><b>{html.escape(self.headline())}</b></p>{body}{notes}"

@@ -89,7 +89,9 @@ def bridge_gaps(
     return np.interp(t, t[finite], values[finite]), known
 
 
-def integrate(t: Samples, values: Inexact[np.ndarray, "*any time"]) -> Inexact[np.ndarray, "*any time"]:
+def integrate(
+    t: Samples, values: Inexact[np.ndarray, "*any time"]
+) -> Inexact[np.ndarray, "*any time"]:
     """Cumulative trapezoidal integral over time along the last axis, zero in the first row."""
     steps = 0.5 * (values[..., 1:] + values[..., :-1]) * np.diff(t)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, axis=-1)], -1)

@@ -38,8 +38,8 @@ class Findings(Tabulated, Sequence[Finding]):
             {
                 "recording": one.recording,
                 "kind": one.kind,
-                "value": float(f"{one.value:.4g}"),
-                "+-": float(f"{one.std:.2g}"),
+                "value": one.value,
+                "+-": one.std,
                 "unit": one.unit,
             }
             for one in self._findings

@@ -59,9 +59,9 @@ class FitResult(Tabulated):
                 "symbol": row["name"],
                 "name": row["meaning"],
                 "unit": row["unit"],
-                "start": float(f"{row['start']:.4g}"),
-                "estimate": float(f"{row['value']:.4g}"),
-                "+-": float(f"{row['std']:.2g}"),
+                "start": row["start"],
+                "estimate": row["value"],
+                "+-": row["std"],
                 "90 % interval": "{:.4g} to {:.4g}".format(*row["interval"]),
             }
             for row in self.study.rows
@@ -151,8 +151,8 @@ class DiagnosisResult(Tabulated):
             {
                 "effect": effect["name"],
                 "parameter": name,
-                "value": float(f"{entry['value']:.4g}"),
-                "+-": float(f"{entry['std']:.2g}"),
+                "value": entry["value"],
+                "+-": entry["std"],
                 "unit": entry["unit"],
             }
             for effect in self.record["effects"]

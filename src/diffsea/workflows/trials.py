@@ -52,7 +52,7 @@ class TrialResult(Tabulated):
             for name, item in self.metrics["imo"].items()
         }
         return [
-            {"number": name, "SI": float(f"{value:.4g}"), "IMO": verdicts.get(name, "")}
+            {"number": name, "SI": value, "IMO": verdicts.get(name, "")}
             for name, value in self.metrics.items()
             if isinstance(value, float) and not name.endswith("_over_L")
         ]
@@ -108,7 +108,7 @@ class PredictionResult(Tabulated):
         ahead = {f"{seconds:g} s ahead": row for seconds, row in self.horizons.items()}
         table = {"whole run": self.errors, **ahead}
         return [
-            {"": label, **{name: float(f"{value:.3g}") for name, value in row.items()}}
+            {"": label, **{name: value for name, value in row.items()}}
             for label, row in table.items()
         ]
 
@@ -204,9 +204,7 @@ class SensitivityResult(Tabulated):
             row = self.relative.get(number, {})
             strongest = sorted(row, key=lambda name: -abs(row[name]))[:5]
             shares = ", ".join(f"{name} {row[name]:+.3g}" for name in strongest)
-            table.append(
-                {"number": number, "SI": float(f"{value:.4g}"), "strongest": shares or "-"}
-            )
+            table.append({"number": number, "SI": value, "strongest": shares or "-"})
         return table
 
 
