@@ -5,7 +5,7 @@ they were still there when channels are compared.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Inexact
 
 from diffsea.recordings.auditing.edits import Blank
 from diffsea.recordings.auditing.finding import Finding
@@ -218,6 +218,6 @@ def _is_contradicted(motion: MeasuredMotion, channel: str, start: int, end: int)
     return _excursion(misfit, start, end) > max(_CONTRADICTION * usual, step + least)
 
 
-def _excursion(misfit: Float[np.ndarray, "time"], start: int, end: int) -> float:
+def _excursion(misfit: Inexact[np.ndarray, "time"], start: int, end: int) -> float:
     """How far a misfit, real or north + i east, gets from where it was at the start."""
     return float(np.max(np.abs(misfit[start : end + 1] - misfit[start])))

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Inexact
 
 from diffsea.recordings.auditing.causes import Cause, KinematicComparison, Levels, Parameters
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
@@ -151,7 +151,7 @@ class PredictedPosition:
         return np.stack([place.real, place.imag])
 
 
-def _advance(t: Samples, series: Float[np.ndarray, "time"], late: Samples) -> np.ndarray:
+def _advance(t: Samples, series: Inexact[np.ndarray, "time"], late: Samples) -> np.ndarray:
     """What the series, real or north + i east, will be `late` s later."""
     return np.interp(t + late, t, series) if np.any(late) else series
 
