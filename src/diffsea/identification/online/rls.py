@@ -162,7 +162,7 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
             for c, a in answer.items()
         }
         complete, first = jnp.all(jnp.isfinite(measurement[2:])), belief.age < 0
-        mean = {
+        mean: dict[str, Scalar] = {
             c: jnp.where(since > 0, i / jnp.where(since > 0, since, 1.0), answer[c].start)
             for c, i in impulse.items()
         }

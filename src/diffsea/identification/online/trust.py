@@ -331,7 +331,7 @@ def _resistance_power(
         drag = sum((force(state, Environment(), zero) for force in resisting), Force())
         return drag.X * u + drag.Y * v + drag.N * r
 
-    return jax.vmap(power)(motions)
+    return jnp.asarray(jax.vmap(power)(jnp.asarray(motions)))
 
 
 def _dissipative_motions(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
