@@ -19,9 +19,6 @@ import jax
 import pytest
 
 
-jax.config.update("jax_numpy_dtype_promotion", "strict")
-
-
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled():
     """Compiled programs end with their module: LLVM crashes where a process maps too many."""

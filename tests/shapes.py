@@ -18,7 +18,7 @@ def shape_of(hint: typing.Any) -> typing.Any:
     if not any(shape_of(part) is not None for part in parts):
         return None
     checked = [part if shape_of(part) is None else shape_of(part) for part in parts]
-    origin = typing.get_origin(hint)
+    origin: typing.Any = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
         return functools.reduce(operator.or_, checked)
     return origin[tuple(checked)]

@@ -5,6 +5,7 @@ north); body axes are forward, starboard, down with the origin amidships.
 """
 
 import dataclasses
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
@@ -13,12 +14,28 @@ from diffsea.scales import Scalar as Scalar
 from diffsea.trajectory import Trajectory
 
 
-_LABELS = ("name", "provenance", "read")  # of a trajectory: no arrays, the same in all of a batch
-jax.tree_util.register_dataclass(
-    Trajectory,
-    [field.name for field in dataclasses.fields(Trajectory) if field.name not in _LABELS],
-    list(_LABELS),
+_ARRAYS = tuple(
+    field.name
+    for field in dataclasses.fields(Trajectory)
+    if field.name not in ("name", "provenance", "read")  # the same in all of a batch
 )
+
+
+def _flatten(run: Trajectory) -> tuple[list, tuple]:
+    labels = (run.name, run.provenance, run.read)
+    return [(jax.tree_util.GetAttrKey(n), getattr(run, n)) for n in _ARRAYS], labels
+
+
+def _unflatten(labels: tuple, arrays: Iterable) -> Trajectory:
+    """A trajectory of whatever JAX puts in place of arrays, without any check."""
+    run = object.__new__(Trajectory)
+    names = (*_ARRAYS, "name", "provenance", "read")
+    for name, value in zip(names, (*arrays, *labels), strict=True):
+        object.__setattr__(run, name, value)
+    return run
+
+
+jax.tree_util.register_pytree_with_keys(Trajectory, _flatten, _unflatten)
 
 
 class State(eqx.Module):

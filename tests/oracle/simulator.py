@@ -159,7 +159,7 @@ class Simulator:
         return rate, lambda t, s: self.kinks(t, s, segments)
 
     def changed(self, t):
-        """Factors of drag and thrust, inertia and shares of late forces after the changes up to t."""
+        """Factors of drag and thrust, inertia and shares of late forces after changes up to t."""
         model = self.model
 
         def factor(steps):

@@ -91,7 +91,7 @@ def test_jax_imported_before_is_left_and_its_cost_said_once():
 
 def test_flags_of_an_unknown_jaxlib_are_not_set():
     code = (
-        "import diffsea.runtime as runtime, diffsea; runtime.MEASURED_WITH = 'none'; diffsea.Vessel;"
-        + SETTINGS
+        "import diffsea.runtime as runtime, diffsea; runtime.MEASURED_WITH = 'none'; "
+        "diffsea.Vessel; " + SETTINGS
     )
     assert python(code).split() == ["True", "False"]

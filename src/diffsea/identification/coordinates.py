@@ -1,7 +1,7 @@
 """The coordinates of a fit: which numbers may move, and the vessel that they describe.
 
-They are zero at the vessel as it is stated; those of an effect count sizes that would be noticeable,
-so that one prior suits all effects.
+They are zero at the vessel as it is stated; those of an effect count sizes that would be
+noticeable, so that one prior suits all effects.
 """
 
 import dataclasses

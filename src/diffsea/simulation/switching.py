@@ -44,8 +44,8 @@ class Row(eqx.Module):
     state: State
     commanded: dict[str, Scalar]
     executed: dict[str, Scalar]
-    stage: Int[Array, ""]
-    accepted: Bool[Array, ""]
+    stage: Int[Array, "..."]
+    accepted: Bool[Array, "..."]
 
 
 _NORMAL, _PROBE, _LAND = 0, 1, 2

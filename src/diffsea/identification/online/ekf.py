@@ -87,13 +87,9 @@ class KalmanInnovation(AbstractInnovation):
     residual: Float[Array, "6"]  # measured less expected (m, rad, m/s, rad/s); zero where missing
     white: Float[Array, "6"]  # the same, each channel given those before it, in unit variance
     used: Bool[Array, "6"]
+    share: Float[Array, "6"]  # independent samples in every channel: one where it was measured
     change: Float[Array, "parameter"]  # of the coordinates, by this measurement
     settled: Float[Array, "parameter"]  # variance of the coordinates that it took away
-
-    @property
-    def share(self) -> Float[Array, "6"]:
-        """Independent samples in every channel: one where it was measured."""
-        return self.used.astype(float)
 
     @property
     def nis(self) -> Scalar:
@@ -215,6 +211,7 @@ class ExtendedKalmanFilter(AbstractEstimator[KalmanBelief]):
             residual=innovation,
             white=jnp.stack(white),
             used=used,
+            share=used.astype(float),
             change=change,
             settled=jnp.maximum(lost, 0.0),
         )

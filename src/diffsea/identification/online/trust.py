@@ -325,7 +325,7 @@ def _resistance_power(
     resisting = [force for force in vessel.forces.values() if force.resists]
     zero = jnp.zeros(())
 
-    def power(motion: Float[Array, "3"]) -> Scalar:
+    def power(motion: Float[Array, "3"]) -> Float[Array, ""]:
         u, v, r = motion
         state = State(zero, zero, zero, u, v, r)
         drag = sum((force(state, Environment(), zero) for force in resisting), Force())

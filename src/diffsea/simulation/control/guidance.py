@@ -5,18 +5,21 @@ and what is wanted now. A law that follows waypoints is finished at the last one
 """
 
 import abc
+from collections.abc import Sequence
 from typing import Generic
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control.laws import Memory
 from diffsea.types import Scalar, State
 
 
-Waypoints = Float[Array, "waypoint 2"]  # m, north and east
+# m, north and east
+Waypoints = Float[Array, "waypoint 2"] | Float[np.ndarray, "waypoint 2"] | Sequence[Sequence[float]]
 
 
 class Wanted(eqx.Module):
