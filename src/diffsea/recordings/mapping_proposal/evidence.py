@@ -29,8 +29,8 @@ from diffsea.recordings.mapping_proposal.guesses import (
     wind_and_roll_guesses,
 )
 from diffsea.recordings.mapping_proposal.hypotheses import (
+    ColumnHypothesis,
     FrameConvention,
-    Hypothesis,
     HypothesisPrior,
 )
 from diffsea.recordings.mapping_proposal.names import Suggestion, suggest_labels
@@ -200,7 +200,7 @@ def _runs_with_orders(source: _Source, best: ScoredHypothesis, free: list[str]) 
     ]
 
 
-def _starboard_sign(h: Hypothesis) -> int:
+def _starboard_sign(h: ColumnHypothesis) -> int:
     """The sign that decides which way a turn to starboard goes."""
     return h.spin if h.r is not None else h.turn
 

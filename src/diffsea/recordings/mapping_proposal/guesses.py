@@ -11,7 +11,7 @@ from diffsea.recordings.mapping_proposal.columns import (
     relate_to_integral,
 )
 from diffsea.recordings.mapping_proposal.hypotheses import (
-    Hypothesis,
+    ColumnHypothesis,
     HypothesisPrior,
     ratio_penalty,
     unit_probabilities,
@@ -148,7 +148,7 @@ def motion_guesses(
     return found
 
 
-def _said_of(h: Hypothesis, channel: str) -> tuple | None:
+def _said_of(h: ColumnHypothesis, channel: str) -> tuple | None:
     """What a hypothesis says of a channel, for the sum over all that say the same."""
     if h.columns[channel] is None:
         return None
@@ -163,7 +163,7 @@ def _said_of(h: Hypothesis, channel: str) -> tuple | None:
 
 
 def motion_columns(
-    h: Hypothesis, settled: SettledUnits, place: tuple[str, str] | None
+    h: ColumnHypothesis, settled: SettledUnits, place: tuple[str, str] | None
 ) -> dict[str, Column]:
     """The channels of a mapping that reads motion as the hypothesis does."""
     units, found = settled.units, {}

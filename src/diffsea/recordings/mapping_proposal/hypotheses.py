@@ -20,7 +20,7 @@ from diffsea.trajectory import MOTION_CHANNELS, Samples
 
 
 @dataclasses.dataclass(frozen=True)
-class Hypothesis:
+class ColumnHypothesis:
     """One way to read the motion of a file. Columns are names, None where there is none."""
 
     x: str | None = None
@@ -49,7 +49,7 @@ class Hypothesis:
         return self.x is not None and self.u is not None and oriented
 
     @property
-    def mirror_image(self) -> "Hypothesis":
+    def mirror_image(self) -> "ColumnHypothesis":
         """The reading of the same numbers with starboard and port exchanged (y, psi, v, r)."""
         return dataclasses.replace(
             self,
@@ -127,16 +127,16 @@ class HypothesisPrior:
             self._known_labels[key] = math.log(likely / weights["other"])
         return self._known_labels[key]
 
-    def log_odds(self, hypothesis: Hypothesis) -> float:
+    def log_odds(self, hypothesis: ColumnHypothesis) -> float:
         """Log odds of the hypothesis, under the convention that suits it best."""
         return max(self._by_convention(hypothesis)) - self._contradictions(hypothesis)
 
-    def convention(self, hypothesis: Hypothesis) -> FrameConvention:
+    def convention(self, hypothesis: ColumnHypothesis) -> FrameConvention:
         """The convention under which the hypothesis is least unusual."""
         odds = self._by_convention(hypothesis)
         return CONVENTIONS[odds.index(max(odds))]
 
-    def _by_convention(self, h: Hypothesis) -> list[float]:
+    def _by_convention(self, h: ColumnHypothesis) -> list[float]:
         """Log odds of names and signs under every convention."""
         columns = (h.x, h.y, h.psi, h.u, h.v, h.r)
         named = (*columns, h.earth)
@@ -148,7 +148,7 @@ class HypothesisPrior:
             self._known[signs] = [_departures(h, each) for each in CONVENTIONS]
         return [a - b for a, b in zip(self._known[named], self._known[signs], strict=True)]
 
-    def _names(self, h: Hypothesis, convention: FrameConvention) -> float:
+    def _names(self, h: ColumnHypothesis, convention: FrameConvention) -> float:
         """Log odds of the columns' names under a convention."""
         first, second = ("y", "x") if convention.swapped else ("x", "y")
         total = convention.log_odds - self._frame_words(h, convention)
@@ -163,7 +163,7 @@ class HypothesisPrior:
         loose += self.label(h.v, "u" if convention.swapped else "v")
         return total + max(absolute, loose - _LOOSE_EARTH)
 
-    def _frame_words(self, h: Hypothesis, convention: FrameConvention) -> float:
+    def _frame_words(self, h: ColumnHypothesis, convention: FrameConvention) -> float:
         columns = [c for c in (h.x, h.y, h.psi, h.u, h.v) if c]
         frames = {self.suggestions[column].frame for column in columns} - {""}
         if "ned" in frames and convention is not NED:
@@ -172,7 +172,7 @@ class HypothesisPrior:
             return _OTHER_FRAME["enu"]
         return 0.0
 
-    def _contradictions(self, h: Hypothesis) -> float:
+    def _contradictions(self, h: ColumnHypothesis) -> float:
         """Log odds against hypotheses that deny what is fixed by definition."""
         cost, fixes = 0.0, []
         for column, sign, label, absolute in (
@@ -191,7 +191,7 @@ class HypothesisPrior:
         return cost
 
 
-def _departures(h: Hypothesis, convention: FrameConvention) -> float:
+def _departures(h: ColumnHypothesis, convention: FrameConvention) -> float:
     """Log odds against the signs of a hypothesis under a convention."""
     sway = convention.signs[1] if h.earth else convention.sway
     departs = {

@@ -23,7 +23,7 @@ from diffsea.recordings.mapping_proposal.columns import (
     effective_size,
 )
 from diffsea.recordings.mapping_proposal.hypotheses import (
-    Hypothesis,
+    ColumnHypothesis,
     HypothesisPrior,
     all_orientations,
     ratio_penalty,
@@ -61,7 +61,7 @@ class ScoredHypothesis:
     y that stay unexplained, `number` the effective number of displacements.
     """
 
-    hypothesis: Hypothesis
+    hypothesis: ColumnHypothesis
     log_odds: float
     yaw: IntegralRelation | None = None
     scale: float = math.nan
@@ -182,7 +182,7 @@ class _DisplacementModels:
         self.windows, self.prior, self.clock, self.place = windows, prior, clock, place
         tick = max(clock.units, key=lambda unit: clock.units[unit])
         self.second = 1.0 if clock.column is None else 1.0 / UNITS[tick][1]  # raw time
-        self._fits: dict[tuple, tuple[Hypothesis, tuple[float, float], float]] = {}
+        self._fits: dict[tuple, tuple[ColumnHypothesis, tuple[float, float], float]] = {}
 
     def score(self, sets: list[ColumnSet]) -> list[ScoredHypothesis]:
         """Hypotheses of the column sets with all evidence in their log odds."""
@@ -245,7 +245,7 @@ class _DisplacementModels:
         return heapq.nlargest(_MOST_OF_SET, kept, key=lambda item: item.log_odds)
 
     def _with_rates(
-        self, heading: HeadingCandidate, hypothesis: Hypothesis, ahead: float, scale: float
+        self, heading: HeadingCandidate, hypothesis: ColumnHypothesis, ahead: float, scale: float
     ) -> list[ScoredHypothesis]:
         """The hypothesis with each of the yaw rates that go with its heading."""
         found, h = [], hypothesis
@@ -275,7 +275,7 @@ class _DisplacementModels:
         share = 0.5 * parted / np.maximum(power, 1e-300)
         return _MOVING_AHEAD * np.log(1 / np.clip(share, 0.05, 1.0))
 
-    def _effective_number(self, hypothesis: Hypothesis) -> float:
+    def _effective_number(self, hypothesis: ColumnHypothesis) -> float:
         """Effective number of the hypothesis' residuals."""
         if not hypothesis.explains_displacement:
             return ASSUMED_INCREMENTS
@@ -284,12 +284,12 @@ class _DisplacementModels:
         north, east = effective_size(np.real(rest)), effective_size(np.imag(rest))
         return max(6.0, min(north, east, 60.0))
 
-    def displacement(self, h: Hypothesis) -> ComplexWindowed:
+    def displacement(self, h: ColumnHypothesis) -> ComplexWindowed:
         """Displacement north + i east over the windows, raw numbers."""
         x, y = (self.windows.of("increments", name) for name in (h.x, h.y))
         return h.signs[0] * x + 1j * h.signs[1] * y
 
-    def flow(self, h: Hypothesis, what: str = "turned") -> ComplexWindowed:
+    def flow(self, h: ColumnHypothesis, what: str = "turned") -> ComplexWindowed:
         """Integrated velocity north + i east over the windows, raw numbers and time.
 
         Of `what` = `ends` or `swerves`, what position lags by per unit of time that it, or
@@ -311,7 +311,7 @@ class _DisplacementModels:
             total = total + factor * part * 1j**h.quarter
         return total
 
-    def _nuisances(self, h: Hypothesis, flow: ComplexWindowed) -> list[ComplexWindowed]:
+    def _nuisances(self, h: ColumnHypothesis, flow: ComplexWindowed) -> list[ComplexWindowed]:
         """What sensors do to displacements, of a size that is usual (raw numbers)."""
         duration = self.windows.duration
         speed = math.sqrt(np.sum(np.abs(flow) ** 2) / np.sum(duration**2))
@@ -381,7 +381,7 @@ class _DisplacementModels:
                     penalties.append(penalty - math.log(likely * often * max(odds, 1e-9)))
         return min(penalties)
 
-    def _drifting_outwards(self, h: Hypothesis) -> float:
+    def _drifting_outwards(self, h: ColumnHypothesis) -> float:
         """Log odds for a vessel that drifts outwards in turns: v opposes r u."""
         if h.u is None or h.v is None or h.psi is None or h.earth:
             return 0.0
@@ -394,7 +394,7 @@ class _DisplacementModels:
             inwards.append(correlation(rate * forward, sideways))
         return -_OUTWARDS * float(np.tanh(4 * np.mean(inwards)))
 
-    def _placed_right(self, h: Hypothesis, number: float) -> float:
+    def _placed_right(self, h: ColumnHypothesis, number: float) -> float:
         """Log odds of agreement with geographic positions, where the file has those besides."""
         if self.place is None or h.x is None or h.x in self.place:
             return 0.0
@@ -424,10 +424,10 @@ def _hypothesis(
     turn: int,
     quarter: int,
     velocities: _Velocities,
-) -> Hypothesis:
+) -> ColumnHypothesis:
     swapped, first, second = pair
     x, y = (columns.b, columns.a) if swapped else (columns.a, columns.b)
-    return Hypothesis(
+    return ColumnHypothesis(
         x=x,
         y=y,
         signs=(first, second),
