@@ -44,7 +44,7 @@ def main() -> None:
     if args.core is not None:
         os.sched_setaffinity(0, {args.core})
     module, name = CONTESTANTS[args.contestant]
-    fit = getattr(importlib.import_module(module), name)
+    fit = getattr(importlib.import_module(f"experiments.fit_benchmark.{module}"), name)
     from experiments.fit_benchmark.data import load
 
     data = load(args.recordings)
