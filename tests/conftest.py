@@ -1,22 +1,13 @@
-"""Settings of the test run: those of the command line, and stricter.
+"""Settings of the test run: those of the command line, so that compiled programs are shared."""
 
-Shape annotations are checked at run time, dtypes promoted strictly, warnings are errors (in
-`pyproject.toml`).
-"""
+import pytest
 
 from diffsea.runtime import prepare_jax
 
 
 prepare_jax()  # before jax is imported, or its XLA flags would come too late
 
-import tests.shapes  # noqa: F401  the hook finds it by name
-from jaxtyping import install_import_hook
-
-
-install_import_hook("diffsea", "tests.shapes.check_shapes")
-
-import jax
-import pytest
+import jax  # isort: skip
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -31,7 +22,7 @@ def own_cache(tmp_path_factory):
     """A cache of compiled programs that ends with the module."""
     patch = pytest.MonkeyPatch()
     patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    before = jax.config.values["jax_compilation_cache_dir"]
+    before = jax.config.jax_compilation_cache_dir
     yield
     patch.undo()
     jax.config.update("jax_compilation_cache_dir", before)
