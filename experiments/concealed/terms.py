@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.signal import medfilt
 
-from diffsea.statistics import robust_scale
-
 from . import forces as F
 from .model import Model, build
 from .simulate import Inertia, actuator_force
@@ -97,7 +95,7 @@ def _scales(y: np.ndarray, base: np.ndarray, rows: list[int]) -> np.ndarray:
     for k in range(EQUATIONS):
         mine = kind == k
         middle = float(np.median(left[mine]))
-        out[mine] = max(robust_scale(left[mine] - middle), 1e-9)
+        out[mine] = max(1.4826 * float(np.median(np.abs(left[mine] - middle))), 1e-9)
     return out
 
 
