@@ -22,7 +22,7 @@ def own_cache(tmp_path_factory):
     """A cache of compiled programs that ends with the module."""
     patch = pytest.MonkeyPatch()
     patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     yield
     patch.undo()
     jax.config.update("jax_compilation_cache_dir", before)

@@ -5,13 +5,11 @@ and what is wanted now. A law that follows waypoints is finished at the last one
 """
 
 import abc
-from collections.abc import Sequence
 from typing import Generic
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.simulation.control.laws import Memory
@@ -19,7 +17,7 @@ from diffsea.types import Scalar, State
 
 
 # m, north and east
-Waypoints = Float[Array, "waypoint 2"] | Float[np.ndarray, "waypoint 2"] | Sequence[Sequence[float]]
+Waypoints = Float[Array, "waypoint 2"]
 
 
 class Wanted(eqx.Module):
