@@ -31,7 +31,6 @@ def test_the_wheel_has_vessels_templates_and_types(wheel):
         "diffsea/py.typed",
         "diffsea/__init__.pyi",
         "diffsea/vessel/data/otter.toml",
-        "diffsea/report/plots.js",
     ):
         assert wanted in names
     templates = sorted(p.name for p in (ROOT / "src/diffsea/report/templates").glob("*.j2"))
