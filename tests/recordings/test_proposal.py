@@ -13,7 +13,7 @@ from tests.paths import DATA, EXPERIMENTS, ORACLE
 from diffsea import UserError, propose_mapping, read_mapping, read_recording
 from diffsea.cli import main
 from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
-from diffsea.recordings.mapping_proposal.wording import SURE
+from diffsea.recordings.mapping_proposal.proposal import SURE
 
 
 MOTION = {"t", "x", "y", "psi", "u", "v", "r"}

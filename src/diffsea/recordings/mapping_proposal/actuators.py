@@ -13,14 +13,13 @@ import numpy as np
 from diffsea.recordings.auditing.actuators import order_findings
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.auditing.responses import response_findings
-from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.motion import motion_of
 from diffsea.recordings.vocabulary import UNITS
 from diffsea.trajectory import Series, Trajectory
 
 
 ROLES = ("rudder", "propeller", "port", "starboard", "thrust")
-_NAMED = 0.5  # weight of a label above which a name is believed
 _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
 # Probabilities that a column is an order, or was realised, for each reason to think so: what moves
 # gradually may also be an order from a lever that somebody moves, or from a controller.
@@ -34,17 +33,24 @@ _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"
 class ActuatorColumn:
     """One column that drives the vessel.
 
-    `push` is 1 where a positive value was seen to turn to starboard (speed up, of a
-    propeller), -1 where the contrary, 0 where the run does not tell.
+    Attributes:
+        role: one of `ROLES`.
+        sure: probability that the role, and `ordered`, are right.
+        unit: one of `UNITS`, or empty where nothing tells it.
+        ordered: whether it holds orders, rather than what was realised.
+        reason: why it is taken for what it is, in words.
+        push: 1 where a positive value was seen to turn to starboard (speed up, of a
+            propeller), -1 where the contrary, 0 where the runs do not tell. Of thrusters on
+            either side, 1 where more on the port side turns to starboard.
     """
 
     column: str
     role: str
     sure: float
-    unit: str = ""
-    ordered: bool = True
-    reason: str = ""
-    push: int = 0
+    unit: str
+    ordered: bool
+    reason: str
+    push: int
 
     @property
     def turns(self) -> bool:
@@ -57,24 +63,28 @@ def find_actuators(
 ) -> list[ActuatorColumn]:
     """Actuators of runs whose `commanded` has every column that may be one.
 
-    `unnamed` are columns whose names say nothing; the one that yaw answers best is taken for
+    `unnamed` are those whose names say nothing; the one that yaw answers best is taken for
     a rudder where no column is named as what turns the vessel.
     """
     found = []
     for role in ROLES:
-        columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > _NAMED]
+        columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > NAMED]
         for column in _order_and_answer(role, columns, suggestions, runs):
-            ordered, reason, chance = _is_order(column, suggestions[column], runs)
-            push = 0
+            verdicts = []
             if role in ("rudder", "propeller"):
-                push = _vote([_push_of(run, role, run.commanded[column]) for run in runs])
-            sure = chance * suggestions[column].weights[role]
-            unit = _unit(column, role, suggestions[column], runs)
-            found.append(ActuatorColumn(column, role, sure, unit, ordered, reason, push))
+                verdicts = [_push_of(run, role, run.commanded[column]) for run in runs]
+            chance = suggestions[column].weights[role]
+            found.append(_actuator(column, role, chance, suggestions[column], runs, verdicts))
     found = _with_sides(found, runs)
-    if not any(actuator.turns for actuator in found):
-        free = [column for column in unnamed if column in runs[0].commanded]
-        found += _unnamed_rudder(runs, free, suggestions)
+    if any(actuator.turns for actuator in found) or not unnamed:
+        return found
+    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in runs] for c in unnamed}
+    strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
+    best = max(unnamed, key=lambda column: strength[column])
+    if strength[best] > 0:
+        rudder = _actuator(best, "rudder", _UNNAMED, suggestions[best], runs, verdicts[best])
+        reason = f"yaw rate answers it best of the unnamed columns; {rudder.reason}"
+        found.append(dataclasses.replace(rudder, reason=reason))
     return found
 
 
@@ -91,29 +101,36 @@ def _order_and_answer(
     kept: dict[bool, str] = {}
     for column in sorted(columns, key=rank, reverse=True):
         kept.setdefault(_is_order(column, suggestions[column], runs)[0], column)
-    best = max(kept.values(), key=rank, default=None)
-    if best is None:
-        return []
     # Of different dimensions they are not order and answer of one actuator.
-    return [c for c in kept.values() if c == best or rank(c)[:2] == rank(best)[:2]]
+    best = max(map(rank, kept.values()), default=None)
+    return [column for column in kept.values() if best and rank(column)[:2] == best[:2]]
 
 
-def _unit(column: str, role: str, suggestion: Suggestion, runs: list[Trajectory]) -> str:
-    if suggestion.unit in UNITS:
-        return suggestion.unit
-    largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
-    if role == "rudder":
-        return "deg" if largest > _LARGEST_RADIANS else "rad"
-    if role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
-        return "rpm" if largest > _FASTEST else "rev/s"
-    return ""
+def _actuator(
+    column: str,
+    role: str,
+    chance: float,
+    suggestion: Suggestion,
+    runs: list[Trajectory],
+    verdicts: list[tuple[int, float]],
+) -> ActuatorColumn:
+    """The column in a role that it has with some chance, with its unit and its push."""
+    ordered, reason, sure = _is_order(column, suggestion, runs)
+    unit = suggestion.unit if suggestion.unit in UNITS else ""
+    if not unit:
+        largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
+        if role == "rudder":
+            unit = "deg" if largest > _LARGEST_RADIANS else "rad"
+        elif role == "propeller" and suggestion.unit != "?" and _ROTATING & set(suggestion.words):
+            unit = "rpm" if largest > _FASTEST else "rev/s"
+    return ActuatorColumn(column, role, sure * chance, unit, ordered, reason, _vote(verdicts))
 
 
 def _is_order(
     column: str, suggestion: Suggestion, runs: list[Trajectory]
 ) -> tuple[bool, str, float]:
     """Whether the column holds orders, why, and how probable that is."""
-    angle = suggestion.weights["rudder"] > _NAMED
+    angle = suggestion.weights["rudder"] > NAMED
     name = "rudder" if angle else "thrust"
     for run in runs:
         series = np.asarray(run.commanded[column], dtype=float)
@@ -169,19 +186,3 @@ def _with_sides(found: list[ActuatorColumn], runs: list[Trajectory]) -> list[Act
             verdicts += [(push, abs(f.value) / max(f.std, 1e-12)) for f in swapped]
     push = _vote(verdicts)
     return [dataclasses.replace(a, push=push) if a in (*port, *starboard) else a for a in found]
-
-
-def _unnamed_rudder(
-    runs: list[Trajectory], columns: list[str], suggestions: dict[str, Suggestion]
-) -> list[ActuatorColumn]:
-    """The unnamed column that yaw answers best, as a rudder, if any is answered at all."""
-    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in runs] for c in columns}
-    strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
-    best = max(strength, key=lambda column: strength[column], default=None)
-    if best is None or strength[best] <= 0:
-        return []
-    ordered, reason, chance = _is_order(best, suggestions[best], runs)
-    unit = _unit(best, "rudder", suggestions[best], runs)
-    why = f"yaw rate answers it best of the unnamed columns; {reason}"
-    push = _vote(verdicts[best])
-    return [ActuatorColumn(best, "rudder", _UNNAMED * chance, unit, ordered, why, push)]

@@ -16,8 +16,9 @@ import pandas as pd
 from jaxtyping import Complex, Float
 
 from diffsea.recordings.geodesy import local_position
-from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mapping_proposal.table_layout import TableLayout
+from diffsea.recordings.tables import read_table
 from diffsea.recordings.vocabulary import UNITS
 from diffsea.series import bridge_gaps, integrate, strictly_later
 from diffsea.trajectory import Samples
@@ -28,7 +29,6 @@ _TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 # deviation.
 _USUAL_INTERVAL, _DECADES = 0.15, 0.75
 _EVEN_STEPS = 1e-3  # spread of the steps, relative to their mean, of a clock without jitter
-_NAMED = 0.5  # weight of a label above which a name is believed
 _WIDEST_RUN = 2.0  # deg that a run may span: what moves farther is no position of one run
 _WINDOWS_PER_FILE = 60  # as many as a relation of a few coefficients needs
 _WINDOWS_OF_ALL = 240  # of all files together: bounds the time that a proposal takes
@@ -40,10 +40,14 @@ ComplexWindowed = Complex[np.ndarray, "window"]
 
 @dataclasses.dataclass(frozen=True)
 class TimeColumn:
-    """The time column, or none. `units` has the probability of every unit it may be in.
+    """The time column, or what is known of time without one.
 
-    Without a column `step` is the sampling interval (s) if something tells it, else NaN, and
-    `why` says what.
+    Attributes:
+        column: its name, None where there is none.
+        sure: probability that it is time, or that `step` is right.
+        units: the probability of every unit it may be in.
+        why: what tells it, in words.
+        step: sampling interval (s) where there is no column and something tells it, else NaN.
     """
 
     column: str | None
@@ -64,12 +68,21 @@ class ColumnRecord:
 def find_time_column(
     columns: dict[str, Samples], suggestions: dict[str, Suggestion]
 ) -> TimeColumn | None:
-    """The most likely time column, None where no column advances as time does."""
+    """The most likely time column, None where no column advances as time does.
+
+    A column advances that never falls, rises in half of its rows at least, and has a tenth of
+    its numbers missing at most.
+    """
     scores, unevenness = {}, {}
     for place, (name, values) in enumerate(columns.items()):
-        spread = _step_spread(values)
-        if spread is None:
+        finite = values[np.isfinite(values)]
+        steps = np.diff(finite)
+        if finite.size < max(10, 0.9 * values.size):
             continue
+        if np.any(steps < 0) or np.mean(steps > 0) < 0.5:
+            continue
+        usual = np.median(steps[steps > 0])
+        spread = float(np.percentile(np.abs(steps - usual), 90) / usual)
         weights = suggestions[name].weights
         # Log odds, set by judgement: even steps and a first place speak for a clock, a count of
         # rows is none.
@@ -90,18 +103,6 @@ def find_time_column(
     return TimeColumn(best, sure, units, why)
 
 
-def _step_spread(values: Samples) -> float | None:
-    """Spread of the steps over their mean; None where the column does not always advance."""
-    finite = values[np.isfinite(values)]
-    if finite.size < 10 or finite.size < 0.9 * values.size:
-        return None
-    steps = np.diff(finite)
-    if np.any(steps < 0) or np.mean(steps > 0) < 0.5:
-        return None
-    usual = np.median(steps[steps > 0])
-    return float(np.percentile(np.abs(steps - usual), 90) / usual)
-
-
 def _time_units(stated: str, step: float, largest: float) -> dict[str, float]:
     """Probability of every unit of time, from what is stated, the step, and the epoch."""
     odds = {}
@@ -120,7 +121,7 @@ def _time_units(stated: str, step: float, largest: float) -> dict[str, float]:
 
 def time_from_text_stamps(path: Path, layout: TableLayout) -> TimeColumn:
     """The clock of a file without a numeric time: from stamps of date and time, or unknown."""
-    table = layout.read(path)
+    table = read_table(path, layout.mapping)[0]
     for name in layout.names:
         if not name or name not in table.columns or pd.api.types.is_numeric_dtype(table[name]):
             continue
@@ -135,8 +136,32 @@ def time_from_text_stamps(path: Path, layout: TableLayout) -> TimeColumn:
     return TimeColumn(None, 0.0, {"s": 1.0}, "no column advances as time does")
 
 
-def columns_over_time(columns: dict[str, Samples], clock: TimeColumn) -> ColumnRecord:
-    """The columns on their clock, gaps interpolated; what never changes is left out."""
+def find_geographic(
+    table: dict[str, Samples], suggestions: dict[str, Suggestion]
+) -> tuple[str, str] | None:
+    """Columns of latitude and longitude in degrees, if the file has them and they move."""
+    found = []
+    for label, limit in (("lat", 90.0), ("lon", 180.0)):
+        named = [name for name in table if suggestions[name].weights[label] > NAMED]
+        named = [n for n in named if 0 < np.nanmax(np.abs(table[n])) <= limit]
+        named = [n for n in named if 0 < np.nanmax(table[n]) - np.nanmin(table[n]) < _WIDEST_RUN]
+        if len(named) != 1:
+            return None
+        found += named
+    return found[0], found[1]
+
+
+def columns_over_time(
+    columns: dict[str, Samples],
+    clock: TimeColumn,
+    place: tuple[str, str] | None = None,
+    origin: tuple[float, float] | None = None,
+) -> ColumnRecord:
+    """The columns on their clock, gaps interpolated; what never changes is left out.
+
+    Columns of latitude and longitude (deg), named by `place`, become metres north and east of
+    the `origin` (deg). Without a time column, rows are counted.
+    """
     first = next(iter(columns.values()))
     t = np.arange(first.size, dtype=float) if clock.column is None else columns[clock.column]
     ahead = np.isfinite(t)
@@ -146,53 +171,28 @@ def columns_over_time(columns: dict[str, Samples], clock: TimeColumn) -> ColumnR
     for name, values in columns.items():
         series = values[ahead]
         finite = np.isfinite(series)
-        varies = np.sum(finite) > 10 and np.ptp(series[finite]) > 1e-9 * np.max(
-            np.abs(series[finite])
-        )
-        if name != clock.column and varies and np.mean(finite) > 0.02:
+        if name == clock.column or np.sum(finite) <= 10 or np.mean(finite) <= 0.02:
+            continue
+        if np.ptp(series[finite]) > 1e-9 * np.max(np.abs(series[finite])):
             kept[name] = bridge_gaps(t, series, np.inf)[0]
+    if place is not None and origin is not None and set(place) <= set(kept):
+        latitude, longitude = (np.radians(kept[name]) for name in place)
+        zero = float(np.radians(origin[0])), float(np.radians(origin[1]))
+        north, east = local_position(latitude, longitude, zero)
+        kept |= {place[0]: north, place[1]: east}
     return ColumnRecord(t, kept)
-
-
-def find_geographic(
-    table: dict[str, Samples], suggestions: dict[str, Suggestion]
-) -> tuple[str, str] | None:
-    """Columns of latitude and longitude in degrees, if the file has them and they move."""
-    found = []
-    for label, limit in (("lat", 90.0), ("lon", 180.0)):
-        named = [name for name in table if suggestions[name].weights[label] > _NAMED]
-        named = [n for n in named if 0 < np.nanmax(np.abs(table[n])) <= limit]
-        named = [n for n in named if 0 < np.nanmax(table[n]) - np.nanmin(table[n]) < _WIDEST_RUN]
-        if len(named) != 1:
-            return None
-        found += named
-    return found[0], found[1]
-
-
-def origin_of(table: dict[str, Samples], place: tuple[str, str]) -> tuple[float, float]:
-    """The first fix (deg) of a file, rounded to a millionth of a degree."""
-    first = [table[name][np.isfinite(table[name])][0] for name in place]
-    return round(float(first[0]), 6), round(float(first[1]), 6)
-
-
-def with_metres(
-    record: ColumnRecord, place: tuple[str, str], origin: tuple[float, float]
-) -> ColumnRecord:
-    """The record with latitude and longitude (deg) replaced by metres north and east."""
-    if not set(place) <= set(record.columns):
-        return record
-    latitude, longitude = (np.radians(record.columns[name]) for name in place)
-    zero = float(np.radians(origin[0])), float(np.radians(origin[1]))
-    north, east = local_position(latitude, longitude, zero)
-    return ColumnRecord(record.t, record.columns | {place[0]: north, place[1]: east})
 
 
 @dataclasses.dataclass(frozen=True)
 class ColumnWindows:
     """Windows of all files, and what columns change or add up to over them.
 
-    `duration` of each is in the file's unit of time. A heading is a column with the `period` of
-    its numbers, and stands for exp(i heading).
+    Numbers are those of the files. A heading is a column with the `period` of its numbers, and
+    stands for exp(i heading).
+
+    Attributes:
+        edges: of each record, the rows between which its windows lie.
+        duration: of each window, in the file's unit of time.
     """
 
     records: tuple[ColumnRecord, ...]
@@ -201,15 +201,20 @@ class ColumnWindows:
     _known: dict[tuple, np.ndarray] = dataclasses.field(default_factory=dict, repr=False)
 
     def of(self, what: str, *arguments: str | float | None) -> np.ndarray:
-        """What a method gives for its arguments, computed once."""
+        """What the method of that name gives for its arguments, computed once."""
         key = (what, *arguments)
         if key not in self._known:
             self._known[key] = getattr(self, what)(*arguments)
         return self._known[key]
 
     def increments(self, name: str, period: float = 0.0) -> Windowed:
-        """Changes of a column, as an angle where it has a period."""
-        return self._changes(lambda record: _column(record, name, period))
+        """Changes of a column, unwrapped as an angle where it has a period."""
+
+        def continuous(record: ColumnRecord) -> Samples:
+            values = record.columns[name]
+            return np.unwrap(values, period=period) if period else values
+
+        return self._changes(continuous)
 
     def integrals(self, name: str) -> Windowed:
         """Integrals of a column."""
@@ -220,7 +225,7 @@ class ColumnWindows:
         return self._integrals(lambda r: r.columns[name] * _direction(r, heading, period))
 
     def ends(self, name: str, heading: str, period: float) -> ComplexWindowed:
-        """Changes of a column times exp(i heading)."""
+        """Changes of a column, smoothed, times exp(i heading)."""
         return self._changes(lambda r: _smooth(r.columns[name]) * _direction(r, heading, period))
 
     def directions(self, heading: str, period: float) -> ComplexWindowed:
@@ -233,12 +238,9 @@ class ColumnWindows:
 
     def swerves(self, name: str, heading: str, period: float) -> ComplexWindowed:
         """Integrals of a column times the rate of change of exp(i heading)."""
-
-        def swerve(record: ColumnRecord) -> np.ndarray:
-            turning = np.gradient(_smooth(_direction(record, heading, period)), record.t)
-            return record.columns[name] * turning
-
-        return self._integrals(swerve)
+        return self._integrals(
+            lambda r: r.columns[name] * np.gradient(_smooth(_direction(r, heading, period)), r.t)
+        )
 
     def _changes(self, series: Callable[[ColumnRecord], np.ndarray]) -> np.ndarray:
         pairs = zip(self.records, self.edges, strict=True)
@@ -246,11 +248,6 @@ class ColumnWindows:
 
     def _integrals(self, series: Callable[[ColumnRecord], np.ndarray]) -> np.ndarray:
         return self._changes(lambda record: integrate(record.t, series(record)))
-
-
-def _column(record: ColumnRecord, name: str, period: float) -> Samples:
-    values = record.columns[name]
-    return np.unwrap(values, period=period) if period else values
 
 
 def _direction(record: ColumnRecord, heading: str, period: float) -> np.ndarray:
@@ -276,7 +273,10 @@ def windows_of(records: tuple[ColumnRecord, ...]) -> ColumnWindows:
 
 
 def effective_size(rest: np.ndarray) -> float:
-    """Effective number of independent residuals: n (1 - rho) / (1 + rho), rho at lag one."""
+    """Effective number of independent residuals: n (1 - rho) / (1 + rho), rho at lag one.
+
+    The size of the mean of a first-order autoregressive series; rho is kept between 0 and 0.95.
+    """
     power = float(np.sum(np.abs(rest) ** 2))
     if power <= 0 or rest.size < 4:
         return float(rest.size)
@@ -290,14 +290,17 @@ class IntegralRelation:
     """A regression of increments on an integral."""
 
     gain: float  # per raw unit
-    evidence: float  # log likelihood ratio over no relation
+    evidence: float  # log likelihood ratio over no relation, zero at least
     error: float  # relative standard error of the gain
 
 
 def relate_to_integral(
     increments: Windowed, integrals: Windowed, duration: Windowed
 ) -> IntegralRelation:
-    """How well increments follow an integral, a constant drift allowed for."""
+    """How well increments follow an integral, a constant drift allowed for.
+
+    No relation is found in fewer than six windows, or in series that only drift.
+    """
     count = increments.size
 
     def without_drift(series: Windowed) -> Windowed:

@@ -10,32 +10,45 @@ runs of a simulated vessel and on published data sets.
 """
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
 
-from diffsea.recordings.mapping_proposal.names import Suggestion
+from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.trajectory import MOTION_CHANNELS, Samples
 
 
 @dataclasses.dataclass(frozen=True)
 class ColumnHypothesis:
-    """One way to read the motion of a file. Columns are names, None where there is none."""
+    """One way to read the motion of a file.
+
+    A channel is its column's number times its sign, and body axes are forward and starboard,
+    earth axes north and east.
+
+    Attributes:
+        x: column of north, None where there is none, as of the other five channels.
+        signs: of x and y.
+        period: of the heading in the column's numbers, 360 or 2 pi.
+        turn: sign of heading.
+        quarter: quarter turns added to heading, clockwise, 0 to 3.
+        speeds: signs of u and v.
+        earth: whether u and v are columns of velocities north and east.
+        spin: sign of yaw rate.
+    """
 
     x: str | None = None
     y: str | None = None
-    signs: tuple[int, int] = (1, 1)  # of x and y
+    signs: tuple[int, int] = (1, 1)
     psi: str | None = None
-    period: float = 2 * math.pi  # of the heading, in the column's numbers
-    turn: int = 1  # sign of heading
-    quarter: int = 0  # quarter turns added to it, clockwise
+    period: float = 2 * math.pi
+    turn: int = 1
+    quarter: int = 0
     u: str | None = None
     v: str | None = None
-    speeds: tuple[int, int] = (1, 1)  # signs of u and v
+    speeds: tuple[int, int] = (1, 1)
     earth: bool = False
     r: str | None = None
-    spin: int = 1  # sign of yaw rate
+    spin: int = 1
 
     @property
     def columns(self) -> dict[str, str | None]:
@@ -47,6 +60,11 @@ class ColumnHypothesis:
         """Whether it has positions, and velocities whose directions are known."""
         oriented = self.psi is not None or self.earth
         return self.x is not None and self.u is not None and oriented
+
+    @property
+    def starboard_sign(self) -> int:
+        """The sign that decides which way a turn to starboard goes."""
+        return self.spin if self.r is not None else self.turn
 
     @property
     def mirror_image(self) -> "ColumnHypothesis":
@@ -61,19 +79,20 @@ class ColumnHypothesis:
         )
 
 
-def all_orientations() -> tuple[list[tuple[bool, int, int]], list[tuple[int, int]]]:
-    """All (swapped, sign, sign) of a pair of columns, and all (turn, quarter) of a heading."""
-    pairs: list[tuple[bool, int, int]] = list(itertools.product((False, True), (1, -1), (1, -1)))
-    return pairs, list(itertools.product((1, -1), range(4)))
-
-
 @dataclasses.dataclass(frozen=True)
 class FrameConvention:
-    """A frame that people use; `log_odds` says how common it is against the first."""
+    """A frame that people use, by what `ColumnHypothesis` reads it through.
+
+    Attributes:
+        name: as a sentence says it.
+        log_odds: how common it is against the first.
+        swapped: whether x is east and y north.
+        sway: sign of v along body axes.
+    """
 
     name: str
     log_odds: float
-    swapped: bool = False  # x is east and y north
+    swapped: bool = False
     signs: tuple[int, int] = (1, 1)
     turn: int = 1
     quarter: int = 0
@@ -102,30 +121,54 @@ _WRAPPED_COMPASS = 1.5  # the same for a column that wraps from 360 to 0
 _GEOGRAPHIC = 20.0
 _DEGREES = 1.0  # against positions in degrees beside others in metres, which are easier to check
 _NEGATED_NORTH = 4.0  # against the negative of what is called north or east
+_MOST_AGAINST_RATIO = 14.0  # log odds: a ratio of no two units may still have another reason
+_SCALE_ERROR = 0.04  # standard deviation of the scale errors of sensors
+STATED_UNIT = 0.97  # probability that a stated unit is right
+# How often units are used where none is stated.
+_UNIT_PROBABILITIES = {
+    "x": {"m": 0.93, "km": 0.01, "ft": 0.02, "nmi": 0.01, "cm": 0.01, "mm": 0.02},
+    "u": {"m/s": 0.8, "kn": 0.15, "km/h": 0.03, "ft/s": 0.02},
+    "r": {"rad/s": 0.55, "deg/s": 0.4, "deg/min": 0.05},
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class HypothesisPrior:
     """Log odds of hypotheses before any number is looked at.
 
-    `wrapped` has the columns that look like a compass by their range.
+    Attributes:
+        suggestions: what the names of columns suggest.
+        wrapped: the columns that look like a compass by their range.
     """
 
     suggestions: dict[str, Suggestion]
     wrapped: frozenset[str] = frozenset()
-    _known_labels: dict[tuple, float] = dataclasses.field(default_factory=dict, repr=False)
     _known: dict[tuple, list[float]] = dataclasses.field(default_factory=dict, repr=False)
 
     def label(self, column: str | None, *labels: str) -> float:
-        """Log odds of a column being one of some labels against being something else."""
+        """Log odds of a column being one of some labels against being something else.
+
+        Zero for no column.
+        """
         if column is None:
             return 0.0
-        key = (column, labels)
-        if key not in self._known_labels:
-            weights = self.suggestions[column].weights
-            likely = max(weights[label] for label in labels)
-            self._known_labels[key] = math.log(likely / weights["other"])
-        return self._known_labels[key]
+        weights = self.suggestions[column].weights
+        return math.log(max(weights[label] for label in labels) / weights["other"])
+
+    def unit_probabilities(self, channel: str, column: str | None) -> dict[str, float]:
+        """Probability of every unit of a column read as x, u or r, from what its header says.
+
+        No column has the unit `""`.
+        """
+        if column is None:
+            return {"": 1.0}
+        odds = dict(_UNIT_PROBABILITIES[channel])
+        stated = self.suggestions[column].unit
+        if stated in odds:
+            odds = {unit: (1 - STATED_UNIT) * value for unit, value in odds.items()}
+            odds[stated] += STATED_UNIT
+        total = sum(odds.values())
+        return {unit: value / total for unit, value in odds.items()}
 
     def log_odds(self, hypothesis: ColumnHypothesis) -> float:
         """Log odds of the hypothesis, under the convention that suits it best."""
@@ -149,9 +192,14 @@ class HypothesisPrior:
         return [a - b for a, b in zip(self._known[named], self._known[signs], strict=True)]
 
     def _names(self, h: ColumnHypothesis, convention: FrameConvention) -> float:
-        """Log odds of the columns' names under a convention."""
+        """Log odds of the columns' names, and of the frames that they state, in a convention."""
+        total = convention.log_odds
+        frames = {self.suggestions[c].frame for c in (h.x, h.y, h.psi, h.u, h.v) if c}
+        if "ned" in frames and convention is not NED:
+            total -= _OTHER_FRAME["ned"]
+        elif "enu" in frames and not convention.swapped:
+            total -= _OTHER_FRAME["enu"]
         first, second = ("y", "x") if convention.swapped else ("x", "y")
-        total = convention.log_odds - self._frame_words(h, convention)
         total += self.label(h.x, first, "north", "lat")
         total += self.label(h.y, second, "east", "lon")
         total += self.label(h.psi, "psi") + self.label(h.r, "r")
@@ -163,15 +211,6 @@ class HypothesisPrior:
         loose += self.label(h.v, "u" if convention.swapped else "v")
         return total + max(absolute, loose - _LOOSE_EARTH)
 
-    def _frame_words(self, h: ColumnHypothesis, convention: FrameConvention) -> float:
-        columns = [c for c in (h.x, h.y, h.psi, h.u, h.v) if c]
-        frames = {self.suggestions[column].frame for column in columns} - {""}
-        if "ned" in frames and convention is not NED:
-            return _OTHER_FRAME["ned"]
-        if "enu" in frames and not convention.swapped:
-            return _OTHER_FRAME["enu"]
-        return 0.0
-
     def _contradictions(self, h: ColumnHypothesis) -> float:
         """Log odds against hypotheses that deny what is fixed by definition."""
         cost, fixes = 0.0, []
@@ -179,11 +218,12 @@ class HypothesisPrior:
             (h.x, h.signs[0], "lat", "north"),
             (h.y, h.signs[1], "lon", "east"),
         ):
-            weights = {label: 0.0} if column is None else self.suggestions[column].weights
-            fixes.append(weights[label] > 0.5)
-            if column is not None:
-                cost += (_GEOGRAPHIC if sign < 0 else _DEGREES) if fixes[-1] else 0.0
-                cost += _NEGATED_NORTH if sign < 0 and weights[absolute] > 0.5 else 0.0
+            weights = self.suggestions[column].weights if column is not None else {}
+            fixes.append(weights.get(label, 0.0) > NAMED)
+            if fixes[-1]:
+                cost += _GEOGRAPHIC if sign < 0 else _DEGREES
+            if sign < 0 and weights.get(absolute, 0.0) > NAMED:
+                cost += _NEGATED_NORTH
         cost += _GEOGRAPHIC if fixes[0] != fixes[1] else 0.0
         if h.psi is not None and (h.turn, h.quarter) != (1, 0):
             named = _COMPASS_WORDS & set(self.suggestions[h.psi].words)
@@ -206,35 +246,12 @@ def _departures(h: ColumnHypothesis, convention: FrameConvention) -> float:
     return sum(_DEPARTURE[name] for name, departing in departs.items() if departing)
 
 
-_MOST_AGAINST_RATIO = 14.0  # log odds: a ratio of no two units may still have another reason
-_SCALE_ERROR = 0.04  # standard deviation of the scale errors of sensors
-_STATED_UNIT = 0.97  # probability that a stated unit is right
-# How often units are used where none is stated.
-UNIT_PROBABILITIES = {
-    "x": {"m": 0.93, "km": 0.01, "ft": 0.02, "nmi": 0.01, "cm": 0.01, "mm": 0.02},
-    "u": {"m/s": 0.8, "kn": 0.15, "km/h": 0.03, "ft/s": 0.02},
-    "r": {"rad/s": 0.55, "deg/s": 0.4, "deg/min": 0.05},
-}
-
-
-def unit_probabilities(
-    prior: HypothesisPrior, channel: str, column: str | None
-) -> dict[str, float]:
-    """Probability of every unit of a column read as x, u or r, from what its header says."""
-    odds = dict(UNIT_PROBABILITIES[channel])
-    stated = "" if column is None else prior.suggestions[column].unit
-    if stated in odds:
-        odds = {unit: (1 - _STATED_UNIT) * value for unit, value in odds.items()}
-        odds[stated] += _STATED_UNIT
-    total = sum(odds.values())
-    return {unit: value / total for unit, value in odds.items()}
-
-
 def ratio_penalty(ratio: float, expected: float, error: float) -> float:
     """Log odds against a ratio that differs from that of two units.
 
     `error` is the relative standard error of the ratio. The tails are heavy (Student's t with
-    four degrees of freedom): sensors have wrong scales, too.
+    four degrees of freedom): sensors have wrong scales, too. Zero for a ratio that is not
+    positive or has no finite error.
     """
     if not ratio > 0 or not math.isfinite(error):
         return 0.0
@@ -244,7 +261,10 @@ def ratio_penalty(ratio: float, expected: float, error: float) -> float:
 
 
 def period_log_odds(values: Samples, stated: str) -> dict[float, float]:
-    """Log odds of a column being an angle in degrees (period 360) or radians (2 pi)."""
+    """Log odds of a column being an angle in degrees (period 360) or radians (2 pi).
+
+    Jumps of one period settle it; else the range and the `stated` unit speak.
+    """
     finite = values[np.isfinite(values)]
     largest = float(np.max(np.abs(finite)))
     jumps = np.abs(np.diff(finite))
@@ -255,7 +275,6 @@ def period_log_odds(values: Samples, stated: str) -> dict[float, float]:
     odds = {2 * math.pi: -0.2, 360.0: -1.7}
     if largest > 4 * math.pi:
         odds = {2 * math.pi: -4.0, 360.0: -0.02}
-    for unit, period in (("deg", 360.0), ("rad", 2 * math.pi)):
-        if stated == unit:
-            odds[period] += 4.0
+    if stated in ("deg", "rad"):
+        odds[360.0 if stated == "deg" else 2 * math.pi] += 4.0
     return odds

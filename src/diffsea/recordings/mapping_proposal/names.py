@@ -1,43 +1,66 @@
 """What the name of a column suggests: words of the field, abbreviations, units.
 
 A name is cut into words at punctuation, digits and capitals; so are the topics and fields
-of robot logs (`odom:pose.x`). Each entry of the vocabulary is some words and the labels that
-they stand for, with weights; the longest entry that a name contains decides.
+of robot logs (`odom:pose.x`). Each entry of the vocabulary (`vocabulary.toml`) is some words and
+the labels that they stand for, with weights; the longest entry that a name contains decides.
 """
 
 import dataclasses
+import importlib.resources
 import re
+import tomllib
 
-from diffsea.recordings.mapping_proposal.vocabulary import (
-    FRAMES,
-    LABELS,
-    ORDERS,
-    REALISED,
-    SPOILERS,
-    UNIT_TAILS,
-    UNIT_WORDS,
-    VOCABULARY,
-)
 from diffsea.recordings.vocabulary import UNITS
 
+
+_TEXT = importlib.resources.files("diffsea.recordings.mapping_proposal") / "vocabulary.toml"
+_TABLES = tomllib.loads(_TEXT.read_text(encoding="utf-8"))
+
+
+def _meaning_of_words(table: str) -> dict[str, str]:
+    """The key of a table of the vocabulary, by each of the words that have that meaning."""
+    lists = ((meaning, words.split(", ")) for meaning, words in _TABLES[table].items())
+    return {word: meaning for meaning, words in lists for word in words}
+
+
+# The order of labels decides between those of equal weight.
+_ORDER = (
+    "t x y north east lat lon psi u v vx vy vn ve r phi p wind_speed wind_direction rudder "
+    "propeller port starboard thrust other"
+).split()
+_DIMENSIONS = _meaning_of_words("labels")
+LABELS = {label: _DIMENSIONS[label] for label in _ORDER}  # and the dimensions of their numbers
+_VOCABULARY: dict[str, dict[str, float]] = {}  # labels and their weights, by words
+for _words, _meaning in _meaning_of_words("words").items():
+    _parts = _meaning.split()
+    _VOCABULARY[_words] = dict(zip(_parts[::2], map(float, _parts[1::2]), strict=True))
+UNIT_WORDS = _meaning_of_words("units")
+_UNIT_TAILS = _meaning_of_words("unit_tails")
+_FRAMES = _meaning_of_words("frames")
+_SPOILERS, _ORDERS, _REALISED = (
+    frozenset(_TABLES["kinds"][kind].split(", ")) for kind in ("spoilers", "orders", "realised")
+)
 
 # Weights are prior probabilities, set on the names of published data sets.
 _SINGLE_LETTER = 0.3  # what a letter's weight is lessened by beside words: it is often an index
 _UNSUGGESTED = 0.003  # the weight of a label that a name of known words does not suggest
 _UNINFORMATIVE = 0.035  # the weight of every label for a name that says nothing
 _WRONG_DIMENSION = 0.03  # factor on a label's weight where the unit is of another dimension
+NAMED = 0.5  # the weight of a label above which a name is believed
 
 
 @dataclasses.dataclass(frozen=True)
 class Suggestion:
     """What a name suggests.
 
-    `weights` of all `LABELS` add up to one. `unit` is one of `UNITS`, `""` where nothing is
-    said and `"?"` where it is one that no mapping knows. `ordered` is true of an order, false
-    of what was realised, None where the name does not say.
+    Attributes:
+        words: the name's, in small letters.
+        weights: of all `LABELS`, with sum one.
+        unit: one of `UNITS`; empty where nothing is said, `"?"` where no mapping knows it.
+        frame: `ned` or `enu` where the name has a word for it, else empty.
+        ordered: true of an order, false of what was realised, None where the name does not say.
     """
 
-    name: str
     words: tuple[str, ...]
     weights: dict[str, float]
     unit: str = ""
@@ -53,35 +76,43 @@ class Suggestion:
 def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     """What a column's name, and what its header says of the unit, suggest.
 
-    `name` may be a topic and field joined by `:`; the words nearest the end count first.
+    `name` may be a topic and field joined by `:`; the words nearest the end count first. A unit
+    in brackets or at the end of the name counts where `stated_unit` is empty. Labels whose
+    dimension is not that of the unit hardly count.
     """
     bare = re.sub(r"[\[(<{].*?[\])>}]", " ", name)  # without what stands in brackets
     bare = re.sub(r"([a-z])([A-Z])", r"\1 \2", bare)
     words = tuple(word.lower() for word in re.split(r"[^A-Za-zµ°äöüß]+", bare) if word)
-    unit = known_unit(stated_unit or unit_in(name)) or _unit_tail(words)
+    tails = [" ".join(words[-length:]) for length in (2, 1) if len(words) > length]
+    tail = next((_UNIT_TAILS[tail] for tail in tails if tail in _UNIT_TAILS), "")
+    unit = _known_unit(stated_unit or unit_in(name)) or tail
     entry = _vocabulary_entry(words)
     turns_or_drives = {"rudder", "propeller", "port", "starboard"} & set(entry or ())
-    spoilers = SPOILERS - ORDERS if turns_or_drives else SPOILERS
-    differentiated = "dot" in words and not VOCABULARY.get(" ".join(words[:2]))
-    if entry is None:
-        weights = dict.fromkeys(LABELS, _UNINFORMATIVE)
-    elif spoilers & set(words) or differentiated:
-        weights = dict.fromkeys(LABELS, _UNSUGGESTED)
-    else:
-        weights = dict.fromkeys(LABELS, _UNSUGGESTED) | entry
+    spoilers = _SPOILERS - _ORDERS if turns_or_drives else _SPOILERS
+    differentiated = "dot" in words and not _VOCABULARY.get(" ".join(words[:2]))
+    weights = dict.fromkeys(LABELS, _UNINFORMATIVE if entry is None else _UNSUGGESTED)
+    if entry and not (spoilers & set(words) or differentiated):
+        weights |= entry
     weights["other"] += max(0.0, 1.0 - sum(weights.values()))
-    ordered = True if ORDERS & set(words) else False if REALISED & set(words) else None
-    frame = next((frame for word, frame in FRAMES.items() if word in words), "")
-    return Suggestion(name, words, _given_unit(weights, unit), unit, frame, ordered)
+    if unit:
+        dimension = "?" if unit == "?" else UNITS[unit][0]
+        for label, kind in LABELS.items():
+            if kind not in ("any", dimension) and not (kind == "degrees" and unit == "deg"):
+                weights[label] = _WRONG_DIMENSION * weights[label]
+        total = sum(weights.values())
+        weights = {label: weight / total for label, weight in weights.items()}
+    ordered = True if _ORDERS & set(words) else False if _REALISED & set(words) else None
+    frame = next((frame for word, frame in _FRAMES.items() if word in words), "")
+    return Suggestion(words, weights, unit, frame, ordered)
 
 
 def unit_in(name: str) -> str:
-    """What stands in the last brackets of a header cell, such as `deg/s`."""
+    """What stands in the last brackets of a header cell, such as `deg/s`; empty without any."""
     found = re.findall(r"[\[(<{]\s*([^\])>}]*?)\s*[\])>}]", name)
     return found[-1] if found else ""
 
 
-def known_unit(text: str) -> str:
+def _known_unit(text: str) -> str:
     """A unit as mappings spell it, `"?"` for one that they do not know, `""` for none."""
     text = text.strip()
     if text == "-":  # said of numbers without a unit, and of units that nobody looked up
@@ -94,37 +125,16 @@ def known_unit(text: str) -> str:
     return UNIT_WORDS.get(re.sub(r"\s*/\s*", "/", text.lower()), "?" if text else "")
 
 
-def _unit_tail(words: tuple[str, ...]) -> str:
-    for length in (2, 1):
-        tail = " ".join(words[-length:])
-        if len(words) > length and tail in UNIT_TAILS:
-            return UNIT_TAILS[tail]
-    return ""
-
-
 def _vocabulary_entry(words: tuple[str, ...]) -> dict[str, float] | None:
     """The vocabulary's entry for a name: of the most words, then the plainest, then the last."""
     for length in (4, 3, 2, 1):
         found = []
         for start in range(len(words) - length, -1, -1):
-            entry = VOCABULARY.get(" ".join(words[start : start + length]))
-            is_unit = length == 1 < len(words) == start + 1 and words[start] in UNIT_TAILS
+            entry = _VOCABULARY.get(" ".join(words[start : start + length]))
+            is_unit = length == 1 < len(words) == start + 1 and words[start] in _UNIT_TAILS
             if entry is not None and not is_unit:
                 letter = _SINGLE_LETTER if length == 1 and len(words[start]) == 1 else 0.0
                 found.append((max(entry.values()) - letter, entry))
         if found:
             return max(found, key=lambda item: item[0])[1]
     return None
-
-
-def _given_unit(weights: dict[str, float], unit: str) -> dict[str, float]:
-    """The weights given the unit: labels of another dimension hardly count."""
-    if not unit:
-        return weights
-    dimension = "?" if unit == "?" else UNITS[unit][0]
-    scaled = {}
-    for label, kind in LABELS.items():
-        fits = kind in ("any", dimension) or (kind == "degrees" and unit == "deg")
-        scaled[label] = weights[label] if fits else _WRONG_DIMENSION * weights[label]
-    total = sum(scaled.values())
-    return {label: weight / total for label, weight in scaled.items()}

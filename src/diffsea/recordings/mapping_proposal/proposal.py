@@ -1,28 +1,72 @@
-"""A mapping proposed for files that nobody has mapped, and which files need one."""
+"""A mapping proposed for files that nobody has mapped, and which files need one.
+
+The proposal is a mapping file to edit: every line with why, and how sure it is.
+"""
 
 import dataclasses
+import json
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
-from diffsea.recordings.mapping_proposal.evidence import gather_evidence
+from diffsea.recordings.mapping_proposal.actuators import ROLES
+from diffsea.recordings.mapping_proposal.evidence import (
+    ChannelGuess,
+    ProposalEvidence,
+    gather_evidence,
+)
+from diffsea.recordings.mapping_proposal.hypotheses import NED
+from diffsea.recordings.mapping_proposal.names import LABELS
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
-from diffsea.recordings.mapping_proposal.wording import actuator_guesses, level, mapping_text
+from diffsea.recordings.mappings import Column
 from diffsea.recordings.vocabulary import is_channel
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import MOTION_CHANNELS
+
+
+SURE, LIKELY = 0.95, 0.7  # probabilities from which on a guess is called so
+_SUREST_WITHOUT_ANSWER = 0.9  # of an actuator to which no motion was seen to answer
+_MENTIONED_MIRROR = 0.02  # probability of a mirrored record from which on it is mentioned
+_MENTIONED_LABEL = 0.2  # weight from which on an unused column is said to be one perhaps
+_UNITS_WITHOUT_MENTION = ("", "rad", "rev/s", "N", "rps", "Hz")  # of actuators, in SI
+_SIDES = ("port", "starboard")
+# What is said of the sign of an actuator, by which way it pushes.
+_SIDE_PUSHES = {
+    1: "more on the port side turns the vessel to starboard, as it should",
+    -1: "more on the side named port turns the vessel to port: sides exchanged",
+    0: "which side it is on cannot be seen in this run",
+}
+_PUSHES = {
+    "propeller": {
+        1: "positive values speed the vessel up",
+        -1: "positive values slow the vessel down",
+        0: "its sign cannot be seen in this run",
+    },
+    "rudder": {
+        1: "positive values turn the vessel to starboard",
+        -1: "positive values turn the vessel to port, hence the sign",
+        0: "which way it turns the vessel cannot be seen in this run",
+    },
+    "port": _SIDE_PUSHES,
+    "starboard": _SIDE_PUSHES,
+    "thrust": {0: ""},
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class Proposal:
     """A proposed mapping.
 
-    `text` is TOML that `read_mapping` accepts; `sure` has for every channel the probability
-    that its column, unit and sign are right; `summary` is what to tell and `checks` what to
-    look at. `timed` is false where the file has no time and nothing told its step: the text
-    then holds a placeholder, and nothing read through it means anything.
+    Attributes:
+        text: TOML that `read_mapping` accepts.
+        sure: by channel, the probability that its column, unit and sign are right.
+        summary: what to tell, a line per channel.
+        checks: what to look at before anybody relies on the mapping.
+        timed: false where the file has no time and nothing told its step: the text then holds a
+            placeholder, and nothing read through it means anything.
     """
 
     text: str
@@ -36,11 +80,12 @@ class Proposal:
 def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
     """Propose one mapping for a file, or for several files of one layout.
 
-    Raises `UserError` for what is no table of numbers, and for files of different columns.
+    Raises:
+        UserError: a file is no table of numbers, or files have different columns.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     evidence = gather_evidence(files)
-    guesses = [*evidence.guesses, *actuator_guesses(evidence)]
+    guesses = [*evidence.guesses, *_actuator_guesses(evidence)]
     summary, checks = [], []
     timed = evidence.clock.column is not None or math.isfinite(evidence.clock.step)
     if evidence.clock.column is None:
@@ -48,11 +93,11 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         checks.append(f"[file] time_step: the file has no time column; the step is {known}")
     for guess in guesses:
         name, sure = guess.column.column, guess.sure
-        summary.append(f"  {guess.channel:15s} {level(sure):6s} {sure:5.2f}  {name}")
-        if level(sure) != "sure":
+        summary.append(f"  {guess.channel:15s} {_level(sure):6s} {sure:5.2f}  {name}")
+        if _level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
     return Proposal(
-        text=mapping_text(evidence, files[0].name),
+        text=_mapping_text(evidence, guesses, files[0].name),
         sure={guess.channel: guess.sure for guess in guesses},
         summary="\n".join(summary),
         checks=tuple(checks),
@@ -73,10 +118,136 @@ def is_foreign(path: str | Path) -> bool:
         layout = sniff_layout(path)
     except UserError:
         return False
-    plain = not layout.text or (
-        (layout.delimiter, layout.decimal, layout.encoding) == (",", ".", "utf-8-sig")
-        and layout.header_lines == 1
+    how, names = layout.mapping, layout.names
+    plain = (how.delimiter, how.decimal, how.encoding, how.header_lines) == (
+        *(",", ".", "utf-8-sig"),
+        1 if layout.text else None,
     )
-    names = layout.names
     complete = "t" in names and any(name in MOTION_CHANNELS for name in names)
     return not (plain and (complete or all(is_channel(name) for name in names)))
+
+
+def _level(sure: float) -> str:
+    return "sure" if sure >= SURE else "likely" if sure >= LIKELY else "guess"
+
+
+def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
+    """The actuators as channels; thrusters whose sides are exchanged change their labels.
+
+    What turns the vessel is as sure as that the record is not mirrored, and what nothing was
+    seen to answer is never called sure.
+    """
+    found = []
+    for actuator in evidence.actuators:
+        name, sign, sure = actuator.role, 1.0, actuator.sure
+        if actuator.push == 0:
+            sure = min(sure, _SUREST_WITHOUT_ANSWER)
+        elif actuator.turns:
+            sure = sure * (1 - evidence.mirror)
+        if actuator.push < 0 and name in _SIDES:
+            name = _SIDES[name == "port"]
+        elif actuator.push < 0:
+            sign = -1.0
+        unit = None if actuator.unit in _UNITS_WITHOUT_MENTION else actuator.unit
+        channel = ("cmd_" if actuator.ordered else "exec_") + name
+        push = _PUSHES[actuator.role][actuator.push]
+        why = "; ".join(part for part in (actuator.reason, push) if part)
+        found.append(ChannelGuess(channel, Column(actuator.column, unit, sign), sure, why))
+    return found
+
+
+def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], source: str) -> str:
+    """The mapping as TOML with comments; `source` is the file it was proposed for."""
+    motion, frames = evidence.motion, ""
+    if motion.psi is not None or motion.x is not None:
+        frames = f"Frames read as {evidence.convention.name}"
+        if evidence.convention is not NED:
+            frames += ", turned into north-east-down"
+        if evidence.mirror > _MENTIONED_MIRROR:
+            frames += (
+                f". A record mirrored as a whole (y, psi, v, r) is as consistent; taken to be "
+                f"{100 * evidence.mirror:.0f} % likely: compare one turn with what the vessel did"
+            )
+        frames += "."
+    lines = [
+        f"# Proposed for {source} from the names of its columns and from kinematics.",
+        "# sure, likely and guess are probabilities above 0.95, above 0.7, and below: check the",
+        "# last two kinds, and delete what is wrong.",
+        "format = 1",
+        "",
+        "[file]",
+        *_file_lines(evidence),
+        "",
+        *_comment(frames),
+        "[columns]",
+    ]
+    for guess in guesses:
+        lines += _comment(f"{_level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
+        lines.append(f"{guess.channel} = {_column_value(guess.column)}")
+    used = {guess.column.column for guess in guesses} | {evidence.clock.column}
+    unused = [name for name in evidence.layout.names if name and name not in used]
+    if unused:
+        lines += ["", "# Not used:"]
+    for name in unused:
+        parts = ["never changes"] if name in evidence.constant else []
+        weights = evidence.suggestions[name].weights
+        best = max((label for label in LABELS if label != "other"), key=weights.__getitem__)
+        if weights[best] > _MENTIONED_LABEL:
+            channels = f": cmd_{best} or exec_{best}" if best in ROLES else ""
+            parts.append(f"might be {best}{channels}")
+        might_be = f": {', '.join(parts)}" if parts else ""
+        lines.append(f"#   {_quoted(name)}{might_be}")
+    return "\n".join(lines) + "\n"
+
+
+def _file_lines(evidence: ProposalEvidence) -> list[str]:
+    """What stands under [file]: how the table is read, its time step, origin and axes."""
+    layout, clock, how, lines = evidence.layout, evidence.clock, evidence.layout.mapping, []
+    if layout.text:
+        lines.append(f"delimiter = {json.dumps(how.delimiter)}")
+        lines.append(f"header_lines = {how.header_lines}")
+        if how.encoding != "utf-8-sig":
+            lines.append(f"encoding = {json.dumps(how.encoding)}")
+        if how.decimal != ".":
+            lines.append(f"decimal = {json.dumps(how.decimal)}")
+    if how.columns is not None:
+        lines += _comment(
+            "The names of the file."
+            if layout.named
+            else "The file has no names of columns: give them better ones, here and below."
+        )
+        lines.append(f"columns = [{', '.join(_quoted(name) for name in how.columns)}]")
+    if clock.column is None and math.isfinite(clock.step):
+        why = clock.why if clock.sure else "the interval at which the kinematics agree"
+        lines += _comment(f"guess: {why}. Put in the true interval (s).")
+        lines.append(f"time_step = {clock.step}")
+    elif clock.column is None:
+        lines += _comment("ASK: the file has no time, and nothing tells the sampling interval (s).")
+        lines.append("time_step = 1.0")
+    if evidence.origin is not None:
+        lines += _comment("The first fix, from where positions count.")
+        lines.append(f"origin = [{evidence.origin[0]!r}, {evidence.origin[1]!r}]")
+    if evidence.motion.earth and evidence.motion.psi:
+        lines += _comment("u and v are the derivatives of x and y: velocities along earth axes.")
+        lines.append('velocity_axes = "earth"')
+    return lines
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, 92, initial_indent="# ", subsequent_indent="# ")
+
+
+def _quoted(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False)
+
+
+def _column_value(column: Column) -> str:
+    """A column as a mapping has it: a name, or a table of what it has besides."""
+    parts = [f"column = {_quoted(column.column)}"]
+    if column.unit is not None:
+        parts.append(f'unit = "{column.unit}"')
+    if column.sign != 1:
+        parts.append("sign = -1")
+    if column.offset != 0:
+        parts.append(f"offset = {float(column.offset)!r}")
+    return _quoted(column.column) if len(parts) == 1 else "{ " + ", ".join(parts) + " }"

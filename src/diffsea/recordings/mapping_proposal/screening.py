@@ -16,7 +16,6 @@ import itertools
 import math
 
 import numpy as np
-from jaxtyping import Float
 
 from diffsea.recordings.mapping_proposal.columns import (
     ColumnWindows,
@@ -28,7 +27,6 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     HypothesisPrior,
     period_log_odds,
     ratio_penalty,
-    unit_probabilities,
 )
 from diffsea.recordings.vocabulary import UNITS
 
@@ -36,28 +34,38 @@ from diffsea.recordings.vocabulary import UNITS
 _SATURATION = 12.0  # log odds of a perfect relation of one column to others
 ASSUMED_INCREMENTS = 20.0  # effective ones in this pass, of about sixty per file
 _MOST_HEADINGS = 6  # candidates that are looked at closely; the right one is hardly ever later
+_MOST_RATES = 3  # columns of yaw rate that are kept for each heading
 _MOST_COLUMN_SETS = 60  # that the second pass can afford
 _MOST_PAIRS = 40  # of position, by name and by how well they are explained
 _FINEST = 1e-4  # share of variance that is taken for unexplained at least
 
+# A column of yaw rate, its relation to heading, and log odds of the relation without the name.
+YawRate = tuple[str | None, IntegralRelation | None, float]
+# Columns of velocity, and whether they are along earth axes.
+Velocities = tuple[str | None, str | None, bool]
+
 
 @dataclasses.dataclass(frozen=True)
 class HeadingCandidate:
-    """A column that may be the heading, None for no heading, and yaw rates for it."""
+    """A column that may be the heading, None for no heading, and yaw rates for it.
+
+    Attributes:
+        period: of the column's numbers, 360 or 2 pi.
+        log_odds: of its numbers being an angle of that period.
+    """
 
     column: str | None
-    period: float  # of its numbers
-    log_odds: float  # of its numbers
-    # Column, relation, and log odds of the relation without the name.
-    rates: tuple[tuple[str | None, IntegralRelation | None, float], ...]
+    period: float
+    log_odds: float
+    rates: tuple[YawRate, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class ColumnSet:
-    """Columns of a hypothesis without their signs and order."""
+    """Columns of a hypothesis without their signs and order: a and b are of position."""
 
     heading: HeadingCandidate
-    a: str | None  # position
+    a: str | None
     b: str | None
     u: str | None
     v: str | None
@@ -77,7 +85,11 @@ class ColumnScreening:
     windows: ColumnWindows
     prior: HypothesisPrior
     clock: TimeColumn
-    names: list[str]
+
+    @property
+    def names(self) -> list[str]:
+        """The columns that vary in every file."""
+        return list(self.windows.records[0].columns)
 
     def headings(self) -> list[HeadingCandidate]:
         """The likeliest columns and units of heading, and no heading at all."""
@@ -95,10 +107,8 @@ class ColumnScreening:
         rates = ((None, None, 0.0), *((name, None, 0.0) for name in named))
         return [*(heading for _, heading in found), HeadingCandidate(None, 2 * math.pi, 0.0, rates)]
 
-    def _yaw_rates(
-        self, heading: str, period: float
-    ) -> tuple[tuple[str | None, IntegralRelation | None, float], ...]:
-        """The likeliest columns of yaw rate, as `HeadingCandidate` has them, and none."""
+    def _yaw_rates(self, heading: str, period: float) -> tuple[YawRate, ...]:
+        """The likeliest columns of yaw rate, and none."""
         increments = self.windows.of("increments", heading, period)
         relations = {}
         for other in self.names:
@@ -112,7 +122,9 @@ class ColumnScreening:
             (name, relation, saturated_evidence(evidence, best))
             for name, (relation, evidence) in relations.items()
         ]
-        options = heapq.nlargest(3, options, key=lambda o: o[2] + self.prior.label(o[0], "r"))
+        options = heapq.nlargest(
+            _MOST_RATES, options, key=lambda option: option[2] + self.prior.label(option[0], "r")
+        )
         return (*options, (None, None, 0.0))
 
     def _rate_penalty(self, relation: IntegralRelation, column: str, period: float) -> float:
@@ -120,7 +132,7 @@ class ColumnScreening:
         if self.clock.column is None or relation.gain == 0:
             return 0.0
         penalties = []
-        for unit, probability in unit_probabilities(self.prior, "r", column).items():
+        for unit, probability in self.prior.unit_probabilities("r", column).items():
             for tick, likely in self.clock.units.items():
                 expected = UNITS[unit][1] * UNITS[tick][1] * period / (2 * math.pi)
                 penalty = ratio_penalty(abs(relation.gain), expected, relation.error)
@@ -142,24 +154,24 @@ class ColumnScreening:
             for (u, v, earth), explained in tables.items():
                 speed = base + self._velocity_names(u, v, earth)
                 gains = {n: saturated_evidence(e, best[n]) for n, e in explained.items()}
-                for a, b, odds in self._position_pairs({heading.column, u, v}, gains):
+                for a, b, odds in self._position_pairs(gains):
                     sets.append(ColumnSet(heading, a, b, u, v, earth, speed + odds))
         return heapq.nlargest(_MOST_COLUMN_SETS, sets, key=lambda item: item.log_odds)
 
     def _position_pairs(
-        self, used: set[str | None], gains: dict[str, float]
+        self, gains: dict[str, float]
     ) -> list[tuple[str | None, str | None, float]]:
         """Pairs of position columns with log odds of names and relations, the likeliest."""
-        free = [name for name in gains if name not in used]
-        first = {n: gains[n] + self.prior.label(n, "x", "north", "lat") for n in free}
-        second = {n: gains[n] + self.prior.label(n, "y", "east", "lon") for n in free}
+        first = {n: gains[n] + self.prior.label(n, "x", "north", "lat") for n in gains}
+        second = {n: gains[n] + self.prior.label(n, "y", "east", "lon") for n in gains}
         pairs = [
             (a, b, max(first[a] + second[b], first[b] + second[a]))
-            for a, b in itertools.combinations(free, 2)
+            for a, b in itertools.combinations(gains, 2)
         ]
         return [*heapq.nlargest(_MOST_PAIRS, pairs, key=lambda pair: pair[2]), (None, None, 0.0)]
 
     def _velocity_names(self, u: str | None, v: str | None, earth: bool) -> float:
+        """Log odds of the names of velocities in the better order."""
         north, east = ("u", "vx"), ("v", "vy")
         if earth:  # north may be called x or y
             north, east = ("vn", "vx", "u", "vy"), ("ve", "vy", "v", "vx")
@@ -170,38 +182,35 @@ class ColumnScreening:
 
     def _evidence_of_velocities(
         self, heading: HeadingCandidate
-    ) -> dict[tuple[str | None, str | None, bool], dict[str, float]]:
-        """Log likelihood ratios of every column for pairs of velocities, by (u, v, earth)."""
+    ) -> dict[Velocities, dict[str, float]]:
+        """Log likelihood ratios of every column for one or two of velocity.
+
+        Least squares with a free gain for every velocity along earth axes, a free complex one
+        for every velocity that the heading turns.
+        """
         free = [name for name in self.names if name != heading.column]
         targets = np.stack([self.windows.of("increments", name) for name in free], axis=1)
         totals = np.maximum(np.sum(targets**2, axis=0), 1e-300)
-        options: list[tuple[str | None, str | None, bool]] = [(None, None, False)]
+        tables: dict[Velocities, dict[str, float]] = {(None, None, False): dict.fromkeys(free, 0.0)}
+        options: list[tuple[tuple[str, ...], bool]] = []
         if heading.column is not None:
-            options += [(u, None, False) for u in free]
-            options += [(u, v, False) for u, v in itertools.combinations(free, 2)]
-        options += [(u, v, True) for u, v in itertools.combinations(free, 2)]
-        tables = {}
-        for u, v, earth in options:
-            if u is None:
-                tables[u, v, earth] = dict.fromkeys(free, 0.0)
-                continue
-            matrix = self._regressors(heading, u, v, earth)
+            options = [((u,), False) for u in free]
+            options += [(pair, False) for pair in itertools.combinations(free, 2)]
+        options += [(pair, True) for pair in itertools.combinations(free, 2)]
+        for velocities, earth in options:
+            regressors = []
+            for name in velocities:
+                if earth:
+                    regressors.append(self.windows.of("integrals", name))
+                else:
+                    flow = self.windows.of("turned", name, heading.column, heading.period)
+                    regressors += [np.real(flow), np.imag(flow)]
+            matrix = np.stack(regressors, axis=1)
             gains = np.linalg.lstsq(matrix, targets, rcond=1e-9)[0]
             left = np.sum((targets - matrix @ gains) ** 2, axis=0) / totals
             cost = 0.5 * matrix.shape[1] * math.log(ASSUMED_INCREMENTS)
             evidence = 0.5 * ASSUMED_INCREMENTS * np.log(1 / np.clip(left, _FINEST, 1.0)) - cost
             explained = dict(zip(free, np.maximum(evidence, 0.0).tolist(), strict=True))
-            tables[u, v, earth] = {n: e for n, e in explained.items() if n not in (u, v)}
+            u, v = (*velocities, None)[:2]
+            tables[u, v, earth] = {n: e for n, e in explained.items() if n not in velocities}
         return tables
-
-    def _regressors(
-        self, heading: HeadingCandidate, u: str, v: str | None, earth: bool
-    ) -> Float[np.ndarray, "window regressor"]:
-        columns = []
-        for name in (u, v):
-            if name is not None and earth:
-                columns.append(self.windows.of("integrals", name))
-            elif name is not None:
-                flow = self.windows.of("turned", name, heading.column, heading.period)
-                columns += [np.real(flow), np.imag(flow)]
-        return np.stack(columns, axis=1)

@@ -9,8 +9,9 @@ channel is.
 
 import dataclasses
 import heapq
+import itertools
 import math
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -25,9 +26,7 @@ from diffsea.recordings.mapping_proposal.columns import (
 from diffsea.recordings.mapping_proposal.hypotheses import (
     ColumnHypothesis,
     HypothesisPrior,
-    all_orientations,
     ratio_penalty,
-    unit_probabilities,
 )
 from diffsea.recordings.mapping_proposal.screening import (
     ASSUMED_INCREMENTS,
@@ -50,15 +49,20 @@ _OUTWARDS = 1.5  # log odds that vessels drift outwards in turns counts at most
 # What is usual of sensors, one standard deviation: heading offset (rad), current as a share of
 # the speed, lateness of positions and of heading (s), and the lever arm as the way of some seconds.
 _OFFSET, _CURRENT, _LATE_POSITION, _LATE_HEADING, _LEVER = 0.06, 0.1, 0.5, 0.25, 0.4
+# Whether a pair of columns is exchanged, and the signs of both.
+_ORIENTATIONS = tuple(itertools.product((False, True), (1, -1), (1, -1)))
+_TURNS = tuple(itertools.product((1, -1), range(4)))  # sign of heading, and quarter turns
 
 
 @dataclasses.dataclass(frozen=True)
 class ScoredHypothesis:
     """A hypothesis with its log posterior odds, and what ratios of columns it needs.
 
-    `yaw` is the relation of heading to yaw rate, `scale` the displacement per integrated
-    velocity (raw numbers and raw time), `left` the shares of squared displacement along x and
-    y that stay unexplained, `number` the effective number of displacements.
+    Attributes:
+        yaw: the relation of heading to yaw rate.
+        scale: displacement per integrated velocity, in raw numbers and raw time.
+        left: the shares of squared displacement along x and y that stay unexplained.
+        number: the effective number of displacements.
     """
 
     hypothesis: ColumnHypothesis
@@ -78,22 +82,6 @@ class ScoredHypothesis:
 Item = TypeVar("Item", ColumnSet, ScoredHypothesis)
 
 
-class _Velocities(NamedTuple):
-    """Columns of velocity in an order, with signs."""
-
-    u: str | None
-    v: str | None
-    signs: tuple[int, int] = (1, 1)
-
-
-class _DisplacementFit(NamedTuple):
-    """How well displacements are explained along x and y, nuisances allowed for."""
-
-    evidence: tuple[float, float] = (0.0, 0.0)  # log likelihood ratios
-    left: tuple[float, float] = (1.0, 1.0)
-    scale: float = math.nan
-
-
 def search_hypotheses(
     windows: ColumnWindows,
     prior: HypothesisPrior,
@@ -104,7 +92,7 @@ def search_hypotheses(
 
     `place` names columns of position known to be north and east, if there are any.
     """
-    screening = ColumnScreening(windows, prior, clock, list(windows.records[0].columns))
+    screening = ColumnScreening(windows, prior, clock)
     sets = _near_best(screening.column_sets(screening.headings()))
     found = _near_best(_DisplacementModels(windows, prior, clock, place).score(sets))
     return sorted(found, key=lambda item: -item.log_odds)
@@ -157,18 +145,6 @@ def explain_displacements(
     return rest[:half] + 1j * rest[half:], penalty, float(solution[0])
 
 
-def _component_share(moved: np.ndarray, rest: np.ndarray, penalty: float) -> float:
-    """The share left along one axis, with half of the penalty."""
-    share = (np.sum(rest**2) + 0.5 * penalty) / max(np.sum(moved**2), 1e-300)
-    return min(max(share, _FINEST), 1.0)
-
-
-def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Pearson's correlation, zero where one of them does not vary."""
-    spread = float(np.std(a) * np.std(b))
-    return float(np.mean((a - a.mean()) * (b - b.mean())) / spread) if spread > 0 else 0.0
-
-
 class _DisplacementModels:
     """The second pass: hypotheses as models of the same displacements."""
 
@@ -191,15 +167,19 @@ class _DisplacementModels:
         number = self._effective_number(plain[0].hypothesis)
         fits = [self._fit(item, number) for item in plain]
         best: dict[str | None, float] = {}
-        for item, fit in zip(plain, fits, strict=True):
-            for name, gain in zip(
-                (item.hypothesis.x, item.hypothesis.y), fit.evidence, strict=True
-            ):
+        for item, evidence in fits:
+            for name, gain in zip((item.hypothesis.x, item.hypothesis.y), evidence, strict=True):
                 best[name] = max(best.get(name, 0.0), gain)
-        return [
-            self._with_evidence(item, fit, best, number)
-            for item, fit in zip(plain, fits, strict=True)
-        ]
+        scored = []
+        for item, (north, east) in fits:
+            h = item.hypothesis
+            gain = saturated_evidence(north, best[h.x])
+            gain += saturated_evidence(east, best[h.y])
+            if gain > 0:
+                gain -= min(self._speed_penalty(item), gain)
+            odds = item.log_odds + gain + self._drifting_outwards(h) + self._placed_right(h, number)
+            scored.append(dataclasses.replace(item, log_odds=odds))
+        return scored
 
     def _with_signs(self, columns: ColumnSet) -> list[ScoredHypothesis]:
         """Orders and signs of a set of columns, with the best scale and no nuisances.
@@ -207,32 +187,32 @@ class _DisplacementModels:
         Log odds are without what displacements say, but that only hypotheses near the best in
         that are kept.
         """
-        pairs, turns = all_orientations()
         heading, found = columns.heading, []
-        options = _signed_velocities(columns)
+        positions = _ORIENTATIONS if columns.a is not None else _ORIENTATIONS[:1]
+        velocities = _ORIENTATIONS
+        if columns.v is None:  # one column, of either sign, or none
+            velocities = _ORIENTATIONS[:4:2] if columns.u is not None else _ORIENTATIONS[:1]
         moved = np.zeros((1, self.windows.duration.size), complex)
-        if columns.a is None:
-            pairs = pairs[:1]
-        else:
+        if columns.a is not None:
             a, b = (self.windows.of("increments", name) for name in (columns.a, columns.b))
             moved = np.stack(
                 [
                     first * b + 1j * second * a if swapped else first * a + 1j * second * b
-                    for swapped, first, second in pairs
+                    for swapped, first, second in positions
                 ]
             )
-        for turn, quarter in turns if heading.column else turns[:1]:
+        for turn, quarter in _TURNS if heading.column else _TURNS[:1]:
             hypotheses = [
-                _hypothesis(columns, pair, turn, quarter, option)
-                for pair in pairs
-                for option in options
+                _hypothesis(columns, position, velocity, turn, quarter)
+                for position in positions
+                for velocity in velocities
             ]
-            flows = np.stack([self.flow(h) for h in hypotheses[: len(options)]])
+            flows = np.stack([self.flow(h) for h in hypotheses[: len(velocities)]])
             shares, scales = shares_left(moved, flows)
             ahead = self._moving_ahead(heading, moved, turn, quarter)
             gains = ASSUMED_INCREMENTS * np.log(1 / np.clip(shares, 1e-4, 1.0))
             for place, hypothesis in enumerate(hypotheses):
-                i, j = divmod(place, len(options))
+                i, j = divmod(place, len(velocities))
                 found.append((hypothesis, gains[i, j], ahead[i], scales[i, j]))
         top = max(gain for _, gain, _, _ in found)
         near = [entry for entry in found if entry[1] >= top - _COUNTED]
@@ -276,7 +256,7 @@ class _DisplacementModels:
         return _MOVING_AHEAD * np.log(1 / np.clip(share, 0.05, 1.0))
 
     def _effective_number(self, hypothesis: ColumnHypothesis) -> float:
-        """Effective number of the hypothesis' residuals."""
+        """Effective number of the hypothesis' residuals, 6 to 60."""
         if not hypothesis.explains_displacement:
             return ASSUMED_INCREMENTS
         moved, flow = self.displacement(hypothesis), self.flow(hypothesis)
@@ -302,8 +282,8 @@ class _DisplacementModels:
             if name is None:
                 continue
             if h.earth:
-                part = {"turned": "integrals", "ends": "increments"}.get(what)
-                total = total + factor * (self.windows.of(part, name) if part else 0.0)
+                part = self.windows.of("integrals" if what == "turned" else "increments", name)
+                total = total + factor * part
                 continue
             part = self.windows.of(what, name, h.psi, h.period)
             # Of a real column and a mirrored heading the integral is the conjugate.
@@ -329,52 +309,41 @@ class _DisplacementModels:
             causes += [_LEVER * speed * self.second * factor * turned for factor in (1, 1j)]
         return causes
 
-    def _fit(self, item: ScoredHypothesis, number: float) -> _DisplacementFit:
+    def _fit(
+        self, item: ScoredHypothesis, number: float
+    ) -> tuple[ScoredHypothesis, tuple[float, float]]:
+        """The hypothesis with its scale and what is left, nuisances allowed for.
+
+        And log likelihood ratios of its displacements along x and y, zero where it explains none.
+        """
         h = item.hypothesis
         if not h.explains_displacement or not item.scale > 0:
-            return _DisplacementFit()
+            return dataclasses.replace(item, scale=math.nan, number=number), (0.0, 0.0)
         # Hypotheses that differ by a turn or a mirror of everything have the same fit.
         key = (frozenset((h.x, h.y)), h.u, h.v, h.psi, h.period, h.earth, f"{item.scale:.8g}")
         if key not in self._fits:
             moved, flow = self.displacement(h), self.flow(h)
             rest, penalty, scale = explain_displacements(moved, flow, self._nuisances(h, flow))
-            left = (
-                _component_share(np.real(moved), np.real(rest), penalty),
-                _component_share(np.imag(moved), np.imag(rest), penalty),
-            )
-            self._fits[key] = h, left, scale
+            shares = []
+            for whole, part in ((moved.real, rest.real), (moved.imag, rest.imag)):
+                share = (np.sum(part**2) + 0.5 * penalty) / max(np.sum(whole**2), 1e-300)
+                shares.append(min(max(share, _FINEST), 1.0))
+            self._fits[key] = h, (shares[0], shares[1]), scale
         first, left, scale = self._fits[key]
         if first.x != h.x:
             left = left[1], left[0]
         free = 2 + (h.v is not None)
         cost = 0.25 * free * math.log(number)
         north, east = (max(0.5 * number * math.log(1 / share) - cost, 0.0) for share in left)
-        return _DisplacementFit((north, east), left, scale)
-
-    def _with_evidence(
-        self,
-        item: ScoredHypothesis,
-        fit: _DisplacementFit,
-        best: dict[str | None, float],
-        number: float,
-    ) -> ScoredHypothesis:
-        """The hypothesis with all evidence in its log odds."""
-        h = item.hypothesis
-        found = dataclasses.replace(item, scale=fit.scale, left=fit.left, number=number)
-        gain = saturated_evidence(fit.evidence[0], best[h.x])
-        gain += saturated_evidence(fit.evidence[1], best[h.y])
-        if gain > 0:
-            gain -= min(self._speed_penalty(found), gain)
-        odds = item.log_odds + gain + self._drifting_outwards(h) + self._placed_right(h, number)
-        return dataclasses.replace(found, log_odds=odds)
+        return dataclasses.replace(item, scale=scale, left=left, number=number), (north, east)
 
     def _speed_penalty(self, item: ScoredHypothesis) -> float:
         """Log odds against the ratio of displacement to velocity under the best units."""
         if self.clock.column is None:
             return 0.0
         h, penalties = item.hypothesis, []
-        for speed, likely in unit_probabilities(self.prior, "u", h.u).items():
-            for length, often in unit_probabilities(self.prior, "x", h.x).items():
+        for speed, likely in self.prior.unit_probabilities("u", h.u).items():
+            for length, often in self.prior.unit_probabilities("x", h.x).items():
                 for tick, odds in self.clock.units.items():
                     expected = UNITS[speed][1] * UNITS[tick][1] / UNITS[length][1]
                     penalty = ratio_penalty(item.scale, expected, item.error)
@@ -391,7 +360,10 @@ class _DisplacementModels:
             rate = h.turn * np.gradient(psi, record.t)
             forward = h.speeds[0] * record.columns[h.u]
             sideways = h.speeds[1] * record.columns[h.v]
-            inwards.append(correlation(rate * forward, sideways))
+            pull = rate * forward
+            spread = float(np.std(pull) * np.std(sideways))
+            common = np.mean((pull - pull.mean()) * (sideways - sideways.mean()))
+            inwards.append(float(common / spread) if spread > 0 else 0.0)
         return -_OUTWARDS * float(np.tanh(4 * np.mean(inwards)))
 
     def _placed_right(self, h: ColumnHypothesis, number: float) -> float:
@@ -406,37 +378,24 @@ class _DisplacementModels:
         return min(number * math.log(1 / share), _MOST_OF_PLACE)
 
 
-def _signed_velocities(columns: ColumnSet) -> list[_Velocities]:
-    """The columns of velocity in both orders and with all signs."""
-    if columns.u is None:
-        return [_Velocities(None, None)]
-    if columns.v is None:
-        return [_Velocities(columns.u, None, (sign, 1)) for sign in (1, -1)]
-    return [
-        _Velocities(*((columns.v, columns.u) if swapped else (columns.u, columns.v)), (su, sv))
-        for swapped, su, sv in all_orientations()[0]
-    ]
-
-
 def _hypothesis(
     columns: ColumnSet,
-    pair: tuple[bool, int, int],
+    position: tuple[bool, int, int],
+    velocity: tuple[bool, int, int],
     turn: int,
     quarter: int,
-    velocities: _Velocities,
 ) -> ColumnHypothesis:
-    swapped, first, second = pair
-    x, y = (columns.b, columns.a) if swapped else (columns.a, columns.b)
+    """The columns with an orientation of both pairs and of the heading."""
     return ColumnHypothesis(
-        x=x,
-        y=y,
-        signs=(first, second),
+        x=columns.b if position[0] else columns.a,
+        y=columns.a if position[0] else columns.b,
+        signs=position[1:],
         psi=columns.heading.column,
         period=columns.heading.period,
         turn=turn,
         quarter=quarter,
-        u=velocities.u,
-        v=velocities.v,
-        speeds=velocities.signs,
+        u=columns.v if velocity[0] else columns.u,
+        v=columns.u if velocity[0] else columns.v,
+        speeds=velocity[1:],
         earth=columns.earth,
     )

@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError
-from diffsea.recordings.mapping_proposal.names import unit_in
-from diffsea.recordings.mapping_proposal.vocabulary import UNIT_WORDS
+from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
 from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table
 from diffsea.trajectory import Samples
@@ -36,47 +35,32 @@ _NUMBER = {
 class TableLayout:
     """How one file is laid out.
 
-    `names` has one name per column, `units` what the header says of each (`""` where nothing);
-    `named` is false where the names were made up. `listed` says that a mapping has to list the
-    names because the header cannot be split as the rows are.
+    Attributes:
+        names: one per column, empty where a column has none.
+        units: what the header says of the unit of each column, empty where nothing.
+        mapping: reads the table, every named column as a channel. It lists `columns` only where
+            the header cannot be split as the rows are.
+        named: false where the names were made up.
+        text: false for Parquet.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    delimiter: str = ","
-    decimal: str = "."
-    encoding: str = "utf-8-sig"
-    header_lines: int = 1
-    listed: bool = False
+    mapping: Mapping
     named: bool = True
-    text: bool = True  # false: Parquet
-
-    @property
-    def mapping(self) -> Mapping:
-        """A mapping of no channels that reads the table."""
-        return Mapping(
-            channels={name: Column(name) for name in self.names if name},
-            delimiter=self.delimiter,
-            decimal=self.decimal,
-            encoding=self.encoding,
-            header_lines=self.header_lines,
-            columns=self.names if self.listed else None,
-        )
-
-    def read(self, path: Path) -> pd.DataFrame:
-        """The table of a file that is laid out so."""
-        return read_table(path, self.mapping if self.text else None)[0]
+    text: bool = True
 
 
 def sniff_layout(path: Path) -> TableLayout:
     """The layout of a CSV-like or Parquet file.
 
-    Raises `UserError` for what is no file or no table of numbers.
+    Raises:
+        UserError: it is no file, or no table of numbers of at least two columns.
     """
-    path = Path(path)
     if path.suffix.lower() in PARQUET_SUFFIXES:
         names = tuple(map(str, read_table(path, None)[0].columns))
-        return TableLayout(names, tuple(unit_in(name) for name in names), text=False)
+        mapping = Mapping({name: Column(name) for name in names})
+        return TableLayout(names, tuple(unit_in(name) for name in names), mapping, text=False)
     lines, encoding = _first_lines(path)
     ways = [_parse_as(lines, delimiter, sign) for delimiter in _DELIMITERS for sign in ".,"]
     best = max(ways, key=lambda way: (way.share, way.width))
@@ -93,7 +77,7 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
 
     Columns without any number are left out.
     """
-    table = layout.read(path)
+    table = read_table(path, layout.mapping)[0]
     found = {}
     for name in layout.names:
         column = table[name] if name and name in table.columns else None
@@ -114,7 +98,7 @@ def _first_lines(path: Path) -> tuple[list[str], str]:
     except OSError:
         start = b""
     if not start or b"\x00" in start[:4096]:
-        read_table(path, Mapping(channels={}))  # says what is wrong with the file
+        read_table(path, None)  # says what is wrong with the file
     # The end of a part of a file may lie within a character.
     decoder = codecs.getincrementaldecoder("utf-8-sig")()
     try:
@@ -171,25 +155,29 @@ def _parse_as(lines: list[str], delimiter: str, decimal: str) -> _WayToParse:
 def _layout_of_header(header: list[str], way: _WayToParse, encoding: str) -> TableLayout:
     """The layout, with the names and units that the lines above the body have."""
     cells = {i: _header_cells(line, way) for i, line in enumerate(header)}
-    named = {i: line for i, line in cells.items() if line and _looks_named(line)}
-    if not named:
-        names = tuple(f"column {i + 1}" for i in range(way.width))
-        return TableLayout(
-            names, ("",) * way.width, way.delimiter, way.decimal, encoding, len(header), True, False
-        )
-    # Units stand below the names, or above them; names are longer on the whole.
-    is_unit = {i: np.mean([_is_unit(cell) for cell in line]) > 0.7 for i, line in named.items()}
-    index = next((i for i in reversed(named) if not is_unit[i]), max(named))
-    below = next((line for i, line in named.items() if is_unit[i] and i != index), None)
-    units = [unit_in(cell) for cell in named[index]]
-    if below is not None:
-        units = [own or unit_in(cell) or cell for own, cell in zip(units, below, strict=True)]
-    names = _unique_names(named[index])
-    as_rows = _cells(header[index], way.delimiter) == list(names)
-    # A mapping finds the line of names by the names that it uses; several lines may have them.
-    return TableLayout(
-        names, tuple(units), way.delimiter, way.decimal, encoding, len(header), listed=not as_rows
+    named = {i: line for i, line in cells.items() if line and _has_words(line)}
+    if named:
+        # Units stand below the names, or above them; names are longer on the whole.
+        is_unit = {i: np.mean([_is_unit(cell) for cell in row]) > 0.7 for i, row in named.items()}
+        index = next((i for i in reversed(named) if not is_unit[i]), max(named))
+        below = next((line for i, line in named.items() if is_unit[i] and i != index), None)
+        units = [unit_in(cell) for cell in named[index]]
+        if below is not None:
+            units = [own or unit_in(cell) or cell for own, cell in zip(units, below, strict=True)]
+        names = _unique_names(named[index])
+        # A mapping finds the line of names by the names that it uses; several may have them.
+        listed = _cells(header[index], way.delimiter) != names
+    else:
+        names, units, listed = _unique_names([""] * way.width), [""] * way.width, True
+    mapping = Mapping(
+        channels={name: Column(name) for name in names if name},
+        delimiter=way.delimiter,
+        header_lines=len(header),
+        encoding=encoding,
+        decimal=way.decimal,
+        columns=tuple(names) if listed else None,
     )
+    return TableLayout(tuple(names), tuple(units), mapping, named=bool(named))
 
 
 def _header_cells(line: str, way: _WayToParse) -> list[str] | None:
@@ -206,7 +194,7 @@ def _header_cells(line: str, way: _WayToParse) -> list[str] | None:
     return None
 
 
-def _looks_named(cells: list[str]) -> bool:
+def _has_words(cells: list[str]) -> bool:
     words = [cell for cell in cells if cell]
     named = [any(c.isalpha() or c in "[(°%" for c in cell) for cell in words]
     return bool(np.mean(named) > 0.6)
@@ -217,7 +205,7 @@ def _is_unit(cell: str) -> bool:
     return not bare or bare in UNIT_WORDS or cell.strip()[:1] in "[("
 
 
-def _unique_names(cells: list[str]) -> tuple[str, ...]:
+def _unique_names(cells: list[str]) -> list[str]:
     """The cells as names that are all different; empty ones stay empty if there is but one."""
     names: list[str] = []
     for i, cell in enumerate(cells):
@@ -225,4 +213,4 @@ def _unique_names(cells: list[str]) -> tuple[str, ...]:
         while name in names:
             name += f" #{i + 1}"
         names.append(name)
-    return tuple(names)
+    return names
