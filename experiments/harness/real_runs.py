@@ -20,8 +20,8 @@ from diffsea.diagnosis.experiment import next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
 from diffsea.diagnosis.search import diagnose
 from diffsea.recordings import audit
-from diffsea.report.comparison import compare, horizon_table
 from diffsea.report.diagnosis import diagnosis_report
+from diffsea.report.predictions import compare, horizon_table
 from diffsea.report.words import verdict_text
 from diffsea.vessel.files import Table, build, dump
 

@@ -30,7 +30,7 @@ from diffsea import (
     recording_metrics,
 )
 from diffsea.identification.study import FitSettings, identify
-from diffsea.report.comparison import ComparedRun, horizon_table, predict
+from diffsea.report.predictions import ComparedRun, horizon_table, predict
 from diffsea.simulation import planning
 from diffsea.vessel.files import build, dump, updated_document
 

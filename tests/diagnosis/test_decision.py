@@ -11,7 +11,6 @@ from diffsea.diagnosis.decision import (
     AcceptedEffect,
     ShortList,
     decide,
-    explain_more_together,
     still_stands,
 )
 from diffsea.diagnosis.localisation import Bin, Cell
@@ -47,14 +46,6 @@ def test_what_diverged_is_no_sign_of_something_unnamed():
     assert not listed(hypothesis("wind", float("inf"))).has_something_nameless
 
 
-def test_a_name_is_doubtful_where_what_is_left_stands_out_more():
-    fitted = hypothesis("wind", 60.0, statistic=25.0)
-    named = AcceptedEffect.of(fitted, listed(fitted))
-    assert named.is_outdone_by(left(5.1))
-    assert not named.is_outdone_by(left(4.9))
-    assert not named.is_outdone_by(dataclasses.replace(left(5.1), cells=()))
-
-
 def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not_steady():
     best, second = judged("wind", 160.0, UNSTEADY), judged("current", 130.0, STEADY)
     weak = judged("lever-arm", 3.0, STEADY)
@@ -74,7 +65,7 @@ def test_what_is_asked_of_the_best_alone_does_not_distance_its_rivals():
     found = decide(listed(best, near), exchanged(30.0, 7.0))
     assert found is not None and found.pooled_gain is not None
     assert found.effect == "wind" and found.pooled_gain.total == 42.0
-    accepted = AcceptedEffect.of(found, listed(best, near))
+    accepted = AcceptedEffect(found, listed(best, near))
     assert accepted.rivals == ("current",)
     assert accepted.lead == pytest.approx(3.0)
 
@@ -106,7 +97,7 @@ def test_rivals_are_other_names_that_were_judged_and_come_near():
         hypothesis("gyro-bias", 59.0, STEADY, CLEAR_GAIN, is_physical=False),
         hypothesis("lever-arm", 59.0),
     ]
-    assert listed(best, *others).rivals_of(best) == ("current",)
+    assert AcceptedEffect(best, listed(best, *others)).rivals == ("current",)
 
 
 @pytest.mark.parametrize(
@@ -128,21 +119,6 @@ def test_an_effect_stands_unless_evidence_or_held_out_data_speak_against_it(
 
 
 @pytest.mark.parametrize(
-    ("first", "gained", "together"),
-    [
-        (STEADY, 100.0, True),
-        (STEADY, -5.0, True),
-        (UNSTEADY, 100.0, False),  # the first has not one size beside the second either
-        (STEADY, -15.0, False),  # the best alone explains more
-    ],
-)
-def test_two_effects_explain_as_much_as_the_best_alone(first, gained, together):
-    best, both = judged("wind", 160.0, UNSTEADY), judged("lever-arm", 160.0 + gained)
-    one = judged("current", 130.0, first)
-    assert explain_more_together(best, one, both, NEEDED) == together
-
-
-@pytest.mark.parametrize(
     ("rivals", "p_value", "verdict"),
     [
         (None, 0.4, "consistent"),
@@ -157,7 +133,7 @@ def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, p_value, ver
     if rivals is not None:
         best = judged("current", 60.0)
         others = [judged(name, 55.0) for name in rivals]
-        accepted = (AcceptedEffect.of(best, listed(best, *others)),)
+        accepted = (AcceptedEffect(best, listed(best, *others)),)
     assert verdict_on(accepted, p_value) == verdict
 
 
@@ -170,7 +146,7 @@ def test_the_chance_that_is_stated_is_the_one_that_decided(evidence, expected, v
     screening = dataclasses.replace(left(1.0, p_value=0.4, candidate_p=1e-5), null=null)
     one = hypothesis("wind", evidence, UNSTEADY)
     fitted, tried = one.estimate, listed(one)
-    found = Search(fitted, screening, fitted, screening, first_short_list=tried)
+    found = Search(fitted, screening, fitted, screening, short_list=tried)
     p_value = unexplained_p_value(found, found, NO_BOOTSTRAP)
     assert p_value == pytest.approx(expected, rel=0.1)
     assert verdict_on((), p_value) == verdict

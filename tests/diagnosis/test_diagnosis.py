@@ -115,11 +115,17 @@ def test_the_vessel_file_holds_the_effect(current, document):
 
 def test_the_manoeuvre_that_separates_rivals_stays_within_the_vessels_limits(current):
     (accepted,) = current.effects
+    best = accepted.hypothesis
     wind = next(one for one in accepted.short_list.hypotheses if one.effect != "current")
+    near = dataclasses.replace(
+        best, effect=wind.effect, estimate=wind.estimate, candidate=wind.candidate
+    )
+    listed = dataclasses.replace(accepted.short_list, hypotheses=(best, near))
     rivals = (catalogue_name(wind.effect),)
     doubtful = dataclasses.replace(
-        current, effects=(dataclasses.replace(accepted, rivals=rivals),), verdict="ambiguous"
+        current, effects=(dataclasses.replace(accepted, short_list=listed),), verdict="ambiguous"
     )
+    assert doubtful.effects[0].rivals == rivals
     assert next_experiment(current) is None
     experiment = next_experiment(doubtful)
     assert experiment is not None

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import still_run, usv
 
-from diffsea.diagnosis.localisation import Bin, regime_within, regimes, time_windows
+from diffsea.diagnosis.localisation import (
+    Bin,
+    inclusion_share,
+    regime_within,
+    regimes,
+    time_windows,
+)
 from diffsea.diagnosis.score import Projection
-from diffsea.diagnosis.unexplained import inclusion_share
 from diffsea.identification.problem import make_problem
 
 

@@ -73,17 +73,17 @@ def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
 def test_a_first_guess_keeps_to_the_physical_side():
     lag = EFFECTS["thrust-lag:propulsion"]
     seen = candidate(lag.name, np.ones((3, 1)), step=(-2.0,))
-    assert first_guess(lag, seen) == pytest.approx([0.1])
+    assert first_guess(seen) == pytest.approx([0.1])
     bias = EFFECTS["gyro-bias"]
     seen = candidate(bias.name, np.ones((3, 1)), step=(-9.0,))
-    assert first_guess(bias, seen) == pytest.approx([-3])
+    assert first_guess(seen) == pytest.approx([-3])
 
 
 def test_a_first_guess_is_of_the_size_at_which_it_was_seen():
     lag = EFFECTS["thrust-lag:propulsion"]
     seen = candidate(lag.name, np.ones((3, 1)), step=(-2.0,))
     point = dataclasses.replace(seen.point, at=(2.5,), secant=True)
-    assert first_guess(lag, dataclasses.replace(seen, point=point)) == pytest.approx([2.5])
+    assert first_guess(dataclasses.replace(seen, point=point)) == pytest.approx([2.5])
 
 
 def test_what_is_not_physical_hides_only_what_it_may_be_confused_with():
@@ -195,13 +195,13 @@ def test_what_cannot_be_negative_may_be_absent_in_some_runs(amounts, stds, recor
     problem, fitted = _shallow(amounts, stds, recorded)
     effect = EFFECTS["shallow-water"]
     seen = candidate(effect.name, np.ones((3, 1)))
-    assert is_physical(problem, effect, fitted, seen) == physical
+    assert is_physical(problem, fitted, seen) == physical
 
 
 def test_an_effect_is_weighed_by_the_dependence_of_its_own_scores():
     problem, fitted = _shallow([1.0, 1.0], [0.1, 0.2], 2)
     seen = candidate("shallow-water", np.ones((3, 1)))
-    one = make_hypothesis(problem, linear_estimate(), fitted, EFFECTS["shallow-water"], seen)
+    one = make_hypothesis(problem, linear_estimate(), fitted, seen)
     assert one.inflation == pytest.approx(4.0)
     assert (one.instances, one.size) == (2, 2)
 
@@ -223,7 +223,7 @@ def test_sizes_that_no_vessel_has_are_impossible_as_far_as_errors_tell():
     seen = candidate(name, np.ones((3, 1)))
 
     def possible(ratio: float) -> bool:
-        return is_physical(problem, EFFECTS[name], _one_size(name, ratio, std), seen)
+        return is_physical(problem, _one_size(name, ratio, std), seen)
 
     assert possible(0.9) and possible(-0.9)
     assert possible(1.0 + 1.9 * std)
@@ -253,9 +253,9 @@ def test_a_change_happens_while_something_is_recorded(time, possible):
     seen = candidate(name, np.ones((3, 2)))
     point = dataclasses.replace(seen.point, at=(0.0, coordinates[index[1]] + 0.5))
     near = dataclasses.replace(seen, point=point, reach=1.0)
-    assert is_physical(problem, EFFECTS[name], fitted, near) == possible
+    assert is_physical(problem, fitted, near) == possible
     far = dataclasses.replace(near, reach=0.4)
-    assert not is_physical(problem, EFFECTS[name], fitted, far)
+    assert not is_physical(problem, fitted, far)
 
 
 def test_a_change_late_in_a_long_record_has_room_in_its_prior():

@@ -65,7 +65,7 @@ def found(data, nominal, screening):
 
 
 def accepted_names(search) -> tuple[str, ...]:
-    return tuple(one.name for one in search.accepted)
+    return tuple(one.name for one in search.effects)
 
 
 def with_statistic(accepted: AcceptedEffect, statistic: float) -> AcceptedEffect:
@@ -79,15 +79,15 @@ def with_statistic(accepted: AcceptedEffect, statistic: float) -> AcceptedEffect
 
 def test_both_causes_are_found_one_after_the_other(data, found):
     assert set(accepted_names(found)) == {"gyro-bias", "current"}
-    assert {one.effect for one in found.first_short_list.hypotheses} >= {"gyro-bias", "current"}
-    first, second = found.accepted
+    assert {one.effect for one in found.short_list.hypotheses} >= {"gyro-bias", "current"}
+    first, second = found.effects
     assert first.hypothesis.estimate.free == (*FREE, first.name)
-    assert found.estimate is second.hypothesis.estimate
-    bias = data.train.layout.physical("gyro-bias", found.estimate.coordinates)[0]
-    flow = data.train.layout.physical("current", found.estimate.coordinates)[0]
+    assert found.final is second.hypothesis.estimate
+    bias = data.train.layout.physical("gyro-bias", found.final.coordinates)[0]
+    flow = data.train.layout.physical("current", found.final.coordinates)[0]
     assert bias == pytest.approx([BIAS], rel=0.15)
     assert flow == pytest.approx(0.4 * np.array([np.cos(2), np.sin(2)]), abs=0.04)
-    assert found.screening.located_p_value > 0.01
+    assert found.final_screening.located_p_value > 0.01
 
 
 def test_what_simulated_data_show_as_often_is_not_named(data, nominal, screening):
@@ -101,59 +101,59 @@ def test_what_simulated_data_show_as_often_is_not_named(data, nominal, screening
 
 def test_an_effect_is_asked_for_again_as_far_as_there_is_room(data, found):
     """Waves have no room beside the second effect; sizes are as constant as they are by now."""
-    first, second = found.accepted
+    first, second = found.effects
     waves = dataclasses.replace(hypothesis("wave-force", 90.0), gain=first.hypothesis.gain)
     listed = first.short_list
     listed = dataclasses.replace(listed, hypotheses=(*listed.hypotheses, waves))
     doctored = dataclasses.replace(first.hypothesis, constancy=UNSTEADY)
     first = dataclasses.replace(first, hypothesis=doctored, short_list=listed)
-    search = dataclasses.replace(found, accepted=(first, second))
+    search = dataclasses.replace(found, effects=(first, second))
     kept, changed = ask_again(data, search, (first,), no_progress)
     assert accepted_names(kept) == accepted_names(found) and not kept.dropped
-    constancy = kept.accepted[0].hypothesis.constancy
+    constancy = kept.effects[0].hypothesis.constancy
     assert constancy is not None and constancy.holds
-    assert kept.accepted[1] is second
-    assert kept.estimate is found.estimate and not changed
+    assert kept.effects[1] is second
+    assert kept.final is found.final and not changed
 
 
 def test_an_effect_that_others_make_needless_is_dropped(data, found):
     """A lever arm that was never there, accepted beside the two causes."""
     names = (*FREE, "lever-arm", *accepted_names(found))
     problem = dataclasses.replace(data.train, width=7, directions=7)
-    both = estimate(problem, names, found.estimate.coordinates, found.estimate.noise)
+    both = estimate(problem, names, found.final.coordinates, found.final.noise)
     lever = dataclasses.replace(hypothesis("lever-arm", 50.0, STEADY), estimate=both)
-    needless = AcceptedEffect.of(lever, ShortList((lever,), 11.0))
-    search = dataclasses.replace(found, accepted=(needless, *found.accepted), estimate=both)
+    needless = AcceptedEffect(lever, ShortList((lever,), 11.0))
+    search = dataclasses.replace(found, effects=(needless, *found.effects), final=both)
     wider = dataclasses.replace(data, train=problem)
     kept, changed = ask_again(wider, search, (needless,), no_progress)
     assert changed and kept.dropped == ("lever-arm",)
     assert accepted_names(kept) == accepted_names(found)
-    assert "lever-arm" not in kept.estimate.free
+    assert "lever-arm" not in kept.final.free
 
 
 def test_what_was_found_beside_a_withdrawn_name_is_asked_for_without_it(data, found):
     """What is left stands out more than the first name did; the second is asked for again."""
-    first, second = found.accepted
-    strongest = max(cell.z**2 for cell in found.screening.cells)
+    first, second = found.effects
+    strongest = max(cell.z**2 for cell in found.final_screening.cells)
     weak = with_statistic(first, 0.5 * strongest)
     strong = with_statistic(second, 2 * strongest)
     strong = dataclasses.replace(
         strong, hypothesis=dataclasses.replace(strong.hypothesis, constancy=UNSTEADY)
     )
-    search = dataclasses.replace(found, accepted=(weak, strong))
+    search = dataclasses.replace(found, effects=(weak, strong))
     significant = Bootstrap(np.linspace(0.5, 1.0, 999), np.ones(999))
     final = withdraw_outdone(data, search, significant, no_progress)
     assert final.dropped[-1] == first.name and first.name not in accepted_names(final)
-    assert first.name not in final.estimate.free
-    asked = [one.hypothesis.constancy for one in final.accepted]
+    assert first.name not in final.final.free
+    asked = [one.hypothesis.constancy for one in final.effects]
     assert asked != [UNSTEADY] and set(final.dropped[:-1]) <= {second.name}
-    assert final.screening is not found.screening
-    assert {first.name} <= set(final.screening.candidates)
+    assert final.final_screening is not found.final_screening
+    assert {first.name} <= set(final.final_screening.candidates)
 
 
 def test_names_stand_where_little_is_left(data, found):
-    first, second = found.accepted
-    search = dataclasses.replace(found, accepted=(with_statistic(first, 0.0), second))
+    first, second = found.effects
+    search = dataclasses.replace(found, effects=(with_statistic(first, 0.0), second))
     common = Bootstrap(np.zeros(200), np.zeros(200))
     assert withdraw_outdone(data, search, common, no_progress) is search
 
@@ -161,19 +161,19 @@ def test_names_stand_where_little_is_left(data, found):
 @pytest.fixture(scope="module")
 def alone(found):
     """A short list whose best, the bias, has not one size in all the data, but the current has."""
-    best, second = found.first_short_list.judged
+    best, second = found.short_list.judged
     hypotheses = (
         dataclasses.replace(best, constancy=UNSTEADY),
         dataclasses.replace(second, constancy=STEADY),
     )
-    return dataclasses.replace(found.first_short_list, hypotheses=hypotheses)
+    return dataclasses.replace(found.short_list, hypotheses=hypotheses)
 
 
 def test_a_pair_is_named_where_both_leave_nothing(data, found, alone):
     assert decide(alone, None) is None
     pair = find_pair(data, alone, NO_BOOTSTRAP, no_progress)
     assert [one.name for one in pair] == ["current", "gyro-bias"]
-    assert set(pair[1].hypothesis.estimate.free) == set(found.estimate.free)
+    assert set(pair[1].hypothesis.estimate.free) == set(found.final.free)
 
 
 def test_a_pair_that_leaves_something_is_not_named(data, alone):
@@ -191,12 +191,12 @@ def test_a_pair_that_explains_less_than_one_effect_is_not_named(data, alone):
 
 def test_a_name_is_not_had_for_the_progress_of_a_fit(data, nominal, found):
     """A nominal fit that had stopped early leaves the first effect more than its score promises."""
-    best = found.accepted[0].hypothesis
+    best = found.effects[0].hypothesis
     assert resume_stalled_fit(data.train, nominal, best) is None
     early = dataclasses.replace(nominal, deviance=nominal.deviance + 1000.0)
     early_drop = early.deviance - best.estimate.deviance
     stalled = dataclasses.replace(best, deviance_drop=early_drop)
     better = resume_stalled_fit(data.train, early, stalled)
     assert better is not None and better.deviance == pytest.approx(nominal.deviance, abs=1.0)
-    promised = with_statistic(AcceptedEffect.of(stalled, found.first_short_list), early_drop)
+    promised = with_statistic(AcceptedEffect(stalled, found.short_list), early_drop)
     assert resume_stalled_fit(data.train, early, promised.hypothesis) is None

@@ -64,10 +64,10 @@ def drawn(problem, rng: np.random.Generator) -> tuple[dict[str, float], float, s
         count = len(problem.layout.indices((name,)))
         seen = candidate(name, np.ones((3, count)))
         more = fitted(problem, X, y, (*own, name))
-        tried.append(make_hypothesis(problem, current, more, EFFECTS[name], seen))
+        tried.append(make_hypothesis(problem, current, more, seen))
     tried = rank_hypotheses(tried)
     evidence = {one.effect: one.evidence(one.inflation) for one in tried}
-    return evidence, AcceptedEffect.of(tried[0], ShortList(tuple(tried), 0.0)).lead, truth
+    return evidence, AcceptedEffect(tried[0], ShortList(tuple(tried), 0.0)).lead, truth
 
 
 @pytest.fixture(scope="module")

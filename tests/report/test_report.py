@@ -20,12 +20,11 @@ from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.uncertainty.identifiability import identifiability
-from diffsea.report.comparison import ComparedRun, compare, horizon_table, predict
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.page import TEMPLATES, Plot, Verbatim
 from diffsea.report.plots import figure
-from diffsea.report.predictions import on_one_turn
+from diffsea.report.predictions import ComparedRun, compare, horizon_table, on_one_turn, predict
 from diffsea.report.quantities import (
     duration,
     interval,

@@ -89,7 +89,7 @@ def test_a_map_leaves_failed_designs_white(tmp_path):
     table["overshoot_1"] = np.where(table["mass"] > 2, np.nan, table["mass"] + table["x_G"])
     table["imo_overshoot_1"] = np.where(table["x_G"] > 0.5, "fail", "pass")
     table["approach_speed"] = 1.0
-    save_map(table, ("mass", "x_G"), tmp_path / "map.png")
+    save_map(table, ("mass", "x_G"), tmp_path / "map.png", "designs")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 

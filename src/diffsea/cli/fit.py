@@ -67,8 +67,8 @@ def fit_command(args: argparse.Namespace) -> None:
     """
     with Outputs(args.output) as out:
         from diffsea.identification.study import identify
-        from diffsea.report.comparison import horizon_table
         from diffsea.report.fit import compare_fit, fit_report, worse_warning
+        from diffsea.report.predictions import horizon_table
         from diffsea.vessel.files import build, dump, updated_document
         from diffsea.workflows.identification import provenance
 

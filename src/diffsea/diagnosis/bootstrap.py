@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.diagnosis.screening import screen
+from diffsea.diagnosis.screening import Screening, screen
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress, no_progress
 from diffsea.identification.fit import estimate
@@ -56,14 +56,6 @@ def _rank_share(drawn: Float[np.ndarray, "draw"], p_value: float) -> float:
     return float(1 + np.sum(drawn <= p_value)) / (1 + len(drawn))
 
 
-def check_draws(draws: int) -> None:
-    """Raise UserError for fewer draws than can show one per cent."""
-    if draws < LEAST_DRAWS:
-        raise UserError(
-            f"{draws} bootstrap draws cannot show one per cent: take {LEAST_DRAWS} or more"
-        )
-
-
 def bootstrap(
     problem: Problem, nominal: Estimate, draws: int, progress: Progress = no_progress
 ) -> Bootstrap:
@@ -73,15 +65,17 @@ def bootstrap(
         UserError: more simulated runs diverge than a tenth of `draws`.
     """
     rng = np.random.default_rng(BOOTSTRAP_SEED)
-    p_values: list[tuple[float, float]] = []
+    screenings: list[Screening] = []
     data_sets = (resimulate(problem, nominal, rng) for _ in itertools.count())
     for number, drawn in enumerate(finite_draws(data_sets, draws)):
         message = f"simulating {number + 1} of {draws} data sets"
         progress(PartialProgress(message, number / draws, f"simulating {draws} data sets"))
         fitted = estimate(drawn, nominal.free, nominal.coordinates, nominal.noise)
-        screening = screen(drawn, fitted)
-        p_values.append((screening.p_value, screening.located_p_value))
-    return Bootstrap(*(np.sort(column) for column in np.array(p_values).T))
+        screenings.append(screen(drawn, fitted))
+    return Bootstrap(
+        np.sort([one.p_value for one in screenings]),
+        np.sort([one.located_p_value for one in screenings]),
+    )
 
 
 def finite_draws(data_sets: Iterable[Problem], draws: int) -> Iterator[Problem]:
@@ -95,10 +89,10 @@ def finite_draws(data_sets: Iterable[Problem], draws: int) -> Iterator[Problem]:
         if np.isfinite(np.asarray(drawn.dataset.measured)).all():
             found += 1
             yield drawn
-            if found == draws:
-                return
-            continue
-        failed += 1
+        else:
+            failed += 1
+        if found == draws:
+            return
         if failed > FAILED_SHARE * draws:
             raise UserError(
                 f"{failed} of {failed + found} runs simulated with the fitted model diverge, so it "

@@ -9,13 +9,13 @@ compared with what the effect itself does.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
 from diffsea.diagnosis.jacobians import Columns, linearise_model
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
+from diffsea.vessel.effects import EFFECTS
 
 
 LEVEL = 0.01  # of significance, shared by the tests
@@ -49,60 +49,52 @@ class Constancy(NamedTuple):
 
 
 def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
-    """Test one effect of a fitted model; `explained` is the drop of the deviance by it."""
+    """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
+
+    Of the two tests, the one that speaks more against one size. How the innovations depend on one
+    another in time is taken from what is left with those sizes: with one size, what comes and goes
+    would pass for coloured gusts.
+
+    Arguments:
+        effect: its name; one of those that `fitted` was fitted with.
+        explained: the drop of the deviance by it.
+    """
     residual, nuisance = linearise_model(problem, fitted).by_name(fitted.free)
+    run = np.asarray(problem.dataset.run)
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]
-    family = next(one.family for one in problem.layout.effects if one.name == effect)
-    tolerated = TOLERATED_OF_SENSORS if family == "sensor" else TOLERATED_SHARE
+    # All parts together are the effect but for its prior, which says nothing of constancy.
+    own = np.array(J)
+    own[: 6 * len(run)] = 0.0
+    is_sensor = EFFECTS[effect].family == "sensor"
+    tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
     tests = []
     for count in PARTS:
-        columns = _columns_of_parts(problem, J, count)
-        test = _homogeneity_test(problem, residual, nuisance, J, columns, explained)
-        tests.append(test._replace(tolerated=tolerated))
+        parts = _columns_of_parts(problem, J, count)
+        degrees = parts.shape[1] - J.shape[1]
+        if degrees <= 0:
+            tests.append(Constancy(0.0, 1.0, 0.0, tolerated))
+            continue
+        richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
+        whole = np.concatenate([nuisance, own], axis=1)
+        projection = Projection(residual, whole, run, richer.correlation)
+        score = projection.test(projection.efficient(parts))
+        p_value = float(stats.chi2.sf(score.statistic, degrees))
+        excess = max(score.statistic - degrees, 0.0)
+        share = excess * score.inflation / max(explained, 1e-9)
+        tests.append(Constancy(score.statistic, p_value, share, tolerated, degrees))
     return min(tests, key=lambda test: (test.holds, test.p_value))
 
 
 def _columns_of_parts(problem: Problem, J: Columns, count: int) -> Columns:
     """An effect's columns in each of `count` parts of every run, without those of the prior."""
-    run, recorded = np.asarray(problem.dataset.run), problem.dataset.recorded_rows
     parts = []
-    for number in range(problem.dataset.runs):
-        for rows in np.array_split(np.flatnonzero((run == number) & recorded), count):
-            if len(rows):
+    for rows in problem.dataset.rows_of_runs:
+        for part in np.array_split(rows, count):
+            if len(part):
                 member = np.zeros(len(J))
-                member[(6 * rows[:, None] + np.arange(6)).ravel()] = 1.0
+                member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
                 parts.append(J * member[:, None])
     columns = np.concatenate(parts, axis=1)
     # A part without information has nothing to differ in.
     return columns[:, (columns**2).sum(0) > 1e-9 * (J**2).sum()]
-
-
-def _homogeneity_test(
-    problem: Problem,
-    residual: Float[np.ndarray, "value"],
-    nuisance: Columns,
-    J: Columns,
-    parts: Columns,
-    explained: float,
-) -> Constancy:
-    """The test with a size for each part.
-
-    How the innovations depend on one another in time is taken from what is left with those
-    sizes: with one size, what comes and goes would pass for coloured gusts.
-    """
-    if parts.shape[1] <= J.shape[1]:
-        return Constancy(0.0, 1.0, 0.0)
-    run = np.asarray(problem.dataset.run)
-    richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
-    # All parts together are the effect but for its prior, which says nothing of constancy.
-    own = np.array(J)
-    own[: 6 * len(run)] = 0.0
-    whole = np.concatenate([nuisance, own], axis=1)
-    projection = Projection(residual, whole, run, richer.correlation)
-    score = projection.test(projection.efficient(parts))
-    degrees = parts.shape[1] - J.shape[1]
-    p_value = float(stats.chi2.sf(score.statistic, degrees))
-    excess = max(score.statistic - degrees, 0.0)
-    share = excess * score.inflation / max(explained, 1e-9)
-    return Constancy(score.statistic, p_value, share, degrees=degrees)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 
 from diffsea.diagnosis.refit import EVIDENCE, Hypothesis
-from diffsea.diagnosis.screening import Screening
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import catalogue_name
@@ -23,7 +22,7 @@ class ShortList:
     """Refitted hypotheses, best first, and the evidence that a name needs."""
 
     hypotheses: tuple[Hypothesis, ...]
-    needed: float
+    needed: float  # twice the natural log of odds
 
     @property
     def judged(self) -> list[Hypothesis]:
@@ -35,26 +34,6 @@ class ShortList:
         """How many dependent values count as one, by the best judged hypothesis."""
         return self.judged[0].inflation if self.judged else 1.0
 
-    def rivals_of(self, best: Hypothesis) -> tuple[str, ...]:
-        """Names that the same data support nearly as well."""
-        names: list[str] = []
-        for other in self.judged:
-            name = catalogue_name(other.effect)
-            if name == catalogue_name(best.effect) or name in names:
-                continue
-            if best.support(best.inflation) - other.support(best.inflation) < EVIDENCE:
-                names.append(name)
-        return tuple(names)
-
-    def lead_of(self, best: Hypothesis) -> float:
-        """Twice the log of its odds against the next best name, or none; all data together."""
-        others = [
-            one.support(best.inflation)
-            for one in self.hypotheses
-            if one.is_physical and catalogue_name(one.effect) != catalogue_name(best.effect)
-        ]
-        return best.support(best.inflation) - max([0.0, *others])
-
     @property
     def has_something_nameless(self) -> bool:
         """Whether something is missing that no name could be given to, where none was.
@@ -63,11 +42,8 @@ class ShortList:
         clearly, is not physical, or has not one size in all the data. What held-out runs contradict
         as strongly as the others support it is no sign of anything.
         """
-        return any(
-            one.support(one.inflation) > self.needed
-            for one in self.hypotheses
-            if np.isfinite(one.deviance_drop)
-        )
+        supported = (one for one in self.hypotheses if one.support(one.inflation) > self.needed)
+        return any(np.isfinite(one.deviance_drop) for one in supported)
 
     def pair_candidates(self) -> list[Hypothesis]:
         """Hypotheses beside which another effect may be missing; those of one size come first.
@@ -83,7 +59,7 @@ class ShortList:
         ]
         if not sound or sound[0] is not self.judged[0]:
             return []
-        return sorted(sound, key=lambda one: one.constancy is None or not one.constancy.holds)
+        return sorted(sound, key=lambda one: not one.has_one_size)
 
 
 def decide(
@@ -100,10 +76,8 @@ def decide(
         behind = short_list.judged[0].support(inflation) - one.support(inflation)
         if behind > EVIDENCE:
             return None
-        gain, constancy = one.gain, one.constancy
-        if gain is None or constancy is None or not constancy.holds:
-            continue
-        if one.evidence(inflation) <= short_list.needed:
+        gain = one.gain
+        if gain is None or not one.has_one_size or one.evidence(inflation) <= short_list.needed:
             continue
         if gain.open and exchanged_gain is not None:
             # Not part of its support: the training data speak in the evidence already, and the
@@ -120,46 +94,39 @@ def still_stands(one: Hypothesis, needed: float) -> bool:
 
     Then they may leave it open; against it speaks a lack of evidence, or their loss.
     """
-    if not one.is_judged or one.constancy is None or not one.constancy.holds:
+    if one.gain is None or not one.is_judged or not one.has_one_size:
         return False
-    enough = one.evidence(one.inflation) > needed
-    return enough and one.gain is not None and (one.gain.open or one.gain.clear)
-
-
-def explain_more_together(
-    best: Hypothesis, first: Hypothesis, second: Hypothesis, needed: float
-) -> bool:
-    """Whether two effects explain what the best alone does, and the first stands beside the second.
-
-    Arguments:
-        best: the best hypothesis of one effect.
-        first: one of the pair, fitted and judged beside the second.
-        second: the hypothesis of both effects.
-    """
-    gained = best.estimate.deviance - second.estimate.deviance
-    return gained > -EVIDENCE and still_stands(first, needed)
+    return one.evidence(one.inflation) > needed and (one.gain.open or one.gain.clear)
 
 
 @dataclasses.dataclass(frozen=True)
 class AcceptedEffect:
     """An effect that was accepted, with what else could have been."""
 
-    name: str
     hypothesis: Hypothesis
-    rivals: tuple[str, ...]  # names that the same data support nearly as well
     short_list: ShortList  # that it was chosen from
 
-    @classmethod
-    def of(cls, best: Hypothesis, short_list: ShortList) -> "AcceptedEffect":
-        """The effect of the best hypothesis of a short list."""
-        return cls(best.effect, best, short_list.rivals_of(best), short_list)
+    @property
+    def name(self) -> str:
+        """The effect's name in the catalogue's registry."""
+        return self.hypothesis.effect
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Catalogue names that the same data support nearly as well, the best first."""
+        best, names = self.hypothesis, dict[str, None]()
+        for other in self.short_list.judged:
+            if best.support(best.inflation) - other.support(best.inflation) < EVIDENCE:
+                names[catalogue_name(other.effect)] = None
+        return tuple(name for name in names if name != catalogue_name(best.effect))
 
     @property
     def lead(self) -> float:
         """Twice the log of its odds against the next best name, or none; all data together."""
-        return self.short_list.lead_of(self.hypothesis)
-
-    def is_outdone_by(self, left: Screening) -> bool:
-        """Whether what is left stands out more than the effect did: both may have another cause."""
-        strongest = max((cell.z**2 for cell in left.cells), default=0.0)
-        return self.hypothesis.candidate.score.statistic < strongest
+        best = self.hypothesis
+        others = [
+            one.support(best.inflation)
+            for one in self.short_list.hypotheses
+            if one.is_physical and catalogue_name(one.effect) != catalogue_name(best.effect)
+        ]
+        return best.support(best.inflation) - max([0.0, *others])

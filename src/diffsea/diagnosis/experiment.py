@@ -30,7 +30,7 @@ from diffsea.identification.uncertainty.design import (
 )
 from diffsea.scales import time_scale
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.effects import EFFECTS, catalogue_name
 
 
 SHORTEST = 40.0  # of sqrt(L / g): no manoeuvre shows much in less
@@ -64,21 +64,19 @@ def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
     """What to record next, if two explanations could not be told apart."""
     train = diagnosis.split.train
     for accepted in diagnosis.effects:
-        for rival in accepted.short_list.hypotheses:
-            if catalogue_name(rival.effect) not in accepted.rivals:
+        one = accepted.hypothesis
+        for two in accepted.short_list.hypotheses:
+            if catalogue_name(two.effect) not in accepted.rivals or two.effect == one.effect:
                 continue
-            if rival.effect == accepted.name:
-                continue
-            name, other = accepted.name, rival.effect
-            one, two = accepted.hypothesis.estimate, rival.estimate
+            first, second = (one.estimate, one.effect), (two.estimate, two.effect)
             evidence = {
                 manoeuvre: min(
-                    expected_evidence(train, one, name, two, other, schedule),
-                    expected_evidence(train, two, other, one, name, schedule),
+                    expected_evidence(train, *first, *second, schedule),
+                    expected_evidence(train, *second, *first, schedule),
                 )
                 for manoeuvre, schedule in LIBRARY.items()
             }
-            return choose_manoeuvre(train.base, name, other, evidence)
+            return choose_manoeuvre(train.base, one.effect, two.effect, evidence)
     return None
 
 
@@ -135,8 +133,7 @@ def expected_evidence(
         capacity=train.directions - len(parameters),
         least=train.dataset.shape,
     )
-    effects = {effect.name: effect for effect in problem.layout.effects}
-    onset = effects[other].scanned
+    onset = EFFECTS[other].scanned
     if onset is not None:
         scanned = problem.layout.indices((other,))[onset[0]]
         coordinates[scanned] = first_run_coordinates(train, otherwise.coordinates)[scanned]
@@ -148,7 +145,7 @@ def expected_evidence(
     A = projection.efficient(columns)
     B = projection.efficient(model.by_name((other,))[1])
     eta = coordinates[place].copy()
-    eta[~effects[name].amounts] = 0.0  # it is gone without its size, whatever its time
+    eta[~EFFECTS[name].amounts] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())

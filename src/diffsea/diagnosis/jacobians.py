@@ -74,16 +74,11 @@ class LinearisedModel:
         """
         out: dict[int, Columns] = {}
         for batch in self._batches(points):
-            coordinates, index = np.array(self.coordinates, float), list[int]()
-            for number in batch:
-                self._move_to(coordinates, points[number])
-                index += self._differentiated_index(points[number])
-            J = self.by_index(index, coordinates)[1]
-            position = 0
-            for number in batch:
-                size = len(self._differentiated_index(points[number]))
-                out[number] = J[:, position : position + size]
-                position += size
+            members = [points[number] for number in batch]
+            indices = [self._differentiated_index(point) for point in members]
+            J = self.by_index(sum(indices, []), self._coordinates_at(members))[1]
+            ends = np.cumsum([len(index) for index in indices])
+            out |= zip(batch, np.split(J, ends[:-1], axis=1), strict=True)
         secants = [number for number, point in enumerate(points) if point.secant]
         if secants:
             base = innovations_at(self.problem, self.gains, self.coordinates)
@@ -92,17 +87,18 @@ class LinearisedModel:
 
     def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:
         """Change of the innovations from `base` for each prior size; the prior's by its tangent."""
-        coordinates = np.array(self.coordinates, float)
-        self._move_to(coordinates, point)
-        change = innovations_at(self.problem, self.gains, coordinates) - base
+        change = innovations_at(self.problem, self.gains, self._coordinates_at([point])) - base
         prior, index = np.zeros(self.problem.layout.size), self._differentiated_index(point)
         prior[index] = 1 / self.problem.layout.spreads()[index]
         return np.concatenate([change / point.at[0], prior])[:, None]
 
-    def _move_to(self, coordinates: Float[np.ndarray, "coordinate"], point: ExpansionPoint) -> None:
-        """Set an effect's coordinates to those of an expansion point, the same for each run."""
-        index = self.problem.layout.indices((point.effect,))
-        coordinates[index] = np.tile(point.at, len(index) // len(point.at))
+    def _coordinates_at(self, points: list[ExpansionPoint]) -> Float[np.ndarray, "coordinate"]:
+        """Coordinates with some effects at expansion points, each at the same one in every run."""
+        coordinates = np.array(self.coordinates, float)
+        for point in points:
+            index = self.problem.layout.indices((point.effect,))
+            coordinates[index] = np.tile(point.at, len(index) // len(point.at))
+        return coordinates
 
     def _differentiated_index(self, point: ExpansionPoint) -> list[int]:
         """Coordinates that an expansion point is differentiated by, for each run of its own."""

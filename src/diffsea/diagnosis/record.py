@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.decision import AcceptedEffect
-from diffsea.diagnosis.localisation import DEGREES_OF_FREEDOM, FORCE_UNITS, Cell, regime_within
-from diffsea.diagnosis.refit import Hypothesis
-from diffsea.diagnosis.screening import DetectionLimit, Screening, detection_limits
-from diffsea.diagnosis.search import ALPHA, Diagnosis
-from diffsea.diagnosis.unexplained import UnexplainedForce, latent_force
-from diffsea.identification.effect_records import (
-    effect_table,
-    is_known,
-    parameter_records,
+from diffsea.diagnosis.localisation import (
+    DEGREES_OF_FREEDOM,
+    FORCE_UNITS,
+    Cell,
+    latent_force,
+    regime_within,
 )
+from diffsea.diagnosis.refit import Hypothesis
+from diffsea.diagnosis.screening import Screening, detection_limits
+from diffsea.diagnosis.search import ALPHA, Diagnosis
+from diffsea.identification.effect_records import effect_table, is_known, parameter_records
 from diffsea.identification.estimates import Estimate, parameter_estimates
 from diffsea.identification.fit import normalised_rms
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
@@ -38,6 +38,7 @@ HOLDING_OUT = {
     HeldOut.LAST_PARTS: "the last part of each recording",
     HeldOut.AFTER_HEAD: "recordings, after a first part that shows their own environment",
 }
+STATUSES = ("accepted", "rival", "rejected", "screened out")  # of candidates, as they are listed
 
 
 def summary(
@@ -56,33 +57,55 @@ def summary(
         source: what was run on what; left out where it is None.
     """
     data, problem, final = diagnosis.split, diagnosis.split.train, diagnosis.final
+    screening, bootstrap = diagnosis.nominal_screening, diagnosis.bootstrap
     held_out = {
         "kind": str(data.kind),
         "how": HOLDING_OUT[data.kind],
         "recordings": [run.name for run in data.held_out],
     }
-    fitted = parameter_estimates(problem.layout.parameters, final)
+    null: Record = {
+        "draws": len(screening.null.smallest),
+        "alpha": ALPHA,
+        "threshold": screening.null.threshold,
+        "p_value": screening.p_value,
+    }
+    if bootstrap.draws:
+        p_value = bootstrap.of_strongest(screening.p_value)
+        null["bootstrap"] = {"draws": bootstrap.draws, "p_value": p_value}
+    by_score = sorted(screening.candidates.items(), key=lambda item: -item[1].score.statistic)
     limits = detection_limits(problem, diagnosis.final_screening, diagnosis.names)
+    fitted = parameter_estimates(problem.layout.parameters, final)
     out = {
         "format": 1,
         "verdict": diagnosis.verdict,
         "audit": audit,
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),
-        "fit": _fit(diagnosis),
+        "fit": {
+            "nominal": _misfits(diagnosis, diagnosis.nominal),
+            "diagnosed": _misfits(diagnosis, final),
+        },
         "parameters": [one.as_dict() for one in fitted],
         "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),
-        "screening": _score_records(diagnosis.nominal_screening),
+        "screening": [
+            {
+                "name": name,
+                "score": one.score.statistic,
+                "p_value": one.score.p_value,
+                "inflation": one.score.inflation,
+            }
+            for name, one in by_score
+        ],
         "candidates": _candidates(diagnosis),
         "dropped": [catalogue_name(name) for name in diagnosis.dropped],
-        "detection_limits": [_limit(problem, limit) for limit in limits],
+        "detection_limits": [_limit(problem, name, limit) for name, limit in limits.items()],
         "residual_force": {
             run.name: {key: [float(f"{x:.4g}") for x in values] for key, values in force.items()}
             for run, force in zip(data.recordings, latent_force(problem, final), strict=False)
         },
         "map": _map(diagnosis, diagnosis.location),
         "map_after": _map(diagnosis, diagnosis.final_screening),
-        "null": _null(diagnosis),
+        "null": null,
         "remainder_p_value": diagnosis.unexplained_p_value,
         "next_experiment": next_experiment,
     }
@@ -91,29 +114,23 @@ def summary(
 
 def _where(diagnosis: Diagnosis) -> list[Record]:
     """Significant cells of the nominal model, strongest first, with the regime they lie in."""
-    level = diagnosis.location.null.threshold
-    found = sorted(
-        (cell for cell in diagnosis.location.cells if cell.p_value < level),
-        key=lambda cell: cell.p_value,
-    )
-    times = [np.asarray(run.t) for run in diagnosis.split.recordings]
+    level, recordings = diagnosis.location.null.threshold, diagnosis.split.recordings
+    found = [cell for cell in diagnosis.location.cells if cell.p_value < level]
+    found.sort(key=lambda cell: cell.p_value)
+    times = [np.asarray(run.t) for run in recordings]
     records = []
     for cell in found[:MOST_PLACES]:
-        window, start, end = cell.bin, cell.bin.start, cell.bin.end
-        if window.run is None:
+        name, start, end, regime = "all", cell.bin.start, cell.bin.end, cell.bin.regime
+        if cell.bin.run is None:
             start, end = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
-        regimes = [
-            other.bin.regime
-            for other in found
-            if other.bin.run is None and other.degree == cell.degree
-        ]
-        regime = window.regime or regime_within(diagnosis.split.train, window, regimes)
+        else:
+            name = recordings[cell.bin.run].name
+            alike = [other.bin.regime for other in found if other.degree == cell.degree]
+            regime = regime_within(diagnosis.split.train, cell.bin, [one for one in alike if one])
         records.append(
             {
                 "degree_of_freedom": DEGREES_OF_FREEDOM[cell.degree],
-                "recording": "all"
-                if window.run is None
-                else _recording_name(diagnosis, window.run),
+                "recording": name,
                 "start": start,
                 "end": end,
                 "regime": regime or "no regime stands out",
@@ -126,24 +143,22 @@ def _where(diagnosis: Diagnosis) -> list[Record]:
     return records
 
 
-def _recording_name(diagnosis: Diagnosis, run: int) -> str:
-    return diagnosis.split.recordings[run].name
-
-
 def _map(diagnosis: Diagnosis, screening: Screening) -> Record:
     """Every tested force in its window or regime, in standard errors too."""
 
     def record(cell: Cell) -> Record:
         place: Record = {"regime": cell.bin.regime}
         if cell.bin.run is not None:
-            place = {
-                "recording": _recording_name(diagnosis, cell.bin.run),
-                "start": cell.bin.start,
-                "end": cell.bin.end,
-            }
-        force = {"force": cell.force, "std": cell.std, "z": cell.z}
-        degree = {"degree_of_freedom": DEGREES_OF_FREEDOM[cell.degree]}
-        return degree | place | force | {"unit": FORCE_UNITS[cell.degree]}
+            name = diagnosis.split.recordings[cell.bin.run].name
+            place = {"recording": name, "start": cell.bin.start, "end": cell.bin.end}
+        return {
+            "degree_of_freedom": DEGREES_OF_FREEDOM[cell.degree],
+            **place,
+            "force": cell.force,
+            "std": cell.std,
+            "z": cell.z,
+            "unit": FORCE_UNITS[cell.degree],
+        }
 
     return {
         "time": [record(cell) for cell in screening.cells if cell.bin.run is not None],
@@ -152,59 +167,43 @@ def _map(diagnosis: Diagnosis, screening: Screening) -> Record:
     }
 
 
-def _null(diagnosis: Diagnosis) -> Record:
-    """How chance was told from cause; with `bootstrap` where data were simulated and refitted."""
-    screening, bootstrap = diagnosis.nominal_screening, diagnosis.bootstrap
-    record = {
-        "draws": len(screening.null.smallest),
-        "alpha": ALPHA,
-        "threshold": screening.null.threshold,
-        "p_value": screening.p_value,
-    }
-    if not bootstrap.draws:
-        return record
-    p = bootstrap.of_strongest(screening.p_value)
-    return record | {"bootstrap": {"draws": bootstrap.draws, "p_value": p}}
-
-
 def _effects(diagnosis: Diagnosis) -> list[Record]:
     """Accepted effects, strongest first, then what has no name."""
     strongest = sorted(diagnosis.effects, key=lambda one: -one.hypothesis.deviance_drop)
     records = [record for accepted in strongest for record in _effect(diagnosis, accepted)]
-    if diagnosis.verdict == "unexplained":
-        left = diagnosis.unexplained
-        p = diagnosis.unexplained_p_value
-        records.append(
-            {
-                "name": "unexplained",
-                "remainder": None if left is None else _unexplained_record(left),
-                "parameters": {},
-                "evidence": {"score": 0.0, "p_value": p, "cost_drop": 0.0},
-                "alternatives": [],
-            }
-        )
-    return records
-
-
-def _unexplained_record(force: UnexplainedForce) -> Record:
-    classes = zip(force.classes.texts, force.force, force.std, strict=True)
-    return {
-        "degree_of_freedom": DEGREES_OF_FREEDOM[force.degree],
-        "quantity": force.classes.name,
-        "unit": FORCE_UNITS[force.degree],
-        "classes": [
-            {"regime": text, "force": float(size), "std": float(std)} for text, size, std in classes
-        ],
-        "inclusion": force.inclusion,
-        "held_out_gain": force.gain.total,
-        "held_out_gain_std": force.gain.std,
+    if diagnosis.verdict != "unexplained":
+        return records
+    remainder: Record | None = None
+    if (force := diagnosis.unexplained) is not None:
+        classes = zip(force.classes.texts, force.force, force.std, strict=True)
+        remainder = {
+            "degree_of_freedom": DEGREES_OF_FREEDOM[force.degree],
+            "quantity": force.classes.name,
+            "unit": FORCE_UNITS[force.degree],
+            "classes": [
+                {"regime": text, "force": float(size), "std": float(std)}
+                for text, size, std in classes
+            ],
+            "inclusion": force.inclusion,
+            "held_out_gain": force.gain.total,
+            "held_out_gain_std": force.gain.std,
+        }
+    p_value = diagnosis.unexplained_p_value
+    nameless = {
+        "name": "unexplained",
+        "remainder": remainder,
+        "parameters": {},
+        "evidence": {"score": 0.0, "p_value": p_value, "cost_drop": 0.0},
+        "alternatives": [],
     }
+    return [*records, nameless]
 
 
 def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
     """An accepted effect; a record for each recording in which it was seen, if it has its own."""
     problem, hypothesis = diagnosis.split.train, accepted.hypothesis
     score = hypothesis.candidate.score
+    constancy = hypothesis.constancy
     evidence = {
         "score": score.statistic,
         "p_value": score.p_value,
@@ -216,9 +215,15 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
     instances = parameter_records(problem, diagnosis.final, accepted.name)
     records = []
     for number, parameters in enumerate(instances):
+        if is_known(parameters):
+            # Errors as wide as sizes in parts of the data scatter, and central 90 % intervals.
+            for entry in parameters.values():
+                entry["std"] *= 1.0 if constancy is None else constancy.scatter
+                off = float(norm.ppf(0.95)) * entry["std"]
+                entry["interval"] = [entry["value"] - off, entry["value"] + off]
         record = {
             "name": catalogue_name(accepted.name),
-            "parameters": _with_intervals(parameters, hypothesis.constancy),
+            "parameters": parameters,
             "evidence": evidence,
             "alternatives": list(accepted.rivals),
             **EFFECTS[accepted.name].place.in_file(problem.base),
@@ -226,22 +231,8 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
         if len(instances) == 1:
             records.append(record)
         elif number < len(diagnosis.split.recordings) and is_known(parameters):
-            records.append(record | {"recording": _recording_name(diagnosis, number)})
+            records.append(record | {"recording": diagnosis.split.recordings[number].name})
     return records
-
-
-def _with_intervals(
-    parameters: dict[str, Record], constancy: Constancy | None
-) -> dict[str, Record]:
-    """Each number with its central 90 % interval, errors as wide as parts of the data scatter."""
-    widen, out = 1.0 if constancy is None else constancy.scatter, {}
-    if not is_known(parameters):
-        return parameters
-    for name, entry in parameters.items():
-        std = widen * entry["std"]
-        off = float(norm.ppf(0.95)) * std
-        out[name] = entry | {"std": std, "interval": [entry["value"] - off, entry["value"] + off]}
-    return out
 
 
 def _gain(hypothesis: Hypothesis) -> Record:
@@ -269,33 +260,14 @@ def _cost_drop(diagnosis: Diagnosis, accepted: AcceptedEffect) -> float:
     return 1 - new / old if old > 0 else 0.0
 
 
-def _fit(diagnosis: Diagnosis) -> Record:
-    """Normalised innovations of both models, at the noise of the diagnosed one."""
-    data, final = diagnosis.split, diagnosis.final
-
-    def rms(problem: Problem, coordinates: np.ndarray) -> float:
-        return normalised_rms(problem.run_filter(coordinates, final.noise))
-
+def _misfits(diagnosis: Diagnosis, fitted: Estimate) -> dict[str, float]:
+    """Normalised innovations of a model, at the noise of the diagnosed one; 1 is noise level."""
+    data, noise = diagnosis.split, diagnosis.final.noise
+    there = held_out_coordinates(data, fitted)
     return {
-        model: {
-            "train": rms(data.train, fitted.coordinates),
-            "test": rms(data.test, held_out_coordinates(data, fitted)),
-        }
-        for model, fitted in (("nominal", diagnosis.nominal), ("diagnosed", final))
+        "train": normalised_rms(data.train.run_filter(fitted.coordinates, noise)),
+        "test": normalised_rms(data.test.run_filter(there, noise)),
     }
-
-
-def _score_records(screening: Screening) -> list[Record]:
-    scores = {name: one.score for name, one in screening.candidates.items()}
-    return [
-        {
-            "name": name,
-            "score": scores[name].statistic,
-            "p_value": scores[name].p_value,
-            "inflation": scores[name].inflation,
-        }
-        for name in sorted(scores, key=lambda name: -scores[name].statistic)
-    ]
 
 
 def _candidates(diagnosis: Diagnosis) -> list[Record]:
@@ -307,11 +279,10 @@ def _candidates(diagnosis: Diagnosis) -> list[Record]:
     rows = []
     by_evidence = sorted(screening.candidates.items(), key=lambda item: -item[1].expected)
     for name, candidate in by_evidence:
-        variant = name.partition(":")[2]  # where no actuators or channels tell it from others
-        which = EFFECTS[name].place.in_file(problem.base) or (
-            {"variant": variant} if variant else {}
-        )
-        row: Record = {"name": catalogue_name(name), **which}
+        row: Record = {"name": catalogue_name(name), **EFFECTS[name].place.in_file(problem.base)}
+        variant = name.partition(":")[2]
+        if variant and len(row) == 1:  # neither actuators nor channels tell it from others
+            row["variant"] = variant
         row["p_value"] = screening.null.family_wise(candidate.score.p_value)
         one = tried.get(name)
         if one is None:
@@ -327,8 +298,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Record]:
         elif catalogue_name(name) in rivals:
             row |= {"status": "rival", "reason": "the same data support it nearly as well"}
         rows.append(row)
-    order = {"accepted": 0, "rival": 1, "rejected": 2, "screened out": 3}
-    return sorted(rows, key=lambda row: (order[row["status"]], -row["log10_odds"]))
+    return sorted(rows, key=lambda row: (STATUSES.index(row["status"]), -row["log10_odds"]))
 
 
 def _reason(one: Hypothesis, inflation: float, needed: float) -> str:
@@ -346,16 +316,17 @@ def _reason(one: Hypothesis, inflation: float, needed: float) -> str:
     return "another explains more"
 
 
-def _limit(problem: Problem, limit: DetectionLimit) -> Record:
-    effect = limit.effect
+def _limit(problem: Problem, name: str, limit: float | None) -> Record:
+    """The smallest size of an effect that would have shown, with a note on what that means."""
+    effect = EFFECTS[name]
     row = {
-        "name": catalogue_name(effect.name),
+        "name": catalogue_name(name),
         **effect.place.in_file(problem.base),
         "parameter": effect.stated_key,
         "unit": effect.units[effect.stated_key],
-        "limit": limit.limit,
+        "limit": limit,
     }
-    if limit.limit is None:
+    if limit is None:
         row["note"] = "these runs would not have shown it at any plausible size"
     elif effect.stated_inversely:
         row["note"] = "anything lower would have shown"

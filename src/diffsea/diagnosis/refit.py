@@ -52,6 +52,11 @@ class Hypothesis:
         return self.is_physical and self.gain is not None
 
     @property
+    def has_one_size(self) -> bool:
+        """Whether it was fitted to its end and has one size in all the data."""
+        return self.constancy is not None and self.constancy.holds
+
+    @property
     def size(self) -> int:
         """Coordinates that it adds."""
         return len(self.candidate.point.at) * self.instances
@@ -88,7 +93,7 @@ def refit_short_list(
 ) -> list[Hypothesis]:
     """Refit each candidate of a short list beside the current effects, best first."""
 
-    def first(name: str) -> Hypothesis:
+    def refit_first(name: str) -> Hypothesis:
         number, stage = names.index(name), f"refitting {len(names)} hypotheses"
         message = f"refitting {number + 1} of {len(names)}: {name}"
         progress(PartialProgress(message, number / len(names), stage))
@@ -96,9 +101,7 @@ def refit_short_list(
 
     # A compiled program runs on one core and lets other threads run meanwhile.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        tried = list(pool.map(first, names))
-    near, rest = near_the_best(tried)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        near, rest = near_the_best(list(pool.map(refit_first, names)))
         full = list(pool.map(lambda one: refit_fully(data, current, one), near))
     return rank_hypotheses([*full, *rest])
 
@@ -112,24 +115,22 @@ def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypot
     tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
     tried.sort(key=lambda one: -one.evidence(1.0))
 
+    def is_confusable(one: Hypothesis, other: Hypothesis) -> bool:
+        names = [catalogue_name(hypothesis.effect) for hypothesis in (one, other)]
+        declared = [EFFECTS[hypothesis.effect].confusables for hypothesis in (one, other)]
+        return names[0] == names[1] or names[1] in declared[0] or names[0] in declared[1]
+
     def is_near(one: Hypothesis) -> bool:
-        rivals = [other for other in tried if other.is_physical or _are_confusable(one, other)]
+        rivals = [other for other in tried if other.is_physical or is_confusable(one, other)]
         best = max((other.evidence(1.0) for other in rivals), default=0.0)
         return one.evidence(1.0) > min(best - NEAR_BEST, NEAR_BEST_SHARE * best)
 
-    near = [one for one in tried if is_near(one)]
     near = [
         one
-        for k, one in enumerate(near)
+        for k, one in enumerate(filter(is_near, tried))
         if k < FULL_REFITS or tried[0].evidence(1.0) - one.evidence(1.0) < EVIDENCE
     ]
     return near, [one for one in tried if one not in near]
-
-
-def _are_confusable(one: Hypothesis, other: Hypothesis) -> bool:
-    names = (catalogue_name(one.effect), catalogue_name(other.effect))
-    declared = [set(EFFECTS[hypothesis.effect].confusables) for hypothesis in (one, other)]
-    return names[0] == names[1] or names[1] in declared[0] or names[0] in declared[1]
 
 
 def rank_hypotheses(tried: list[Hypothesis]) -> list[Hypothesis]:
@@ -145,25 +146,24 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     Effects accepted before start from their estimate in either case.
     """
-    effect = _effect_named(problem, candidate.point.effect)
-    free = (*current.free, effect.name)
+    name = candidate.point.effect
     warm = np.array(current.coordinates, float)
-    warm[problem.layout.indices((effect.name,))] = first_guess(effect, candidate)
+    warm[problem.layout.indices((name,))] = first_guess(candidate)
     prior = warm.copy()
     prior[: len(problem.layout.parameters)] = 0.0
 
     def refit(start: np.ndarray) -> Estimate:
+        free = (*current.free, name)
         return estimate(problem, free, start, current.noise, rounds=2, fixed_noise=True)
+
+    def cost(one: Estimate) -> float:
+        return one.deviance if np.isfinite(one.deviance) else np.inf
 
     better, promised = refit(warm), candidate.score.statistic * candidate.score.inflation
     # Also where it diverged: its deviance is no number then.
     if not current.deviance - better.deviance >= STALLED_SHARE * promised:
-        better = min(
-            better,
-            refit(prior),
-            key=lambda one: one.deviance if np.isfinite(one.deviance) else np.inf,
-        )
-    return make_hypothesis(problem, current, better, effect, candidate)
+        better = min(better, refit(prior), key=cost)
+    return make_hypothesis(problem, current, better, candidate)
 
 
 def refit_fully(
@@ -179,17 +179,12 @@ def refit_fully(
     problem, free = data.train, (*current.free, one.effect)
     start = start_beside(problem, current, one) if start is None else start
     fitted = estimate(problem, free, start, current.noise)
-    effect = _effect_named(problem, one.effect)
-    full = make_hypothesis(problem, current, fitted, effect, one.candidate)
+    full = make_hypothesis(problem, current, fitted, one.candidate)
     full = dataclasses.replace(full, gain=held_out_gain(data, current, fitted))
     if not np.isfinite(full.deviance_drop):
         return full
     test = constancy_test(problem, fitted, one.effect, full.deviance_drop)
     return dataclasses.replace(full, constancy=test)
-
-
-def _effect_named(problem: Problem, name: str) -> Effect:
-    return next(effect for effect in problem.layout.effects if effect.name == name)
 
 
 def start_beside(
@@ -201,15 +196,14 @@ def start_beside(
     what it was fitted together with may not be in the model any more.
     """
     if set(one.estimate.free) == {*current.free, one.effect}:
-        better = one.estimate.deviance < current.deviance
-        return one.estimate.coordinates if better else current.coordinates
+        return min(current, one.estimate, key=lambda fitted: fitted.deviance).coordinates
     out = np.array(current.coordinates, float)
     place = problem.layout.indices((one.effect,))
     out[place] = one.estimate.coordinates[place]
     return out
 
 
-def first_guess(effect: Effect, candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
+def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
     """Coordinates of the effect, in every instance, from its one-step estimate."""
     point = candidate.point
     step = np.clip(candidate.score.step, -LARGEST_STEP, LARGEST_STEP)
@@ -218,16 +212,20 @@ def first_guess(effect: Effect, candidate: Candidate) -> Float[np.ndarray, "coor
     out[:, list(point.directions)] = step
     if point.secant:
         out[:, 0] = point.at[0]
-    if effect.leading.positive:
+    if EFFECTS[point.effect].leading.positive:
         out[:, 0] = np.maximum(out[:, 0], 0.1)
     return out.ravel()
 
 
 def make_hypothesis(
-    problem: Problem, current: Estimate, fitted: Estimate, effect: Effect, candidate: Candidate
+    problem: Problem, current: Estimate, fitted: Estimate, candidate: Candidate
 ) -> Hypothesis:
-    """The evidence for a model fitted with one effect more than the current one."""
-    layout = problem.layout
+    """The evidence for a model fitted with one effect more than the current one.
+
+    The Occam factor is Laplace's: the log ratio of the posterior's volume to that of the prior,
+    the heavy tails of the prior included.
+    """
+    layout, effect = problem.layout, EFFECTS[candidate.point.effect]
     index = layout.indices((effect.name,))
     volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
     instances = len(recorded_instances(problem, effect))
@@ -243,25 +241,30 @@ def make_hypothesis(
         occam=float(volume + room),
         gain=None,
         candidate=candidate,
-        is_physical=is_physical(problem, effect, fitted, candidate),
+        is_physical=is_physical(problem, fitted, candidate),
         instances=instances,
         inflation=inflation,
     )
 
 
-def is_physical(problem: Problem, effect: Effect, fitted: Estimate, candidate: Candidate) -> bool:
+def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> bool:
     """Whether an effect's sizes are possible, and a change lies where it was seen, while recorded.
 
-    Sizes count as possible as far as their standard errors tell.
+    Sizes count as possible as far as their standard errors tell. What cannot be negative may be
+    absent in some of several runs.
     """
+    effect = EFFECTS[candidate.point.effect]
     places = np.array(problem.layout.indices((effect.name,)))
     places = places.reshape(problem.layout.instances(effect), -1)
     places = places[recorded_instances(problem, effect)]
     values = fitted.coordinates[places]
     order = [list(fitted.index).index(k) for k in places.ravel()]
     stds = np.sqrt(np.diag(np.linalg.inv(fitted.precision))[order]).reshape(places.shape)
-    if effect.leading.positive and not _is_positive(values[:, 0], stds[:, 0]):
-        return False
+    if effect.leading.positive:
+        amounts = values[:, 0]
+        least = -TOLERANCE * stds[:, 0] if len(amounts) > 1 else 0.0
+        if not ((amounts > least).all() and (amounts > 0).any()):
+            return False
     least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
     within = (values > least - TOLERANCE * stds) & (values < most + TOLERANCE * stds)
     if not within.all():
@@ -270,24 +273,17 @@ def is_physical(problem: Problem, effect: Effect, fitted: Estimate, candidate: C
         return True
     place, scanned = effect.scanned
     value = float(values[0, place])
-    size = problem.layout.sizes[problem.layout.effects.index(effect)][place]
+    size = effect.sizes(problem.base)[place]
     times = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
     is_near = abs(value - candidate.point.at[place]) < candidate.reach
     return is_near and scanned.lies_within(value * size, times.min(), times.max())
-
-
-def _is_positive(amounts: np.ndarray, stds: np.ndarray) -> bool:
-    """Whether a positive effect came out positive; in some of several runs it may be absent."""
-    if len(amounts) == 1:
-        return bool(amounts[0] > 0)
-    return bool((amounts > -TOLERANCE * stds).all() and (amounts > 0).any())
 
 
 def recorded_instances(problem: Problem, effect: Effect) -> list[int]:
     """Instances of an effect that belong to recorded runs: a data set has spare ones."""
     if problem.layout.instances(effect) == 1:
         return [0]
-    return np.unique(np.asarray(problem.dataset.run)[problem.dataset.recorded_rows]).tolist()
+    return [number for number, rows in enumerate(problem.dataset.rows_of_runs) if len(rows)]
 
 
 def has_room(problem: Problem, current: Estimate, name: str) -> bool:

@@ -7,12 +7,13 @@ found is absent only as far as the smallest sizes that the data could have shown
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from diffsea.diagnosis.jacobians import Columns, linearise_model
-from diffsea.diagnosis.localisation import Cell, locate_forces
+from diffsea.diagnosis.localisation import Cell, latent_acceleration, locate_forces
 from diffsea.diagnosis.score import NullDistribution, Projection, ScoreTest, joint_null
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
@@ -49,10 +50,8 @@ def candidate_effects(
     """
 
     def is_recorded(channel: str) -> bool:
-        return all(
-            channel in run.extra and bool(np.isfinite(np.asarray(run.extra[channel])).any())
-            for run in recordings
-        )
+        series = (np.asarray(run.extra.get(channel, np.nan), float) for run in recordings)
+        return all(np.isfinite(values).any() for values in series)
 
     return tuple(
         effect
@@ -101,30 +100,31 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     projection = model.projection(fitted.free)
     frequencies, resolution = wave_frequencies(problem, fitted)
     effects = [effect for effect in problem.layout.effects if effect.name not in fitted.free]
+    best: dict[str, Candidate] = {}
+
+    def test_points(points: list[ExpansionPoint]) -> list[Columns]:
+        """Keep those that promise more than what was tried before; the columns of all."""
+        columns = [projection.efficient(J) for J in model.by_points(points)]
+        for point, E in zip(points, columns, strict=True):
+            score, name = projection.test(E), point.effect
+            one = Candidate(point, score, E, expected_evidence(score, E), spacing[name])
+            if name not in best or one.expected > best[name].expected:
+                best[name] = one
+        return columns
+
     points = [
         point
         for effect in effects
         for point in expansion_points(effect, problem.base, problem.dataset.spans, frequencies)
     ]
-    spacing = scan_spacings(problem.layout.effects, problem.base, points, resolution)
-    columns = [projection.efficient(J) for J in model.by_points(points)]
+    spacing = scan_spacings(effects, problem.base, points, resolution)
+    columns = test_points(points)
     cells, unnamed = locate_forces(model, projection)
-    null = _null_distribution(projection, columns, unnamed)
-    best = _most_promising(points, columns, projection, {}, spacing)
     for finer in REFINEMENTS:
-        points = [
-            point
-            for effect in problem.layout.effects
-            if effect.name in best and best[effect.name].expected > 0
-            for point in nearby_points(
-                effect, best[effect.name].point, spacing[effect.name] / finer
-            )
-        ]
-        if not points:
-            break
-        columns = [projection.efficient(J) for J in model.by_points(points)]
-        best = _most_promising(points, columns, projection, best, spacing)
-    return Screening(best, cells, null)
+        promising = [one.point for one in best.values() if one.expected > 0]
+        around = [nearby_points(point, spacing[point.effect] / finer) for point in promising]
+        test_points([point for several in around for point in several])
+    return Screening(best, cells, _null_distribution(projection, columns, unnamed))
 
 
 def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> Screening:
@@ -154,23 +154,6 @@ def _null_distribution(
     return joint_null(everything.T @ everything, tests)
 
 
-def _most_promising(
-    points: list[ExpansionPoint],
-    columns: list[Columns],
-    projection: Projection,
-    before: dict[str, Candidate],
-    spacing: dict[str, float],
-) -> dict[str, Candidate]:
-    """Each effect at the expansion point with the largest expected evidence."""
-    best = dict(before)
-    for point, E in zip(points, columns, strict=True):
-        score = projection.test(E)
-        one = Candidate(point, score, E, expected_evidence(score, E), spacing[point.effect])
-        if point.effect not in best or one.expected > best[point.effect].expected:
-            best[point.effect] = one
-    return best
-
-
 def expected_evidence(score: ScoreTest, columns: Columns) -> float:
     """Twice the log evidence that a refit would give were the model linear."""
     prior = np.eye(columns.shape[1]) / PRIOR_SPREAD**2
@@ -180,10 +163,7 @@ def expected_evidence(score: ScoreTest, columns: Columns) -> float:
 
 
 def scan_spacings(
-    effects: tuple[Effect, ...],
-    vessel: Vessel,
-    points: list[ExpansionPoint],
-    resolution: float,
+    effects: Sequence[Effect], vessel: Vessel, points: list[ExpansionPoint], resolution: float
 ) -> dict[str, float]:
     """Distance between neighbouring onsets or frequencies tried for each effect, in prior sizes.
 
@@ -198,11 +178,16 @@ def scan_spacings(
     return out
 
 
-def nearby_points(effect: Effect, point: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
-    """Expansion points at onsets or frequencies around one, three to each side."""
-    if effect.scanned is None or spacing == 0:
+def nearby_points(point: ExpansionPoint, spacing: float) -> list[ExpansionPoint]:
+    """Expansion points at onsets or frequencies around one, three to each side.
+
+    Arguments:
+        spacing: in prior sizes; zero where the effect has neither.
+    """
+    scanned = EFFECTS[point.effect].scanned
+    if scanned is None or spacing == 0:
         return []
-    place, out = effect.scanned[0], []
+    place, out = scanned[0], []
     for step in (-3, -2, -1, 1, 2, 3):
         at = list(point.at)
         at[place] += step * spacing
@@ -237,14 +222,6 @@ def short_list(screening: Screening, declared: dict[str, tuple[str, ...]]) -> li
     # A bent nominal fit ranks wrongly, but not by much: what promises little is left out.
     worth = {name for name in chosen if candidates[name].expected > WORTHWHILE * best > 0}
     return [name for name in chosen if name in worth or name in ranked[:ALWAYS]]
-
-
-def latent_acceleration(problem: Problem, fitted: Estimate) -> Float[np.ndarray, "row 3"]:
-    """What the filter finds beside the model: lasting gusts and the rest (m/s^2, rad/s^2)."""
-    filtered = fitted.filter_run(problem)
-    return np.asarray(filtered.gust_impulse) / np.maximum(
-        np.asarray(filtered.gains.gusts.half), 1e-12
-    )
 
 
 def wave_frequencies(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarray, "peak"], float]:
@@ -299,60 +276,47 @@ def spectral_peaks(
     return grid[high[np.argsort(-relative[high])][:PEAKS]], resolution
 
 
-# -- what the data could have shown
-
-
-@dataclasses.dataclass(frozen=True)
-class DetectionLimit:
-    """The smallest size of an effect that would have shown."""
-
-    effect: Effect
-    limit: float | None  # of its stated parameter; None where no plausible size would have shown
-
-
 def detection_limits(
     problem: Problem, screening: Screening, found: tuple[str, ...]
-) -> list[DetectionLimit]:
-    """The smallest detectable size of every candidate that was not found.
+) -> dict[str, float | None]:
+    """The smallest size of every candidate that was not found that would have shown.
 
-    Three standard errors of the effect's own parameter by the data alone, its other coefficients
-    unknown, in the run that says most.
+    Three standard errors of the effect's stated parameter by the data alone, its other coefficients
+    unknown, in the run that says most; None where no plausible size would have shown.
     """
-    effects = {effect.name: effect for effect in problem.layout.effects}
-    limits = []
+    limits = {}
     for name, candidate in screening.candidates.items():
         if name in found:
             continue
-        effect, size = effects[name], len(candidate.point.directions)
+        size = len(candidate.point.directions)
         columns = candidate.columns[: problem.dataset.measured.size]  # not the prior's rows
         V = columns.T @ columns / candidate.score.inflation
-        shown = [
-            value
-            for k in range(0, len(V) // size * size, size)
-            if (value := _smallest_size(problem, effect, candidate, V[k : k + size, k : k + size]))
-        ]
-        limit = (max if effect.stated_inversely else min)(shown) if shown else None
-        limits.append(DetectionLimit(effect, limit))
+        runs = [slice(k, k + size) for k in range(0, len(V) // size * size, size)]
+        sizes = [_smallest_size(problem.base, candidate.point, V[own, own]) for own in runs]
+        shown = [value for value in sizes if value]
+        most = max if EFFECTS[name].stated_inversely else min
+        limits[name] = most(shown) if shown else None
     return limits
 
 
 def _smallest_size(
-    problem: Problem, effect: Effect, candidate: Candidate, V: Float[np.ndarray, "moved moved"]
+    vessel: Vessel, point: ExpansionPoint, V: Float[np.ndarray, "moved moved"]
 ) -> float | None:
     """The parameter at three standard errors by the information `V`; None if implausible.
 
     Along each coordinate alone and along the worst direction, whichever says more of the
     parameter: a flow's speed has no coordinate of its own.
     """
+    effect = EFFECTS[point.effect]
     values, vectors = np.linalg.eigh(V)
     spread = DETECTABLE / np.sqrt(np.maximum(values, NO_INFORMATION))
     steps = [*np.diag(np.sqrt((vectors**2) @ spread**2)), spread[0] * vectors[:, 0]]
-    sizes = np.array(effect.sizes(problem.base))
+    sizes = np.array(effect.sizes(vessel))
     named = []
     for step in steps:
-        at = np.array(candidate.point.at, float)
-        at[list(candidate.point.directions)] = step * (np.sign(step[np.abs(step).argmax()]) or 1.0)
-        value = abs(float(effect.decode(problem.base, at * sizes)[effect.stated_key]))
+        at = np.array(point.at, float)
+        at[list(point.directions)] = step * (np.sign(step[np.abs(step).argmax()]) or 1.0)
+        value = abs(float(effect.decode(vessel, at * sizes)[effect.stated_key]))
         named.append((value, step))
     value, step = (min if effect.stated_inversely else max)(named, key=lambda pair: pair[0])
     return None if np.linalg.norm(step) > PLAUSIBLE else value

@@ -5,18 +5,20 @@ and judged by evidence and by held-out data; accepted effects are added one at a
 until nothing is left to explain or nothing explains it, and each is then asked for again.
 """
 
-import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
-from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap, bootstrap, check_draws
+from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import (
     AcceptedEffect,
     ShortList,
     decide,
-    explain_more_together,
     needed_evidence,
     still_stands,
 )
+from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.refit import (
+    EVIDENCE,
     Hypothesis,
     has_room,
     rank_hypotheses,
@@ -31,7 +33,7 @@ from diffsea.diagnosis.screening import (
     screen,
     short_list,
 )
-from diffsea.diagnosis.unexplained import UnexplainedForce, model_unexplained_force
+from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.fit import estimate
@@ -52,41 +54,34 @@ MOST_RESUMPTIONS = 2  # times at most that a fit is found to have stopped early
 OWED_TO_THE_FIT = 0.5  # share of a gain that the model without the effect has, too, if fitted on
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Search:
-    """Where the search for effects stands."""
+    """Where the search for effects stands, or ended."""
 
     nominal: Estimate
     nominal_screening: Screening
-    estimate: Estimate
-    screening: Screening  # against that, or one with the same effects
-    accepted: tuple[AcceptedEffect, ...] = ()
-    first_short_list: ShortList = ShortList((), 0.0)
+    final: Estimate  # with the effects so far
+    final_screening: Screening  # against that, or one with the same effects
+    effects: tuple[AcceptedEffect, ...] = ()
+    short_list: ShortList = ShortList((), 0.0)  # the first one
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
-
-
-@dataclasses.dataclass(frozen=True)
-class Diagnosis:
-    """Everything found."""
-
-    verdict: str  # "consistent", "explained", "ambiguous" or "unexplained"
-    split: Split
-    nominal: Estimate
-    final: Estimate
-    effects: tuple[AcceptedEffect, ...]
-    short_list: ShortList  # the first one
-    nominal_screening: Screening
-    final_screening: Screening
-    location: Screening  # unnamed forces in the nominal model, measured by the final noise
-    unexplained_p_value: float  # family-wise, of what no accepted effect explains
-    dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
-    unexplained: UnexplainedForce | None = None  # a model of what is left, if significant
-    bootstrap: Bootstrap = NO_BOOTSTRAP
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the accepted effects."""
         return tuple(accepted.name for accepted in self.effects)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis(Search):
+    """Everything found: the end of the search, the verdict, and what is left."""
+
+    verdict: str  # "consistent", "explained", "ambiguous" or "unexplained"
+    split: Split
+    location: Screening  # unnamed forces in the nominal model, measured by the final noise
+    unexplained_p_value: float  # family-wise, of what no accepted effect explains
+    unexplained: UnexplainedForce | None = None  # a model of what is left, if significant
+    bootstrap: Bootstrap = NO_BOOTSTRAP
 
 
 @one_blas_thread
@@ -110,12 +105,21 @@ def diagnose(
         draws: data sets to simulate and refit for the chance of what is seen; 0: to first order.
 
     Raises:
-        UserError: recordings that do not fit the vessel; too few draws.
+        UserError: recordings that do not fit the vessel, or are too short to hold anything out;
+            too few draws to show one per cent.
     """
-    if draws:
-        check_draws(draws)
+    if 0 < draws < LEAST_DRAWS:
+        raise UserError(
+            f"{draws} bootstrap draws cannot show one per cent: take {LEAST_DRAWS} or more"
+        )
     free = free_by_default(vessel) if free is None else free
-    data = split_for_diagnosis(vessel, recordings, test or [], per_run, free)
+    test = test or []
+    effects = candidate_effects(vessel, [*recordings, *test], per_run)
+
+    def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
+        return make_problem(vessel, runs, free, effects, per_run, EFFECT_COORDINATES, least=least)
+
+    data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")
     nominal = estimate(data.train, free, progress=progress)
     progress("screening the catalogue")
@@ -124,54 +128,31 @@ def diagnose(
     return explain(data, nominal, screening, null, progress)
 
 
-def split_for_diagnosis(
-    vessel: Vessel,
-    recordings: list[Trajectory],
-    test: list[Trajectory],
-    per_run: bool,
-    free: tuple[str, ...],
-) -> Split:
-    """Training and held-out data with every effect that the vessel could have.
-
-    Raises:
-        UserError: recordings that do not fit the vessel, or too short to hold anything out.
-    """
-    effects = candidate_effects(vessel, [*recordings, *test], per_run)
-
-    def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, EFFECT_COORDINATES, least=least)
-
-    return split_data(problem_of, recordings, test, per_run)
-
-
 def explain(
     data: Split, nominal: Estimate, screening: Screening, null: Bootstrap, progress: Progress
 ) -> Diagnosis:
     """Name, model and locate what a nominal model that was fitted and screened lacks."""
     found = forward_search(data, nominal, screening, null, progress)
-    kept = backward_pass(data, found, progress)
+    # All effects but the last are asked for again, beside those that came after them.
+    kept, changed = ask_again(data, found, found.effects[:-1], progress)
+    if changed:
+        kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
     left = unexplained_p_value(kept, final, null)
-    verdict = verdict_on(final.accepted, left)
+    verdict = verdict_on(final.effects, left)
     unexplained, location = None, final.nominal_screening
     if verdict == "unexplained":
         progress("modelling what is left")
-        unexplained = model_unexplained_force(data, final.estimate)
-    if final.accepted:
+        unexplained = model_unexplained_force(data, final.final)
+    if final.effects:
         progress("locating the mismatch")
-        location = locate_by_noise_of(final.estimate, data.train, final.nominal)
+        location = locate_by_noise_of(final.final, data.train, final.nominal)
     return Diagnosis(
+        **vars(final),
         verdict=verdict,
         split=data,
-        nominal=final.nominal,
-        final=final.estimate,
-        effects=final.accepted,
-        short_list=final.first_short_list,
-        nominal_screening=final.nominal_screening,
-        final_screening=final.screening,
         location=location,
         unexplained_p_value=left,
-        dropped=final.dropped,
         unexplained=unexplained,
         bootstrap=null,
     )
@@ -183,38 +164,34 @@ def forward_search(
     """Add one effect after the other until nothing is left to explain or nothing explains it."""
     now = Search(nominal, screening, nominal, screening)
     resumed = 0
-    while len(now.accepted) < MOST_EFFECTS and null.of_strongest(now.screening.p_value) < ALPHA:
-        tried = refit_candidates(data, now.estimate, now.screening, progress)
-        if not now.accepted:
-            now = dataclasses.replace(now, first_short_list=tried)
-        best = decide(tried, _exchange(data, now.estimate, progress))
+    while (
+        len(now.effects) < MOST_EFFECTS and null.of_strongest(now.final_screening.p_value) < ALPHA
+    ):
+        tried = refit_candidates(data, now.final, now.final_screening, progress)
+        if not now.effects:
+            now = replace(now, short_list=tried)
+        best = decide(tried, _exchange(data, now.final, progress))
         if best is None:
-            room = len(now.accepted) < MOST_EFFECTS - 1
+            room = len(now.effects) < MOST_EFFECTS - 1
             added = find_pair(data, tried, null, progress) if room else ()
         else:
             better = None
             if resumed < MOST_RESUMPTIONS:
-                better = resume_stalled_fit(data.train, now.estimate, best)
+                better = resume_stalled_fit(data.train, now.final, best)
             if better is not None:
                 progress(f"{best.effect}: its fit went on where the one without it had stopped")
                 resumed += 1
-                now = dataclasses.replace(
-                    now, estimate=better, screening=screen(data.train, better)
-                )
-                if not now.accepted:
-                    now = dataclasses.replace(now, nominal=better, nominal_screening=now.screening)
+                now = replace(now, final=better, final_screening=screen(data.train, better))
+                if not now.effects:
+                    now = replace(now, nominal=better, nominal_screening=now.final_screening)
                 continue
-            added = (AcceptedEffect.of(best, tried),)
+            added = (AcceptedEffect(best, tried),)
             progress(f"accepted: {catalogue_name(best.effect)}")
         if not added:
             break
-        fitted = added[-1].hypothesis.estimate
-        now = dataclasses.replace(
-            now,
-            estimate=fitted,
-            screening=screen(data.train, fitted),
-            accepted=(*now.accepted, *added),
-        )
+        final = added[-1].hypothesis.estimate
+        screening = screen(data.train, final)
+        now = replace(now, final=final, final_screening=screening, effects=(*now.effects, *added))
     return now
 
 
@@ -227,12 +204,12 @@ def refit_candidates(
     over and looks like the effect's confusables: these are not asked for.
     """
     problem, doubtful = data.train, set[str]()
+    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
     for effect in problem.layout.effects:
         if effect.name in current.free:
             place = problem.layout.indices((effect.name,))[0]
             if abs(current.coordinates[place]) > effect.leading.valid_to:
                 doubtful |= set(effect.confusables)
-    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
     names = [
         name
         for name in short_list(screening, declared)
@@ -242,7 +219,9 @@ def refit_candidates(
     return ShortList(tuple(tried), needed_evidence(problem))
 
 
-def _exchange(data: Split, current: Estimate, progress: Progress):
+def _exchange(
+    data: Split, current: Estimate, progress: Progress
+) -> Callable[[Hypothesis], Gain] | None:
     """The gain of a hypothesis with training and held-out data exchanged; None if impossible."""
 
     def gain(one: Hypothesis) -> Gain:
@@ -269,9 +248,9 @@ def find_pair(
         bare = refit_without(data.train, other.estimate, [one.effect])
         again = refit_fully(data, bare, one, other.estimate.coordinates)
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
-        best = alone.hypotheses[0]
-        if explain_more_together(best, again, other, alone.needed) and left > ALPHA:
-            return AcceptedEffect.of(one, alone), AcceptedEffect.of(other, beside)
+        gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
+        if gained > -EVIDENCE and still_stands(again, alone.needed) and left > ALPHA:
+            return AcceptedEffect(one, alone), AcceptedEffect(other, beside)
     return ()
 
 
@@ -289,14 +268,6 @@ def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) ->
     return again if gained > OWED_TO_THE_FIT * best.deviance_drop else None
 
 
-def backward_pass(data: Split, found: Search, progress: Progress) -> Search:
-    """Ask for all effects but the last again, beside those that came after them."""
-    kept, changed = ask_again(data, found, found.accepted[:-1], progress)
-    if changed:
-        kept = dataclasses.replace(kept, screening=screen(data.train, kept.estimate))
-    return kept
-
-
 def ask_again(
     data: Split, found: Search, asked: tuple[AcceptedEffect, ...], progress: Progress
 ) -> tuple[Search, bool]:
@@ -305,7 +276,7 @@ def ask_again(
     Without it, and with each of its near rivals instead: what was accepted was judged beside
     others, while the effects of later ones were still in the data.
     """
-    current, effects, dropped, changed = found.estimate, list(found.accepted), [], False
+    current, effects, dropped, changed = found.final, list(found.effects), [], False
     for one in asked:
         progress(f"asking again for {one.name}")
         bare = refit_without(data.train, current, [one.name])
@@ -322,52 +293,52 @@ def ask_again(
         )
         tried = ShortList(tuple(again), needed_evidence(data.train))
         best = decide(tried, _exchange(data, bare, progress))
-        same = next((option for option in again if option.effect == one.name), None)
-        if best is None and same is not None and still_stands(same, tried.needed):
-            effects[effects.index(one)] = _with_constancy_of(same, one)
-        elif best is None:
+        if best is None:
+            same = next((option for option in again if option.effect == one.name), None)
+            best = same if same is not None and still_stands(same, tried.needed) else None
+            stays = best is not None
+        else:
+            stays = best.effect == one.name and AcceptedEffect(best, tried).rivals == one.rivals
+        if best is None:
             effects.remove(one)
             dropped.append(one.name)
             current, changed = bare, True
-        elif best.effect != one.name or tried.rivals_of(best) != one.rivals:
-            effects[effects.index(one)] = AcceptedEffect.of(best, tried)
+        elif stays:
+            # As it was accepted, with the constancy that its size has beside the others.
+            hypothesis = replace(one.hypothesis, constancy=best.constancy)
+            effects[effects.index(one)] = replace(one, hypothesis=hypothesis)
+        else:
+            effects[effects.index(one)] = AcceptedEffect(best, tried)
             changed = changed or best.effect != one.name
             current = best.estimate
-        else:
-            effects[effects.index(one)] = _with_constancy_of(best, one)
-    kept = dataclasses.replace(
-        found, estimate=current, accepted=tuple(effects), dropped=(*found.dropped, *dropped)
-    )
+    kept = replace(found, final=current, effects=tuple(effects), dropped=(*found.dropped, *dropped))
     return kept, changed
 
 
-def _with_constancy_of(again: Hypothesis, one: AcceptedEffect) -> AcceptedEffect:
-    """What was accepted, with the constancy that its size has beside the others."""
-    hypothesis = dataclasses.replace(one.hypothesis, constancy=again.constancy)
-    return dataclasses.replace(one, hypothesis=hypothesis)
-
-
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
-    """Withdraw names that what is left stands out more than; ask for the others without them."""
-    left = null.of_located(kept.screening.located_p_value)
-    outdone = [one for one in kept.accepted if one.is_outdone_by(kept.screening)]
+    """Withdraw names that what is left stands out more than: both may have another cause.
+
+    The other effects are asked for without them.
+    """
+    left = null.of_located(kept.final_screening.located_p_value)
+    strongest = max((cell.z**2 for cell in kept.final_screening.cells), default=0.0)
+    outdone = [
+        one.name for one in kept.effects if one.hypothesis.candidate.score.statistic < strongest
+    ]
     if left >= ALPHA or not outdone:
         return kept
-    names = [one.name for one in outdone]
-    others = tuple(one for one in kept.accepted if one.name not in names)
-    bare = refit_without(data.train, kept.estimate, names)
-    rest = dataclasses.replace(kept, estimate=bare, accepted=others)
-    rest, _ = ask_again(data, rest, others, progress)
-    return dataclasses.replace(
-        rest, screening=screen(data.train, rest.estimate), dropped=(*rest.dropped, *names)
-    )
+    others = tuple(one for one in kept.effects if one.name not in outdone)
+    bare = refit_without(data.train, kept.final, outdone)
+    rest, _ = ask_again(data, replace(kept, final=bare, effects=others), others, progress)
+    screening = screen(data.train, rest.final)
+    return replace(rest, final_screening=screening, dropped=(*rest.dropped, *outdone))
 
 
 def unexplained_p_value(kept: Search, final: Search, null: Bootstrap) -> float:
     """Family-wise p-value of what no accepted effect explains, before or after withdrawals."""
-    left = min(null.of_located(one.screening.located_p_value) for one in (kept, final))
-    if not final.accepted and final.first_short_list.has_something_nameless:
-        left = min(left, null.of_strongest(final.screening.p_value))
+    left = min(null.of_located(one.final_screening.located_p_value) for one in (kept, final))
+    if not final.effects and final.short_list.has_something_nameless:
+        left = min(left, null.of_strongest(final.final_screening.p_value))
     return left
 
 
@@ -377,6 +348,4 @@ def verdict_on(accepted: tuple[AcceptedEffect, ...], unexplained: float) -> str:
         return "unexplained"
     if not accepted:
         return "consistent"
-    if any(one.rivals for one in accepted):
-        return "ambiguous"
-    return "explained"
+    return "ambiguous" if any(one.rivals for one in accepted) else "explained"

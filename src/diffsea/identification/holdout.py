@@ -5,10 +5,13 @@ import enum
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from diffsea.errors import UserError
+from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.effect_records import ParameterRecord, parameter_records
 from diffsea.identification.estimates import Estimate
@@ -41,6 +44,12 @@ class Gain(NamedTuple):
     def open(self) -> bool:
         """Whether it may be a gain as well as a loss."""
         return abs(self.total) <= 2 * self.std
+
+    @classmethod
+    def of_rows(cls, gains: Float[np.ndarray, "row"]) -> "Gain":
+        """The gain from those of single rows; its error by the scatter between blocks of them."""
+        sums = block_sums(gains[:, None], max(LEAST_BLOCK, len(gains) // 30))[:, 0]
+        return cls(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
 
     def pooled(self, other: "Gain") -> "Gain":
         """Both together, of data that share nothing."""
@@ -145,6 +154,15 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
     ).coordinates
 
 
+def held_out_vessels(split: Split, fitted: Estimate) -> list[Vessel]:
+    """The fitted vessel in the environment of each held-out run; all its numbers are floats."""
+    coordinates = jnp.asarray(held_out_coordinates(split, fitted))
+    vessel, flow = vessel_at(split.test.base, split.test.layout, coordinates)
+    vessel, runs = jax.tree.map(float, vessel), range(len(split.held_out))
+    flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in runs]
+    return [dataclasses.replace(vessel, environment=one) for one in flows]
+
+
 def row_deviance(
     problem: Problem, coordinates: Coordinates, fitted: Estimate
 ) -> Float[np.ndarray, "row"]:
@@ -160,10 +178,7 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     old = row_deviance(split.test, held_out_coordinates(split, nominal), nominal)
     new = row_deviance(split.test, held_out_coordinates(split, fitted), fitted)
     known = np.asarray(split.test.dataset.known).any(1)
-    difference = (old - new)[known][:, None]
-    length = max(LEAST_BLOCK, len(difference) // 30)
-    sums = block_sums(difference, length)[:, 0]
-    return Gain(float(sums.sum()), float(np.std(sums, ddof=1) * np.sqrt(len(sums))))
+    return Gain.of_rows((old - new)[known])
 
 
 def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:

@@ -4,12 +4,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.coordinates import negative_effects, vessel_at
+from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.effect_records import (
     ParameterRecord,
     effect_table,
@@ -25,6 +23,7 @@ from diffsea.identification.holdout import (
     Split,
     cut_recordings,
     held_out_coordinates,
+    held_out_vessels,
 )
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
 from diffsea.identification.objectives.base import AbstractObjective
@@ -177,11 +176,8 @@ class Study:
         and the rest is judged.
         """
         data = self.split(test)
-        coordinates = jnp.asarray(held_out_coordinates(data, with_noise(self.estimate, data.train)))
-        vessel, flow = vessel_at(data.test.base, data.test.layout, coordinates)
-        flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in range(len(test))]
-        vessel = jax.tree.map(float, vessel)
-        return list(data.held_out), [dataclasses.replace(vessel, environment=f) for f in flows]
+        fitted = with_noise(self.estimate, data.train)
+        return list(data.held_out), held_out_vessels(data, fitted)
 
     @property
     def noise(self) -> Noise:

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 
 from diffsea.identification.holdout import HeldOut, Split
-from diffsea.report.comparison import ComparedRun
 from diffsea.report.evidence import (
     FoundEffect,
     NextExperiment,
@@ -15,9 +14,8 @@ from diffsea.report.evidence import (
     unseen_table,
 )
 from diffsea.report.location import LocationSection, location_section
-from diffsea.report.page import Table, Verbatim, render
-from diffsea.report.predictions import PredictionSection, prediction_section
-from diffsea.report.provenance import Provenance, parameter_table, provenance
+from diffsea.report.page import Provenance, Table, Verbatim, parameter_table, provenance, render
+from diffsea.report.predictions import ComparedRun, PredictionSection, prediction_section
 from diffsea.report.quantities import is_known, with_error
 from diffsea.report.words import (
     Record,
@@ -78,14 +76,30 @@ def diagnosis_report(
     """
     recordings, held_out = split.recordings, split.held_out
     by_time = split.kind is HeldOut.LAST_PARTS
-    most = _drawn_rows(len(recordings), len(held_out))
+    numbers = NUMBERS_PER_ROW[0] * len(recordings) + NUMBERS_PER_ROW[1] * len(held_out)
+    most = min(LARGEST_RUN, max(SMALLEST_RUN, PAGE_NUMBERS // max(numbers, 1)))
     kept_back = "the last part of each" if by_time else f"{len(held_out)} more"
     models = {"nominal": "nominal", "diagnosed": "diagnosed"}
     if not named_effects(summary):
         models = {"diagnosed": "predicted"}
     used = [(run, "fitted") for run in recordings]
     used += [] if by_time else [(run, "held out") for run in held_out]
-    audit = summary.get("audit")
+    audit, null = summary.get("audit"), summary.get("null") or {}
+    found = []
+    for finding in audit or []:
+        size = ""
+        if is_known(finding.get("value")):
+            size = with_error(finding["value"], finding.get("std"), finding.get("unit", ""))
+        texts = [Verbatim(finding["message"])]
+        if finding.get("repair"):
+            texts.append(Verbatim(f"Repair: {finding['repair']}"))
+        found.append([as_words(finding["kind"]), Verbatim(finding["recording"]), size, texts])
+    columns = ["fault", "recording", "size", "what was seen"]
+    method = {}
+    if chance := {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}:
+        method["significance from simulated data without effects"] = chance
+    if "bootstrap" in null:
+        method["the same, every simulated data set fitted anew"] = null["bootstrap"]
     page = DiagnosisPage(
         title=f"Diagnosis of {vessel_name}",
         subtitle=f"{count_recordings(len(recordings))}, {kept_back} held out",
@@ -102,37 +116,7 @@ def diagnosis_report(
         unseen=unseen_table(summary),
         parameters=parameter_table(summary.get("parameters", [])),
         faults=None if audit is None else len(audit),
-        fault_table=_fault_table(audit or []),
-        provenance=provenance(source | _decision_method(summary), used),
+        fault_table=Table(columns, found, "Findings of the audit"),
+        provenance=provenance(source | method, used),
     )
     return render("diagnosis.html.j2", page)
-
-
-def _drawn_rows(recordings: int, held_out: int) -> int:
-    """Rows of a run that are drawn, so that the page stays of one size."""
-    numbers = NUMBERS_PER_ROW[0] * recordings + NUMBERS_PER_ROW[1] * held_out
-    return min(LARGEST_RUN, max(SMALLEST_RUN, PAGE_NUMBERS // max(numbers, 1)))
-
-
-def _fault_table(audit: Sequence[Record]) -> Table:
-    """What the audit found, with sizes and, where there is one, the repair below the message."""
-    rows = []
-    for finding in audit:
-        size = ""
-        if is_known(finding.get("value")):
-            size = with_error(finding["value"], finding.get("std"), finding.get("unit", ""))
-        texts = [Verbatim(finding["message"])]
-        if finding.get("repair"):
-            texts.append(Verbatim(f"Repair: {finding['repair']}"))
-        rows.append([as_words(finding["kind"]), Verbatim(finding["recording"]), size, texts])
-    return Table(["fault", "recording", "size", "what was seen"], rows, "Findings of the audit")
-
-
-def _decision_method(summary: Record) -> Record:
-    """How chance was told from cause, for the provenance."""
-    null = summary.get("null") or {}
-    given = {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}
-    method = {"significance from simulated data without effects": given} if given else {}
-    if "bootstrap" in null:
-        method["the same, every simulated data set fitted anew"] = null["bootstrap"]
-    return method

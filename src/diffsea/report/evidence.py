@@ -107,8 +107,19 @@ def found_effects(summary: Record) -> list[FoundEffect]:
                 place = [Verbatim(effect["recording"])] if own else []
                 rows.append([*place, label, size, interval_of(entry)])
         columns = [*(["recording"] if own else []), "parameter", "estimate", "90 % interval"]
-        title = as_words(first["name"]) + acted_on(first)
-        out.append(FoundEffect(title, Table(columns, rows), _evidence_sentences(first)))
+        title, known = as_words(first["name"]) + acted_on(first), first["evidence"]
+        gain = with_error(known.get("held_out_gain"), known.get("held_out_gain_std"))
+        removed = 100 * (known.get("cost_drop") or 0.0)
+        next_best = odds(known.get("log10_odds_next"))
+        sentences = {
+            "log10_odds": f"Odds in favour, against no effect: {odds(known.get('log10_odds'))}.",
+            "log10_odds_next": f"Odds in favour, against the next best name: {next_best}.",
+            "p_value": f"p = {probability(known.get('p_value'))} if nothing were missing.",
+            "cost_drop": f"It removes {removed:.0f} % of the squared prediction errors.",
+            "held_out_gain": f"Held-out gain in -2 log likelihood: {gain}.",
+        }
+        evidence = [text for key, text in sentences.items() if is_known(known.get(key))]
+        out.append(FoundEffect(title, Table(columns, rows), evidence))
     return out
 
 
@@ -125,22 +136,6 @@ def interval_of(entry: Record) -> str:
     if bounds is None and is_known(value) and is_known(std) and std > 0:
         bounds = (value - NORMAL_90 * std, value + NORMAL_90 * std)
     return "not known" if bounds is None else interval(bounds, entry.get("unit", ""))
-
-
-def _evidence_sentences(effect: Record) -> list[str]:
-    """A sentence for each kind of evidence that was computed."""
-    evidence = effect["evidence"]
-    gain = with_error(evidence.get("held_out_gain"), evidence.get("held_out_gain_std"))
-    sentences = {
-        "log10_odds": f"Odds in favour, against no effect: {odds(evidence.get('log10_odds'))}.",
-        "log10_odds_next": "Odds in favour, against the next best name: "
-        f"{odds(evidence.get('log10_odds_next'))}.",
-        "p_value": f"p = {probability(evidence.get('p_value'))} if nothing were missing.",
-        "cost_drop": f"It removes {100 * (evidence.get('cost_drop') or 0.0):.0f} % of the squared "
-        "prediction errors.",
-        "held_out_gain": f"Held-out gain in -2 log likelihood: {gain}.",
-    }
-    return [text for key, text in sentences.items() if is_known(evidence.get(key))]
 
 
 def candidate_ranking(summary: Record) -> Ranking | None:
@@ -217,12 +212,10 @@ def next_experiment_section(summary: Record) -> NextExperiment:
     sentences = []
     for effect, *_ in effect_groups(named_effects(summary)):
         rivals = [as_words(name) for name in effect.get("alternatives", [])]
-        told = (
-            f"the same data support {enumeration(rivals, 'or')} nearly as well."
-            if rivals
-            else ("nothing else in the catalogue explains the data nearly as well.")
-        )
-        sentences.append(f"{capital(as_words(effect['name']))}: {told}")
+        others = "nothing else in the catalogue explains the data nearly as well"
+        if rivals:
+            others = f"the same data support {enumeration(rivals, 'or')} nearly as well"
+        sentences.append(f"{capital(as_words(effect['name']))}: {others}.")
     candidates = [
         f"{candidate_label(one)}: {one.get('reason') or 'a rival'}"
         for one in summary.get("candidates") or []
@@ -231,27 +224,18 @@ def next_experiment_section(summary: Record) -> NextExperiment:
     proposal = summary.get("next_experiment")
     if not proposal:
         return NextExperiment(sentences, candidates, "", None)
+    advice = f"There is no manoeuvre to record next: {proposal['why']}."
+    if is_known(proposal.get("seconds")):
+        what = f"Record next: {as_words(proposal['manoeuvre'])}. It {proposal['why']}"
+        advice = f"{what}; for odds of 1000 : 1 it must run for {duration(proposal['seconds'])}."
     evidence = {k: v for k, v in (proposal.get("evidence") or {}).items() if is_known(v)}
-    return NextExperiment(sentences, candidates, _advice(proposal), _manoeuvre_plot(evidence))
-
-
-def _advice(proposal: Record) -> str:
-    """What to record next, how long and why; or why nothing would help."""
-    seconds = proposal.get("seconds")
-    if not is_known(seconds):
-        return f"There is no manoeuvre to record next: {proposal['why']}."
-    what = f"Record next: {as_words(proposal['manoeuvre'])}. It {proposal['why']}"
-    return f"{what}; for odds of 1000 : 1 it must run for {duration(seconds)}."
-
-
-def _manoeuvre_plot(evidence: Mapping[str, float]) -> Plot | None:
-    """The plot with its words; None where no manoeuvre was weighed."""
-    if not evidence:
-        return None
-    texts = ", ".join(f"{name} {significant(value, 2)}" for name, value in evidence.items())
-    caption = "What a run of each manoeuvre in the library would tell, all of the same length."
-    drawn = manoeuvre_plot(evidence, DECISIVE)
-    return Plot(drawn, f"Expected evidence: {texts}.", 90 + 24 * len(evidence), caption)
+    plot = None
+    if evidence:
+        texts = ", ".join(f"{name} {significant(value, 2)}" for name, value in evidence.items())
+        caption = "What a run of each manoeuvre in the library would tell, all of the same length."
+        height = 90 + 24 * len(evidence)
+        plot = Plot(manoeuvre_plot(evidence), f"Expected evidence: {texts}.", height, caption)
+    return NextExperiment(sentences, candidates, advice, plot)
 
 
 def unseen_table(summary: Record) -> Table | None:
@@ -301,8 +285,12 @@ def odds_plot(candidates: Sequence[tuple[str, str, float]]) -> go.Figure:
             )
     sizes = [size for _, _, size in candidates]
     low, high = min([*sizes, 0.0]), max([*sizes, 3.0])
-    within = [tick for tick in ODDS_TICKS if low <= tick <= high]
-    ticks = _spaced_ticks(within, _stretch(high) - _stretch(low))
+    apart = TICK_DISTANCE * (_stretch(high) - _stretch(low))
+    ticks = [0.0]  # and those that leave room for their labels
+    for tick in sorted(ODDS_TICKS, key=abs):
+        if low <= tick <= high and min(abs(_stretch(tick) - _stretch(t)) for t in ticks) > apart:
+            ticks.append(tick)
+    ticks.sort()
     drawn.update_xaxes(
         title={"text": "odds in its favour"},
         tickvals=[_stretch(tick) for tick in ticks],
@@ -319,22 +307,11 @@ def _stretch(size: float) -> float:
     return float(np.sign(size) * np.log10(1 + abs(size)))
 
 
-def _spaced_ticks(ticks: Sequence[float], reach: float) -> list[float]:
-    """Odds of one and those ticks that leave room for their labels."""
-    chosen = [0.0]
-    for tick in sorted(ticks, key=abs):
-        distances = [abs(_stretch(tick) - _stretch(other)) for other in chosen]
-        if min(distances) > TICK_DISTANCE * reach:
-            chosen.append(tick)
-    return sorted(chosen)
-
-
-def manoeuvre_plot(evidence: Mapping[str, float], decisive: float) -> go.Figure:
+def manoeuvre_plot(evidence: Mapping[str, float]) -> go.Figure:
     """Expected evidence of each manoeuvre, the best on top, beside what would be decisive.
 
     Arguments:
         evidence: twice the natural logarithm of the odds, by manoeuvre.
-        decisive: the evidence of odds of 1000 to 1.
     """
     ranked = sorted(evidence, key=lambda name: evidence[name])
     values = [evidence[name] for name in ranked]
@@ -351,7 +328,7 @@ def manoeuvre_plot(evidence: Mapping[str, float], decisive: float) -> go.Figure:
     margin = {"t": 28, "l": 8, "r": 12, "b": 40}
     drawn = figure(bars, margin=margin, bargap=0.3, xaxis=axis)
     drawn.add_vline(
-        x=decisive,
+        x=DECISIVE,
         line={"color": CURSOR, "width": 1.5, "dash": "dot"},
         annotation={"text": "odds 1000 : 1", "yanchor": "bottom", "y": 1.0},
     )

@@ -9,11 +9,15 @@ import plotly.graph_objects as go
 
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
-from diffsea.report.comparison import ComparedRun, horizon_table, predict
-from diffsea.report.page import Plot, Table, render
+from diffsea.report.page import Plot, Provenance, Table, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
-from diffsea.report.predictions import PredictionSection, prediction_section
-from diffsea.report.provenance import Provenance, parameter_table, provenance
+from diffsea.report.predictions import (
+    ComparedRun,
+    PredictionSection,
+    horizon_table,
+    predict,
+    prediction_section,
+)
 from diffsea.report.quantities import round_to_error, significant, with_error
 from diffsea.report.words import (
     Record,
@@ -85,6 +89,12 @@ def fit_report(
         source: what was run on what; shown as it is.
     """
     recordings, test = data
+    weak = [row["name"] for row in study.rows if row["determined"] < 0.5]
+    count, rest = len(study.rows), "rests" if len(weak) == 1 else "rest"
+    lead = "1 parameter was" if count == 1 else f"{count} parameters were"
+    determined = "all that was fitted."
+    if weak:
+        determined = f"all but {len(weak)}: {enumeration(weak)} {rest} mostly on the vessel file."
     row = headline_horizon(horizon_table(runs), tuple(MODELS))
     judged = "On runs held out" if test else "On the runs it was fitted to"
     errors = "" if row is None else horizon_line(row, tuple(MODELS))
@@ -92,7 +102,7 @@ def fit_report(
     page = FitPage(
         title=f"Fit of {study.vessel_name}",
         subtitle=counts if recordings else "trial numbers fitted",
-        lead=_lead(study.rows),
+        lead=f"{lead} fitted; the data determine {determined}",
         errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
         misfit=significant(quality["train"], 3),
         misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
@@ -147,17 +157,6 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
         "file as it was: something is missing in the model or unsound in the data, and the fit "
         "makes up for it with these parameters. See `diffsea audit` and `diffsea diagnose`"
     )
-
-
-def _lead(rows: Sequence[Record]) -> str:
-    """How many parameters were fitted, and which of them the data do not determine."""
-    weak = [row["name"] for row in rows if row["determined"] < 0.5]
-    count = "1 parameter was" if len(rows) == 1 else f"{len(rows)} parameters were"
-    lead = f"{count} fitted; the data determine "
-    if not weak:
-        return lead + "all that was fitted."
-    rest = "rests" if len(weak) == 1 else "rest"
-    return lead + f"all but {len(weak)}: {enumeration(weak)} {rest} mostly on the vessel file."
 
 
 def _open_questions(study: Study) -> list[str]:

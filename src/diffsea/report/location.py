@@ -12,23 +12,8 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
+from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
-from diffsea.report.plots import (
-    GREY,
-    INK,
-    PALE,
-    TIME_DIGITS,
-    TRACK_LAYOUT,
-    add_time_cursor,
-    add_track_markers,
-    figure,
-    heading,
-    numbers,
-    panel_of,
-    smooth_scale,
-    stepped_scale,
-    thin_rows,
-)
 from diffsea.report.quantities import is_known, probability, significant, typeset, with_error
 from diffsea.report.words import Record, named_effects
 from diffsea.trajectory import Trajectory
@@ -63,8 +48,12 @@ class LocationSection:
     Attributes:
         tested: whether any map was computed.
         threshold: of |z|, as text, beyond which it is significant; colours end at `reach`.
+        by_regime: a map for each model that has one.
         colourings: labels of what tracks can be coloured by.
         by_time: runs with the strongest windows; `more_runs` are folded away.
+        strongest: windows and regimes of the nominal model, as the summary ranks them.
+        gradient: the colours of the maps, as CSS, with `pale` for what is not significant and
+            `unknown` for what the data cannot tell.
     """
 
     tested: bool
@@ -75,9 +64,9 @@ class LocationSection:
     by_time: Sequence[RunPlots]
     more_runs: Sequence[RunPlots]
     strongest: Table
-    gradient: str = ", ".join(f"{c} {100 * at:.1f}%" for at, c in stepped_scale(1 / REACH))
-    pale: str = PALE[1]
-    unknown: str = GREY
+    gradient: str = ", ".join(f"{c} {100 * at:.1f}%" for at, c in plots.stepped_scale(1 / REACH))
+    pale: str = plots.PALE[1]
+    unknown: str = plots.GREY
 
 
 def location_section(
@@ -95,25 +84,30 @@ def location_section(
     maps = {title: one for title, one in both.items() if one}
     given = [one["threshold"] for one in maps.values() if is_known(one.get("threshold"))]
     threshold = float(given[0]) if given else DEFAULT_THRESHOLD
+    by_regime = []
+    for title, one in maps.items():
+        if cells := one.get("regime"):
+            height = 60 + 24 * len({cell["regime"] for cell in cells})
+            text = _alternative(f"By regime, {title}", cells, threshold)
+            by_regime.append(Plot(regime_map(title, cells, threshold), text, height))
     windows: dict[str, Cells] = {title: one.get("time", []) for title, one in maps.items()}
     windows = windows if any(windows.values()) else {}
     colourings = _colourings(summary, windows, recordings, most) if windows else []
-    runs = recordings if windows else ()
     strength, drawn = [], []
-    for number, run in enumerate(runs):
+    for number, run in enumerate(recordings if windows else ()):
         own = {t: [c for c in cells if c["recording"] == run.name] for t, cells in windows.items()}
         own = {title: cells for title, cells in own.items() if cells}
         strength.append(max((_size(c) for cells in own.values() for c in cells), default=0.0))
         drawn.append(_run_plots(run, own, threshold, colourings, f"recording-{number}", most))
-    strongest = sorted(range(len(drawn)), key=lambda k: -strength[k])[:OPEN_RUNS]
+    open_runs = sorted(range(len(drawn)), key=lambda k: -strength[k])[:OPEN_RUNS]
     return LocationSection(
         bool(maps),
         significant(threshold, 2),
         significant(REACH * threshold, 2),
-        _regime_plots(maps, threshold),
+        by_regime,
         [one.label for one in colourings],
-        [one for k, one in enumerate(drawn) if k in strongest],
-        [one for k, one in enumerate(drawn) if k not in strongest],
+        [one for k, one in enumerate(drawn) if k in open_runs],
+        [one for k, one in enumerate(drawn) if k not in open_runs],
         _strongest_places(summary),
     )
 
@@ -121,17 +115,6 @@ def location_section(
 def _size(cell: Record) -> float:
     """|z| of a test, zero where the data cannot tell."""
     return abs(cell.get("z") or 0.0)
-
-
-def _regime_plots(maps: Mapping[str, Record], threshold: float) -> list[Plot]:
-    """A map by regime for each model that has one."""
-    plots = []
-    for title, one in maps.items():
-        if cells := one.get("regime"):
-            height = 60 + 24 * len({cell["regime"] for cell in cells})
-            text = _alternative(f"By regime, {title}", cells, threshold)
-            plots.append(Plot(regime_map(title, cells, threshold), text, height))
-    return plots
 
 
 def _alternative(title: str, cells: Cells, threshold: float) -> str:
@@ -152,25 +135,24 @@ def _run_plots(
     most: int,
 ) -> RunPlots:
     """The map of one run over time, by model, and its track; the cursor joins the two."""
-    plots = []
+    drawn = []
     if maps:
         texts = [_alternative(f"{run.name}, {t}", cells, threshold) for t, cells in maps.items()]
         height = 70 + 115 * len(maps)
-        plots.append(Plot(time_map(maps, threshold, group), " ".join(texts), height))
+        drawn.append(Plot(time_map(maps, threshold, group), " ".join(texts), height))
     if run.has("x") and run.has("y"):
         text = f"Track of {run.name}, coloured by the force that the model lacks."
-        drawn = coloured_track(run, colourings, group, most)
-        plots.append(Plot(drawn, text, 420, classes="coloured"))
-    return RunPlots(run.name, plots)
+        track = coloured_track(run, colourings, group, most)
+        drawn.append(Plot(track, text, 420, classes="coloured"))
+    return RunPlots(run.name, drawn)
 
 
 def _strongest_places(summary: Record) -> Table:
-    """The strongest windows and regimes of the nominal model, as the summary ranks them."""
     rows = []
     for cell in summary.get("where", [])[:LISTED_PLACES]:
-        everywhere = cell["recording"] == "all"
-        when = "whole run" if everywhere else f"{cell['start']:.0f} to {cell['end']:.0f} s"
-        name = Verbatim("all runs" if everywhere else cell["recording"])
+        name, when = Verbatim(cell["recording"]), f"{cell['start']:.0f} to {cell['end']:.0f} s"
+        if cell["recording"] == "all":
+            name, when = Verbatim("all runs"), "whole run"
         force = f"{significant(cell['force_rms'], 2)} {cell['unit']}"
         p = probability(cell["p_value"])
         rows.append([cell["degree_of_freedom"], name, when, cell["regime"], force, p])
@@ -182,23 +164,27 @@ def _strongest_places(summary: Record) -> Table:
 def time_map(maps: Mapping[str, Cells], threshold: float, group: str) -> go.Figure:
     """Degree of freedom against time in one run, a row of panels for each model.
 
+    Neighbouring windows that all but touch have one border.
+
     Arguments:
         maps: tests of windows of this run, by the title of the model.
         threshold: of |z|, beyond which a test is significant.
         group: of plots that share a cursor.
     """
-    drawn = figure(margin={"t": 24, "b": 36, "l": 48, "r": 8}, plot_bgcolor=GREY)
+    drawn = plots.figure(margin={"t": 24, "b": 36, "l": 48, "r": 8}, plot_bgcolor=plots.GREY)
     rows = {"autorange": "reversed", "showgrid": False, "fixedrange": True}
     for k, (title, cells) in enumerate(maps.items()):
-        edges = _window_edges(cells)
+        borders = np.unique([cell[end] for cell in cells for end in ("start", "end")])
+        shortest = min(cell["end"] - cell["start"] for cell in cells)
+        edges = borders[np.append(np.diff(borders) > 0.1 * shortest, True)]
         middle = 0.5 * (edges[:-1] + edges[1:])
         tests = [[_strongest_test(cells, degree, t) for t in middle] for degree in DEGREES]
-        drawn.add_trace(_heatmap(tests, numbers(edges, TIME_DIGITS), threshold, k))
-        domain = panel_of(k, len(maps), HEADING_ROOM)
+        drawn.add_trace(_heatmap(tests, plots.numbers(edges, plots.TIME_DIGITS), threshold, k))
+        domain = plots.panel_of(k, len(maps), HEADING_ROOM)
         drawn.update_layout({f"yaxis{k + 1}": rows | {"domain": domain}})
-        drawn.add_annotation(heading(title, domain[1] + 0.01), font={"size": 12})
+        drawn.add_annotation(plots.heading(title, domain[1] + 0.01), font={"size": 12})
     axis = {"title": {"text": "time (s)"}, "anchor": f"y{len(maps)}", "showgrid": False}
-    return add_time_cursor(drawn.update_layout(xaxis=axis), group)
+    return plots.add_time_cursor(drawn.update_layout(xaxis=axis), group)
 
 
 def regime_map(title: str, cells: Cells, threshold: float) -> go.Figure:
@@ -215,9 +201,9 @@ def regime_map(title: str, cells: Cells, threshold: float) -> go.Figure:
     heat.update(y=[typeset(regime) for regime in regimes])
     heat.update(hovertemplate="%{y}, %{x}: %{customdata}<extra></extra>")
     axis = {"showgrid": False, "fixedrange": True}
-    return figure(
+    return plots.figure(
         heat,
-        plot_bgcolor=GREY,
+        plot_bgcolor=plots.GREY,
         margin={"t": 48, "b": 8, "l": 8, "r": 8},
         title=TITLE | {"text": title},
         xaxis=axis | {"side": "top"},
@@ -239,6 +225,14 @@ def _heatmap(
     def number(z: float | None) -> str:
         return typeset(f"{z:.0f}") if z is not None and abs(z) >= threshold else ""
 
+    def pointed_at(cell: Record | None) -> str:
+        """The force with its standard error, z and when."""
+        if cell is None or not is_known(cell.get("z")):
+            return "these data cannot tell"
+        force = with_error(cell.get("force"), cell.get("std"), cell.get("unit", ""))
+        when = f", {cell['start']:.0f} to {cell['end']:.0f} s" if "start" in cell else ""
+        return typeset(f"{force}, z = {significant(cell['z'], 2)}{when}")
+
     z = [[_rounded_z(cell) for cell in cells] for cells in tests]
     return go.Heatmap(
         x=list(x),
@@ -248,14 +242,14 @@ def _heatmap(
         yaxis=f"y{panel + 1}" if panel else "y",
         zmin=-REACH * threshold,
         zmax=REACH * threshold,
-        colorscale=stepped_scale(1 / REACH),
+        colorscale=plots.stepped_scale(1 / REACH),
         showscale=False,
         xgap=1,
         ygap=1,
         hoverongaps=False,
         text=[[number(value) for value in values] for values in z],
         texttemplate="%{text}",
-        customdata=[[_hover_text(cell) for cell in cells] for cells in tests],
+        customdata=[[pointed_at(cell) for cell in cells] for cells in tests],
         hovertemplate="%{y}: %{customdata}<extra></extra>",
     )
 
@@ -266,29 +260,10 @@ def _rounded_z(cell: Record | None) -> float | None:
     return round(float(value), 2) if is_known(value) else None
 
 
-def _hover_text(cell: Record | None) -> str:
-    """The force with its standard error, z and when, for whoever points at a cell."""
-    if cell is None or not is_known(cell.get("z")):
-        return "these data cannot tell"
-    force = with_error(cell.get("force"), cell.get("std"), cell.get("unit", ""))
-    when = f", {cell['start']:.0f} to {cell['end']:.0f} s" if "start" in cell else ""
-    return typeset(f"{force}, z = {significant(cell['z'], 2)}{when}")
-
-
-def _window_edges(cells: Cells) -> Float[np.ndarray, "edge"]:
-    """Borders of all windows, s, those of neighbours that all but touch taken as one."""
-    borders = np.unique([cell[end] for cell in cells for end in ("start", "end")])
-    shortest = min(cell["end"] - cell["start"] for cell in cells)
-    return borders[np.append(np.diff(borders) > 0.1 * shortest, True)]
-
-
 def _strongest_test(cells: Cells, degree: str, t: float) -> Record | None:
     """The strongest test of a degree of freedom at one time."""
-    there = [
-        cell
-        for cell in cells
-        if cell["degree_of_freedom"] == degree and cell["start"] <= t <= cell["end"]
-    ]
+    own = (cell for cell in cells if cell["degree_of_freedom"] == degree)
+    there = (cell for cell in own if cell["start"] <= t <= cell["end"])
     return max(there, key=lambda cell: abs(_rounded_z(cell) or 0.0), default=None)
 
 
@@ -328,7 +303,7 @@ def window_colourings(
         values = {}
         for run in runs:
             here = [cell for cell in own if cell["recording"] == run.name]
-            tests = [_strongest_test(here, degree, t) for t in thin_rows(run, "t", most)]
+            tests = [_strongest_test(here, degree, t) for t in plots.thin_rows(run, "t", most)]
             forces = [np.nan if test is None else test["force"] for test in tests]
             values[run.name] = np.array(forces, float)
         limit = max(abs(cell["force"]) for cell in own)
@@ -345,17 +320,15 @@ def latent_colourings(
         series: `t` (s), `X`, `Y` (N), `N` (N m) by recording; None where nothing is known.
         most: points of a track.
     """
-
-    def sampled(run: Trajectory, symbol: str) -> np.ndarray:
-        own = series[run.name]
-        times, values = np.array(own["t"], float), np.array(own[symbol], float)  # None: NaN
-        return np.interp(thin_rows(run, "t", most), times, values, left=np.nan, right=np.nan)
-
     out = []
     for degree, (symbol, unit) in FORCES.items():
-        values = {
-            run.name: sampled(run, symbol) for run in runs if symbol in series.get(run.name, ())
-        }
+        values = {}
+        for run in runs:
+            own = series.get(run.name, {})
+            if symbol in own:
+                times, forces = np.array(own["t"], float), np.array(own[symbol], float)  # None: NaN
+                t = plots.thin_rows(run, "t", most)
+                values[run.name] = np.interp(t, times, forces, left=np.nan, right=np.nan)
         sizes = [np.nanpercentile(np.abs(v), 99) for v in values.values() if np.isfinite(v).any()]
         if sizes:
             limit = float(max(sizes)) or 1.0
@@ -368,38 +341,30 @@ def coloured_track(
 ) -> go.Figure:
     """The measured track, of at most `most` points; one colouring at a time is visible.
 
-    The script of the page shows another one when it is chosen.
+    The script of the page shows another one when it is chosen. Points are coloured where the force
+    is known.
     """
-    north, east = (numbers(thin_rows(run, channel, most)) for channel in ("x", "y"))
-    times = numbers(thin_rows(run, "t", most), TIME_DIGITS)
-    line = {"color": "#c3cad2", "width": 3}
-    hover = "%{customdata} s<extra></extra>"
-    track = go.Scatter(
-        x=east, y=north, customdata=times, mode="lines", line=line, hovertemplate=hover
+    north, east = (plots.numbers(plots.thin_rows(run, c, most)) for c in ("x", "y"))
+    times = plots.numbers(plots.thin_rows(run, "t", most), plots.TIME_DIGITS)
+    track = go.Scatter(x=east, y=north, customdata=times, mode="lines")
+    track.update(
+        line={"color": "#c3cad2", "width": 3}, hovertemplate="%{customdata} s<extra></extra>"
     )
-    drawn = figure(track, **TRACK_LAYOUT)
+    drawn = plots.figure(track, **plots.TRACK_LAYOUT)
     for k, colouring in enumerate(colourings):
-        if run.name in colouring.values:
-            points = _coloured_points(colouring, run.name, east, north, times)
-            drawn.add_trace(points.update(visible=k == 0))
-    marker = {"color": INK, "size": 8, "symbol": "diamond"}
+        if run.name not in colouring.values:
+            continue
+        rows = np.flatnonzero(np.isfinite(colouring.values[run.name])).tolist()
+        x, y, t = ([series[row] for row in rows] for series in (east, north, times))
+        bar = {"orientation": "h", "thickness": 9, "len": 0.8, "y": -0.16, "yanchor": "top"}
+        bar["title"] = {"text": f"{colouring.label} ({colouring.unit})", "side": "bottom"}
+        marker = {"size": 6, "colorbar": bar, "colorscale": plots.smooth_scale()}
+        marker |= {"color": plots.numbers(colouring.values[run.name][rows])}
+        marker |= {"cmin": -colouring.limit, "cmax": colouring.limit}
+        points = go.Scatter(x=x, y=y, customdata=t, mode="markers", marker=marker, visible=k == 0)
+        hover = f"%{{customdata}} s: %{{marker.color}} {colouring.unit}<extra></extra>"
+        drawn.add_trace(points.update(meta={"colouring": colouring.label}, hovertemplate=hover))
+    marker = {"color": plots.INK, "size": 8, "symbol": "diamond"}
     start = go.Scatter(x=east[:1], y=north[:1], text=["start"], textposition="top center")
     drawn.add_trace(start.update(mode="markers+text", marker=marker, hoverinfo="skip"))
-    return add_track_markers(drawn, group, [0], [INK])
-
-
-def _coloured_points(
-    colouring: Colouring, name: str, east: Sequence, north: Sequence, times: Sequence
-) -> go.Scatter:
-    """Points of a track, coloured, where the force is known."""
-    rows = np.flatnonzero(np.isfinite(colouring.values[name])).tolist()
-    x, y, t = ([series[k] for k in rows] for series in (east, north, times))
-    bar = {"orientation": "h", "thickness": 9, "len": 0.8, "y": -0.16, "yanchor": "top"}
-    bar["title"] = {"text": f"{colouring.label} ({colouring.unit})", "side": "bottom"}
-    marker = {"size": 6, "colorbar": bar, "colorscale": smooth_scale()}
-    marker |= {"color": numbers(colouring.values[name][rows])}
-    marker |= {"cmin": -colouring.limit, "cmax": colouring.limit}
-    hover = f"%{{customdata}} s: %{{marker.color}} {colouring.unit}<extra></extra>"
-    own = {"colouring": colouring.label}
-    points = go.Scatter(x=x, y=y, customdata=t, mode="markers", meta=own, marker=marker)
-    return points.update(hovertemplate=hover)
+    return plots.add_track_markers(drawn, group, [0], [plots.INK])

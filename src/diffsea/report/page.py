@@ -2,17 +2,27 @@
 
 Templates hold the sentences, modules of this package the numbers. Text is typeset and escaped
 as it enters a page, so that messages and tables are written once, for terminal and page alike.
+Every page ends with what was fitted and where the results come from.
 """
 
 import dataclasses
-from collections.abc import Sequence
+import importlib.metadata
+import math
+import platform
+from collections.abc import Iterable, Mapping, Sequence
 
 import jinja2
 import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from diffsea.report.quantities import typeset
+from diffsea.report.quantities import round_to_error, typeset, with_error
+from diffsea.report.words import Record, as_words
+from diffsea.trajectory import Trajectory
+
+
+SHOWN_OTHERWISE = ("recordings", "versions", "python")  # as a table, and as one line
+PACKAGES = ("diffsea", "jax", "optimistix")  # whose versions may move a result
 
 
 class Verbatim(str):
@@ -90,3 +100,81 @@ def render(template: str, page: object) -> str:
         jinja2.UndefinedError: the template asks for what the record does not have.
     """
     return TEMPLATES.get_template(template).render(page=page, plotly=Markup(get_plotlyjs()))
+
+
+# -- what every page ends with
+
+
+@dataclasses.dataclass(frozen=True)
+class Provenance:
+    """Versions, settings, files, and what was done to each recording."""
+
+    terms: Mapping[str, Cell]
+    recordings: Table
+
+
+def provenance(source: Record, runs: Iterable[tuple[Trajectory, str]]) -> Provenance:
+    """Where results come from.
+
+    Arguments:
+        source: what was run on what: file names, hashes, settings; shown as it is, one line for
+            each entry of a dictionary.
+        runs: recordings, and what each was used for.
+    """
+
+    def plain(value: object) -> str:
+        if isinstance(value, list | tuple):
+            return ", ".join(str(part) for part in value)
+        if isinstance(value, Mapping):
+            return ", ".join(f"{key} {part}" for key, part in value.items())
+        return str(value)
+
+    terms: dict[str, Cell] = {}
+    for key, value in source.items():
+        if isinstance(value, Mapping):
+            terms[as_words(key)] = [
+                Verbatim(f"{name}: {plain(one)}") for name, one in value.items()
+            ]
+        else:
+            terms[as_words(key)] = Verbatim(plain(value))
+    for key in SHOWN_OTHERWISE:
+        terms.pop(key, None)
+    versions = source.get("versions") or {n: importlib.metadata.version(n) for n in PACKAGES}
+    software = [f"{name} {version}" for name, version in versions.items()]
+    software.append(f"Python {source.get('python', platform.python_version())}")
+    terms["software"] = Verbatim(", ".join(software))
+    rows = []
+    for run, use in runs:
+        t, notes = run.counted().t, [Verbatim(note) for note in run.provenance]
+        length = f"{t[-1] - t[0]:.0f} s, {len(t)} samples"
+        rows.append([Verbatim(run.name), use, length, notes])
+    return Provenance(terms, Table(["recording", "use", "length", "notes"], rows))
+
+
+def parameter_table(rows: Sequence[Record]) -> Table:
+    """Fitted parameters with standard errors, 90 % intervals, and what they rest on.
+
+    Arguments:
+        rows: those of `ParameterEstimate.as_dict`: `value`, `std` and `interval` in the `unit`;
+            `determined` is 0 where an estimate rests on the prior, 1 where on the data.
+    """
+
+    def end(value: float, std: float) -> str:
+        return round_to_error(value, 0.3 * std) if math.isfinite(value) else "open"
+
+    cells = []
+    for row in rows:
+        low, high = (end(value, row["std"]) for value in row["interval"])
+        estimate = with_error(row["value"], row["std"])
+        name, start = Verbatim(row["name"]), round_to_error(row["start"])
+        percent = f"{100 * row['determined']:.0f} %"
+        rests_on = f"mostly the vessel file ({percent} data)"
+        if row["determined"] > 0.9:
+            rests_on = f"the data ({percent})"
+        elif row["determined"] > 0.5:
+            rests_on = f"data and vessel file ({percent} data)"
+        bounds = f"{low} to {high}"
+        cells.append([name, row["meaning"], start, estimate, bounds, row["unit"], rests_on])
+    columns = ["symbol", "name", "start", "estimate", "90 % interval", "unit", "determined by"]
+    title = "Fitted with everything else in the model; +- is one standard error"
+    return Table(columns, cells, title, numeric=(2, 3, 4))

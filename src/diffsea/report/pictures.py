@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -76,7 +75,7 @@ def remove_frame(ax: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
         ax.spines[side].set_visible(False)
 
 
-def save_trial_track(trial: Trial, path: Path, title: str = "") -> None:
+def save_trial_track(trial: Trial, path: Path, title: str) -> None:
     """The track seen from above, with the heading at the execute upwards."""
     run = trial.trajectory.counted()
     start = min(int(np.searchsorted(run.t, float(trial.execute_time))), len(run.t) - 1)
@@ -104,10 +103,10 @@ def save_trial_track(trial: Trial, path: Path, title: str = "") -> None:
     figure.savefig(path, dpi=120, format="png")
 
 
-def save_trial_series(
-    trial: Trial, path: Path, title: str = "", units: Mapping[str, str] | None = None
-) -> None:
+def save_trial_series(trial: Trial, path: Path, title: str, units: Mapping[str, str]) -> None:
     """Heading and steering, speeds, yaw rate and actuation over time since the execute.
+
+    Executed actuation is solid, its orders dashed; angles are in degrees.
 
     Arguments:
         units: those of the channels, as the vessel has them.
@@ -117,13 +116,10 @@ def save_trial_series(
     figure = empty_figure(8.0, 9.0)
     heading, speeds, yaw, actuation = plain_axes(figure, 4)
     heading.plot(t, np.degrees(run.psi), color=BLUE, label="heading")
-    steered = steering_angle(as_thrust(run, units or {}))
+    steered = steering_angle(as_thrust(run, units))
     if steered is not None:
-        label = (
-            "rudder"
-            if any("rudder" in name for name in steered[1].channels)
-            else "rudder-equivalent order"
-        )
+        is_rudder = any("rudder" in name for name in steered[1].channels)
+        label = "rudder" if is_rudder else "rudder-equivalent order"
         heading.step(t, np.degrees(steered[0]), where="post", color=ORANGE, label=label)
     heading.set_ylabel("deg")
     heading.set_title(title, loc="left")
@@ -132,27 +128,20 @@ def save_trial_series(
     speeds.set_ylabel("m/s")
     yaw.plot(t, np.degrees(run.r), color=BLUE, label="yaw rate")
     yaw.set_ylabel("deg/s")
-    _draw_actuation(actuation, t, run, units or {})
+    for colour, channel in zip(ACTUATOR_COLOURS, run.executed, strict=False):
+        unit = units.get(channel, "")
+        factor, unit = (180 / math.pi, "deg") if unit == "rad" else (1.0, unit)
+        name = f"{channel}, {unit}" if unit else channel
+        actuation.plot(t, factor * run.executed[channel], color=colour, lw=1.3, label=name)
+        ordered = run.commanded.get(channel)
+        if ordered is not None:
+            look = {"where": "post", "color": colour, "lw": 1.0, "ls": "--", "alpha": 0.6}
+            actuation.step(t, factor * ordered, **look)
+    actuation.set_ylabel("executed (order dashed)" if run.executed else "no actuation")
     actuation.set_xlabel("time since the execute, s")
     for ax in (heading, speeds, yaw, actuation):  # above the axes, where no curve runs
         ax.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 0.97), ncols=4, fontsize=8)
     figure.savefig(path, dpi=120, format="png")
-
-
-def _draw_actuation(
-    ax: Axes, t: Float[np.ndarray, "time"], run: Trajectory, units: Mapping[str, str]
-) -> None:
-    """Executed actuation, and its orders dashed; angles in degrees."""
-    for colour, channel in zip(ACTUATOR_COLOURS, run.executed, strict=False):
-        unit = units.get(channel, "")
-        factor = 180 / math.pi if unit == "rad" else 1.0
-        unit = "deg" if unit == "rad" else unit
-        name = f"{channel}, {unit}" if unit else channel
-        ax.plot(t, factor * run.executed[channel], color=colour, lw=1.3, label=name)
-        ordered = run.commanded.get(channel)
-        if ordered is not None:
-            ax.step(t, factor * ordered, where="post", color=colour, lw=1.0, ls="--", alpha=0.6)
-    ax.set_ylabel("executed (order dashed)" if run.executed else "no actuation")
 
 
 def save_prediction(predicted: Trajectory, recording: Trajectory, path: Path, title: str) -> None:
@@ -193,7 +182,7 @@ def _panel_grid(count: int, row_height: float) -> tuple[Figure, list[Axes]]:
     return figure, [figure.add_subplot(rows, 2, k + 1) for k in range(count)]
 
 
-def save_tornado(relative: Mapping[str, Mapping[str, float]], path: Path, title: str = "") -> None:
+def save_tornado(relative: Mapping[str, Mapping[str, float]], path: Path, title: str) -> None:
     """Bars of the strongest elasticities of the most informative numbers.
 
     Arguments:
@@ -217,7 +206,7 @@ def save_tornado(relative: Mapping[str, Mapping[str, float]], path: Path, title:
     figure.savefig(path, dpi=120, format="png")
 
 
-def save_map(table: pd.DataFrame, axes: tuple[str, str], path: Path, title: str = "") -> None:
+def save_map(table: pd.DataFrame, axes: tuple[str, str], path: Path, title: str) -> None:
     """The most informative numbers over a grid of two parameters; failed designs stay white.
 
     Crosses mark designs that fail the IMO criterion for a number.
@@ -248,10 +237,11 @@ def save_map(table: pd.DataFrame, axes: tuple[str, str], path: Path, title: str 
     figure.savefig(path, dpi=120, format="png")
 
 
-def save_segments(
-    signals: "Signals", found: "Sequence[Segment]", path: Path, title: str = ""
-) -> None:
-    """Heading, yaw rate, steering and speed over time, with coloured spans labelled by kind."""
+def save_segments(signals: "Signals", found: "Sequence[Segment]", path: Path, title: str) -> None:
+    """Heading, yaw rate, steering and speed over time, with coloured spans labelled by kind.
+
+    A span is pale before its onset; that of a turn or a zigzag is a line.
+    """
     t = signals.t
     figure = empty_figure(13.0, 9.0)
     heading, yaw, steer, speed = axes = plain_axes(figure, 4)
@@ -270,7 +260,14 @@ def save_segments(
             colour = SEGMENT_COLOURS[segment.kind]
             ax.axvspan(segment.start, segment.onset, color=colour, alpha=0.12, lw=0)
             ax.axvspan(segment.onset, segment.end, color=colour, alpha=0.35, lw=0)
-    _label_segments(heading, signals, found)
+    look = {"rotation": 60, "fontsize": 8, "ha": "left", "va": "bottom", "color": "#333333"}
+    for number, segment in enumerate(found, 1):
+        middle = 0.5 * (segment.onset + segment.end)
+        wide = segment.end - segment.start > NARROW_SEGMENT * (t[-1] - t[0])
+        text = f"{number} {segment.kind}" if wide else str(number)
+        if segment.kind in ("turning", "zigzag") and math.isfinite(segment.order):
+            heading.axvline(segment.onset, color="black", lw=0.7)
+        heading.text(middle, 1.02, text, transform=heading.get_xaxis_transform(), **look)
     figure.suptitle(title)
     figure.savefig(path, dpi=110, format="png")
 
@@ -293,16 +290,3 @@ def _draw_steering(ax: Axes, signals: "Signals") -> None:
     limit = min(1.15 * largest, LARGEST_ANGLE)
     ax.set_ylim(-limit, limit)
     ax.set_ylabel("rudder angle, deg\n(or equivalent)")
-
-
-def _label_segments(ax: Axes, signals: "Signals", found: "Sequence[Segment]") -> None:
-    """Numbers and kinds above the spans, and onsets as lines."""
-    duration = signals.t[-1] - signals.t[0]
-    look = {"rotation": 60, "fontsize": 8, "ha": "left", "va": "bottom", "color": "#333333"}
-    for number, segment in enumerate(found, 1):
-        middle = 0.5 * (segment.onset + segment.end)
-        wide = segment.end - segment.start > NARROW_SEGMENT * duration
-        text = f"{number} {segment.kind}" if wide else str(number)
-        if segment.kind in ("turning", "zigzag") and math.isfinite(segment.order):
-            ax.axvline(segment.onset, color="black", lw=0.7)
-        ax.text(middle, 1.02, text, transform=ax.get_xaxis_transform(), **look)

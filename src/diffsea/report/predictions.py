@@ -1,33 +1,27 @@
-"""What models predict of runs, for both pages: tables of errors, and curves beside the measured."""
+"""Runs against what models predict of them, open loop: errors, tables of these, and curves.
+
+A prediction starts at the first measured state and knows nothing but the orders (or the measured
+actuation), so that its error is the model's own; it grows with time, and is told by horizon.
+"""
 
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
-from diffsea.report.comparison import ComparedRun, horizon_table
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.holdout import Split, held_out_vessels
+from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
-from diffsea.report.plots import (
-    DIAGNOSED,
-    MEASURED,
-    NOMINAL,
-    TIME_DIGITS,
-    TRACK_LAYOUT,
-    add_time_cursor,
-    add_track_markers,
-    figure,
-    heading,
-    numbers,
-    panel_of,
-    thin_rows,
-)
 from diffsea.report.quantities import is_known
 from diffsea.report.words import two_digits
+from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
 
 
 OPEN_RUNS = 4  # of those held out; more would make the page long before it is read
@@ -46,10 +40,94 @@ _PANELS = (
     ("v", "speed to starboard v (m/s)", 1.0),
 )
 _MODEL_LINES = (
-    {"color": NOMINAL, "width": 1.6, "dash": "dash"},
-    {"color": DIAGNOSED, "width": 1.8},
+    {"color": plots.NOMINAL, "width": 1.6, "dash": "dash"},
+    {"color": plots.DIAGNOSED, "width": 1.8},
 )
-_MEASURED_LINE = {"color": MEASURED, "width": 4}
+_MEASURED_LINE = {"color": plots.MEASURED, "width": 4}
+
+Errors = Mapping[float, Mapping[str, float]]  # by horizon (s), then by quantity
+Curve = tuple[str, Trajectory, dict[str, object]]  # name, run and line
+
+
+class Prediction(NamedTuple):
+    """What one model makes of a run from its first state and its orders.
+
+    Attributes:
+        run: the predicted motion at the times of the recording.
+        errors: root mean square by horizon (s) and quantity (m, rad, m/s, rad/s), over `starts`
+            starts along the run.
+    """
+
+    run: Trajectory
+    errors: Errors
+
+
+@dataclasses.dataclass(frozen=True)
+class ComparedRun:
+    """One run and the predictions of it by model, the result last."""
+
+    recording: Trajectory
+    predictions: dict[str, Prediction]
+
+
+def predict(vessel: Vessel, run: Trajectory) -> Prediction:
+    """One model on one run.
+
+    Raises:
+        UserError: the run has no orders for an actuator of the vessel.
+    """
+    return Prediction(replay(vessel, run), horizon_errors(vessel, run))
+
+
+def compare(
+    split: Split, final: Estimate, effects: Sequence[str], nominal: Vessel, diagnosed: Vessel
+) -> list[ComparedRun]:
+    """The models `nominal` and `diagnosed` on every held-out run.
+
+    Wind and current of one run say nothing about another's: where the diagnosis found them for
+    each run, they are estimated on the held-out run itself, everything else as it was.
+
+    Arguments:
+        final: the fit of the diagnosed model.
+        effects: names of those that were added to it; without any both models are one.
+    """
+    layout, vessels = split.train.layout, [diagnosed] * len(split.held_out)
+    if layout.per_run and any(one.per_run for one in layout.effects if one.name in effects):
+        vessels = held_out_vessels(split, final)
+    out = []
+    for run, vessel in zip(split.held_out, vessels, strict=True):
+        before = predict(nominal, run)
+        after = predict(vessel, run) if effects else before
+        out.append(ComparedRun(run, {"nominal": before, "diagnosed": after}))
+    return out
+
+
+def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:
+    """Errors of every model at each horizon, root mean square over all starts of all runs.
+
+    **Returns:** for each horizon `seconds`, `starts` (how many predictions), and by model the
+    errors by quantity, as they stand in diagnosis.json and fit.json.
+    """
+    models = list(comparisons[0].predictions) if comparisons else []
+    horizons = {h for one in comparisons for p in one.predictions.values() for h in p.errors}
+    rows = []
+    for horizon in sorted(horizons):
+        row: dict[str, Any] = {"seconds": horizon}
+        for model in models:
+            errors = [one.predictions[model].errors for one in comparisons]
+            given = [by_horizon[horizon] for by_horizon in errors if horizon in by_horizon]
+            row.setdefault("starts", sum(int(one["starts"]) for one in given))
+            names = dict.fromkeys(name for one in given for name in one if name != "starts")
+            row[model] = {name: _pooled_error(given, name) for name in names}
+        rows.append(row)
+    return rows
+
+
+def _pooled_error(errors: Sequence[Mapping[str, float]], name: str) -> float:
+    """Root mean square over all starts of the runs that have the quantity."""
+    given = [one for one in errors if name in one]
+    squares, weights = [one[name] ** 2 for one in given], [one["starts"] for one in given]
+    return math.sqrt(np.average(squares, weights=weights))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,8 +145,8 @@ class PredictionSection:
     errors: Table | None
     errors_by_run: Table | None
     runs: Sequence[RunPlots]
-    more_runs: Sequence[RunPlots] = ()
-    left_out: bool = False
+    more_runs: Sequence[RunPlots]
+    left_out: bool
 
 
 def prediction_section(
@@ -83,9 +161,22 @@ def prediction_section(
     """
     shown = comparisons if worst is None else worst_predicted(comparisons, list(models), worst)
     drawn = [_run_plots(one, models, f"held-out-{k}", most) for k, one in enumerate(shown)]
+    rows = [_error_row(row, models) for row in horizon_table(comparisons)]
+    used = [k for k, _ in enumerate(_QUANTITIES) if any(row[k + 2] for row in rows)]
+    columns = ["seconds ahead", "predictions", *(_QUANTITIES[k][1] for k in used)]
+    kept = [[*row[:2], *(row[k + 2] for k in used)] for row in rows]
+    change = f", {' -> '.join(models.values())}" if len(models) > 1 else ""
+    caption = f"Errors of the prediction so many seconds ahead (root mean square){change}"
+    by_run = [
+        [Verbatim(one.recording.name), *_error_row(row, models)]
+        for one in comparisons
+        for row in horizon_table([one])
+    ]
+    all_columns = ["run", *columns[:2], *(label for _, label, _ in _QUANTITIES)]
+    several = len(comparisons) > 1
     return PredictionSection(
-        _error_table(comparisons, models),
-        _error_table_by_run(comparisons, models) if len(comparisons) > 1 else None,
+        Table(columns, kept, caption, range(len(columns))) if rows else None,
+        Table(all_columns, by_run, numeric=range(1, len(all_columns))) if several else None,
         drawn[:OPEN_RUNS],
         drawn[OPEN_RUNS:],
         len(shown) < len(comparisons),
@@ -110,29 +201,6 @@ def worst_predicted(
     return [worst, *others][:count]
 
 
-def _error_table(comparisons: Sequence[ComparedRun], models: Mapping[str, str]) -> Table | None:
-    """Errors of all runs together by horizon, of the quantities that any run has."""
-    rows = [_error_row(row, models) for row in horizon_table(comparisons)]
-    if not rows:
-        return None
-    used = [k for k, _ in enumerate(_QUANTITIES) if any(row[k + 2] for row in rows)]
-    columns = ["seconds ahead", "predictions", *(_QUANTITIES[k][1] for k in used)]
-    kept = [[*row[:2], *(row[k + 2] for k in used)] for row in rows]
-    change = f", {' -> '.join(models.values())}" if len(models) > 1 else ""
-    caption = f"Errors of the prediction so many seconds ahead (root mean square){change}"
-    return Table(columns, kept, caption, range(len(columns)))
-
-
-def _error_table_by_run(comparisons: Sequence[ComparedRun], models: Mapping[str, str]) -> Table:
-    rows = [
-        [Verbatim(one.recording.name), *_error_row(row, models)]
-        for one in comparisons
-        for row in horizon_table([one])
-    ]
-    columns = ["run", "seconds ahead", "predictions", *(label for _, label, _ in _QUANTITIES)]
-    return Table(columns, rows, numeric=range(1, len(columns)))
-
-
 def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
     """Seconds ahead, number of predictions, then `before -> after` of every quantity."""
     cells = []
@@ -146,69 +214,56 @@ def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
 def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: int) -> RunPlots:
     """Track and histories of one run, as far as they were measured."""
     name, who = one.recording.name, " and ".join(models.values())
-    plots = []
+    lines = _MODEL_LINES[-len(models) :]
+    curves: list[Curve] = [("measured", one.recording, _MEASURED_LINE)]
+    for (model, label), line in zip(models.items(), lines, strict=True):
+        curves.append((label, one.predictions[model].run, line))
+    drawn = []
     if one.recording.has("x") and one.recording.has("y"):
         text = f"Track of {name}, measured and predicted ({who})."
-        plots.append(Plot(compared_tracks(one, models, group, most), text, 460))
+        drawn.append(Plot(compared_tracks(curves, group, most), text, 460))
     if any(one.recording.has(channel) for channel, _, _ in _PANELS):
         text = f"Heading, yaw rate and speeds of {name}, measured and predicted ({who})."
-        plots.append(Plot(compared_histories(one, models, group, most), text, 560))
-    return RunPlots(name, plots)
+        drawn.append(Plot(compared_histories(curves, group, most), text, 560))
+    return RunPlots(name, drawn)
 
 
-def _curves(
-    one: ComparedRun, models: Mapping[str, str]
-) -> list[tuple[str, Trajectory, dict[str, object]]]:
-    """Name, run and line of what was measured and of each prediction, the result last."""
-    lines = _MODEL_LINES[-len(models) :]
-    predicted = [
-        (label, one.predictions[model].run, line)
-        for (model, label), line in zip(models.items(), lines, strict=True)
-    ]
-    return [("measured", one.recording, _MEASURED_LINE), *predicted]
-
-
-def compared_tracks(
-    one: ComparedRun, models: Mapping[str, str], group: str, most: int
-) -> go.Figure:
-    """Tracks from above, measured beside predicted, each of at most `most` points."""
-    curves = _curves(one, models)
-    drawn = figure(**TRACK_LAYOUT | {"showlegend": True})
-    north, east = ([thin_rows(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
+def compared_tracks(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
+    """Tracks from above, measured first, then predicted, each of at most `most` points."""
+    drawn = plots.figure(**plots.TRACK_LAYOUT | {"showlegend": True})
+    north, east = ([plots.thin_rows(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
     room = max(float(np.nanmax(series[0]) - np.nanmin(series[0])) for series in (north, east))
-    hover = "%{customdata} s: %{x} m east, %{y} m north"
     for k, (name, run, line) in enumerate(curves):
-        x, y, times = numbers(east[k]), numbers(north[k]), thin_rows(run, "t", most)
-        drawn.add_scatter(
-            x=x, y=y, customdata=numbers(times, TIME_DIGITS), mode="lines", name=name, line=line
-        )
-    drawn.update_traces(hovertemplate=hover)
+        times = plots.numbers(plots.thin_rows(run, "t", most), plots.TIME_DIGITS)
+        x, y = plots.numbers(east[k]), plots.numbers(north[k])
+        drawn.add_scatter(x=x, y=y, customdata=times, mode="lines", name=name, line=line)
+    drawn.update_traces(hovertemplate="%{customdata} s: %{x} m east, %{y} m north")
     drawn.update_xaxes(range=_axis_range(east, room))
     drawn.update_yaxes(range=_axis_range(north, room))
     colours = [str(line["color"]) for _, _, line in curves]
-    return add_track_markers(drawn, group, range(len(curves)), colours)
+    return plots.add_track_markers(drawn, group, range(len(curves)), colours)
 
 
-def compared_histories(
-    one: ComparedRun, models: Mapping[str, str], group: str, most: int
-) -> go.Figure:
+def compared_histories(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
     """Heading, yaw rate and speeds against time, measured beside predicted, as far as measured."""
-    curves = _curves(one, models)
-    panels = [panel for panel in _PANELS if one.recording.has(panel[0])]
-    drawn = figure(hovermode="x", margin={"t": 24, "b": 36, "l": 48, "r": 8}, showlegend=False)
+    panels = [panel for panel in _PANELS if curves[0][1].has(panel[0])]
+    margin = {"t": 24, "b": 36, "l": 48, "r": 8}
+    drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
     for k, (channel, title, scale) in enumerate(panels):
-        values = [thin_rows(run, channel, most) * scale for _, run, _ in curves]
+        values = [plots.thin_rows(run, channel, most) * scale for _, run, _ in curves]
         if channel == "psi":
             values = on_one_turn(values)
         axis = f"y{k + 1}" if k else "y"
         for (name, run, line), series in zip(curves, values, strict=True):
-            x, y = numbers(thin_rows(run, "t", most), TIME_DIGITS), numbers(series)
+            x = plots.numbers(plots.thin_rows(run, "t", most), plots.TIME_DIGITS)
+            y = plots.numbers(series)
             drawn.add_scatter(x=x, y=y, mode="lines", name=name, line=line, xaxis="x", yaxis=axis)
-        domain = panel_of(k, len(panels), MARGIN)
+        domain = plots.panel_of(k, len(panels), MARGIN)
         shape = {"domain": domain, "nticks": 5, "range": _axis_range(values)}
-        drawn.update_layout({f"yaxis{k + 1}": shape}).add_annotation(heading(title, domain[1]))
+        drawn.update_layout({f"yaxis{k + 1}": shape})
+        drawn.add_annotation(plots.heading(title, domain[1]))
     drawn.update_layout(xaxis={"title": {"text": "time (s)"}, "anchor": f"y{len(panels)}"})
-    return add_time_cursor(drawn, group)
+    return plots.add_time_cursor(drawn, group)
 
 
 def on_one_turn(headings: Sequence[Float[np.ndarray, "row"]]) -> list[Float[np.ndarray, "row"]]:
@@ -229,7 +284,10 @@ def on_one_turn(headings: Sequence[Float[np.ndarray, "row"]]) -> list[Float[np.n
 def _axis_range(
     series: Sequence[Float[np.ndarray, "row"]], room: float | None = None
 ) -> list[float]:
-    """Range of the first series with a margin, and of the others while within `room` of it."""
+    """Range of the first series with a margin, and of the others while within `room` of it.
+
+    `room` is the range of the first one if None; NaN counts for nothing.
+    """
     finite = [s[np.isfinite(s)] for s in series]
     finite = [s for s in finite if s.size] or [np.zeros(1)]
     low, high = float(finite[0].min()), float(finite[0].max())

@@ -24,9 +24,20 @@ from diffsea.vessel.effects.sensors import MeasuredChannels
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json
 
-CHANNEL_WORDS = {("x", "y"): "position", ("psi",): "heading", ("u", "v"): "velocity"}
-CHANNEL_WORDS |= {("r",): "yaw rate"}
+CHANNEL_WORDS = {
+    ("x", "y"): "position",
+    ("psi",): "heading",
+    ("u", "v"): "velocity",
+    ("r",): "yaw rate",
+}
 PERCENT_SCALES = {"%": 100.0, "%/deg": math.radians(100.0)}
+MODELS = ("nominal", "diagnosed")
+HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
+SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
+LINE_WIDTH = 88  # characters, of a terminal
+LABEL_WIDTH = 7  # characters, of the word before a line
+LISTED_FINDINGS = 5  # of the audit, on a terminal
+_QUANTITIES = {"position": "m", "heading": "rad"}  # whose errors are quoted
 
 
 def as_words(name: str) -> str:
@@ -96,22 +107,14 @@ def group_phrase(group: list[Record]) -> str:
     """One effect as a phrase, or one that has its own size in each recording."""
     if len(group) == 1:
         return phrase(group[0])
-    first, entry = next(iter(group[0]["parameters"].items()), (None, {}))
-    if first is None:
-        return f"a {as_words(group[0]['name'])} of its own in each recording"
-    sizes = [effect["parameters"].get(first, {}).get("value") for effect in group]
-    values = [float(size or 0.0) for size in sizes]
-    low, high = (round_to_error(v, None, entry.get("unit", "")) for v in (min(values), max(values)))
-    return f"a {as_words(group[0]['name'])} of its own in each recording ({first} {low} to {high})"
-
-
-_QUANTITIES = {"position": "m", "heading": "rad"}
-MODELS = ("nominal", "diagnosed")
-HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
-SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
-LINE_WIDTH = 88  # characters, of a terminal
-LABEL_WIDTH = 7  # characters, of the word before a line
-LISTED_FINDINGS = 5  # of the audit, on a terminal
+    text = f"a {as_words(group[0]['name'])} of its own in each recording"
+    if group[0]["parameters"]:
+        first, entry = next(iter(group[0]["parameters"].items()))
+        sizes = [effect["parameters"].get(first, {}).get("value") for effect in group]
+        values, unit = [float(size or 0.0) for size in sizes], entry.get("unit", "")
+        low, high = (round_to_error(end(values), None, unit) for end in (min, max))
+        text += f" ({first} {low} to {high})"
+    return text
 
 
 def named_effects(summary: Record) -> list[Record]:
@@ -145,8 +148,17 @@ def verdict_sentence(summary: Record) -> str:
         summary: the content of diagnosis.json; so in all functions below.
     """
     effects = named_effects(summary)
+    if summary["verdict"] == "consistent" and not effects:
+        return (
+            "The model agrees with the recordings: they show nothing that is missing from it "
+            "beyond the values of its parameters."
+        )
     if not effects:
-        return _sentence_without_effects(summary)
+        where = "".join(f", strongest in {place}" for place in strongest_places(summary, 1))
+        return (
+            "The recordings show something that the model leaves out and that no effect known here "
+            f"describes{where}."
+        )
     what = enumeration([group_phrase(group).rstrip(",") for group in effect_groups(effects)])
     names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
     if summary["verdict"] == "unexplained":
@@ -160,29 +172,20 @@ def verdict_sentence(summary: Record) -> str:
     return f"The recordings show {what}, which the model leaves out."
 
 
-def _sentence_without_effects(summary: Record) -> str:
-    if summary["verdict"] == "consistent":
-        return (
-            "The model agrees with the recordings: they show nothing that is missing from it "
-            "beyond the values of its parameters."
-        )
-    where = strongest_places(summary)
-    place = f", strongest in {where[0]}" if where else ""
-    return (
-        "The recordings show something that the model leaves out and that no effect known here "
-        f"describes{place}."
-    )
-
-
 def prediction_sentence(summary: Record) -> str:
     """What the diagnosis does to predictions of held-out runs, in one sentence."""
     held_out, found = summary.get("held_out", {}), named_effects(summary)
     parts = held_out.get("kind") == HeldOut.LAST_PARTS
     on = f"On {'the last part of each run,' if parts else 'runs'} kept back as a test"
     row = headline_horizon(held_out.get("horizons", []), MODELS)
-    if row is None:
-        return _fit_sentence(summary, on)
-    quantity = _headline_quantity(row, MODELS)
+    if row is None:  # no run is long enough: the error of the next sample
+        old, new = (summary["fit"][model].get("test") for model in MODELS)
+        if not is_known(old) or not is_known(new):
+            return "There was nothing held out to judge it by."
+        after = f"{significant(new, 2)} times the noise"
+        change = f"goes from {significant(old, 2)} to {after}" if found else f"is {after}"
+        return f"{on}, the error of the next sample {change}."
+    quantity = known_quantities(row, MODELS)[0]
     old, new = (row[model][quantity] for model in MODELS)
     before, after = (two_digits(value, _QUANTITIES[quantity]) for value in (old, new))
     what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead is"
@@ -193,17 +196,6 @@ def prediction_sentence(summary: Record) -> str:
     if new > old:
         return f"{what} then off by {after}, which is worse than {before} without it."
     return f"{what} then off by {after} instead of {before}."
-
-
-def _fit_sentence(summary: Record, on: str) -> str:
-    """The change of the error of the next sample, where no run is long enough for horizons."""
-    old, new = (summary["fit"][model].get("test") for model in MODELS)
-    if not is_known(old) or not is_known(new):
-        return "There was nothing held out to judge it by."
-    after = f"{significant(new, 2)} times the noise"
-    if not named_effects(summary):
-        return f"{on}, the error of the next sample is {after}."
-    return f"{on}, the error of the next sample goes from {significant(old, 2)} to {after}."
 
 
 def remainder_sentence(summary: Record) -> str:
@@ -221,16 +213,14 @@ def remainder_sentence(summary: Record) -> str:
 
 def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
     """The row of errors to quote: 20 s ahead, else the longest horizon that there is."""
-    rows = [row for row in rows if _headline_quantity(row, models)]
+    rows = [row for row in rows if known_quantities(row, models)]
     preferred = [row for row in rows if row["seconds"] == HEADLINE_SECONDS]
     return (preferred or rows[-1:] or [None])[0]
 
 
-def _headline_quantity(row: Record, models: Sequence[str]) -> str:
-    for quantity in _QUANTITIES:
-        if all(is_known(row[model].get(quantity)) for model in models):
-            return quantity
-    return ""
+def known_quantities(row: Record, models: Sequence[str]) -> list[str]:
+    """Position and heading, as far as all models have an error of them."""
+    return [one for one in _QUANTITIES if all(is_known(row[model].get(one)) for model in models)]
 
 
 def horizon_line(row: Record, models: Sequence[str]) -> str:
@@ -241,10 +231,9 @@ def horizon_line(row: Record, models: Sequence[str]) -> str:
         models: keys of the row, the result last.
     """
     parts = []
-    for quantity, unit in _QUANTITIES.items():
-        values = [row[model].get(quantity) for model in models]
-        if all(is_known(value) for value in values):
-            parts.append(f"{quantity} {' -> '.join(two_digits(value, unit) for value in values)}")
+    for quantity in known_quantities(row, models):
+        errors = [two_digits(row[model][quantity], _QUANTITIES[quantity]) for model in models]
+        parts.append(f"{quantity} {' -> '.join(errors)}")
     return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
 
 
@@ -313,41 +302,34 @@ def verdict_text(summary: Record) -> str:
         f"{as_words(one['kind'])} in {one['recording']}: {one['message']}"
         for one in summary["audit"][:LISTED_FINDINGS]
     ]
+    what = []
+    for effect in named:
+        place = f" in {effect['recording']}" if "recording" in effect else ""
+        channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
+        size = effect.get("evidence", {}).get("log10_odds")
+        sure = f"; odds {odds(size)}" if is_known(size) else ""
+        sizes = ", ".join(parameter_lines(effect))
+        what.append(f"{as_words(effect['name'])}{channels}{place}: {sizes}{sure}")
+    following, proposal = "", summary.get("next_experiment")
+    if proposal:
+        manoeuvre, seconds = "no manoeuvre", proposal.get("seconds")
+        if is_known(seconds):
+            manoeuvre = f"{as_words(proposal['manoeuvre'])} for {duration(seconds)}"
+        following = f"{manoeuvre}: {proposal['why']}"
     items = {
         "where": strongest_places(summary),
-        "what": [_effect_line(effect) for effect in named],
+        "what": what,
         "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
         "left": [remainder_sentence(summary)],
         "data": audit,
-        "next": [_next_line(summary.get("next_experiment"))],
+        "next": [following],
     }
     head = [verdict_sentence(summary), prediction_sentence(summary)]
     lines = [line for text in head for line in textwrap.wrap(text, LINE_WIDTH)] + [""]
+    wrapper = textwrap.TextWrapper(LINE_WIDTH, subsequent_indent=" " * LABEL_WIDTH)
     for label, texts in items.items():
         for text in filter(None, texts):
-            begin, further = f"{label:<{LABEL_WIDTH}}", " " * LABEL_WIDTH
-            lines += textwrap.wrap(
-                text, LINE_WIDTH, initial_indent=begin, subsequent_indent=further
-            )
+            wrapper.initial_indent = f"{label:<{LABEL_WIDTH}}"
+            lines += wrapper.wrap(text)
             label = ""
     return "\n".join(lines).rstrip()
-
-
-def _effect_line(effect: Record) -> str:
-    """An effect with its sizes and the odds against the model without any."""
-    place = f" in {effect['recording']}" if "recording" in effect else ""
-    channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
-    size = effect.get("evidence", {}).get("log10_odds")
-    sure = f"; odds {odds(size)}" if is_known(size) else ""
-    sizes = ", ".join(parameter_lines(effect))
-    return f"{as_words(effect['name'])}{channels}{place}: {sizes}{sure}"
-
-
-def _next_line(proposal: Record | None) -> str:
-    """The experiment that would help most."""
-    if not proposal:
-        return ""
-    seconds = proposal.get("seconds")
-    if not is_known(seconds):
-        return f"no manoeuvre: {proposal['why']}"
-    return f"{as_words(proposal['manoeuvre'])} for {duration(seconds)}: {proposal['why']}"

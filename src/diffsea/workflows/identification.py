@@ -14,15 +14,14 @@ from diffsea.diagnosis.search import diagnose as search_effects
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial
 from diffsea.identification.study import FitSettings, Study, identify
 from diffsea.parameters import Parameter
-from diffsea.presentation import Tabulated
 from diffsea.recordings import Mapping as ColumnMapping
-from diffsea.report.comparison import ComparedRun, compare, horizon_table
 from diffsea.report.diagnosis import diagnosis_report
+from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.words import verdict_text
 from diffsea.simulation.actuation import how_actuated
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
-from diffsea.workflows.audits import Recording, as_recording, as_recordings, audit
+from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings, audit
 
 
 Progress = Callable[[str], None]

@@ -8,7 +8,6 @@ from typing import Any
 import pandas as pd
 
 from diffsea.errors import UserError
-from diffsea.presentation import Tabulated
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.simulation import planning
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
@@ -17,7 +16,7 @@ from diffsea.studies import sweep as designs
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, read_vessel
-from diffsea.workflows.audits import Recording, as_recording
+from diffsea.workflows.audits import Recording, Tabulated, as_recording
 
 
 def as_vessel(given: Vessel | VesselFile | str | pathlib.Path) -> Vessel:

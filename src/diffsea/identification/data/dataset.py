@@ -74,6 +74,12 @@ class Dataset(eqx.Module):
         return np.count_nonzero(np.asarray(self.known), axis=1) > 0
 
     @property
+    def rows_of_runs(self) -> list[Int[np.ndarray, "own"]]:
+        """Numbers of the recorded rows of each run, none of a spare one."""
+        run, recorded = np.asarray(self.run), self.recorded_rows
+        return [np.flatnonzero((run == number) & recorded) for number in range(self.runs)]
+
+    @property
     def recorded_channels(self) -> Bool[np.ndarray, "6"]:
         """Which motion channels have any measurement."""
         return np.count_nonzero(np.asarray(self.known), axis=0) > 0
