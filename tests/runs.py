@@ -16,7 +16,7 @@ from tests.oracle.simulator import simulate
 
 from diffsea import Environment, State, Trajectory
 from diffsea.simulation.control import ControlAllocation
-from diffsea.simulation.integrate import SimulationState, advance, begin, history_length
+from diffsea.simulation.integrate import SimulationState, advance, begin, history_lengths
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import run_stages
 from diffsea.trajectory import MOTION_CHANNELS
@@ -64,7 +64,7 @@ def state_of(x=0.0, y=0.0, psi=0.0, u=0.0, v=0.0, r=0.0):
 
 def settled(vessel, state, throttle, step, longest=None):
     """A motion whose actuators have settled to a throttle, straight ahead."""
-    lengths = {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
+    lengths = history_lengths(vessel, step, longest=longest)
     return begin(vessel, state, ControlAllocation(vessel).orders(throttle, 0.0), lengths)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from diffsea import Environment, State, Vessel
 from diffsea.simulation.control import ControlAllocation, throttle_for
-from diffsea.simulation.integrate import advance, begin, history_length
+from diffsea.simulation.integrate import advance, begin, history_lengths
 from diffsea.types import Scalar
 
 
@@ -27,7 +27,7 @@ def first_overshoot(
     """First overshoot (rad) of an `angle`/`angle` zig-zag (rad) from samples every `step` s."""
     zero, allocation = jnp.zeros(()), ControlAllocation(vessel)
     throttle = throttle_for(vessel, speed)
-    lengths = {c: history_length(s, step) for c, s in vessel.servos.items()}
+    lengths = history_lengths(vessel, step)
     start = State(zero, zero, zero, jnp.asarray(speed, float), zero, zero)
     motion = begin(vessel, start, allocation.orders(throttle, zero), lengths)
 

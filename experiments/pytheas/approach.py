@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from diffsea import Environment, Vessel
-from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic
+from diffsea.simulation.control.waypoints import WaypointLogic, waypoint_logic
 from diffsea.simulation.integrate import SimulationState, advance, begin
 from diffsea.types import Scalar
 

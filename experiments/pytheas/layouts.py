@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea import Vessel, read_vessel
-from diffsea.simulation.control.guidance import Pursuit
-from diffsea.simulation.control.waypoint_logic import WaypointLogic
+from diffsea.simulation.control.autopilot import Pursuit
+from diffsea.simulation.control.waypoints import WaypointLogic
 from diffsea.types import Scalar
 from diffsea.vessel.files import build
 

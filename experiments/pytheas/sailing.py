@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea import Trajectory, Vessel, run_controlled
-from diffsea.simulation.control.waypoint_logic import WaypointLogic, waypoint_logic
+from diffsea.simulation.control.waypoints import WaypointLogic, waypoint_logic
 from diffsea.types import Scalar
 
 

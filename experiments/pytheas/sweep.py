@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.simulation.control.waypoint_logic import waypoint_logic
+from diffsea.simulation.control.waypoints import waypoint_logic
 from diffsea.types import Scalar
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea import Environment, State, Vessel
-from diffsea.simulation.integrate import advance, begin, history_length
+from diffsea.simulation.integrate import advance, begin, history_lengths
 from diffsea.types import Scalar
 
 
@@ -43,9 +43,7 @@ def started(u: Scalar, x: Scalar = 0.0, y: Scalar = 0.0) -> State:
 
 def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) -> Log:
     """One run; pure, for jit and vmap. Rows after the last step have `step` above it."""
-    lengths = {
-        c: history_length(s, PERIOD, longest=LONGEST_DELAY) for c, s in vessel.servos.items()
-    }
+    lengths = history_lengths(vessel, PERIOD, longest=LONGEST_DELAY)
     still = {c: jnp.zeros(()) for c in vessel.channels}
 
     def body(carry: tuple, row: tuple) -> tuple[tuple, Log]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea import State, Vessel, run_controlled
-from diffsea.simulation.control.dynamic_pd import DynamicPD, Pursued
+from diffsea.simulation.control.waypoints import DynamicPD, Pursued
 
 
 PERIOD = 0.1  # s, of the controller

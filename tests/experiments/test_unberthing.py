@@ -291,7 +291,7 @@ def test_thrusters_push_the_resting_ship_sideways_by_force_over_mass(parts):
 def test_a_control_period_is_a_fine_enough_step(parts):
     ship, loop = parts.harbour_ship, parts.unberthing_loop
     vessel = ship.ship(7)
-    lengths = {c: loop.history_length(s, 0.125, longest=8.0) for c, s in vessel.servos.items()}
+    lengths = loop.history_lengths(vessel, 0.125, longest=8.0)
     still = {c: jnp.zeros(()) for c in vessel.channels}
     air = loop.Environment(0.1, 0.1, -4.0, 3.0)
 

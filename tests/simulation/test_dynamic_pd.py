@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from diffsea import Outcome, State, UserError, read_vessel, run_controlled
-from diffsea.simulation.control.dynamic_pd import DynamicPD, dynamic_pd
+from diffsea.simulation.control.waypoints import DynamicPD, dynamic_pd
 
 
 WAY = np.array([[10.0, 0.0], [10.0, 12.0], [-6.0, 12.0]])

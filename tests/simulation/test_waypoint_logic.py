@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from diffsea import Outcome, State, UserError, read_vessel, run_controlled
-from diffsea.simulation.control.waypoint_logic import waypoint_logic
+from diffsea.simulation.control.waypoints import waypoint_logic
 from diffsea.vessel.files import build
 
 

@@ -12,7 +12,7 @@ from diffsea.simulation.integrate import (
     SimulationState,
     advance,
     begin,
-    history_length,
+    history_lengths,
     trajectory_of,
 )
 from diffsea.simulation.switching import Tree, executed_now, is_plausible, select
@@ -64,16 +64,8 @@ def run_controlled(
     parts = max(1, math.ceil(period / (step or period) - 1e-9))
     dt = period / parts
     memory, orders = controller.step(controller.init(), start, jnp.zeros(()), period)
-    lengths = {c: history_length(s, dt, longest=longest_delay) for c, s in vessel.servos.items()}
+    lengths = history_lengths(vessel, dt, longest=longest_delay)
     motion = begin(vessel, _as_floats(start), _as_floats(orders), lengths)
-
-    def after_period(
-        motion: SimulationState, orders: dict[str, Scalar], t: Scalar
-    ) -> SimulationState:
-        def part(motion: SimulationState, number: Scalar) -> tuple[SimulationState, None]:
-            return advance(vessel, motion, orders, environment, t + number * dt, dt), None
-
-        return jax.lax.scan(part, motion, jnp.arange(parts, dtype=float))[0]
 
     def body(carry: tuple, number: Scalar) -> tuple[tuple, tuple]:
         motion, memory, over, diverged = carry
@@ -81,7 +73,11 @@ def run_controlled(
         after, orders = controller.step(memory, motion.state, t, period)
         orders = _as_floats(orders)
         row = (t, motion.state, orders, executed_now(vessel, motion, orders), ~over)
-        new = after_period(motion, orders, t)
+
+        def part(motion: SimulationState, number: Scalar) -> tuple[SimulationState, None]:
+            return advance(vessel, motion, orders, environment, t + number * dt, dt), None
+
+        new, _ = jax.lax.scan(part, motion, jnp.arange(parts, dtype=float))
         diverged = diverged | (~over & ~is_plausible(vessel, new.state))
         memory = select(over, memory, after)
         motion = select(~over & ~diverged, new, motion)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.trajectory import Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.servo import OrderHistory, Response, Servo
+from diffsea.vessel.servo import OrderHistory, Response
 
 
 class SimulationState(eqx.Module):
@@ -22,18 +22,20 @@ class SimulationState(eqx.Module):
     histories: dict[str, OrderHistory]
 
 
-def history_length(
-    servo: Servo, step: float, margin: float = 1.5, longest: float | None = None
-) -> int:
-    """How many orders a channel must remember at a step of `step` s.
+def history_lengths(
+    vessel: Vessel, step: float, margin: float = 1.5, longest: float | None = None
+) -> dict[str, int]:
+    """How many orders each channel must remember at a step of `step` s.
 
-    The delay may grow by `margin` (in a fit, say), or to `longest` s where that is given,
+    A delay may grow by `margin` (in a fit, say), or to `longest` s where that is given,
     before the memory falls short; orders at switching events need room of their own.
     """
-    if servo.delay is None:
-        return 1
-    longest = margin * float(servo.delay) if longest is None else longest
-    return math.ceil(longest / step) + 24
+    lengths = dict.fromkeys(vessel.servos, 1)
+    for channel, servo in vessel.servos.items():
+        if servo.delay is not None:
+            reach = margin * float(servo.delay) if longest is None else longest
+            lengths[channel] = math.ceil(reach / step) + 24
+    return lengths
 
 
 def begin(
@@ -41,7 +43,7 @@ def begin(
 ) -> SimulationState:
     """A motion whose actuators have long settled to `orders`.
 
-    `lengths` is the memory of each channel, see `history_length`.
+    `lengths` is the memory of each channel, see `history_lengths`.
     """
     executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
     histories = {

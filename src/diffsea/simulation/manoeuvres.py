@@ -35,10 +35,10 @@ def _stages(rows: list[tuple]) -> Stages:
     return Stages(*(jnp.stack([jnp.asarray(e, float) for e in column]) for column in columns))
 
 
-FULL_CIRCLES = math.radians(540)
+_FULL_CIRCLES = math.radians(540)  # of the turning circle: MSC/Circ.1053 asks for 540 deg
 
 
-def turning_circle(angle: Scalar, heading_change: Scalar = FULL_CIRCLES) -> Stages:
+def turning_circle(angle: Scalar, heading_change: Scalar = _FULL_CIRCLES) -> Stages:
     """Full turn at a constant angle (rad; negative to port) until a heading change (rad)."""
     return _stages([(angle, 1.0, jnp.sign(angle), 0.0, 0.0, heading_change)])
 
@@ -50,11 +50,8 @@ def zigzag(angle: Scalar, heading: Scalar, executes: int = 4) -> Stages:
     which is followed until the heading passes the switching heading once more.
     """
     side = jnp.sign(jnp.asarray(angle, float))
-    rows = []
-    for number in range(executes):
-        sign = (-1.0) ** number
-        rows.append((sign * angle, 1.0, side * sign, 0.0, 0.0, heading))
-    return _stages(rows)
+    signs = [(-1.0) ** number for number in range(executes)]
+    return _stages([(sign * angle, 1.0, side * sign, 0.0, 0.0, heading) for sign in signs])
 
 
 def acceleration(seconds: Scalar) -> Stages:
@@ -62,9 +59,9 @@ def acceleration(seconds: Scalar) -> Stages:
     return _stages([(0.0, 1.0, 0.0, 1.0, 0.0, seconds)])
 
 
-def stopping(astern: Scalar = 1.0) -> Stages:
-    """Throttle to `astern` times the approach throttle in reverse until dead in the water."""
-    return _stages([(0.0, -astern, 0.0, 0.0, -1.0, 0.0)])
+def stopping() -> Stages:
+    """The approach throttle in reverse until dead in the water."""
+    return _stages([(0.0, -1.0, 0.0, 0.0, -1.0, 0.0)])
 
 
 def coasting(seconds: Scalar) -> Stages:
@@ -78,9 +75,8 @@ def pull_out(angle: Scalar, heading_change: Scalar, seconds: Scalar) -> Stages:
     return _stages([turn, (0.0, 1.0, 0.0, 1.0, 0.0, seconds)])
 
 
-def spiral(angle: Scalar, seconds: Scalar, steps: int = 5) -> Stages:
-    """Dieudonne spiral: `angle`, down in equal steps to -angle and back, each held for a time."""
-    down = [1 - 2 * k / (2 * steps) for k in range(2 * steps + 1)]
-    return _stages(
-        [(a * angle, 1.0, 0.0, 1.0, 0.0, seconds) for a in [*down, *reversed(down[:-1])]]
-    )
+def spiral(angle: Scalar, seconds: Scalar) -> Stages:
+    """Dieudonne spiral: `angle` rad in ten steps down to -angle and back, each held `seconds` s."""
+    down = [1 - k / 5 for k in range(11)]
+    shares = [*down, *reversed(down[:-1])]
+    return _stages([(share * angle, 1.0, 0.0, 1.0, 0.0, seconds) for share in shares])

@@ -197,15 +197,7 @@ def _run_stages(
     keep_speed: bool,
 ) -> Trial:
     governor = speed_hold(vessel, speed) if keep_speed and speed is not None else None
-    return run_trial(
-        vessel,
-        stages,
-        speed,
-        throttle,
-        settings,
-        approach_seconds=approach_seconds,
-        governor=governor,
-    )
+    return run_trial(vessel, stages, speed, throttle, settings, None, approach_seconds, governor)
 
 
 _compiled_run = eqx.filter_jit(_run_stages)  # of a table of stages: trials share a program

@@ -32,7 +32,6 @@ from diffsea.simulation import manoeuvres
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.trials import Trial, TrialSettings
 from diffsea.trajectory import Trajectory
-from diffsea.types import Scalar
 
 
 PULL_OUT_TURN = math.radians(360)  # heading change after which the rudder is released
@@ -106,35 +105,41 @@ def standard_trial(name: str) -> StandardTrial:
 # What a trial is summed up by
 
 
-def turning_numbers(side: float, trial: Trial) -> Numbers:
-    """Advance, transfer, diameters and the rest of a turn."""
-    return turning_metrics(trial.trajectory, trial.execute_time, side)
-
-
 def zigzag_numbers(side: float, trial: Trial) -> Numbers:
     """Overshoots, times and rates of a zig-zag."""
     times = jnp.concatenate([jnp.asarray(trial.execute_time)[None], trial.switch_times[:-1]])
     return zigzag_metrics(trial.trajectory, times, side=side)
 
 
-def stopping_numbers(side: float, trial: Trial) -> Numbers:
-    """Reaches and time of a stop."""
-    return stopping_metrics(trial.trajectory, trial.execute_time)
+def speed_change_numbers(trial: Trial, share: float, upwards: bool, time_name: str) -> Numbers:
+    """Last speed (m/s), straight distance made good (m), and when a share of the change was over.
 
-
-def acceleration_numbers(side: float, trial: Trial) -> Numbers:
-    """Final speed, distance made good, and when nine tenths of the gain were there."""
-    final, start, reached = _speed_change(trial, 0.9, upwards=True)
-    distance = _distance_made_good(trial.trajectory, trial.execute_time)
-    return {"final_speed": final, "distance": distance, "time_to_90_percent": reached}
+    The change is from the speed at the execute up to the last one, or down to rest; its time (s
+    from the execute) goes by `time_name`.
+    """
+    run, start = trial.trajectory, trial.execute_time
+    surge = _channel_curve(run, run.u)
+    final, first = surge.value[-1], value_at(surge, start)
+    level = first + share * ((final if upwards else 0.0) - first)
+    reached = first_crossing(surge, level, +1 if upwards else -1, after=start)
+    last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
+    north, east = (
+        value_at(track, last) - value_at(track, start)
+        for track in (_channel_curve(run, position) for position in (run.x, run.y))
+    )
+    square = north**2 + east**2
+    return {
+        "final_speed": final,
+        "distance": jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0),
+        time_name: value_or_nan(reached.time - start, reached.found),
+    }
 
 
 def coasting_numbers(side: float, trial: Trial) -> Numbers:
     """Speeds, distance made good, and when half of the speed was lost."""
-    final, start, reached = _speed_change(trial, 0.5, upwards=False)
-    distance = _distance_made_good(trial.trajectory, trial.execute_time)
-    ends = {"final_speed": final, "distance": distance}
-    return {**ends, "time_to_half_speed": reached, "approach_speed": start}
+    surge = _channel_curve(trial.trajectory, trial.trajectory.u)
+    numbers = speed_change_numbers(trial, 0.5, False, "time_to_half_speed")
+    return {**numbers, "approach_speed": value_at(surge, trial.execute_time)}
 
 
 def pull_out_numbers(side: float, trial: Trial) -> Numbers:
@@ -164,30 +169,6 @@ def _channel_curve(run: Trajectory, values: Float[Array, "time"]) -> Curve:
     return curve(run.t, values, slopes(run.t, values), run.valid)
 
 
-def _distance_made_good(run: Trajectory, start: Scalar) -> Float[Array, ""]:
-    """Straight distance (m) from the position at `start` (s) to the last one."""
-    last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
-    at = [value_at(_channel_curve(run, p), start) for p in (run.x, run.y)]
-    end = [value_at(_channel_curve(run, p), last) for p in (run.x, run.y)]
-    square = (end[0] - at[0]) ** 2 + (end[1] - at[1]) ** 2
-    return jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0)
-
-
-def _speed_change(
-    trial: Trial, share: float, upwards: bool
-) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """Last and first speed (m/s), and after how many s a share of the change was over.
-
-    The change is up to the last speed, or down to rest.
-    """
-    surge = _channel_curve(trial.trajectory, trial.trajectory.u)
-    last = surge.value[-1]
-    start = value_at(surge, trial.execute_time)
-    level = start + share * ((last if upwards else 0.0) - start)
-    reached = first_crossing(surge, level, +1 if upwards else -1, after=trial.execute_time)
-    return last, start, value_or_nan(reached.time - trial.execute_time, reached.found)
-
-
 # What is ordered, and for how long at most
 
 
@@ -204,10 +185,6 @@ def _zigzag_limit(plan: TrialPlan) -> float:
     return 40.0 * plan.executes * max(1.0, plan.heading / max(plan.angle, math.radians(1)))
 
 
-def _circle_schedule(t: Times) -> tuple[Times, Times]:
-    return np.full_like(t, 0.6), np.full_like(t, 0.35)
-
-
 def alternating_schedule(period: float, angle: float) -> Schedule:
     """Angle (rad) to either side in turns of `period` sqrt(L / g), at 0.6 of full throttle."""
 
@@ -221,11 +198,11 @@ STANDARD_TRIALS: dict[str, StandardTrial] = {
     "turning-circle": StandardTrial(
         help="one order held through 540 deg",
         stages=lambda plan: manoeuvres.turning_circle(plan.signed_angle),
-        numbers=turning_numbers,
+        numbers=lambda side, trial: turning_metrics(trial.trajectory, trial.execute_time, side),
         limit=lambda plan: 120.0 * _slow_turn(plan),
         angle=35.0,
         recorded=RECORDED_TRIALS["turning-circle"],
-        schedule=_circle_schedule,
+        schedule=alternating_schedule(math.inf, 0.35),
     ),
     "zigzag": StandardTrial(
         help="reversed each time that the heading has changed by --heading",
@@ -249,7 +226,7 @@ STANDARD_TRIALS: dict[str, StandardTrial] = {
     "acceleration": StandardTrial(
         help="from rest, straight ahead",
         stages=lambda plan: manoeuvres.acceleration(plan.seconds),
-        numbers=acceleration_numbers,
+        numbers=lambda side, trial: speed_change_numbers(trial, 0.9, True, "time_to_90_percent"),
         limit=lambda plan: 1.0,
         timed=40.0,
         from_rest=True,
@@ -258,7 +235,7 @@ STANDARD_TRIALS: dict[str, StandardTrial] = {
     "stopping": StandardTrial(
         help="full astern until dead in the water",
         stages=lambda plan: manoeuvres.stopping(),
-        numbers=stopping_numbers,
+        numbers=lambda side, trial: stopping_metrics(trial.trajectory, trial.execute_time),
         limit=lambda plan: 200.0,
         propelled=True,
         recorded=RECORDED_TRIALS["stopping"],

@@ -133,7 +133,7 @@ class _StageRun(eqx.Module):
         stage = carry.stage + landing
         t = jnp.where(accepted, carry.t + dt, carry.t)
         # The governor acts on the grid, as a digital one does; events come between its samples.
-        governing, throttle = self.governor.step(carry.governing, motion.state, 1.0, self.step)
+        governing, throttle = self.governor.step(carry.governing, motion.state, self.step)
         carry = Carry(
             motion=select(accepted, motion, carry.motion),
             t=t,
@@ -152,13 +152,9 @@ class _StageRun(eqx.Module):
             throttle=jnp.where(stepping, throttle, carry.throttle),
             governing=select(stepping, governing, carry.governing),
         )
-        return carry, self.row(carry, accepted)
-
-    def row(self, carry: Carry, accepted: Bool[Array, ""]) -> Row:
-        """What is recorded: the orders that hold from now on."""
-        orders = self.orders(carry)
+        orders = self.orders(carry)  # that hold from now on
         executed = executed_now(self.vessel, carry.motion, orders)
-        return Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
+        return carry, Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
 
 
 def executed_now(

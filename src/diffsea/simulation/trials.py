@@ -24,7 +24,7 @@ from diffsea.simulation.integrate import (
     SimulationState,
     advance,
     begin,
-    history_length,
+    history_lengths,
     trajectory_of,
 )
 from diffsea.simulation.manoeuvres import Stages
@@ -119,18 +119,13 @@ def run_approach(
         last = jnp.where(done, last, ordered)
         return (motion, memory, t, calm, last, diverged), row
 
-    start = begin(vessel, still, allocation.orders(throttle, zero), _memories(vessel, settings))
+    lengths = history_lengths(vessel, step, longest=settings.longest_delay)
+    start = begin(vessel, still, allocation.orders(throttle, zero), lengths)
     no = jnp.zeros((), bool)
     carry = (start, hold.init(), zero, jnp.zeros((), int), jnp.asarray(throttle, float), no)
     passes = math.ceil(seconds / step)
     (motion, _, t, calm, last, diverged), rows = jax.lax.scan(body, carry, length=passes)
     return Approach(motion, last, jax.lax.stop_gradient(t), calm >= needed, diverged, rows)
-
-
-def _memories(vessel: Vessel, settings: TrialSettings) -> dict[str, int]:
-    """How many orders each channel remembers."""
-    step, longest = settings.step, settings.longest_delay
-    return {c: history_length(s, step, longest=longest) for c, s in vessel.servos.items()}
 
 
 def run_trial(
@@ -167,7 +162,8 @@ def run_trial(
             speed = speed_for(vessel, throttle)
     if settings.from_rest:
         rest = State(*(jnp.zeros(()) for _ in range(6)))
-        motion = begin(vessel, rest, allocation.orders(0.0, 0.0), _memories(vessel, settings))
+        lengths = history_lengths(vessel, settings.step, longest=settings.longest_delay)
+        motion = begin(vessel, rest, allocation.orders(0.0, 0.0), lengths)
         yes = jnp.ones((), bool)
         approach = Approach(motion, throttle, jnp.zeros(()), yes, ~yes, None)
     else:

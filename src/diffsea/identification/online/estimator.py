@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError
 from diffsea.parameters import Parameter, check_names, hull_prior, named, replace
-from diffsea.simulation.integrate import SimulationState, begin, history_length
+from diffsea.simulation.integrate import SimulationState, begin, history_lengths
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS
@@ -96,8 +96,7 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
         settled: dict[str, Scalar] = {
             c: jnp.asarray(float(given.get(c, 0.0))) for c in self.vessel.channels
         }
-        lengths = {c: history_length(s, step, 3.0) for c, s in self.vessel.servos.items()}
-        return begin(self.vessel, start, settled, lengths)
+        return begin(self.vessel, start, settled, history_lengths(self.vessel, step, 3.0))
 
     @abc.abstractmethod
     def step(

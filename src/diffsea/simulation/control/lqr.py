@@ -9,12 +9,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.simulation.control.allocation import ControlAllocation, require_steering
-from diffsea.simulation.control.autopilot import AbstractController
-from diffsea.simulation.control.balance import throttle_for
-from diffsea.simulation.control.guidance import LineOfSight
-from diffsea.simulation.control.laws import SpeedHold, speed_hold, within_half_turn
-from diffsea.types import Environment, Scalar, State
+from diffsea.simulation.control.allocation import (
+    ControlAllocation,
+    require_steering,
+    settled_acceleration,
+    throttle_for,
+)
+from diffsea.simulation.control.autopilot import (
+    AbstractController,
+    LineOfSight,
+    SpeedHold,
+    speed_hold,
+    within_half_turn,
+)
+from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
 
@@ -22,6 +30,7 @@ Square = Float[Array, "n n"]
 Inputs = Float[Array, "n m"]
 
 _DOUBLINGS = 32  # a closed loop that decays by 1e-9 a step has settled by then
+_LARGEST_ANGLE = 0.6  # rad, that a track keeper orders: hard over of most ships
 
 
 def riccati(
@@ -72,16 +81,18 @@ def steering_model(
 ) -> tuple[Float[Array, "2 2"], Float[Array, "2 1"]]:
     """Sway and yaw about a straight run: d(v, r)/dt against (v, r), and against the rudder angle.
 
-    **Arguments:** the vessel, and its speed in m/s. Actuators answer at once here.
+    Arguments:
+        speed: m/s.
+
+    Returns:
+        Both by automatic differentiation of the vessel's equations, with actuators that answer
+        at once.
     """
-    zero = jnp.zeros(())
-    allocation, throttle = ControlAllocation(vessel), throttle_for(vessel, speed)
+    throttle, straight = throttle_for(vessel, speed), jnp.asarray(speed, float)
 
     def rates(motion: Float[Array, "2"], angle: Float[Array, "1"]) -> Float[Array, "2"]:
-        state = State(zero, zero, zero, jnp.asarray(speed, float), motion[0], motion[1])
-        orders = allocation.orders(throttle, angle[0])
-        executed = {c: servo.target(orders[c]) for c, servo in vessel.servos.items()}
-        return jnp.stack(vessel.acceleration(state, executed, Environment(), zero)[1:])
+        v, r = motion[0], motion[1]
+        return jnp.stack(settled_acceleration(vessel, straight, v, r, throttle, angle[0])[1:])
 
     at = (jnp.zeros(2), jnp.zeros(1))
     return jax.jacfwd(rates, 0)(*at), jax.jacfwd(rates, 1)(*at)
@@ -98,8 +109,7 @@ class TrackKeeper(AbstractController[tuple]):
     path: LineOfSight
     speed: SpeedHold
     allocation: ControlAllocation
-    largest_angle: Scalar = 0.6  # rad
-    largest_cross: Scalar = 10.0  # m, beyond which an error is met no harder
+    largest_cross: Scalar  # m, beyond which an error is met no harder
 
     def init(self) -> tuple:
         return self.path.init(), self.speed.init()
@@ -111,8 +121,8 @@ class TrackKeeper(AbstractController[tuple]):
         leg = self.path.leg(path[0], state)
         cross = jnp.clip(leg.cross, -self.largest_cross, self.largest_cross)
         fed_back = jnp.stack([state.v, state.r, within_half_turn(state.psi - leg.course), cross])
-        angle = jnp.clip(-self.gain @ fed_back, -self.largest_angle, self.largest_angle)
-        speed, throttle = self.speed.step(memory[1], state, 1.0, dt)
+        angle = jnp.clip(-self.gain @ fed_back, -_LARGEST_ANGLE, _LARGEST_ANGLE)
+        speed, throttle = self.speed.step(memory[1], state, dt)
         return (path, speed), self.allocation.orders(throttle, angle)
 
     def is_finished(self, memory: tuple) -> Bool[Array, ""]:
@@ -124,14 +134,17 @@ def track_keeper(
     speed: float,
     waypoints: Float[Array, "waypoint 2"],
     period: float,
-    largest_angle: float = 0.6,
 ) -> TrackKeeper:
     """A track keeper that suits a vessel at `speed` m/s and steers every `period` s.
 
     Weights follow Bryson's rule: a cross-track error of half a ship length, a course error of
-    10 deg and a rudder angle of `largest_angle` rad are equally bad.
+    10 deg and a rudder angle at the limit of 0.6 rad are equally bad.
 
-    Raises `UserError` for a vessel that cannot be steered or stabilised.
+    Arguments:
+        waypoints: m, north and east; the first leg begins at the first.
+
+    Raises:
+        UserError: a vessel that cannot be steered or stabilised.
     """
     require_steering(vessel, "path under a track keeper")
     length = float(vessel.rigid_body.length)
@@ -140,9 +153,9 @@ def track_keeper(
     whole = whole.at[3, 0].set(1.0).at[3, 2].set(speed)
     inputs = jnp.zeros((4, 1)).at[:2].set(B)
     Q = jnp.diag(jnp.array([0.0, 0.0, 1 / jnp.radians(10.0) ** 2, 4 / length**2]))
-    gain = discrete_lqr(*discretise(whole, inputs, period), Q, jnp.eye(1) / largest_angle**2)
+    gain = discrete_lqr(*discretise(whole, inputs, period), Q, jnp.eye(1) / _LARGEST_ANGLE**2)
     if not bool(jnp.all(jnp.isfinite(gain))):
         raise UserError(f"no rudder law steadies {vessel.name!r} at {speed:g} m/s")
     path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)
     hold = speed_hold(vessel, jnp.asarray(speed, float))
-    return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), largest_angle, 2 * length)
+    return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), 2 * length)
