@@ -19,7 +19,7 @@ from diffsea import (
     resample,
     write_recording,
 )
-from diffsea.recordings import split, to_frame, typical_interval
+from diffsea.recordings import to_frame
 
 
 DATA = ROOT.parent / "shared" / "data"
@@ -393,25 +393,14 @@ def test_recordings_are_read_and_audited_without_what_takes_long_to_start(place,
     assert done.stdout.splitlines()[-1] == "[] []"
 
 
-def test_typical_interval_ignores_gaps_and_repetitions():
-    assert typical_interval(np.array([0, 0.5, 0.5, 1, 1.5, 9, 9.5])) == 0.5
-    with pytest.raises(UserError, match="two different time stamps"):
-        typical_interval(np.array([1.0, 1.0]))
-
-
-def test_cutting_and_splitting_keep_time_and_say_so():
+def test_cutting_keeps_time_and_says_so():
     run = some_run(x=np.arange(6.0))
     piece = cut(run, 0.5, 1.6)
     np.testing.assert_array_equal(piece.t, [0.5, 1.0, 1.5])
     np.testing.assert_array_equal(piece.commanded["rudder"], [0.2, 0.2, -0.3])
     assert "cut to t = 0.5 s ... 1.6 s" in piece.provenance
-    first, second = split(run, [1.5])
-    np.testing.assert_array_equal(np.concatenate([first.x, second.x]), run.x)
-    assert second.t[0] == 1.5
     with pytest.raises(UserError, match="has 0 samples from 7 s to 8 s; it runs from 0 s to 2.5"):
         cut(run, 7, 8)
-    with pytest.raises(UserError, match="between the split times"):
-        split(run, [0.2])
 
 
 def test_resampling_straight_lines_is_exact_and_commands_hold():

@@ -9,8 +9,6 @@ from diffsea.recordings.auditing.finding import KINDS as KINDS
 from diffsea.recordings.auditing.finding import Finding as Finding
 from diffsea.recordings.conditioning import cut as cut
 from diffsea.recordings.conditioning import resample as resample
-from diffsea.recordings.conditioning import split as split
-from diffsea.recordings.conditioning import typical_interval as typical_interval
 from diffsea.recordings.mappings import Column as Column
 from diffsea.recordings.mappings import Mapping as Mapping
 from diffsea.recordings.mappings import read_mapping as read_mapping

@@ -1,4 +1,4 @@
-"""Preparing recordings: cutting, splitting and putting them on one uniform clock.
+"""Preparing recordings: cutting them and putting them on one uniform clock.
 
 Nothing is invented: gaps stay gaps (NaN), commands hold, and what was done stands in the
 provenance.
@@ -10,21 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.errors import UserError
+from diffsea.recordings.mappings import ACTUATOR_PREFIXES, native_channels, with_channels
 from diffsea.series import between_samples, hold_at, median_interval
-from diffsea.trajectory import Samples, Series, Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 _ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle
 _BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
-
-
-def typical_interval(t: np.ndarray) -> float:
-    """Median time step (s) of increasing time stamps; repeated stamps do not count."""
-    steps = np.diff(np.asarray(t, dtype=float))
-    steps = steps[steps > 0]
-    if not steps.size:
-        raise UserError("a recording needs at least two different time stamps")
-    return float(np.median(steps))
 
 
 def cut(trajectory: Trajectory, start: float, end: float) -> Trajectory:
@@ -40,28 +32,7 @@ def cut(trajectory: Trajectory, start: float, end: float) -> Trajectory:
             f"runs from {t[0]:g} s to {t[-1]:g} s"
         )
     note = f"cut to t = {start:g} s ... {end:g} s"
-    return _with_note(trajectory.rows(rows), note)
-
-
-def split(trajectory: Trajectory, times: list[float]) -> list[Trajectory]:
-    """The pieces between the given times (s); a sample at a time begins the later piece."""
-    t = np.asarray(trajectory.t, dtype=float)
-    edges = [-np.inf, *sorted(times), np.inf]
-    pieces = []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
-        rows = (t >= start) & (t < end)
-        if np.sum(rows) < 2:
-            raise UserError(
-                f"{trajectory.name} has {np.sum(rows)} samples between the split times "
-                f"{start:g} s and {end:g} s; it runs from {t[0]:g} s to {t[-1]:g} s"
-            )
-        note = f"split at {start:g} s and {end:g} s"
-        pieces.append(_with_note(trajectory.rows(rows), note))
-    return pieces
-
-
-def _with_note(trajectory: Trajectory, note: str) -> Trajectory:
-    return dataclasses.replace(trajectory, provenance=(*trajectory.provenance, note))
+    return dataclasses.replace(trajectory.rows(rows), provenance=(*trajectory.provenance, note))
 
 
 def resample(trajectory: Trajectory, interval: float, max_gap: float | None = None) -> Trajectory:
@@ -88,38 +59,22 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
         raise UserError(
             f"{run.name} lasts {old[-1] - old[0]:g} s, too short for an interval of {interval:g} s"
         )
-
-    def averaged(group: dict[str, Series]) -> dict[str, Float[np.ndarray, "row"]]:
-        return {name: _averaged(name, old, group[name], new, interval, max_gap) for name in group}
-
-    def holding(group: dict[str, Series]) -> dict[str, Float[np.ndarray, "row"]]:
-        return {name: hold_at(old, group[name], new + 1e-6 * interval) for name in group}
-
-    even = dataclasses.replace(
+    even = native_channels(run) | {"t": new}
+    for name, series in even.items():
+        if name.startswith(ACTUATOR_PREFIXES):
+            even[name] = hold_at(old, series, new + 1e-6 * interval)
+        elif name in _ANGLES:
+            circle = _local_lines(old, np.exp(1j * series), new, interval, max_gap)
+            even[name] = np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
+        elif name != "t":
+            even[name] = _local_lines(old, series, new, interval, max_gap)
+    note = f"resampled to {interval:g} s"
+    return with_channels(
         run,
-        t=new,
-        **averaged(run.motion),
-        commanded=holding(run.commanded),
-        executed=holding(run.executed),
-        extra=averaged(run.extra),
+        even,
         valid=np.ones(new.shape, dtype=bool),
+        provenance=(*trajectory.provenance, note),
     )
-    return _with_note(even, f"resampled to {interval:g} s")
-
-
-def _averaged(
-    name: str,
-    old: Samples,
-    values: Samples,
-    new: Float[np.ndarray, "new"],
-    interval: float,
-    max_gap: float | None,
-) -> Float[np.ndarray, "new"]:
-    """One channel on the new clock, angles that wrap on the circle."""
-    if name in _ANGLES:
-        circle = _local_lines(old, np.exp(1j * values), new, interval, max_gap)
-        return np.where(np.isfinite(circle), np.angle(circle) % (2 * np.pi), np.nan)
-    return _local_lines(old, values, new, interval, max_gap)
 
 
 def _local_lines(

@@ -1,6 +1,7 @@
-"""Mappings: how the columns of a foreign file become channels in SI units and radians.
+"""Channels of recordings, their units, and how the columns of a foreign file become them.
 
-A mapping is a TOML file, one per data set, so that nobody edits data in order to read it:
+A recording has the native channels `t`, `x`, `y`, `psi`, `u`, `v`, `r`, `cmd_...` and
+`exec_...` of actuators, and wind and roll, in SI units, radians and NED axes. A mapping is a TOML file, one per data set, so that nobody edits data in order to read it:
 
     format = 1
     [file]
@@ -30,11 +31,55 @@ become x and y. In logs with several topics a column is named `topic:field`.
 import dataclasses
 import math
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.vocabulary import CHANNEL_DIMENSIONS, UNITS, is_channel
+from diffsea.trajectory import Samples, Series, Trajectory
+
+
+# Factors to SI by dimension. Revolutions stay revolutions: propellers are ordered in rev/s, and
+# nobody's yaw rate is.
+_FACTORS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "nmi": 1852.0},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "angular rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "deg/min": math.pi / 10800.0},
+    "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0, "ft/s": 0.3048},
+    "force": {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605},
+    "revolutions": {"rev/s": 1.0, "Hz": 1.0, "rps": 1.0, "rpm": 1.0 / 60.0},
+    "ratio": {"%": 0.01, "1": 1.0},
+}
+# unit -> (dimension, factor to SI)
+UNITS: dict[str, tuple[str, float]] = {
+    unit: (dimension, factor)
+    for dimension, factors in _FACTORS.items()
+    for unit, factor in factors.items()
+}
+
+# The dimension of every channel; actuator channels may have any.
+CHANNEL_DIMENSIONS = {
+    "t": "time",
+    "x": "length",
+    "y": "length",
+    "psi": "angle",
+    "u": "speed",
+    "v": "speed",
+    "r": "angular rate",
+    "wind_speed": "speed",
+    "wind_direction": "angle",
+    "phi": "angle",
+    "p": "angular rate",
+}
+EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")  # beside motion and actuation
+ACTUATOR_PREFIXES = ("cmd_", "exec_")
+
+# The first words of the notes of the provenance on rows that reading left out.
+REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
+EMPTY_ROWS = "dropped empty rows"
 
 
 # What a mapping may name besides, and what becomes of it: x and y.
@@ -49,18 +94,47 @@ _CHOICES = {
     "frame": ("NED", "ENU"),
     "stamps": ("header", "receive"),
 }
-_TEXTS = {key: "text" for key in ("delimiter", "encoding", "decimal")}
+_TEXTS = dict.fromkeys(("delimiter", "encoding", "decimal"), "text")
 _TEXTS |= {"clock": "the name of a topic"}
-_FILE_KEYS = (
-    *("delimiter", "header_lines", "encoding", "decimal", "columns", "time_step"),
-    *("velocity_axes", "frame", "origin", "clock", "stamps"),
-)
-_COLUMN_KEYS = ("column", "unit", "sign", "scale", "offset", "delay")
+
+
+def is_channel(name: str) -> bool:
+    """Whether `name` is a column of the native recording format."""
+    return name in CHANNEL_DIMENSIONS or any(
+        name.startswith(prefix) and len(name) > len(prefix) for prefix in ACTUATOR_PREFIXES
+    )
+
+
+def native_channels(run: Trajectory) -> dict[str, Samples]:
+    """All channels of a run by their native names, `t` first: SI units, as NumPy arrays."""
+    channels = {"t": run.t} | run.motion
+    channels |= {f"cmd_{name}": series for name, series in run.commanded.items()}
+    channels |= {f"exec_{name}": series for name, series in run.executed.items()} | run.extra
+    return {name: np.asarray(series, dtype=float) for name, series in channels.items()}
+
+
+def with_channels(run: Trajectory, channels: dict[str, Samples], **fields: Any) -> Trajectory:
+    """The run with other series for channels of these native names, and with other `fields`."""
+
+    def changed(old: dict[str, Series], prefix: str = "") -> dict[str, Series]:
+        return {name: channels.get(prefix + name, series) for name, series in old.items()}
+
+    return dataclasses.replace(
+        run,
+        **changed({"t": run.t} | run.motion),
+        commanded=changed(run.commanded, "cmd_"),
+        executed=changed(run.executed, "exec_"),
+        extra=changed(run.extra),
+        **fields,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """Where one channel comes from: `sign * (scale * number + offset)` in `unit`."""
+    """Where one channel comes from: `sign * (scale * number + offset)` in `unit`.
+
+    In SI that is `gain * number + shift`. A mapping file names the fields as they are named here.
+    """
 
     column: str
     unit: str | None = None  # None: SI already
@@ -91,7 +165,11 @@ class Column:
 
 @dataclasses.dataclass(frozen=True)
 class Mapping:
-    """How to read one data set. `name` is the file the mapping came from."""
+    """How to read one data set. `name` is the file the mapping came from.
+
+    The other fields but `channels` stand under [file] of a mapping file by their names here; the
+    `columns` of the file are those without a line of names.
+    """
 
     channels: dict[str, Column]
     name: str = "mapping"
@@ -147,14 +225,16 @@ def read_mapping(path: str | Path) -> Mapping:
     for key in ("file", "columns"):
         if not isinstance(table.setdefault(key, {}), dict):
             raise UserError(f"{path}: {key} must be a table, written [{key}]")
-    _check_keys(table["file"], _FILE_KEYS, f"{path}: [file] ")
+    file_keys = [field.name for field in dataclasses.fields(Mapping)]
+    file_keys = [name for name in file_keys if name not in ("channels", "name")]
+    _check_keys(table["file"], file_keys, f"{path}: [file] ")
     channels = {name: _column(name, entry, path) for name, entry in table["columns"].items()}
     settings = _file_settings(table["file"], f"{path}: [file]")
     _check_channels(channels, settings, path)
     return Mapping(channels=channels, name=path.name, **settings)
 
 
-def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+def _check_keys(table: dict[str, Any], known: Sequence[str], where: str) -> None:
     for key in table:
         if key not in known:
             raise UserError(
@@ -191,18 +271,16 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
                 raise UserError(f"{where} columns has the name {name!r} twice")
         settings["columns"] = tuple(names)
     if "origin" in settings:
-        settings["origin"] = _origin(settings["origin"], where)
+        place = settings["origin"]
+        if not isinstance(place, list) or len(place) != 2:
+            raise UserError(
+                f"{where} origin must be [latitude, longitude] in degrees, got {place!r}"
+            )
+        latitude, longitude = (_number(item, f"{where} origin") for item in place)
+        if abs(latitude) > 90 or abs(longitude) > 360:
+            raise UserError(f"{where} origin {place} is no place; latitude comes first")
+        settings["origin"] = math.radians(latitude), math.radians(longitude)
     return settings
-
-
-def _origin(value: object, where: str) -> tuple[float, float]:
-    """Latitude and longitude in rad."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise UserError(f"{where} origin must be [latitude, longitude] in degrees, got {value!r}")
-    latitude, longitude = (_number(item, f"{where} origin") for item in value)
-    if abs(latitude) > 90 or abs(longitude) > 360:
-        raise UserError(f"{where} origin {value} is no place; latitude comes first")
-    return math.radians(latitude), math.radians(longitude)
 
 
 def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path: Path) -> None:
@@ -239,7 +317,7 @@ def _column(channel: str, entry: object, path: Path) -> Column:
             f"{where} must be a column's name or a table such as "
             '{ column = "yaw", unit = "deg" }'
         )
-    _check_keys(entry, _COLUMN_KEYS, f"{where}: ")
+    _check_keys(entry, [field.name for field in dataclasses.fields(Column)], f"{where}: ")
     numbers = {
         key: _number(entry[key], f"{where}: {key}")
         for key in ("sign", "scale", "offset", "delay")

@@ -3,9 +3,9 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Complex, Int
 
-from diffsea.series import bridge_gaps, median_interval, strictly_later
+from diffsea.series import bridge_gaps, integrate, median_interval, strictly_later
 from diffsea.trajectory import Samples, Trajectory
 
 
@@ -18,7 +18,9 @@ _BRIDGED_INTERVALS = 3.5  # of a channel's own or the file's: three, and some ji
 class MeasuredMotion:
     """Motion channels on one clock, with short gaps bridged and long ones marked.
 
-    `known[channel]` is false in samples that lie in a long gap.
+    `values` and `known` have a series for each of `MOTION_CHANNELS`; `known[channel]` is false in
+    samples that lie in a long gap. Channels are in SI units and radians, but in the axes and with
+    the signs that the recording has, which may be wrong.
     """
 
     t: Samples  # s, strictly increasing
@@ -29,6 +31,27 @@ class MeasuredMotion:
     def interval(self) -> float:
         """Median sampling interval, s."""
         return median_interval(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def place(self) -> Complex[np.ndarray, "time"]:
+        """Position, north + i east, m."""
+        return self.values["x"] + 1j * self.values["y"]
+
+    @property
+    def earth_velocity(self) -> Complex[np.ndarray, "time"]:
+        """Velocity turned into earth axes by the heading, north + i east, m/s."""
+        body = self.values["u"] + 1j * self.values["v"]
+        return body * np.exp(1j * self.values["psi"])
+
+    @property
+    def path_misfit(self) -> Complex[np.ndarray, "time"]:
+        """Position less integrated velocity, north + i east, m; constant in sound motion."""
+        return self.place - integrate(self.t, self.earth_velocity)
 
     def has(self, *channels: str) -> bool:
         """Whether all these channels have enough samples to work with."""
@@ -52,7 +75,7 @@ def motion_of(trajectory: Trajectory) -> MeasuredMotion:
         series = np.where(_fresh(series), series, np.nan)
         times = run.t[np.isfinite(series)]
         own = median_interval(times) if times.size > 2 else 0.0
-        longest = max(_BRIDGED_INTERVALS * own, _BRIDGED_INTERVALS * median_interval(run.t))
+        longest = _BRIDGED_INTERVALS * max(own, median_interval(run.t))
         values[channel], known[channel] = bridge_gaps(run.t, series, longest)
     return MeasuredMotion(run.t, values, known)
 
@@ -76,8 +99,8 @@ def _fresh(series: Samples) -> Bool[np.ndarray, "time"]:
 def refine(motion: MeasuredMotion, turn: float) -> MeasuredMotion:
     """The motion on a finer clock, if need be, so that it turns by less than `turn` rad per step.
 
-    Cubic between the samples: chords of a turn would pass for a lever arm, and cut corners
-    for a late sensor.
+    Cubic Hermite splines between the samples: chords of a turn would pass for a lever arm, and cut
+    corners for a late sensor. A sampling interval is cut into ten parts at most.
     """
     from scipy import interpolate  # slow to import, and not for every audit
 

@@ -4,7 +4,6 @@ Everything that leaves this module is in SI units and radians and NED axes as fa
 file's labels are right; whether they are is for the audit to find out.
 """
 
-import dataclasses
 import hashlib
 import math
 import os
@@ -18,11 +17,21 @@ from jaxtyping import Int
 from diffsea.errors import UserError, nearest
 from diffsea.recordings import logs
 from diffsea.recordings.geodesy import place_fixes
-from diffsea.recordings.mappings import Column, Mapping, read_mapping
+from diffsea.recordings.mappings import (
+    ACTUATOR_PREFIXES,
+    EMPTY_ROWS,
+    EXTRA_CHANNELS,
+    REPEATED_TIMES,
+    Column,
+    Mapping,
+    is_channel,
+    native_channels,
+    read_mapping,
+    with_channels,
+)
 from diffsea.recordings.tables import PARQUET_SUFFIXES, numeric_column, read_table
-from diffsea.recordings.vocabulary import EMPTY_ROWS, EXTRA_CHANNELS, REPEATED_TIMES, is_channel
 from diffsea.series import hold_at, hold_last, unwrap
-from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Series, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Trajectory
 
 
 _EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch
@@ -57,13 +66,13 @@ def read_recording(
         origin = f"read {_FRAME} of {len(table)} rows"
         return _from_table(table.rename(columns=str), mapping, _FRAME, 1, [origin, *through])
     path = Path(source)
-    if not logs.is_log(path):
-        table, first_line = read_table(path, mapping)
-        notes = [_file_and_digest(path), *through]
-        return _from_table(table, mapping, str(path), first_line, notes, path.name)
-    log = logs.read_log(path, mapping)
-    notes = [_file_and_digest(path), *through, *log.notes]
-    return _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
+    if logs.is_log(path):
+        log = logs.read_log(path, mapping)
+        notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *log.notes]
+        return _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
+    table, first_line = read_table(path, mapping)
+    notes = [f"read {path.name}, sha256 {_digest(path)}", *through]
+    return _from_table(table, mapping, str(path), first_line, notes, path.name)
 
 
 def to_frame(trajectory: Trajectory) -> pd.DataFrame:
@@ -71,11 +80,9 @@ def to_frame(trajectory: Trajectory) -> pd.DataFrame:
 
     Channels without any value are left out. `read_recording` makes it a recording again.
     """
-    run = trajectory.counted()
-    columns = run.motion | {f"cmd_{name}": series for name, series in run.commanded.items()}
-    columns |= {f"exec_{name}": series for name, series in run.executed.items()} | run.extra
-    known = {name: series for name, series in columns.items() if np.any(np.isfinite(series))}
-    return pd.DataFrame({"t": run.t} | known)
+    columns = native_channels(trajectory.counted())
+    known = [name for name, s in columns.items() if name == "t" or np.any(np.isfinite(s))]
+    return pd.DataFrame({name: columns[name] for name in known})
 
 
 def write_recording(trajectory: Trajectory, path: str | Path) -> None:
@@ -107,10 +114,6 @@ def write_recording(trajectory: Trajectory, path: str | Path) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from error
     finally:
         Path(temporary).unlink(missing_ok=True)
-
-
-def _file_and_digest(path: Path) -> str:
-    return f"read {path.name}, sha256 {_digest(path)}"
 
 
 def _digest(path: Path) -> str:
@@ -154,7 +157,10 @@ def _from_table(
 
 
 def _channel_columns(table: pd.DataFrame, mapping: Mapping | None, place: str) -> dict[str, Column]:
-    """Which column every channel comes from, checked against what the table has."""
+    """Which column every channel comes from, checked against what the table has.
+
+    Raises `UserError` where there is no time, no motion, or a column that is mapped is missing.
+    """
     present = ", ".join(str(name) for name in table.columns)
     if mapping is None:
         channels = {name: Column(name) for name in table.columns if is_channel(name)}
@@ -192,7 +198,12 @@ def _assemble(
     name: str,
     repeated_times: tuple[RowsLeftOut, ...] = (),
 ) -> Trajectory:
-    """Drop rows that say nothing, check the clock, and build the record."""
+    """Drop rows that say nothing, check the clock, and build the record.
+
+    `values` are the channels by native names, SI units; `first_line` is the number of the first
+    row of the `place` in messages; `notes` become the provenance. Raises `UserError` for times
+    that are missing or run backwards, and where less than two rows or no motion are left.
+    """
     time = values.pop("t")
     lines = np.arange(time.size) + first_line
     # Rows that hold nothing but a counted time stamp are padding too, but a file's own time
@@ -279,39 +290,24 @@ def _held_actuation(
 
 
 def _with_mapped_repairs(run: Trajectory, mapping: Mapping) -> Trajectory:
-    """The run with late channels shifted and earth velocities turned into body axes."""
-    late = {
-        {"latitude": "x", "longitude": "y"}.get(name, name): column.delay
-        for name, column in mapping.ned_channels.items()
-        if column.delay
-    }
-    notes = [f"{name} shifted by {-delay:g} s" for name, delay in late.items()]
+    """The run with late channels shifted and earth velocities turned into body axes.
 
-    def earlier(prefix: str, group: dict[str, Series]) -> dict[str, Series]:
-        return {
-            name: _read_later(run.t, series, late.get(prefix + name, 0.0), holds=bool(prefix))
-            for name, series in group.items()
-        }
-
-    motion = earlier("", run.motion)
+    Shifted motion is interpolated, NaN beyond its ends; shifted actuation holds.
+    """
+    position = {"latitude": "x", "longitude": "y"}
+    channels = native_channels(run)
+    t, notes = run.t, []
+    for name, column in mapping.ned_channels.items():
+        if not column.delay:
+            continue
+        name, later = position.get(name, name), t + column.delay
+        notes.append(f"{name} shifted by {-column.delay:g} s")
+        if name.startswith(ACTUATOR_PREFIXES) and name in channels:
+            channels[name] = hold_at(t, channels[name], later)
+        elif name in channels:
+            channels[name] = np.interp(later, t, channels[name], left=np.nan, right=np.nan)
     if mapping.velocity_axes == "earth":
-        body = (motion["u"] + 1j * motion["v"]) * np.exp(-1j * motion["psi"])
-        motion |= {"u": body.real, "v": body.imag}
+        body = (channels["u"] + 1j * channels["v"]) * np.exp(-1j * channels["psi"])
+        channels |= {"u": body.real, "v": body.imag}
         notes.append("u and v turned from earth into body axes by the heading")
-    return dataclasses.replace(
-        run,
-        **motion,
-        commanded=earlier("cmd_", run.commanded),
-        executed=earlier("exec_", run.executed),
-        extra=earlier("", run.extra),
-        provenance=(*run.provenance, *notes),
-    )
-
-
-def _read_later(t: Series, series: Series, delay: float, holds: bool) -> Series:
-    """What a channel read `delay` s later; NaN beyond its ends, where actuation holds."""
-    if delay == 0:
-        return series
-    if holds:
-        return hold_at(t, series, t + delay)
-    return np.interp(t + delay, t, series, left=np.nan, right=np.nan)
+    return with_channels(run, channels, provenance=(*run.provenance, *notes))

@@ -1,5 +1,6 @@
 """Tables as they stand in files: names, rows and numbers, before anybody knows what they mean."""
 
+import itertools
 import warnings
 from pathlib import Path
 
@@ -7,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.mappings import Mapping
-from diffsea.recordings.vocabulary import CHANNEL_DIMENSIONS
+from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Mapping
 from diffsea.trajectory import Samples
 
 
@@ -18,7 +18,8 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
     """The table as it stands, and the number that its first row has in messages.
 
-    Raises `UserError` for what is no file, no text or no table.
+    Parquet by the suffix, else CSV as `mapping` says, or comma-separated UTF-8. Raises `UserError`
+    for what is no file, no text or no table.
     """
     _check_file(path)
     if path.suffix.lower() in PARQUET_SUFFIXES:
@@ -93,7 +94,18 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     if mapping.columns is not None:
         return list(mapping.columns), mapping.header_lines or 0
     count = 1 if mapping.header_lines is None else mapping.header_lines
-    lines = [_cells(line, mapping) for line in _first_lines(path, mapping, count + 1)]
+    separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
+    try:
+        with path.open(encoding=mapping.encoding) as file:
+            first = [line.split(separator) for line in itertools.islice(file, count + 1)]
+    except UnicodeDecodeError as error:
+        raise _encoding_error(path, mapping, error) from error
+    except LookupError as error:
+        raise UserError(
+            f"{mapping.name}: [file] encoding = {mapping.encoding!r} is not known; use for "
+            "instance 'utf-8' or 'cp1252'"
+        ) from error
+    lines = [[cell.strip().strip('"').strip() for cell in cells] for cells in first]
     wanted = {column.column for column in mapping.channels.values()} or CHANNEL_DIMENSIONS
     hits = [sum(name in wanted for name in names) for names in lines]
     best = max(range(len(lines)), key=lambda index: hits[index])
@@ -109,19 +121,6 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     return names, max(count, best + 1)
 
 
-def _first_lines(path: Path, mapping: Mapping, count: int) -> list[str]:
-    try:
-        with path.open(encoding=mapping.encoding) as file:
-            return [line for _, line in zip(range(count), file, strict=False)]
-    except UnicodeDecodeError as error:
-        raise _encoding_error(path, mapping, error) from error
-    except LookupError as error:
-        raise UserError(
-            f"{mapping.name}: [file] encoding = {mapping.encoding!r} is not known; use for "
-            "instance 'utf-8' or 'cp1252'"
-        ) from error
-
-
 def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> UserError:
     name = mapping.encoding.removesuffix("-sig")
     return UserError(
@@ -130,13 +129,8 @@ def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> 
     )
 
 
-def _cells(line: str, mapping: Mapping) -> list[str]:
-    separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
-    return [name.strip().strip('"').strip() for name in line.split(separator)]
-
-
 def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> pd.DataFrame:
-    """Read the rows below the header under unique labels, then put the names back."""
+    """The rows below the header; a name that stands there twice gets its place as a suffix."""
     labels = [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]
     try:
         with warnings.catch_warnings():

@@ -4,12 +4,10 @@ What an actuator does to the vessel is the question of `responses`; here its two
 compared with each other, and it is asked whether they can be what they are called.
 """
 
-import dataclasses
-
 import numpy as np
 
-from diffsea.recordings.auditing.edits import Affine, ExecutedToCommanded
-from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.auditing.edits import ExecutedToCommanded
+from diffsea.recordings.auditing.finding import Finding, in_degrees
 from diffsea.series import median_interval
 from diffsea.trajectory import Samples, Trajectory
 
@@ -29,67 +27,54 @@ _ANGLES = ("rudder", "delta", "angle", "azimuth", "helm")
 _RATIOS = {180 / np.pi: "deg", 60.0: "rpm", 100.0: "%", 1e3: "thousandths", 2 * np.pi: "rad/s"}
 
 
-@dataclasses.dataclass(frozen=True)
-class ActuatorRecord:
-    """An actuator's orders and what was executed of them, in rows that have both."""
-
-    name: str
-    t: Samples  # s
-    ordered: Samples
-    executed: Samples
-
-
 def actuation_findings(trajectory: Trajectory) -> list[Finding]:
     """Angles that are in degrees, and executed actuation that contradicts its orders.
 
-    A limit at which what is executed stays while orders go beyond it is no fault, and no scale
-    is read off there; where something is wrong the message names it.
+    The angle of a rudder beyond half a turn is in degrees. A limit at which what is executed stays
+    while orders go beyond it is no fault, and no scale is read off there; where something is wrong
+    the message names it.
     """
     found = []
     for prefix, group in (("cmd_", trajectory.commanded), ("exec_", trajectory.executed)):
         for name, series in group.items():
-            found += _angle_in_degrees(prefix + name, np.asarray(series, dtype=float))
+            channel, angles = prefix + name, np.asarray(series, dtype=float)
+            angles = angles[np.isfinite(angles)]
+            if not any(word in channel.lower() for word in _RUDDERS) or angles.size < 3:
+                continue
+            largest = float(np.max(np.abs(angles)))
+            if largest > np.pi:
+                text = f"{channel} is in degrees, not in radians: it reaches {largest:.3g}"
+                found.append(in_degrees(channel, text))
     accused = {name for finding in found for name in finding.channels}
     counted = trajectory.counted()
     for name, executed in counted.executed.items():
         ordered = counted.commanded.get(name)
         if ordered is not None and not {f"cmd_{name}", f"exec_{name}"} & accused:
             both = np.isfinite(ordered) & np.isfinite(executed)
-            found += _executed_against_ordered(
-                ActuatorRecord(name, counted.t[both], ordered[both], executed[both])
-            )
+            rows = counted.t[both], ordered[both], executed[both]
+            found += _executed_against_ordered(name, *rows)
     return found
 
 
-def _angle_in_degrees(channel: str, series: Samples) -> list[Finding]:
-    """A rudder's angle beyond half a turn is in degrees."""
-    series = series[np.isfinite(series)]
-    if not any(word in channel.lower() for word in _RUDDERS) or series.size < 3:
-        return []
-    largest = float(np.max(np.abs(series)))
-    if largest <= np.pi:
-        return []
-    text = f"{channel} is in degrees, not in radians: it reaches {largest:.3g}"
-    repair = f'{channel} = {{ ..., unit = "deg" }} in the mapping'
-    edits = (Affine((channel,), np.pi / 180, unit="deg"),)
-    return [Finding("unit", 180 / np.pi, 0.0, "1", text, repair, (channel,), edits=edits)]
+def _executed_against_ordered(
+    name: str, t: Samples, ordered: Samples, executed: Samples
+) -> list[Finding]:
+    """What is executed of orders that have stood: nothing, the reverse, or another multiple.
 
-
-def _executed_against_ordered(record: ActuatorRecord) -> list[Finding]:
-    """What is executed of orders that have stood: nothing, the reverse, or another multiple."""
-    if record.t.size < 30 or np.ptp(record.ordered) <= 0:
+    The three series are those of the rows (t in s) that have both.
+    """
+    if t.size < 30 or np.ptp(ordered) <= 0:
         return []
-    channels = ordered, executed = f"cmd_{record.name}", f"exec_{record.name}"
-    if np.ptp(record.executed) < _MOTIONLESS * np.ptp(record.ordered):
+    channels = order, answer = f"cmd_{name}", f"exec_{name}"
+    if np.ptp(executed) < _MOTIONLESS * np.ptp(ordered):
         text = (
-            f"{executed} stays at {np.median(record.executed):.4g} all the time while {ordered} "
-            f"moves by {np.ptp(record.ordered):.4g}: actuator or sensor is dead"
+            f"{answer} stays at {np.median(executed):.4g} all the time while {order} "
+            f"moves by {np.ptp(ordered):.4g}: actuator or sensor is dead"
         )
-        repair = f"leave {executed} out of the mapping, if the vessel obeyed its orders"
-        seconds = float(record.t[-1] - record.t[0])
-        std = median_interval(record.t)
-        return [Finding("stuck", seconds, std, "s", text, repair, (executed,))]
-    ratio, error = _settled_ratio(record)
+        repair = f"leave {answer} out of the mapping, if the vessel obeyed its orders"
+        seconds, std = float(t[-1] - t[0]), median_interval(t)
+        return [Finding("stuck", seconds, std, "s", text, repair, (answer,))]
+    ratio, error = _settled_ratio(t, ordered, executed)
     if abs(ratio) <= _CERTAIN * error:
         return []
     if ratio > 0 and abs(ratio - 1) < max(_DIFFERENT, _CERTAIN * error):
@@ -104,38 +89,34 @@ def _executed_against_ordered(record: ActuatorRecord) -> list[Finding]:
         kind, what = "sign", f"has the opposite sign of (ratio {ratio:.4g})"
     elif units:
         kind, what = "unit", f"is {ratio:.4g} times (one of them may be in {units[0]})"
-    return [
-        Finding(
-            kind,
-            ratio,
-            error,
-            "1",
-            f"where orders have stood for {_STANDING:g} s, {executed} {what} {ordered}"
-            + _limit_text(record),
-            f"sign, unit or scale of {ordered} or of {executed} in the mapping",
-            channels,
-            doubt="either the order or what was executed may be labelled wrongly",
-        )
-    ]
+    text = f"where orders have stood for {_STANDING:g} s, {answer} {what} {order}"
+    # The level that what was executed does not pass while orders do.
+    level = float(np.max(np.abs(executed)))
+    at = np.abs(executed) > 0.99 * level
+    if np.mean(at) >= 0.02 and np.max(np.abs(ordered[at])) >= 1.05 * level:
+        text += f"; it never exceeds {level:.4g}, whatever is ordered"
+    repair = f"sign, unit or scale of {order} or of {answer} in the mapping"
+    doubt = "either the order or what was executed may be labelled wrongly"
+    return [Finding(kind, ratio, error, "1", text, repair, channels, doubt=doubt)]
 
 
-def _settled_ratio(record: ActuatorRecord) -> tuple[float, float]:
+def _settled_ratio(t: Samples, ordered: Samples, executed: Samples) -> tuple[float, float]:
     """Executed per ordered where orders have stood and no limit is reached, and its error.
 
     One value for every order that stood long enough: within it samples say nothing new.
     """
-    starts = np.flatnonzero(np.diff(record.ordered) != 0) + 1
-    starts = np.concatenate([[0], starts, [record.t.size]])
+    starts = np.flatnonzero(np.diff(ordered) != 0) + 1
+    starts = np.concatenate([[0], starts, [t.size]])
     pieces = []
     for first, last in zip(starts[:-1], starts[1:], strict=True):
-        stood = np.searchsorted(record.t[first:last], record.t[first] + _STANDING)
+        stood = np.searchsorted(t[first:last], t[first] + _STANDING)
         if first + stood < last:
-            executed = np.median(record.executed[first + stood : last])
-            pieces.append((record.ordered[first], executed))
+            pieces.append((ordered[first], np.median(executed[first + stood : last])))
     if len(pieces) < 4:
         return 1.0, np.inf
+    limit = _AT_LIMIT * np.max(np.abs(executed))
     ordered, executed = np.array(pieces).T
-    free = np.abs(executed) < _AT_LIMIT * np.max(np.abs(record.executed))
+    free = np.abs(executed) < limit
     free = free if np.sum(free) >= 4 and np.ptp(ordered[free]) > 0 else np.ones(free.shape, bool)
     ordered, executed = ordered[free], executed[free]
     if np.ptp(ordered) <= 0:
@@ -146,15 +127,6 @@ def _settled_ratio(record: ActuatorRecord) -> tuple[float, float]:
     spread = np.sum((ordered - ordered.mean()) ** 2)
     variance = np.sum(rest**2) / (ordered.size - 2) + (1e-3 * np.ptp(executed)) ** 2
     return float(gains[0]), float(np.sqrt(variance / spread))
-
-
-def _limit_text(record: ActuatorRecord) -> str:
-    """Words on the level that what was executed does not pass while orders do."""
-    level = float(np.max(np.abs(record.executed)))
-    at = np.abs(record.executed) > 0.99 * level
-    if np.mean(at) < 0.02 or np.max(np.abs(record.ordered[at])) < 1.05 * level:
-        return ""
-    return f"; it never exceeds {level:.4g}, whatever is ordered"
 
 
 def order_findings(trajectory: Trajectory) -> list[Finding]:
@@ -173,33 +145,22 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
         if ordered is not None and not angle and np.array_equal(ordered, values, equal_nan=True):
             continue
         finite = np.isfinite(values)
-        jump = _largest_jump(run.t[finite], values[finite], angle)
-        if jump is None:
+        series, change = values[finite], np.abs(np.diff(values[finite]))
+        step = np.diff(run.t[finite])
+        if series.size < 20 or np.ptp(series) == 0:
             continue
+        large = change > _JUMP * np.ptp(series)
+        large &= change > _FASTEST_RUDDER * step if angle else step <= _JUMP_SECONDS
+        if np.sum(large) < 2 or np.sum(change[large]) < 0.5 * np.sum(change):
+            continue
+        jump, channel = float(np.max(change)), f"exec_{name}"
         shown = f"{np.degrees(jump):.3g} deg" if angle else f"{jump:.4g}"
-        found.append(
-            Finding(
-                "order-not-motion",
-                jump,
-                0.0,
-                "rad" if angle else "1",
-                f"exec_{name} moves in jumps of up to {shown} within one sample: these are "
-                "orders, not motion",
-                f"map it to cmd_{name}; what was executed has to be reconstructed",
-                (f"exec_{name}",),
-                edits=(ExecutedToCommanded(name),),
-            )
+        text = (
+            f"{channel} moves in jumps of up to {shown} within one sample: these are orders, not "
+            "motion"
         )
+        repair = f"map it to cmd_{name}; what was executed has to be reconstructed"
+        unit, edits = "rad" if angle else "1", (ExecutedToCommanded(name),)
+        kind = "order-not-motion"
+        found.append(Finding(kind, jump, 0.0, unit, text, repair, (channel,), edits=edits))
     return found
-
-
-def _largest_jump(t: Samples, values: Samples, angle: bool) -> float | None:
-    """The largest jump where jumps make up most of the travel, else None."""
-    if values.size < 20 or np.ptp(values) == 0:
-        return None
-    change, step = np.abs(np.diff(values)), np.diff(t)
-    large = change > _JUMP * np.ptp(values)
-    large &= change > _FASTEST_RUDDER * step if angle else step <= _JUMP_SECONDS
-    if np.sum(large) < 2 or np.sum(change[large]) < 0.5 * np.sum(change):
-        return None
-    return float(np.max(change))

@@ -7,21 +7,28 @@ after is not misled by what was found before; the recording itself is never chan
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
-from diffsea.recordings.auditing.channels import bridge_outliers, drop_frozen, rounding_findings
-from diffsea.recordings.auditing.clocks import clock_findings
+from diffsea.recordings.auditing.channels import (
+    bridge_outliers,
+    clock_findings,
+    drop_frozen,
+    rounding_findings,
+)
 from diffsea.recordings.auditing.finding import KINDS, Finding, wrong_sign
 from diffsea.recordings.auditing.frames import read_frames
-from diffsea.recordings.auditing.kinematics import heading_comparison, velocity_comparison
+from diffsea.recordings.auditing.kinematics import (
+    disagreement_findings,
+    heading_comparison,
+    velocity_comparison,
+)
 from diffsea.recordings.auditing.responses import response_findings
-from diffsea.recordings.auditing.sensor_findings import disagreement_findings
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
-from diffsea.series import integrate
 from diffsea.trajectory import Trajectory
 
 
@@ -59,40 +66,33 @@ def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMot
     found_in_heading = heading.causes if heading else ()
     turned_velocities = False
     if heading and "iron" in found_in_heading:
-        recorded = motion
-        motion = _without_compass_error(motion, heading)
-        turned_velocities = motion is recorded
+        psi = motion.values["psi"]
+        error = heading.theta["sine"] * np.sin(psi), heading.theta["cosine"] * np.cos(psi)
+        corrected = motion.with_channels(psi=psi - error[0] - error[1])
+        # Velocities that were turned into body axes by the faulty heading agree with that one.
+        if motion.has(*_POSITION_AND_VELOCITY):
+            turned_velocities = not _position_misfit(corrected) < _position_misfit(motion)
+        motion = motion if turned_velocities else corrected
     velocity, reversed_sway = None, []
     if motion.has(*_POSITION_AND_VELOCITY):
         late = heading is not None and "delay" in found_in_heading and heading.theta["delay"] < 0
         # A yaw rate that agrees with heading has cleared the compass already.
         doubtful = heading is None or "gain" in found_in_heading
-        velocity = select_causes(velocity_comparison(motion, level, doubtful, late))
-        motion, velocity, reversed_sway = _sway_sign(motion, velocity, level, doubtful, late)
+
+        def explain(motion: MeasuredMotion) -> Explanation | None:
+            return select_causes(velocity_comparison(motion, level, doubtful, late))
+
+        velocity = explain(motion)
+        motion, velocity, reversed_sway = _sway_sign(motion, velocity, explain)
     findings = disagreement_findings(heading, velocity, turned_velocities) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
     return motion, findings
 
 
-def _without_compass_error(motion: MeasuredMotion, heading: Explanation) -> MeasuredMotion:
-    """The motion with corrected heading, if position and velocity then agree better.
-
-    Velocities that were turned into body axes by the faulty heading agree with that one.
-    """
-    psi = motion.values["psi"]
-    error = heading.theta["sine"] * np.sin(psi), heading.theta["cosine"] * np.cos(psi)
-    changed = motion.with_channels(psi=psi - error[0] - error[1])
-    if not motion.has(*_POSITION_AND_VELOCITY):
-        return changed
-    return changed if _position_misfit(changed) < _position_misfit(motion) else motion
-
-
 def _position_misfit(motion: MeasuredMotion) -> float:
     """Mean-square difference (m^2) of displacement and integrated velocity over about 5 s."""
-    values = motion.values
-    flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-    misfit = values["x"] + 1j * values["y"] - integrate(motion.t, flow)
+    misfit = motion.path_misfit
     width = max(1, min(int(round(5.0 / motion.interval)), misfit.size // 4))
     return float(np.mean(np.abs(misfit[width:] - misfit[:-width]) ** 2))
 
@@ -100,9 +100,7 @@ def _position_misfit(motion: MeasuredMotion) -> float:
 def _sway_sign(
     motion: MeasuredMotion,
     velocity: Explanation | None,
-    level: float,
-    doubtful: bool,
-    late: bool,
+    explain: Callable[[MeasuredMotion], Explanation | None],
 ) -> tuple[MeasuredMotion, Explanation | None, list[Finding]]:
     """Whether v is positive to port, where it goes with the turn and something is amiss.
 
@@ -114,7 +112,7 @@ def _sway_sign(
     if velocity is None or not velocity.causes or np.mean(inwards * values["v"]) <= 0:
         return motion, velocity, []
     turned = motion.with_channels(v=-values["v"])
-    other = select_causes(velocity_comparison(turned, level, doubtful, late))
+    other = explain(turned)
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []
     gained = max(velocity.deviance - other.deviance, 0.0)

@@ -186,13 +186,9 @@ class KinematicComparison:
         """The kinds of noise at the knots."""
         return NoiseKinds(self.times, self.linked)
 
-    def level_residual(self, theta: Parameters) -> Levels:
-        """Measured less predicted levels."""
-        return self.measured - self.predict(theta)
-
     def residual(self, theta: Parameters) -> Float[np.ndarray, "series window"]:
         """Measured less predicted increments."""
-        return np.diff(self.level_residual(theta), axis=-1)
+        return np.diff(self.measured - self.predict(theta), axis=-1)
 
     def jacobian(
         self, theta: Parameters, names: Sequence[str]
@@ -214,7 +210,7 @@ class KinematicComparison:
         """
         allowed = [c for c in self.causes if not c.gain or theta[c.parameters[0]] != 0]
         names = _parameter_names(allowed)
-        levels = self.level_residual(theta)
+        levels = self.measured - self.predict(theta)
         known = (self.noise_kinds, 0.3 * self.floor, self.walk)
         for _ in range(2):
             white = Whitener(levels, *known)
@@ -259,51 +255,66 @@ class Explanation:
 
 @dataclasses.dataclass(frozen=True)
 class FittedCauses:
-    """A set of causes, fitted, and the one added last."""
+    """A set of causes, the one added last at the end, and all parameters; others' are zero."""
 
-    added: Cause
     causes: tuple[Cause, ...]
     theta: Parameters
+
+    def without(self, cause: Cause) -> "FittedCauses":
+        """The other causes with their parameters as they are."""
+        others = tuple(other for other in self.causes if other is not cause)
+        names = _parameter_names(others)
+        theta = {name: value if name in names else 0.0 for name, value in self.theta.items()}
+        return FittedCauses(others, theta)
 
 
 def select_causes(comparison: KinematicComparison | None) -> Explanation | None:
     """Choose causes by forward selection, each confirmed with the others present.
 
     The first step is tried with several causes, and the set that leaves the least misfit
-    wins: where two causes look alike, the first choice may be wrong. Causes too small to
-    matter are kept in the model, lest a larger one stand in for them, but are not named.
-    None where there is no comparison.
+    wins: where two causes look alike, the first choice may be wrong. Those that later ones have
+    made superfluous are eliminated. Causes too small to matter are kept in the model, lest a larger
+    one stand in for them, but are not named. None where there is no comparison.
     """
     if comparison is None:
         return None
-    theta = dict.fromkeys(comparison.steps, 0.0)
-    white = comparison.whitener(theta)
-    first = _candidates(comparison, white, theta, ())
-    first = [candidate for candidate in first if _is_confirmed(comparison, candidate)]
-    causes: tuple[Cause, ...] = ()
+    fit = FittedCauses((), dict.fromkeys(comparison.steps, 0.0))
+    white = comparison.whitener(fit.theta)
+    first = _candidates(comparison, white, fit)
+    first = [each for each in first if _is_confirmed(comparison, each, each.causes[-1])]
     if first:
         ends = [_select_forward(comparison, start) for start in first[:_FIRST_CAUSES]]
         white = comparison.whitener(ends[0].theta)
-        best = min(ends, key=lambda end: _criterion(comparison, white, end.causes, end.theta))
-        causes, theta = _eliminate_backward(comparison, best)
-    named = [cause for cause in causes if _matters(comparison, theta, cause)]
-    final = comparison.whitener(theta)
+        costs = [_criterion(comparison, white, end) for end in ends]
+        fit = ends[costs.index(min(costs))]
+        for cause in fit.causes:
+            if not _is_confirmed(comparison, fit, cause):
+                fit = fit.without(cause)
+                fit = _fit_parameters(comparison, comparison.whitener(fit.theta), fit)
+    std = {}
+    if fit.causes:
+        names, _, _, cov = _tested_columns(comparison, fit)
+        errors = dict(zip(names, np.sqrt(np.diag(cov)).tolist(), strict=True))
+        std = {name: errors[name] for name in _parameter_names(fit.causes)}
+    named = [cause for cause in fit.causes if _matters(comparison, fit.theta, cause)]
+    final = comparison.whitener(fit.theta)
     return Explanation(
         tuple(cause.name for cause in named),
-        theta,
-        _standard_errors(comparison, theta, causes) if causes else {},
-        {cause.name: _alternatives(comparison, white, theta, causes, cause) for cause in named},
-        _criterion(comparison, final, causes, theta) + final.log_determinant,
+        fit.theta,
+        std,
+        {cause.name: _alternatives(comparison, white, fit, cause) for cause in named},
+        _criterion(comparison, final, fit) + final.log_determinant,
         comparison.middle,
     )
 
 
 def _candidates(
-    comparison: KinematicComparison, white: Whitener, theta: Parameters, chosen: tuple[Cause, ...]
+    comparison: KinematicComparison, white: Whitener, fit: FittedCauses
 ) -> list[FittedCauses]:
     """The present causes with one more, for each that would help significantly, best first."""
+    theta = fit.theta
     target = white(comparison.residual(theta))
-    present = {cause.name for cause in chosen}
+    present = {cause.name for cause in fit.causes}
     promising = []
     for cause in comparison.causes:
         if cause.name in present or any(
@@ -312,22 +323,17 @@ def _candidates(
             continue
         start = _starting_point(comparison, white, theta, cause)
         rest = target if start is theta else white(comparison.residual(start))
-        names, doubt = _tested_parameters(comparison, (*chosen, cause))
+        names, doubt = _tested_parameters(comparison, (*fit.causes, cause))
         columns = white(comparison.jacobian(start, names))
         estimate, cov = robust_regression(columns, rest, doubt)
         index = [names.index(name) for name in cause.parameters]
         value = estimate[index] + [start[name] - theta[name] for name in cause.parameters]
         if comparison.significant(value, cov[np.ix_(index, index)]):
             left = np.sum((rest - np.tensordot(estimate, columns, 1)) ** 2)
-            promising.append((left, cause, start))
+            promising.append((left, FittedCauses((*fit.causes, cause), start)))
     promising.sort(key=lambda item: item[0])
-    candidates = []
-    for _, cause, start in promising[:_REFITTED_CAUSES]:
-        causes = (*chosen, cause)
-        candidates.append(
-            FittedCauses(cause, causes, _fit_parameters(comparison, white, start, causes))
-        )
-    return sorted(candidates, key=lambda c: _criterion(comparison, white, c.causes, c.theta))
+    best = [_fit_parameters(comparison, white, more) for _, more in promising[:_REFITTED_CAUSES]]
+    return sorted(best, key=lambda more: _criterion(comparison, white, more))
 
 
 def _starting_point(
@@ -356,10 +362,10 @@ def _tested_parameters(
 
 
 def _fit_parameters(
-    comparison: KinematicComparison, white: Whitener, theta: Parameters, causes: tuple[Cause, ...]
-) -> Parameters:
+    comparison: KinematicComparison, white: Whitener, fit: FittedCauses
+) -> FittedCauses:
     """Gauss-Newton over the causes' parameters, within their bounds, with step halving."""
-    names = _parameter_names(causes)
+    names, theta = _parameter_names(fit.causes), fit.theta
     bounds = np.array([comparison.bounds[name] for name in names])
     for _ in range(_MOST_STEPS if names else 0):
         rest = white(comparison.residual(theta))
@@ -374,66 +380,38 @@ def _fit_parameters(
             step = step / 2
         if np.all(np.abs(step) < _SMALL_STEP * np.sqrt(np.diag(cov))):
             break
-    return theta
+    return FittedCauses(fit.causes, theta)
 
 
-def _criterion(
-    comparison: KinematicComparison, white: Whitener, causes: tuple[Cause, ...], theta: Parameters
-) -> float:
+def _criterion(comparison: KinematicComparison, white: Whitener, fit: FittedCauses) -> float:
     """Misfit in units of the noise variance, with a price on causes and parameters."""
-    rest = white(comparison.residual(theta))
-    unlikely = sum(cause.likely * theta[cause.parameters[0]] < 0 for cause in causes)
-    price = len(_parameter_names(causes)) * np.log(rest.size) + _PRICE * len(causes)
+    rest = white(comparison.residual(fit.theta))
+    unlikely = sum(cause.likely * fit.theta[cause.parameters[0]] < 0 for cause in fit.causes)
+    price = len(_parameter_names(fit.causes)) * np.log(rest.size) + _PRICE * len(fit.causes)
     return float(np.sum(rest**2) / white.variance + price + _UNLIKELY * unlikely)
 
 
-def _select_forward(comparison: KinematicComparison, found: FittedCauses) -> FittedCauses:
+def _select_forward(comparison: KinematicComparison, fit: FittedCauses) -> FittedCauses:
     """The set after adding causes for as long as one more is significant."""
-    while len(found.causes) < _MOST_CAUSES:
-        white = comparison.whitener(found.theta)
-        candidates = _candidates(comparison, white, found.theta, found.causes)
-        added = next((more for more in candidates if _is_confirmed(comparison, more)), None)
+    while len(fit.causes) < _MOST_CAUSES:
+        candidates = _candidates(comparison, comparison.whitener(fit.theta), fit)
+        confirmed = (c for c in candidates if _is_confirmed(comparison, c, c.causes[-1]))
+        added = next(confirmed, None)
         if added is None:
             break
-        found = added
-    return found
-
-
-def _eliminate_backward(
-    comparison: KinematicComparison, found: FittedCauses
-) -> tuple[tuple[Cause, ...], Parameters]:
-    """The causes that those found later have not made superfluous, and their parameters."""
-    chosen, theta = found.causes, found.theta
-    for cause in chosen:
-        if _is_confirmed(comparison, FittedCauses(cause, chosen, theta)):
-            continue
-        chosen = tuple(other for other in chosen if other is not cause)
-        theta = _reset_others(theta, chosen)
-        theta = _fit_parameters(comparison, comparison.whitener(theta), theta, chosen)
-    return chosen, theta
-
-
-def _reset_others(theta: Parameters, causes: tuple[Cause, ...]) -> Parameters:
-    """The parameters of these causes, all others zero."""
-    names = _parameter_names(causes)
-    return {name: value if name in names else 0.0 for name, value in theta.items()}
+        fit = added
+    return fit
 
 
 def _alternatives(
-    comparison: KinematicComparison,
-    white: Whitener,
-    theta: Parameters,
-    chosen: tuple[Cause, ...],
-    cause: Cause,
+    comparison: KinematicComparison, white: Whitener, fit: FittedCauses, cause: Cause
 ) -> tuple[str, ...]:
     """Causes that could stand in the place of one, leaving nearly the same misfit."""
-    others = tuple(other for other in chosen if other is not cause)
-    own = _criterion(comparison, white, chosen, theta)
+    own = _criterion(comparison, white, fit)
     return tuple(
-        other.added.name
-        for other in _candidates(comparison, white, _reset_others(theta, others), others)
-        if other.added is not cause
-        and _criterion(comparison, white, other.causes, other.theta) - own < _TIE
+        other.causes[-1].name
+        for other in _candidates(comparison, white, fit.without(cause))
+        if other.causes[-1] is not cause and _criterion(comparison, white, other) - own < _TIE
     )
 
 
@@ -447,32 +425,23 @@ def _matters(comparison: KinematicComparison, theta: Parameters, cause: Cause) -
 
 
 def _tested_columns(
-    comparison: KinematicComparison, theta: Parameters, causes: tuple[Cause, ...]
+    comparison: KinematicComparison, fit: FittedCauses
 ) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
     """Names, whitened columns and residual, and covariance at the fitted parameters."""
-    names, doubt = _tested_parameters(comparison, causes)
-    white = comparison.whitener(theta)
-    rest = white(comparison.residual(theta))
-    columns = white(comparison.jacobian(theta, names))
+    names, doubt = _tested_parameters(comparison, fit.causes)
+    white = comparison.whitener(fit.theta)
+    rest = white(comparison.residual(fit.theta))
+    columns = white(comparison.jacobian(fit.theta, names))
     _, cov = robust_regression(columns, rest, doubt)
     return names, columns, rest, cov
 
 
-def _standard_errors(
-    comparison: KinematicComparison, theta: Parameters, causes: tuple[Cause, ...]
-) -> Parameters:
-    names, _, _, cov = _tested_columns(comparison, theta, causes)
-    std = dict(zip(names, np.sqrt(np.diag(cov)), strict=True))
-    return {name: float(std[name]) for name in _parameter_names(causes)}
-
-
-def _is_confirmed(comparison: KinematicComparison, found: FittedCauses) -> bool:
-    """Whether the added cause is significant beside the others and can be believed."""
-    cause, theta = found.added, found.theta
-    names, columns, rest, cov = _tested_columns(comparison, theta, found.causes)
+def _is_confirmed(comparison: KinematicComparison, fit: FittedCauses, cause: Cause) -> bool:
+    """Whether a cause is significant beside the others and can be believed."""
+    names, columns, rest, cov = _tested_columns(comparison, fit)
     index = [names.index(name) for name in cause.parameters]
-    values = np.array([theta[name] for name in cause.parameters])
-    if any(abs(theta[name]) >= comparison.bounds[name] for name in cause.parameters):
+    values = np.array([fit.theta[name] for name in cause.parameters])
+    if any(abs(fit.theta[name]) >= comparison.bounds[name] for name in cause.parameters):
         return False
     if not comparison.significant(values, cov[np.ix_(index, index)]):
         return False

@@ -1,19 +1,28 @@
-"""Single channels: frozen, coarsely rounded, with wild values.
+"""Time stamps, and single channels: what is wrong with them shows without any other channel.
 
-These faults need no second channel to be seen, and would pass for faults of another kind if
-they were still there when channels are compared.
+Derivatives, integrals and latencies all rest on the clock, so it is looked at first: repeated,
+irregular or rounded stamps, rows and samples that are not there. A channel that is frozen,
+coarsely rounded or has wild values would pass for a fault of another kind if it were still so when
+channels are compared.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float, Inexact
 
-from diffsea.recordings.auditing.edits import Blank
+from diffsea.recordings.auditing.edits import Blank, Edit, MergeRows, UniformClock
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.motion import MeasuredMotion
-from diffsea.series import integrate
+from diffsea.series import integrate, median_interval, stretches
 from diffsea.statistics import robust_scale
 from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
 
+
+_IRREGULAR = 0.2  # an interval this far (relative) from the usual one is irregular
+_IRREGULAR_SHARE = 0.02  # of the intervals that is worth a finding
+_CLOCK_GAP = 3.0  # times the usual interval
+_CHANNEL_GAP = 5.0  # times a channel's own interval
+_LOST_SHARE = 0.05  # of single samples that is worth a finding
+_STANDSTILL_ROWS = 10  # repetitions, nearly without a break, that are a standstill
 
 _UNITS = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 # Steps of rounding, in these units, below which it does no harm to anything.
@@ -26,13 +35,180 @@ _FROZEN_SAMPLES = 8
 _CONTRADICTION = 6.0  # times the usual excursion of a kinematic misfit
 
 
+def clock_findings(trajectory: Trajectory) -> list[Finding]:
+    """Repeated rows, irregular time steps, and gaps of the clock or of single channels.
+
+    Repeated time stamps and empty rows count whether reading has dealt with them already or not.
+    """
+    run = trajectory.counted()
+    steps = np.diff(run.t)
+    found = []
+    repeated = np.flatnonzero(steps <= 0)
+    if run.read.repeated_times:
+        merged = run.read.repeated_times[0]
+        found = [_duplicate("time stamps", merged.count, merged.note, MergeRows())]
+    elif repeated.size:
+        where = f"first at t = {run.t[repeated[0] + 1]:g} s"
+        found = [_duplicate("time stamps", repeated.size, where, MergeRows())]
+    found += _repeated_rows(trajectory)
+    empty = run.read.empty_rows
+    if empty is not None:
+        text = f"{empty.count} empty rows ({empty.note})"
+        repair = (
+            "nothing to repair: they are left out; if samples were lost there, the time stamps of "
+            "the other rows show it"
+        )
+        found.append(Finding("gap", float(empty.count), 0.0, "1", text, repair, ("t",)))
+    ahead = steps[steps > 0]
+    if ahead.size < 3:
+        return found
+    usual = float(np.median(ahead))
+    found += _rounded_stamps(run.t) or _irregular_steps(ahead, usual)
+    wide = np.flatnonzero(steps > _CLOCK_GAP * usual)
+    if wide.size:
+        longest = wide[np.argmax(steps[wide])]
+        text = (
+            f"{wide.size} gaps in the time stamps, {np.sum(steps[wide]):.4g} s in all; the "
+            f"longest, {steps[longest]:.4g} s, begins at t = {run.t[longest]:.6g} s"
+        )
+        repair = "split the recording there, or leave the gap: nothing is interpolated across it"
+        found.append(Finding("gap", float(steps[longest]), usual, "s", text, repair, ("t",)))
+    return found + _channel_gaps(run, usual)
+
+
+def _duplicate(what: str, count: int, where: str, *edits: Edit) -> Finding:
+    text = f"{count} {what} repeat the one before ({where})"
+    repair = "delete them, or give [file] time_step if the stamps were merely rounded"
+    return Finding("duplicate", float(count), 0.0, "1", text, repair, ("t",), edits=edits)
+
+
+def _repeated_rows(trajectory: Trajectory) -> list[Finding]:
+    """Rows in which every moving channel equals the row before while others change.
+
+    One long standstill is another finding.
+    """
+    channels = [np.asarray(series, dtype=float) for series in trajectory.motion.values()]
+    channels = [series for series in channels if np.sum(np.isfinite(series)) > 2]
+    if len(channels) < 3:
+        return []
+    steps = np.diff(np.stack(channels), axis=1)
+    moving = np.mean(steps != 0, axis=1) > 0.9
+    rows = np.flatnonzero(np.all(steps[moving] == 0, axis=0)) + 1
+    if np.sum(moving) < 3 or not rows.size:
+        return []
+    if rows.size >= _STANDSTILL_ROWS and rows[-1] - rows[0] < 1.5 * rows.size:
+        return []
+    where = f"first at t = {np.asarray(trajectory.t)[rows[0]]:g} s"
+    return [_duplicate("rows", rows.size, where)]
+
+
+def _rounded_stamps(t: Samples) -> list[Finding]:
+    """Time stamps of an even clock, rounded to so few digits that the steps come out uneven.
+
+    All stamps are multiples of one resolution, and half of that is as far as any of them is
+    from a straight line: what jitters does not stay that near, what drifts neither.
+    """
+    if t.size < 30:
+        return []
+    steps = np.diff(t)
+    step = float(np.min(steps[steps > 0], initial=np.inf))
+    resolution = 0.0
+    for part in (1, 2, 3, 4, 5):
+        multiples = (t - t[0]) / (step / part)
+        if np.max(np.abs(multiples - np.round(multiples))) < 0.02:
+            resolution = step / part
+            break
+    usual = (t[-1] - t[0]) / (t.size - 1)
+    uneven = np.abs(steps / usual - 1) > _IRREGULAR
+    if resolution <= 0 or np.mean(uneven) < _IRREGULAR_SHARE:
+        return []
+    rows = np.arange(t.size)
+    slope, start = np.polyfit(rows, t - t[0], 1)
+    rest = t - t[0] - start - slope * rows
+    if np.ptp(rest) > 1.2 * resolution:
+        return []
+    spread, slope = float(np.std(steps)), float(slope)
+    std = spread / np.sqrt(2 * steps.size)
+    text = (
+        f"time stamps are rounded to {resolution:.4g} s: the rows are {slope:.6g} s apart "
+        f"throughout, the stamps unevenly (standard deviation {spread:.3g} s)"
+    )
+    repair = f"[file] time_step = {slope:.6g} in the mapping instead of the time column"
+    parameters, edits = {"resolution": resolution, "time_step": slope}, (UniformClock(slope),)
+    return [Finding("time-step", spread, std, "s", text, repair, ("t",), parameters, edits=edits)]
+
+
+def _irregular_steps(steps: Float[np.ndarray, "step"], usual: float) -> list[Finding]:
+    """Jitter: many intervals that are neither the usual one nor gaps."""
+    short = steps[steps < _CLOCK_GAP * usual]
+    off = np.abs(short / usual - 1) > _IRREGULAR
+    if np.mean(off) < _IRREGULAR_SHARE or np.sum(off) < 3:
+        return []
+    spread = float(np.std(short))
+    text = (
+        f"{100 * np.mean(off):.2g} % of the time steps differ by more than "
+        f"{100 * _IRREGULAR:.0f} % from the usual {usual:.4g} s (standard deviation {spread:.3g} s)"
+    )
+    repair = (
+        "resample on a uniform clock; if the samples were really equally spaced, give "
+        "[file] time_step in the mapping instead of the time column"
+    )
+    std = spread / np.sqrt(2 * short.size)
+    return [Finding("time-step", spread, std, "s", text, repair, ("t",))]
+
+
+def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
+    """Stretches in which a channel that is otherwise measured has no sample, and single samples."""
+    longest: dict[str, tuple[float, float]] = {}
+    lost: dict[str, int] = {}
+    for channel, series in run.motion.items():
+        times = run.t[np.isfinite(series)]
+        if times.size < 3 or times.size == run.t.size:
+            continue
+        bounds = np.concatenate([run.t[:1], times, run.t[-1:]])
+        steps = np.diff(bounds)
+        own = median_interval(times)
+        at = int(np.argmax(steps))
+        if steps[at] > max(_CHANNEL_GAP * own, _CLOCK_GAP * usual, 1.0):
+            longest[channel] = (float(steps[at]), float(bounds[at]))
+        # A slower sensor has a rhythm of its own; a sample is lost where that is broken.
+        missing = np.round(np.diff(times) / own) - 1
+        missing = np.sum(missing[(missing >= 1) & (missing < 5)])
+        if missing > _LOST_SHARE * times.size:
+            lost[channel] = int(missing)
+    found = []
+    if longest:
+        channel = max(longest, key=lambda name: longest[name][0])
+        seconds, start = longest[channel]
+        text = (
+            f"{', '.join(longest)} without samples; the longest stretch, {seconds:.4g} s of "
+            f"{channel}, begins at t = {start:.6g} s"
+        )
+        repair = "nothing to repair: nothing is interpolated across the gap"
+        found.append(Finding("gap", seconds, usual, "s", text, repair, tuple(longest)))
+    if lost:
+        counts = ", ".join(f"{count} of {channel}" for channel, count in lost.items())
+        text = f"single samples are lost all along the recording: {counts}"
+        repair = "nothing to repair: missing samples stay missing"
+        size = usual * max(lost.values())
+        found.append(Finding("gap", size, usual, "s", text, repair, tuple(lost)))
+    return found
+
+
 def rounding_findings(trajectory: Trajectory) -> list[Finding]:
     """Channels that are multiples of one step, coarse against how they move and jitter."""
     found = []
     for channel, series in trajectory.counted().motion.items():
         series = series[np.isfinite(series)]
-        step = _common_step(series)
-        if step <= _HARMLESS_STEP[channel] or not _is_coarse(series, step):
+        levels = np.unique(np.round(series, 12))
+        if series.size < _FEWEST_SAMPLES or levels.size < 4:
+            continue
+        step = float(np.min(np.diff(levels)))
+        if step < 1e-9 * np.ptp(levels) or step <= _HARMLESS_STEP[channel]:
+            continue
+        steps = (levels - levels[0]) / step
+        common = np.max(np.abs(steps - np.round(steps))) < 0.02
+        if not common or not _is_coarse(series, step):
             continue
         # How far the values are from multiples of the step says how well it is known.
         multiples = np.round((series - series.min()) / step)
@@ -47,18 +223,6 @@ def rounding_findings(trajectory: Trajectory) -> list[Finding]:
         std = float(max(error, 1e-9 * step))
         found.append(Finding("quantised", step, std, unit, text, repair, (channel,)))
     return found
-
-
-def _common_step(series: Samples) -> float:
-    """The common step of all values, zero where there is none."""
-    levels = np.unique(np.round(series, 12))
-    if series.size < _FEWEST_SAMPLES or levels.size < 4:
-        return 0.0
-    step = float(np.min(np.diff(levels)))
-    if step < 1e-9 * np.ptp(levels):
-        return 0.0
-    steps = (levels - levels[0]) / step
-    return step if np.max(np.abs(steps - np.round(steps))) < 0.02 else 0.0
 
 
 def _is_coarse(series: Samples, step: float) -> bool:
@@ -111,14 +275,14 @@ def _wild_samples(series: Samples, known: Bool[np.ndarray, "time"]) -> Bool[np.n
     floor = max(_WILD * usual, 5 * rounding, 0.02 * float(high - low))
     limit = np.maximum(_WILD * lively, floor)
     wild = known & (departure > limit) & (limit > 0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], wild.astype(int), [0]])))
-    for start, end in edges.reshape(-1, 2):
+    for stretch in stretches(wild):
+        start, end = stretch.start, stretch.stop
         if end - start > _LONGEST_WILD or start < 2 or end > series.size - 2:
-            wild[start:end] = False
+            wild[stretch] = False
             continue
-        sides = series[start:end, None] - series[[start - 1, end]]
+        sides = series[stretch, None] - series[[start - 1, end]]
         returns = np.ptp(sides, axis=1) < 0.3 * np.min(np.abs(sides), axis=1)
-        wild[start:end] &= returns & (np.min(np.abs(sides), axis=1) > floor)
+        wild[stretch] &= returns & (np.min(np.abs(sides), axis=1) > floor)
     return wild
 
 
@@ -135,45 +299,30 @@ def drop_frozen(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     contradicts it far more than elsewhere.
     """
     frozen: dict[tuple[int, int], list[str]] = {}
-    for channel in MOTION_CHANNELS:
-        if not motion.has(channel):
-            continue
-        for start, end in _standstills(motion, channel):
+    for channel in filter(motion.has, MOTION_CHANNELS):
+        same = (np.diff(motion.values[channel]) == 0) & motion.known[channel][1:]
+        for stretch in stretches(same):
+            start, end = stretch.start, stretch.stop
+            seconds = motion.t[end] - motion.t[start]
+            if end - start < _FROZEN_SAMPLES or seconds < _FROZEN_SECONDS:
+                continue
             noiseless = _is_noisy_elsewhere(motion, channel, start, end)
             if noiseless or _is_contradicted(motion, channel, start, end):
                 frozen.setdefault((start, end), []).append(channel)
     known = {name: mask.copy() for name, mask in motion.known.items()}
     found = []
-    for (start, end), channels in frozen.items():
+    for (start, end), names in frozen.items():
+        channels, begin, stop = tuple(names), float(motion.t[start]), float(motion.t[end])
         for channel in channels:
             known[channel][start : end + 1] = False
-        begin, stop = float(motion.t[start]), float(motion.t[end])
-        found.append(
-            Finding(
-                "stuck",
-                stop - begin,
-                motion.interval,
-                "s",
-                f"{', '.join(channels)} did not change from t = {begin:.6g} s to {stop:.6g} s "
-                "while the other channels say that the vessel moved",
-                "empty these cells, or cut the recording there",
-                tuple(channels),
-                edits=(Blank(tuple(channels), ((begin, stop),)),),
-            )
+        text = (
+            f"{', '.join(channels)} did not change from t = {begin:.6g} s to {stop:.6g} s while "
+            "the other channels say that the vessel moved"
         )
+        repair = "empty these cells, or cut the recording there"
+        size, std, edits = stop - begin, motion.interval, (Blank(channels, ((begin, stop),)),)
+        found.append(Finding("stuck", size, std, "s", text, repair, channels, edits=edits))
     return MeasuredMotion(motion.t, motion.values, known), found
-
-
-def _standstills(motion: MeasuredMotion, channel: str) -> list[tuple[int, int]]:
-    """First and last row of the long stretches without change."""
-    same = (np.diff(motion.values[channel]) == 0) & motion.known[channel][1:]
-    edges = np.diff(np.concatenate([[0], same.astype(int), [0]]))
-    starts, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    return [
-        (int(start), int(end))
-        for start, end in zip(starts, ends, strict=True)
-        if end - start >= _FROZEN_SAMPLES and motion.t[end] - motion.t[start] >= _FROZEN_SECONDS
-    ]
 
 
 def _is_noisy_elsewhere(motion: MeasuredMotion, channel: str, start: int, end: int) -> bool:
@@ -195,18 +344,17 @@ def _is_noisy_elsewhere(motion: MeasuredMotion, channel: str, start: int, end: i
 
 def _is_contradicted(motion: MeasuredMotion, channel: str, start: int, end: int) -> bool:
     """Whether integrated yaw rate or velocity leaves the stretch far more than elsewhere."""
-    values = motion.values
     if channel in ("psi", "r"):
         if not motion.has("psi", "r"):
             return False
-        misfit, moved = values["psi"] - integrate(motion.t, values["r"]), values["psi"]
+        moved = motion.values["psi"]
+        misfit = moved - integrate(motion.t, motion.values["r"])
         least = np.radians(2.0)
     else:
         if not motion.has("x", "y", "psi", "u", "v"):
             return False
-        flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-        misfit = values["x"] + 1j * values["y"] - integrate(motion.t, flow)
-        moved = integrate(motion.t, np.abs(flow))
+        misfit = motion.path_misfit
+        moved = integrate(motion.t, np.abs(motion.earth_velocity))
         least = 0.1 + 0.02 * abs(moved[end] - moved[start])
     size = end - start
     marks = range(0, motion.t.size - size, max(1, size // 2))

@@ -10,13 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from diffsea.recordings.mappings import Column, Mapping
-from diffsea.recordings.vocabulary import UNITS
+from diffsea.recordings.mappings import UNITS, Column, Mapping, native_channels, with_channels
 from diffsea.series import between_samples, median_interval
-from diffsea.trajectory import MOTION_CHANNELS, Samples, Series, Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
-Reader = Callable[[str], Samples]  # the series of a channel by its native name
+Channels = dict[str, Samples]  # by native name, SI units
 
 
 class Edit(abc.ABC):
@@ -35,38 +34,11 @@ class ChannelEdit(Edit):
     """A change of some channels, row by row, that leaves the rows themselves alone."""
 
     @abc.abstractmethod
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """The changed channels by their native names, from all channels as they are."""
+    def new_series(self, old: Channels) -> Channels:
+        """The changed channels, from all channels as they are."""
 
     def apply(self, run: Trajectory) -> Trajectory:
-        """The recording with the changed channels."""
-        return with_channels(run, self.new_series(lambda name: read_channel(run, name)))
-
-
-def read_channel(run: Trajectory, name: str) -> Samples:
-    """A channel by its native name: `t`, motion, `cmd_...`, `exec_...`, wind or roll."""
-    if name == "t" or name in MOTION_CHANNELS:
-        return np.asarray(getattr(run, name), dtype=float)
-    for prefix, group in (("cmd_", run.commanded), ("exec_", run.executed)):
-        if name.startswith(prefix):
-            return np.asarray(group[name.removeprefix(prefix)], dtype=float)
-    return np.asarray(run.extra[name], dtype=float)
-
-
-def with_channels(run: Trajectory, channels: dict[str, Samples]) -> Trajectory:
-    """The recording with other series for the channels of these native names."""
-    plain = {name: s for name, s in channels.items() if name == "t" or name in MOTION_CHANNELS}
-
-    def changed_group(old: dict[str, Series], prefix: str) -> dict[str, Series]:
-        return {name: channels.get(prefix + name, series) for name, series in old.items()}
-
-    return dataclasses.replace(
-        run,
-        **plain,
-        commanded=changed_group(run.commanded, "cmd_"),
-        executed=changed_group(run.executed, "exec_"),
-        extra=changed_group(run.extra, ""),
-    )
+        return with_channels(run, self.new_series(native_channels(run)))
 
 
 def _with_columns(
@@ -81,19 +53,21 @@ def _with_columns(
 
 @dataclasses.dataclass(frozen=True)
 class Affine(ChannelEdit):
-    """channel -> gain * channel + offset, in SI; `unit` is the label that makes the gain exact."""
+    """channel -> gain * channel + offset, in SI; `unit` is the label that makes the gain exact.
+
+    A mapping says it by unit, sign, scale and offset of the columns, but not of what is turned from
+    earth into body axes, nor of a clock on which delays are counted.
+    """
 
     channels: tuple[str, ...]
     gain: float = 1.0
     offset: float = 0.0
     unit: str = ""
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """Every channel rescaled."""
-        return {name: self.gain * read(name) + self.offset for name in self.channels}
+    def new_series(self, old: Channels) -> Channels:
+        return {name: self.gain * old[name] + self.offset for name in self.channels}
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """Unit, sign, scale and offset of the columns."""
         turned = mapping.velocity_axes == "earth"
         if turned and ("psi" in self.channels or len({"u", "v"} & set(self.channels)) == 1):
             return None
@@ -103,9 +77,9 @@ class Affine(ChannelEdit):
         return _with_columns(mapping, self.channels, self._rescaled_column)
 
     def _rescaled_column(self, column: Column) -> Column:
-        if self.unit and (column.unit is None or UNITS[column.unit][1] == 1.0):
-            return dataclasses.replace(column, unit=self.unit)
         factor = 1.0 if column.unit is None else UNITS[column.unit][1]
+        if self.unit and factor == 1.0:
+            return dataclasses.replace(column, unit=self.unit)
         gain, shift = self.gain * column.gain, self.gain * column.shift + self.offset
         sign = float(np.sign(gain))
         scale = abs(gain) / factor
@@ -115,17 +89,15 @@ class Affine(ChannelEdit):
 
 @dataclasses.dataclass(frozen=True)
 class Swap(ChannelEdit):
-    """Two channels exchange their series."""
+    """Two channels exchange their series, or their columns in the mapping."""
 
     first: str
     second: str
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """The two exchanged."""
-        return {self.first: read(self.second), self.second: read(self.first)}
+    def new_series(self, old: Channels) -> Channels:
+        return {self.first: old[self.second], self.second: old[self.first]}
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """The two columns exchanged."""
         old, names = mapping.channels, {self.first, self.second}
         turned = mapping.velocity_axes == "earth" and {"u", "v"} & names
         if turned or not names <= set(old):
@@ -138,7 +110,8 @@ class Swap(ChannelEdit):
 class Shift(ChannelEdit):
     """Channels that are late by `delay` + `rate` (t - `middle`) s go to where they belong.
 
-    Samples beyond the ends of the recording become NaN.
+    Samples beyond the ends of the recording, or within a gap of three of a channel's own sampling
+    intervals or more, become NaN. A mapping can say a delay, but not one that grows.
     """
 
     channels: tuple[str, ...]
@@ -146,14 +119,21 @@ class Shift(ChannelEdit):
     rate: float = 0.0
     middle: float = 0.0
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """The channels read as much later as they are late."""
-        t = read("t")
+    def new_series(self, old: Channels) -> Channels:
+        t = old["t"]
         late = t + self.delay + self.rate * (t - self.middle)
-        return {name: _interpolate_within_gaps(t, read(name), late) for name in self.channels}
+        new = {}
+        for name in self.channels:
+            finite = np.isfinite(old[name])
+            if np.sum(finite) < 2:
+                continue
+            times = t[finite]
+            values = np.interp(late, times, old[name][finite], left=np.nan, right=np.nan)
+            known = between_samples(times, late, 3.0 * median_interval(times))
+            new[name] = np.where(known, values, np.nan)
+        return new
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """A delay of the columns; a growing delay cannot be said."""
         turned = mapping.velocity_axes == "earth"
         if self.rate or (turned and {"psi", "u", "v"} & set(self.channels)):
             return None
@@ -162,27 +142,18 @@ class Shift(ChannelEdit):
         )
 
 
-def _interpolate_within_gaps(t: Samples, series: Samples, at: Samples) -> Samples:
-    """The series at other times, NaN where it is unknown or in a gap of its own."""
-    finite = np.isfinite(series)
-    if np.sum(finite) < 2:
-        return series
-    times = t[finite]
-    values = np.interp(at, times, series[finite], left=np.nan, right=np.nan)
-    return np.where(between_samples(times, at, 3.0 * median_interval(times)), values, np.nan)
-
-
 @dataclasses.dataclass(frozen=True)
 class BodyAxes(ChannelEdit):
-    """u and v are velocities north and east, to be turned into body axes by the heading."""
+    """u and v are velocities north and east, to be turned into body axes by the heading.
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """u and v in body axes."""
-        body = (read("u") + 1j * read("v")) * np.exp(-1j * read("psi"))
+    In a mapping that is velocity_axes = "earth".
+    """
+
+    def new_series(self, old: Channels) -> Channels:
+        body = (old["u"] + 1j * old["v"]) * np.exp(-1j * old["psi"])
         return {"u": body.real, "v": body.imag}
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """velocity_axes = "earth"."""
         if mapping.velocity_axes == "earth" or not {"psi", "u", "v"} <= set(mapping.channels):
             return None
         return dataclasses.replace(mapping, velocity_axes="earth")
@@ -195,11 +166,10 @@ class Blank(ChannelEdit):
     channels: tuple[str, ...]
     spans: tuple[tuple[float, float], ...]
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """The cells emptied."""
-        t = read("t")
+    def new_series(self, old: Channels) -> Channels:
+        t = old["t"]
         inside = np.any([(t >= start) & (t <= end) for start, end in self.spans], axis=0)
-        return {name: np.where(inside, np.nan, read(name)) for name in self.channels}
+        return {name: np.where(inside, np.nan, old[name]) for name in self.channels}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,15 +184,13 @@ class Compass(ChannelEdit):
     cosine: float
     velocities: bool = False
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """Heading, and velocities if need be, without the error."""
-        psi = read("psi")
+    def new_series(self, old: Channels) -> Channels:
+        psi = old["psi"]
         error = self.sine * np.sin(psi) + self.cosine * np.cos(psi)
-        new = {"psi": psi - error}
-        if self.velocities:
-            body = (read("u") + 1j * read("v")) * np.exp(1j * error)
-            new |= {"u": body.real, "v": body.imag}
-        return new
+        if not self.velocities:
+            return {"psi": psi - error}
+        body = (old["u"] + 1j * old["v"]) * np.exp(1j * error)
+        return {"psi": psi - error, "u": body.real, "v": body.imag}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,10 +200,9 @@ class Lever(ChannelEdit):
     x: float
     y: float
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """Positions less the turned arm."""
-        arm = (self.x + 1j * self.y) * np.exp(1j * read("psi"))
-        return {"x": read("x") - arm.real, "y": read("y") - arm.imag}
+    def new_series(self, old: Channels) -> Channels:
+        arm = (self.x + 1j * self.y) * np.exp(1j * old["psi"])
+        return {"x": old["x"] - arm.real, "y": old["y"] - arm.imag}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,10 +212,9 @@ class OverGround(ChannelEdit):
     north: float
     east: float
 
-    def new_series(self, read: Reader) -> dict[str, Samples]:
-        """u and v with the current added."""
-        flow = (self.north + 1j * self.east) * np.exp(-1j * read("psi"))
-        return {"u": read("u") + flow.real, "v": read("v") + flow.imag}
+    def new_series(self, old: Channels) -> Channels:
+        flow = (self.north + 1j * self.east) * np.exp(-1j * old["psi"])
+        return {"u": old["u"] + flow.real, "v": old["v"] + flow.imag}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -261,15 +227,11 @@ class ExecutedToCommanded(Edit):
     actuator: str
 
     def apply(self, run: Trajectory) -> Trajectory:
-        """The channel moved from executed to commanded."""
         executed = dict(run.executed)
-        series = executed.pop(self.actuator)
-        return dataclasses.replace(
-            run, executed=executed, commanded={self.actuator: series} | run.commanded
-        )
+        commanded = {self.actuator: executed.pop(self.actuator)} | run.commanded
+        return dataclasses.replace(run, executed=executed, commanded=commanded)
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """The column under another name."""
         columns = dict(mapping.channels)
         column = columns.pop(f"exec_{self.actuator}", None)
         if column is None:
@@ -279,17 +241,18 @@ class ExecutedToCommanded(Edit):
 
 @dataclasses.dataclass(frozen=True)
 class UniformClock(Edit):
-    """Rows are `step` s apart, whatever their time stamps say; the first keeps its own."""
+    """Rows are `step` s apart, whatever their time stamps say; the first keeps its own.
+
+    A mapping says it by time_step in place of the time column; time then starts at zero.
+    """
 
     step: float
 
     def apply(self, run: Trajectory) -> Trajectory:
-        """The recording on the uniform clock."""
         t = np.asarray(run.t, dtype=float)
         return dataclasses.replace(run, t=t[0] + self.step * np.arange(t.size))
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """time_step in place of the time column; time then starts at zero."""
         if "t" not in mapping.channels:
             return None
         columns = {name: column for name, column in mapping.channels.items() if name != "t"}
@@ -298,10 +261,13 @@ class UniformClock(Edit):
 
 @dataclasses.dataclass(frozen=True)
 class MergeRows(Edit):
-    """Rows whose time does not advance are left out; of one time stamp the last counts."""
+    """Rows whose time does not advance are left out; of one time stamp the last counts.
+
+    What reading merged is dealt with, too, and the provenance says so. No mapping need say it:
+    reading merges such rows in any case.
+    """
 
     def apply(self, run: Trajectory) -> Trajectory:
-        """The rows left; what reading merged is dealt with, too, and the provenance says so."""
         t = np.asarray(run.t, dtype=float)
         following = np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf)
         merged = {rows.note for rows in run.read.repeated_times}
@@ -312,5 +278,4 @@ class MergeRows(Edit):
         )
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
-        """Reading merges rows of one time stamp in any case."""
         return mapping

@@ -34,8 +34,8 @@ KINDS = (
 class Finding:
     """One fault of a recording.
 
-    `value` and `std` are in `unit`; where a fault is a matter of yes or no, `value` is what
-    the message explains and `std` is NaN. `channels` are the columns it concerns, `parameters`
+    `kind` is one of `KINDS`. `value` and `std` are in `unit`; where a fault is a matter of yes or
+    no, `value` is what the message explains. `channels` are the columns it concerns, `parameters`
     what the catalogue of effects calls them by. `repair` says what to do about it, `edits` do
     it; `doubt` says why the fault might have to be repaired otherwise, or not here at all.
     `axis` is the motion, "yaw" or "surge", whose response to an actuator shows the fault. Texts
@@ -96,6 +96,13 @@ def wrong_unit(
     repair = f'unit = "{unit}" for {" and ".join(channels)} in the mapping'
     edits = (Affine(channels, gain, unit=unit),)
     return Finding("unit", value, std, "1", message, repair, channels, edits=edits)
+
+
+def in_degrees(channel: str, message: str) -> Finding:
+    """An angle in degrees where radians were meant."""
+    repair = f'{channel} = {{ ..., unit = "deg" }} in the mapping'
+    edits = (Affine((channel,), math.pi / 180, unit="deg"),)
+    return Finding("unit", 180 / math.pi, 0.0, "1", message, repair, (channel,), edits=edits)
 
 
 def exchanged_channels(first: str, second: str, message: str) -> Finding:

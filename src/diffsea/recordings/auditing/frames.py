@@ -17,10 +17,11 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Complex, Float
 
-from diffsea.recordings.auditing.edits import Affine, BodyAxes, ChannelEdit, Swap
+from diffsea.recordings.auditing.edits import Affine, BodyAxes, ChannelEdit, Edit, Swap
 from diffsea.recordings.auditing.finding import (
     Finding,
     exchanged_channels,
+    in_degrees,
     wrong_sign,
     wrong_unit,
 )
@@ -59,6 +60,11 @@ _RATE_UNITS = {
     _MILLI: (("t",), "milliseconds, not in seconds", "ms", 1e-3),
 }
 
+
+def _other_axes(message: str, repair: str, channels: tuple[str, ...], *edits: Edit) -> Finding:
+    return Finding("axes", 0.0, 0.0, "1", message, repair, channels, edits=edits)
+
+
 # Readings of the labels: none wrong, or one fault. Sizes are filled in once they are known; zero
 # stands for how much of the displacement the labels leave unexplained.
 _POSITIONS = (
@@ -67,33 +73,17 @@ _POSITIONS = (
     (wrong_sign(("y",), "y is positive to the west (to port), not to the east", kind="axes"),),
     (wrong_sign(("x",), "x is positive to the south"),),
 )
+_ANTICLOCKWISE_FROM_EAST = _other_axes(
+    "heading is counted counter-clockwise from east (ENU)",
+    "psi = { ..., sign = -1, offset = -90 } with unit deg in the mapping",
+    ("psi",),
+    Affine(("psi",), -1.0, np.pi / 2),
+)
 _HEADINGS = (
     (),
     (wrong_sign(("psi",), "heading is positive to port (counter-clockwise)", kind="axes"),),
-    (
-        Finding(
-            "axes",
-            0.0,
-            0.0,
-            "1",
-            "heading is counted counter-clockwise from east (ENU)",
-            "psi = { ..., sign = -1, offset = -90 } with unit deg in the mapping",
-            ("psi",),
-            edits=(Affine(("psi",), -1.0, np.pi / 2),),
-        ),
-    ),
-    (
-        Finding(
-            "unit",
-            180 / np.pi,
-            0.0,
-            "1",
-            "heading is in degrees, not in radians",
-            'psi = { ..., unit = "deg" } in the mapping',
-            ("psi",),
-            edits=(Affine(("psi",), np.pi / 180, unit="deg"),),
-        ),
-    ),
+    (_ANTICLOCKWISE_FROM_EAST,),
+    (in_degrees("psi", "heading is in degrees, not in radians"),),
 )
 _BODY_VELOCITIES = (
     (),
@@ -102,33 +92,16 @@ _BODY_VELOCITIES = (
     (wrong_sign(("u", "v"), "u and v have the wrong sign"),),
     (exchanged_channels("u", "v", "u and v are swapped"),),
 )
-_EARTH_VELOCITIES = (
-    (
-        Finding(
-            "axes",
-            0.0,
-            0.0,
-            "1",
-            "u and v are velocities north and east (earth axes), not along the ship and to "
-            "starboard",
-            'velocity_axes = "earth" under [file] of the mapping',
-            ("u", "v"),
-            edits=(BodyAxes(),),
-        ),
-    ),
-    (
-        Finding(
-            "axes",
-            0.0,
-            0.0,
-            "1",
-            "u and v are velocities east and north (earth axes), not along the ship and to "
-            "starboard",
-            'exchange their columns, and velocity_axes = "earth" under [file] of the mapping',
-            ("u", "v"),
-            edits=(Swap("u", "v"), BodyAxes()),
-        ),
-    ),
+_IN_EARTH_AXES = (
+    "u and v are velocities {} (earth axes), not along the ship and to starboard",
+    'velocity_axes = "earth" under [file] of the mapping',
+)
+_EARTH_VELOCITIES = tuple(
+    (_other_axes(_IN_EARTH_AXES[0].format(axes), first + _IN_EARTH_AXES[1], ("u", "v"), *edits),)
+    for axes, first, edits in (
+        ("north and east", "", (BodyAxes(),)),
+        ("east and north", "exchange their columns, and ", (Swap("u", "v"), BodyAxes())),
+    )
 )
 
 
@@ -153,13 +126,26 @@ class LabelReading:
 
 
 def read_frames(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
-    """Motion with its labels put right, and what was wrong with them."""
+    """Motion with its labels put right, and what was wrong with them.
+
+    A fault found by displacements has as its size the share of squared displacement that the
+    labels leave unexplained, unless it has one of its own.
+    """
     found: list[Finding] = []
     if motion.has("x", "y", "psi", "u", "v"):
         reading = _best_reading(motion)
         edits = (edit for fault in reading.faults for edit in fault.edits)
         motion = motion.with_channels(**_edited_channels(motion.values, edits))
-        found += [_sized_fault(reading, fault) for fault in reading.faults]
+        left = (
+            f"; as labelled, velocity leaves {100 * reading.labelled:.2g} % of the squared "
+            f"displacement unexplained, read so {100 * reading.misfit:.2g} %"
+        )
+        rivals = [f"as well possible: {rival}" for rival in reading.rivals]
+        for fault in reading.faults:
+            size = (fault.value, 0.0) if fault.value else (reading.labelled, reading.labelled_error)
+            text, doubt = "; ".join([fault.message + left, *rivals]), " or ".join(rivals)
+            fault = dataclasses.replace(fault, value=size[0], std=size[1], message=text)
+            found.append(dataclasses.replace(fault, doubt=doubt))
         if reading.misfit <= _GOOD:
             motion, wrong = _speed_unit(motion, reading.scale, reading.error)
             found += wrong
@@ -169,10 +155,10 @@ def read_frames(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     return _clock_unit(motion, found)
 
 
-def _edited_channels(values: dict[str, Samples], edits: Iterable) -> dict[str, Samples]:
+def _edited_channels(values: dict[str, Samples], edits: Iterable[Edit]) -> dict[str, Samples]:
     for edit in edits:
         assert isinstance(edit, ChannelEdit)
-        values = values | edit.new_series(values.__getitem__)
+        values = values | edit.new_series(values)
     return values
 
 
@@ -183,25 +169,22 @@ def _best_reading(motion: MeasuredMotion) -> LabelReading:
     readings = []
     for position, heading in itertools.product(_POSITIONS, _HEADINGS):
         edits = [edit for fault in (*position, *heading) for edit in fault.edits]
-        values = _edited_channels(motion.values, edits)
-        moved = (values["x"][end] - values["x"][start]) + 1j * (
-            values["y"][end] - values["y"][start]
-        )
+        read = motion.with_channels(**_edited_channels(motion.values, edits))
+        moved = read.place[end] - read.place[start]
         mirrored = any(
             isinstance(edit, Affine) and edit.gain < 0 for fault in heading for edit in fault.edits
         )
-        in_degrees = any(fault.kind == "unit" for fault in heading)
+        degrees = any(fault.kind == "unit" for fault in heading)
         against = turning * (-1 if mirrored else 1) < -0.5
         # Heading in degrees must have a yaw rate that is out by the same factor.
-        if in_degrees and abs(turning) > 0.5 and ratio < 10:
-            against = True
+        against |= degrees and abs(turning) > 0.5 and ratio < 10
         velocities = _BODY_VELOCITIES if heading else _BODY_VELOCITIES + _EARTH_VELOCITIES
         for velocity in velocities:
             faults = (*position, *heading, *velocity)
             edits = [edit for fault in velocity for edit in fault.edits]
             in_axes = [edit for edit in edits if not isinstance(edit, BodyAxes)]
-            seen = _edited_channels(values, in_axes)
-            turn = 1.0 if len(in_axes) < len(edits) else np.exp(1j * values["psi"])
+            seen = _edited_channels(read.values, in_axes)
+            turn = 1.0 if len(in_axes) < len(edits) else np.exp(1j * read.values["psi"])
             path = integrate(motion.t, (seen["u"] + 1j * seen["v"]) * turn)
             misfit, scale = _scaled_misfit(moved, path[end] - path[start])
             changes = sum(
@@ -228,10 +211,8 @@ def _least_changed(
     motion: MeasuredMotion, readings: list[LabelReading], start: np.ndarray, end: np.ndarray
 ) -> LabelReading:
     """The first reading, of the labels as they are, or the least changed of the far better ones."""
-    values = motion.values
-    moved = (values["x"][end] - values["x"][start]) + 1j * (values["y"][end] - values["y"][start])
-    flow = (values["u"] + 1j * values["v"]) * np.exp(1j * values["psi"])
-    path = integrate(motion.t, flow)
+    moved = motion.place[end] - motion.place[start]
+    path = integrate(motion.t, motion.earth_velocity)
     predicted, seconds = path[end] - path[start], motion.t[end] - motion.t[start]
     own = _tolerant_misfit(moved, predicted, seconds)
     best = min(readings, key=lambda reading: reading.misfit)
@@ -280,22 +261,6 @@ def _tolerant_misfit(
             continue
         best = min(best, float(np.sum(np.abs(moved - matrix @ gains) ** 2) / total))
     return best
-
-
-def _sized_fault(reading: LabelReading, fault: Finding) -> Finding:
-    """The fault with its size, what it explains, and what else might be wrong instead."""
-    left = (
-        f"; as labelled, velocity leaves {100 * reading.labelled:.2g} % of the squared "
-        f"displacement unexplained, read so {100 * reading.misfit:.2g} %"
-    )
-    rivals = [f"as well possible: {rival}" for rival in reading.rivals]
-    return dataclasses.replace(
-        fault,
-        value=fault.value or reading.labelled,
-        std=0.0 if fault.value else reading.labelled_error,
-        message=fault.message + left + "".join(f"; {rival}" for rival in rivals),
-        doubt=" or ".join(rivals),
-    )
 
 
 def _nearest_unit(ratio: float, known: Iterable[float]) -> float | None:

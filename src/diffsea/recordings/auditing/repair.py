@@ -6,14 +6,14 @@ one stage are made together, judged by another audit, and undone if that is no b
 
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from diffsea.recordings.auditing.audit import audit
 from diffsea.recordings.auditing.finding import Finding
-from diffsea.recordings.mappings import Column, Mapping
+from diffsea.recordings.mappings import Column, Mapping, native_channels
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
@@ -36,6 +36,7 @@ _CLOCK, _LABELS = 0, 1
 _ACTUATORS = len(_STAGES)
 _HARMLESS = _ACTUATORS + 1  # nothing can be done, and nothing need be
 
+_FINDING_KEYS = ("kind", "channels", "value", "std", "unit", "message")  # in repairs.json
 _Fault = tuple[str, tuple[str, ...]]  # kind and channels: what makes two findings the same
 
 
@@ -50,17 +51,8 @@ class RepairStep:
 
     def as_dict(self) -> dict[str, object]:
         """The step as it stands in repairs.json."""
-        return {
-            "kind": self.finding.kind,
-            "channels": list(self.finding.channels),
-            "value": self.finding.value,
-            "std": self.finding.std,
-            "unit": self.finding.unit,
-            "message": self.finding.message,
-            "outcome": self.outcome,
-            "reason": self.reason,
-            "in_mapping": self.in_mapping,
-        }
+        own = {"outcome": self.outcome, "reason": self.reason, "in_mapping": self.in_mapping}
+        return {key: self.finding.as_dict()[key] for key in _FINDING_KEYS} | own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,15 +95,17 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
     repaired recording therefore changes nothing. `mapping` is the one that `run` was read
     through; without one its columns are the native ones.
     """
-    before = audit(run)
+    before = tuple(audit(run))
     if mapping is None:
-        mapping = _native_mapping(run)
+        measured = [name for name in MOTION_CHANNELS if run.has(name)]
+        names = [n for n in native_channels(run) if n not in MOTION_CHANNELS or n in measured]
+        mapping = Mapping(channels={name: Column(name) for name in names}, name="native columns")
     else:  # the edits are in north-east-down axes
         mapping = dataclasses.replace(mapping, channels=mapping.ned_channels, frame="NED")
-    done = _Repaired(run, mapping, before)
+    done = Repair(run, mapping, (), before, before)
     refused: dict[_Fault, str] = {}
     for _ in range(_MOST_TRIALS):
-        waiting = [f for f in done.findings if not _hindrance(f, done.findings)]
+        waiting = [f for f in done.left if not _hindrance(f, done.left)]
         waiting = [f for f in waiting if _fault(f) not in refused]
         if not waiting:
             break
@@ -119,47 +113,38 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
         together = [f for f in waiting if _stage(f) == stage]
         together.sort(key=lambda f: _ORDER.index(f.kind) if f.kind in _ORDER else len(_ORDER))
         for group in (together, *([f] for f in together if len(together) > 1)):
-            trial = done.with_repairs(group)
-            if _is_better(done.findings, trial.findings):
+            trial = _with_repairs(done, group)
+            if _is_better(done.left, trial.left):
                 done, refused = trial, {}
                 break
         else:
-            found = "; ".join(finding.message for finding in trial.findings)
+            found = "; ".join(finding.message for finding in trial.left)
             why = f"repaired, the audit was no better, so it was undone: {found}"
             refused |= {_fault(f): why for f in together}
     steps = list(done.steps)
-    for finding in done.findings:
-        if hindrance := _hindrance(finding, done.findings):
+    for finding in done.left:
+        if hindrance := _hindrance(finding, done.left):
             steps.append(RepairStep(finding, "left", hindrance))
         else:
             why = refused.get(_fault(finding), "too many trials were needed")
             steps.append(RepairStep(finding, "undone", why))
-    return Repair(done.run, done.mapping, tuple(steps), tuple(before), tuple(done.findings))
+    return dataclasses.replace(done, steps=tuple(steps))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Repaired:
-    """A recording between two repairs: what it and its mapping have become, and its audit."""
-
-    run: Trajectory
-    mapping: Mapping
-    findings: list[Finding]
-    steps: tuple[RepairStep, ...] = ()
-
-    def with_repairs(self, group: Iterable[Finding]) -> "_Repaired":
-        """The recording with the repairs of these findings as well."""
-        run, mapping, steps = self.run, self.mapping, list(self.steps)
-        for finding in group:
-            amended: Mapping | None = mapping
-            for edit in finding.edits:
-                run = edit.apply(run)
-                amended = None if amended is None else edit.amend_mapping(amended)
-            note = f"repaired {finding.kind}: {finding.message}"
-            run = dataclasses.replace(run, provenance=(*run.provenance, note))
-            why = "the audit is better for it"
-            steps.append(RepairStep(finding, "applied", why, amended is not None))
-            mapping = mapping if amended is None else amended
-        return _Repaired(run, mapping, audit(run), tuple(steps))
+def _with_repairs(done: Repair, group: Iterable[Finding]) -> Repair:
+    """The repairs of these findings as well, and what an audit leaves after them."""
+    run, mapping, steps = done.run, done.mapping, list(done.steps)
+    for finding in group:
+        amended: Mapping | None = mapping
+        for edit in finding.edits:
+            run = edit.apply(run)
+            amended = None if amended is None else edit.amend_mapping(amended)
+        note = f"repaired {finding.kind}: {finding.message}"
+        run = dataclasses.replace(run, provenance=(*run.provenance, note))
+        why = "the audit is better for it"
+        steps.append(RepairStep(finding, "applied", why, amended is not None))
+        mapping = mapping if amended is None else amended
+    return Repair(run, mapping, tuple(steps), done.before, tuple(audit(run)))
 
 
 def _fault(finding: Finding) -> _Fault:
@@ -171,7 +156,7 @@ def _size(finding: Finding) -> float:
     return abs(finding.value - (finding.kind == "scale"))
 
 
-def _hindrance(finding: Finding, findings: list[Finding]) -> str:
+def _hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
     """Why a finding cannot be repaired as things are; empty if it can."""
     if not finding.edits:
         return finding.repair or "nothing can be done about it here"
@@ -195,7 +180,7 @@ def _stage(finding: Finding) -> int:
     return next((i for i, kinds in enumerate(_STAGES) if finding.kind in kinds), _HARMLESS)
 
 
-def _is_better(before: list[Finding], after: list[Finding]) -> bool:
+def _is_better(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
     """Whether an audit has less to say, the coarser faults counting before the finer."""
     stages = [[_stage(finding) for finding in findings] for findings in (before, after)]
     counts = [[found.count(stage) for stage in range(_HARMLESS)] for found in stages]
@@ -208,40 +193,30 @@ def _is_better(before: list[Finding], after: list[Finding]) -> bool:
     return bool(changed) and all(new[fault] < _MUCH_SMALLER * old[fault] for fault in changed)
 
 
-def _native_mapping(run: Trajectory) -> Mapping:
-    """The mapping that reads a native file as it is."""
-    names = ["t", *(name for name in MOTION_CHANNELS if run.has(name))]
-    names += [f"cmd_{name}" for name in run.commanded]
-    names += [f"exec_{name}" for name in run.executed] + list(run.extra)
-    return Mapping(channels={name: Column(name) for name in names}, name="native columns")
-
-
 def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
-    """The mapping as TOML, under comments; only what is not as usual is written."""
+    """The mapping as TOML, under comments; only what is not as usual is written.
+
+    Text, numbers and lists of them are written alike in TOML and JSON.
+    """
     lines = [f"# {line}" for note in notes for line in note.splitlines()]
     lines += ["format = 1", "", "[file]"]
-    for name, value in _unusual_fields(mapping, Mapping(channels={}), ("channels", "name")):
+    for name, value in _unusual_fields(mapping, Mapping(mapping.channels, mapping.name)):
         if name == "origin":
             value = [float(np.degrees(angle)) for angle in value]
-        lines.append(f"{name} = {_toml_value(value)}")
+        lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
     lines += ["", "[columns]"]
     for name, column in mapping.channels.items():
         plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
         pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
-        entry = ", ".join(f"{key} = {_toml_value(value)}" for key, value in pairs)
-        lines.append(f"{name if plain else _toml_value(name)} = {{ {entry} }}")
+        entry = ", ".join(
+            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs
+        )
+        quoted = name if plain else json.dumps(name, ensure_ascii=False)
+        lines.append(f"{quoted} = {{ {entry} }}")
     return "\n".join(lines) + "\n"
 
 
-def _unusual_fields(
-    record: Mapping | Column, usual: Mapping | Column, without: tuple[str, ...] = ()
-) -> list[tuple[str, Any]]:
+def _unusual_fields(record: Mapping | Column, usual: Mapping | Column) -> list[tuple[str, Any]]:
     """Names and values of the fields in which two records of a kind differ."""
-    names = [field.name for field in dataclasses.fields(record) if field.name not in without]
-    pairs = [(name, getattr(record, name)) for name in names]
+    pairs = [(f.name, getattr(record, f.name)) for f in dataclasses.fields(record)]
     return [(name, value) for name, value in pairs if value != getattr(usual, name)]
-
-
-def _toml_value(value: object) -> str:
-    """Text, numbers and lists of them are written alike in TOML and JSON."""
-    return json.dumps(value, ensure_ascii=False)

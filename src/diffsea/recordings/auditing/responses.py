@@ -19,12 +19,6 @@ from jaxtyping import Float, Int
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, wrong_sign
 from diffsea.recordings.motion import MeasuredMotion
-from diffsea.recordings.response_lag import (
-    NO_RESPONSE,
-    LaggedResponse,
-    largest_explained_share,
-    response_to,
-)
 from diffsea.trajectory import Samples, Series, Trajectory
 
 
@@ -34,6 +28,7 @@ _STEERING = ("rudder", "helm", "delta")
 _PROPELLERS = ("propeller", "prop", "engine")
 _ANGLES = ("angle", "azimuth")
 
+_EXPLAINED = 0.3  # share of the response's variance that the actuation must explain
 _CERTAIN = 4.0  # standard errors
 _SPREAD_OF_REVERSALS = 0.35  # relative, of the headings at which a zig-zag's rudder is reversed
 _DEAD_RUDDER = 0.02  # share of the yaw rate's variance below which a rudder does nothing
@@ -49,6 +44,103 @@ _TURNS = "positive {channel} turns the vessel to {side}"
 _SLOWS = "positive {channel} slows the vessel down"
 _PUSHES_ASTERN = "positive {channel} pushes astern"
 _UNITS = {"yaw": "rad/s per unit of actuation", "surge": "m/s per unit of actuation"}
+
+_Actuation = Float[np.ndarray, "actuator time"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LaggedResponse:
+    """Response per unit of each actuation, how well it fits and how certain its sign is.
+
+    `explained` is the share of the response's variance that the actuation explains; `errors` are
+    the standard errors of the `gains`, the memory of the residual allowed for; `certainty` is in
+    standard errors.
+    """
+
+    gains: Float[np.ndarray, "actuator"]
+    errors: Float[np.ndarray, "actuator"]
+    explained: float
+    certainty: float
+
+    @property
+    def sound(self) -> bool:
+        """Whether it explains enough, and surely."""
+        return self.explained > _EXPLAINED and self.certainty > _CERTAIN
+
+
+NO_RESPONSE = LaggedResponse(np.zeros(2), np.full(2, np.inf), 0.0, 0.0)
+
+
+def response_to(
+    motion: MeasuredMotion, channel: str, actuation: _Actuation, signs: bool = True
+) -> LaggedResponse:
+    """Response of a channel to lagged actuation, with the time constant that fits best.
+
+    What cannot be believed is `NO_RESPONSE`; without `signs` it need not be confirmed by
+    increments. As many samples count as independent as the run has correlation times of the
+    residual, which is the lag at which half of it is forgotten.
+    """
+    known, response = motion.known[channel], motion.values[channel]
+    if np.sum(known) < 40 or np.var(response[known]) <= 0 or np.any(np.ptp(actuation, 1) <= 0):
+        return NO_RESPONSE
+    fits = _lagged_fits(motion, channel, actuation)
+    best = int(np.argmax([explained for _, explained, _, _ in fits]))
+    gains, explained, rest, lagged = fits[best]
+    # At the shortest lag the actuator follows the motion rather than the motion the actuator.
+    if best == 0 or (signs and not _increments_agree(motion, channel, actuation, gains)):
+        return NO_RESPONSE
+    centred = rest - rest.mean()
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * rest.size)) ** 2)[: rest.size]
+    below = np.flatnonzero(correlation < 0.5 * correlation[0])
+    memory = float(max(1, below[0] if below.size else rest.size))
+    freedom = motion.duration / (2 * memory * motion.interval)
+    certainty = np.sqrt(max(explained, 0.0) / max(1 - explained, 1e-6) * freedom)
+    regressors = lagged[:, known]
+    regressors = regressors - regressors.mean(axis=1, keepdims=True)
+    covariance = np.linalg.pinv(regressors @ regressors.T / rest.size) * np.var(rest) / freedom
+    return LaggedResponse(gains, np.sqrt(np.diag(covariance)), float(explained), float(certainty))
+
+
+def _lagged_fits(
+    motion: MeasuredMotion, channel: str, actuation: _Actuation
+) -> list[tuple[np.ndarray, float, np.ndarray, _Actuation]]:
+    """Gains, share explained, residual and lagged actuation, each for one time constant.
+
+    Time constants go from two sampling intervals to the whole run.
+    """
+    from scipy import signal  # slow to import, and for recordings with actuators alone
+
+    known, response, dt = motion.known[channel], motion.values[channel], motion.interval
+    start, fits = actuation[:, :1], []
+    for constant in np.geomspace(2 * dt, motion.duration, 14):
+        share = 1 - np.exp(-(dt / constant))
+        lagged = start + signal.lfilter([share], [1, share - 1], actuation - start, axis=1)
+        matrix = np.vstack([lagged, np.ones_like(response)]).T[known]
+        gains = np.linalg.lstsq(matrix, response[known], rcond=None)[0]
+        rest = response[known] - matrix @ gains
+        explained = float(1 - np.var(rest) / np.var(response[known]))
+        fits.append((gains[:-1], explained, rest, lagged))
+    return fits
+
+
+def _increments_agree(
+    motion: MeasuredMotion, channel: str, actuation: _Actuation, gains: np.ndarray
+) -> bool:
+    """Whether increments over most spans confirm the signs, the motion itself allowed for."""
+    response, dt = motion.values[channel], motion.interval
+    votes = []
+    for span in np.geomspace(2 * dt, 0.1 * (motion.t[-1] - motion.t[0]), 6):
+        width = max(1, int(round(span / dt)))
+        if 8 * width > response.size:
+            continue
+        sums = np.cumsum(np.vstack([actuation, response, np.ones_like(response)]), axis=1)
+        matrix = (sums[:, width:] - sums[:, :-width]).T * dt
+        target = response[width:] - response[:-width]
+        slopes = np.linalg.lstsq(matrix, target, rcond=None)[0]
+        if np.var(target - matrix @ slopes) > 0.95 * np.var(target):
+            continue
+        votes.append(np.all(np.sign(slopes[: len(gains)]) == np.sign(gains)))
+    return len(votes) > 0 and float(np.mean(votes)) >= 0.6
 
 
 def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Finding]:
@@ -83,21 +175,32 @@ def _on_motion_clock(trajectory: Trajectory, motion: MeasuredMotion, series: Ser
 
 
 def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[Finding]:
-    """Findings on either the commanded or the executed actuators, by their channels."""
+    """Findings on either the commanded or the executed actuators, by their channels.
+
+    A tunnel thruster pushes to starboard: at the bow that turns the vessel to starboard, at the
+    stern to port.
+    """
     found = []
     port = [name for name in series if _has(name, _PORT) and not _has(name, _STEERING)]
     starboard = [name for name in series if _has(name, _STARBOARD) and not _has(name, _STEERING)]
     for name, values in series.items():
+        stern = _has(name, ("stern",))
         if _has(name, _STEERING):
             found += _rudder(motion, name, values, alone=not port)
         elif _has(name, _ANGLES):
             continue
-        elif _has(name, ("bow",)) or (
-            _has(name, ("stern",)) and _has(name, ("tunnel", "thruster"))
-        ):
-            found += _tunnel_thruster(motion, name, values, -1 if _has(name, ("stern",)) else 1)
+        elif _has(name, ("bow",)) or (stern and _has(name, ("tunnel", "thruster"))):
+            response = _response_of_one(motion, "r", values)
+            if response.sound and response.gains[0] * (-1 if stern else 1) <= 0:
+                text = _TURNS.format(channel=name, side="starboard" if stern else "port")
+                found.append(_reversed_actuator(name, response, "yaw", text))
         elif _has(name, _PROPELLERS):
-            found += _propeller(motion, name, values)
+            if np.ptp(values) < _NOTABLE_SHARE * np.max(np.abs(values)):
+                continue
+            response = _response_of_one(motion, "u", values)
+            if response.sound and response.gains[0] <= 0:
+                text = _SLOWS.format(channel=name)
+                found.append(_reversed_actuator(name, response, "surge", text))
     if len(port) == len(starboard) == 1:
         names = (port[0], starboard[0])
         found += _thruster_pair(motion, names, series[port[0]], series[starboard[0]])
@@ -109,23 +212,27 @@ def _has(channel: str, words: tuple[str, ...]) -> bool:
     return any(word in name for word in words)
 
 
+def _response_of_one(motion: MeasuredMotion, channel: str, series: Samples) -> LaggedResponse:
+    """Response to one actuator; none where the motion was not measured."""
+    return response_to(motion, channel, series[None]) if motion.has(channel) else NO_RESPONSE
+
+
 def _blame_mirrored_axes(found: list[Finding]) -> list[Finding]:
     """Where rudder and thrust both turn the vessel the wrong way, the motion is mirrored."""
     turning = [finding for finding in found if finding.axis == "yaw"]
     if {finding.kind for finding in turning} != {"sign", "swapped-actuators"}:
         return found
-    mirrored = Finding(
-        "axes",
-        turning[0].value,
-        turning[0].std,
-        turning[0].unit,
+    text = (
         "rudder and thrust both turn the vessel to the other side: y, heading, v and yaw rate "
-        "are positive to port, or x is east and y north",
-        "sign = -1 for y, psi, v and r in the mapping, or exchange x and y and turn psi by "
-        "90 deg as well",
-        ("y", "psi", "v", "r"),
-        edits=(Affine(("y", "psi", "v", "r"), -1.0),),
+        "are positive to port, or x is east and y north"
     )
+    repair = (
+        "sign = -1 for y, psi, v and r in the mapping, or exchange x and y and turn psi by "
+        "90 deg as well"
+    )
+    first, channels = turning[0], ("y", "psi", "v", "r")
+    size, edits = (first.value, first.std, first.unit), (Affine(channels, -1.0),)
+    mirrored = Finding("axes", *size, text, repair, channels, edits=edits)
     return [finding for finding in found if finding not in turning] + [mirrored]
 
 
@@ -155,28 +262,6 @@ def _rudder(motion: MeasuredMotion, channel: str, angle: Samples, alone: bool) -
     )
 
 
-def _tunnel_thruster(
-    motion: MeasuredMotion, channel: str, force: Samples, side: int
-) -> list[Finding]:
-    """A tunnel thruster pushes to starboard: at the bow that turns the vessel to starboard."""
-    if not motion.has("r") or np.ptp(force) <= 0:
-        return []
-    response = response_to(motion, "r", force[None])
-    if not response.sound or response.gains[0] * side > 0:
-        return []
-    text = _TURNS.format(channel=channel, side="port" if side > 0 else "starboard")
-    return [_reversed_actuator(channel, response, "yaw", text)]
-
-
-def _propeller(motion: MeasuredMotion, channel: str, speed: Samples) -> list[Finding]:
-    if not motion.has("u") or np.ptp(speed) < _NOTABLE_SHARE * np.max(np.abs(speed)):
-        return []
-    response = response_to(motion, "u", speed[None])
-    if not response.sound or response.gains[0] > 0:
-        return []
-    return [_reversed_actuator(channel, response, "surge", _SLOWS.format(channel=channel))]
-
-
 def _thruster_pair(
     motion: MeasuredMotion, names: tuple[str, str], port: Samples, starboard: Samples
 ) -> list[Finding]:
@@ -186,44 +271,34 @@ def _thruster_pair(
     half, mean = 0.5 * (port - starboard), 0.5 * (port + starboard)
     yaw = surge = NO_RESPONSE
     if np.ptp(half) > _NOTABLE_SHARE * np.ptp(mean):
-        yaw = response_to(motion, "r", half[None])
-    if motion.has("u") and np.ptp(mean) > _NOTABLE_SHARE * np.ptp(half):
-        surge = response_to(motion, "u", mean[None])
+        yaw = _response_of_one(motion, "r", half)
+    if np.ptp(mean) > _NOTABLE_SHARE * np.ptp(half):
+        surge = _response_of_one(motion, "u", mean)
     both = np.stack([port, starboard])
     one = _one_reversed_thruster(motion, names, both, yaw) or _dead_thruster(motion, names, both)
     if one:
         return one
+    found = []
     if surge.sound and surge.gains[0] < 0:
         found = [
             _reversed_actuator(name, surge, "surge", _SLOWS.format(channel=name)) for name in names
         ]
-        # Thrusters that are both reversed turn the vessel the wrong way as well.
-        exchanged = yaw.sound and yaw.gains[0] >= 0
-        return [*found, _exchanged_thrusters(names, yaw)] if exchanged else found
-    return [_exchanged_thrusters(names, yaw)] if yaw.sound and yaw.gains[0] < 0 else []
-
-
-def _exchanged_thrusters(names: tuple[str, str], yaw: LaggedResponse) -> Finding:
-    gain = float(yaw.gains[0])
-    return Finding(
-        "swapped-actuators",
-        gain,
-        abs(gain) / yaw.certainty,
-        _UNITS["yaw"],
-        f"more {names[0]} than {names[1]} turns the vessel to port{_share_text(yaw)}: the two are "
-        f"exchanged{_MIRRORED}",
-        f"exchange the columns of {names[0]} and {names[1]} in the mapping",
-        names,
-        edits=(Swap(*names),),
-        axis="yaw",
-    )
+    # Thrusters that are both reversed turn the vessel the wrong way as well.
+    if yaw.sound and (yaw.gains[0] >= 0 if found else yaw.gains[0] < 0):
+        gain = float(yaw.gains[0])
+        text = (
+            f"more {names[0]} than {names[1]} turns the vessel to port{_share_text(yaw)}: the two "
+            f"are exchanged{_MIRRORED}"
+        )
+        repair = f"exchange the columns of {names[0]} and {names[1]} in the mapping"
+        size, edits = (gain, abs(gain) / yaw.certainty, _UNITS["yaw"]), (Swap(*names),)
+        kind = "swapped-actuators"
+        found.append(Finding(kind, *size, text, repair, names, edits=edits, axis="yaw"))
+    return found
 
 
 def _one_reversed_thruster(
-    motion: MeasuredMotion,
-    names: tuple[str, str],
-    both: Float[np.ndarray, "2 time"],
-    yaw: LaggedResponse,
+    motion: MeasuredMotion, names: tuple[str, str], both: _Actuation, yaw: LaggedResponse
 ) -> list[Finding]:
     """One of two thrusters reversed: the sum then turns and the difference speeds up."""
     if np.min(np.ptp(both, axis=1)) <= 0 or not motion.has("u"):
@@ -278,7 +353,7 @@ def _dead_rudder(motion: MeasuredMotion, channel: str, angle: Samples) -> list[F
     speed = np.abs(motion.values["u"])
     if np.median(speed) < 0.3 * np.max(speed):
         return []
-    share = largest_explained_share(motion, "r", angle[None])
+    share = max(explained for _, explained, _, _ in _lagged_fits(motion, "r", angle[None]))
     if share > _DEAD_RUDDER:
         return []
     text = (
@@ -291,7 +366,7 @@ def _dead_rudder(motion: MeasuredMotion, channel: str, angle: Samples) -> list[F
 
 
 def _dead_thruster(
-    motion: MeasuredMotion, names: tuple[str, str], both: Float[np.ndarray, "2 time"]
+    motion: MeasuredMotion, names: tuple[str, str], both: _Actuation
 ) -> list[Finding]:
     """One of two thrusters without effect, while the other turns the vessel."""
     spans = np.ptp(both, axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError
-from diffsea.recordings.vocabulary import ACTUATOR_PREFIXES
+from diffsea.recordings.mappings import ACTUATOR_PREFIXES
 from diffsea.series import between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import Samples
 

@@ -12,8 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.mappings import Mapping
-from diffsea.recordings.vocabulary import REPEATED_TIMES
+from diffsea.recordings.mappings import REPEATED_TIMES, Mapping
 from diffsea.trajectory import RowsLeftOut, Samples
 
 

@@ -14,8 +14,8 @@ from diffsea.recordings.auditing.actuators import order_findings
 from diffsea.recordings.auditing.finding import Finding
 from diffsea.recordings.auditing.responses import response_findings
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
+from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.motion import motion_of
-from diffsea.recordings.vocabulary import UNITS
 from diffsea.trajectory import Series, Trajectory
 
 

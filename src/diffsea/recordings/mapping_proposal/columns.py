@@ -18,8 +18,8 @@ from jaxtyping import Complex, Float
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mapping_proposal.table_layout import TableLayout
+from diffsea.recordings.mappings import UNITS
 from diffsea.recordings.tables import read_table
-from diffsea.recordings.vocabulary import UNITS
 from diffsea.series import bridge_gaps, integrate, strictly_later
 from diffsea.trajectory import Samples
 

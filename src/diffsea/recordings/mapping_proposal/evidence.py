@@ -40,9 +40,8 @@ from diffsea.recordings.mapping_proposal.table_layout import (
     numeric_columns,
     sniff_layout,
 )
-from diffsea.recordings.mappings import Column
+from diffsea.recordings.mappings import UNITS, Column
 from diffsea.recordings.readers import read_recording
-from diffsea.recordings.vocabulary import UNITS
 from diffsea.trajectory import Samples
 
 

@@ -10,7 +10,7 @@ import importlib.resources
 import re
 import tomllib
 
-from diffsea.recordings.vocabulary import UNITS
+from diffsea.recordings.mappings import UNITS
 
 
 _TEXT = importlib.resources.files("diffsea.recordings.mapping_proposal") / "vocabulary.toml"

@@ -21,8 +21,7 @@ from diffsea.recordings.mapping_proposal.evidence import (
 from diffsea.recordings.mapping_proposal.hypotheses import NED
 from diffsea.recordings.mapping_proposal.names import LABELS
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
-from diffsea.recordings.mappings import Column
-from diffsea.recordings.vocabulary import is_channel
+from diffsea.recordings.mappings import Column, is_channel
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import MOTION_CHANNELS
 

@@ -28,7 +28,7 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     period_log_odds,
     ratio_penalty,
 )
-from diffsea.recordings.vocabulary import UNITS
+from diffsea.recordings.mappings import UNITS
 
 
 _SATURATION = 12.0  # log odds of a perfect relation of one column to others

@@ -35,7 +35,7 @@ from diffsea.recordings.mapping_proposal.screening import (
     HeadingCandidate,
     saturated_evidence,
 )
-from diffsea.recordings.vocabulary import UNITS
+from diffsea.recordings.mappings import UNITS
 
 
 _FINEST = 1e-5  # share of squared displacement that is never explained
