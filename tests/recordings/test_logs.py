@@ -13,7 +13,7 @@ from diffsea.cli import main
 from diffsea.recordings import audit
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.logs import contents, is_log
-from diffsea.recordings.logs.joining import LogChannel, join_channels
+from diffsea.recordings.logs.reading import LogChannel, join_channels
 from diffsea.recordings.logs.streams import euler_angles
 
 

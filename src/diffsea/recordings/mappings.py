@@ -153,6 +153,12 @@ class Column:
         """What is added after the gain, in SI."""
         return self.sign * self.offset * self._factor
 
+    @property
+    def topic_and_field(self) -> tuple[str, str]:
+        """Of a column of a log, `topic:field`; the topic is empty where the name has none."""
+        topic, _, field = self.column.rpartition(":")
+        return topic, field
+
     def opposite(self, beyond: float) -> "Column":
         """The column of `beyond` minus this channel, in SI."""
         offset = self.offset - beyond / (self.sign * self._factor)

@@ -15,18 +15,18 @@ _FORMATS_ID = 0x80  # the message that defines the others
 # A satellite fix below two dimensions (GPS.Status) measures nothing.
 _FIX_STATUS = {"GPS": "Status", "GPS2": "Status"}
 _TWO_DIMENSIONS = 2
-_NUMBERS = "bBhHiIqQfdgcCeELMa"  # characters of formats that are numbers; M is a mode
+_NUMBERS = "bBhHiIqQfdgcCeELM"  # characters of formats that are numbers; M is a mode
 
 
 def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message that has a time; instances have their number in []."""
     log, _ = _open_log(path)
-    found = {}
     with unreadable(path, "an ArduPilot log"):
-        for number in sorted(log.formats, key=lambda number: log.formats[number].name):
-            form = log.formats[number]
-            if log.counts[number] and any(time in form.columns for time in _TIME_FIELDS):
-                found[form.name] = _numeric_fields(form)
+        found = {
+            form.name: _numeric_fields(form)
+            for number, form in sorted(log.formats.items(), key=lambda item: item[1].name)
+            if log.counts[number] and any(time in form.columns for time in _TIME_FIELDS)
+        }
         instances = {name: name.partition("[")[0] for name in log.messages if "[" in name}
         found |= {name: found[base] for name, base in instances.items() if base in found}
         found = {name: fields for name, fields in found.items() if name not in instances.values()}
@@ -40,7 +40,8 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     degrees. A message of several instances is named with the instance, `GPS[1]`; without it the
     first is meant. Satellite fixes below two dimensions are NaN.
 
-    Raises `UserError` for a file that is no such log, or has no data.
+    Raises:
+        UserError: the file is no such log or has no data, or a topic has no time.
     """
     del mapping
     log, notes = _open_log(path)
@@ -48,7 +49,10 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     messages: dict[str, list] = {}
     with unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=list(bases))) is not None:
-            messages.setdefault(_topic_name(message), []).append(message)
+            name, instance = message.get_type(), message.fmt.instance_field
+            if instance is not None:
+                name = f"{name}[{getattr(message, instance)}]"
+            messages.setdefault(name, []).append(message)
     streams = {}
     for topic in topics:
         found = messages.get(topic) or messages.get(f"{topic}[0]")
@@ -79,13 +83,8 @@ def _numeric_fields(form: Any) -> list[str]:
     return [
         column
         for column, kind in zip(form.columns, form.format, strict=False)
-        if kind in _NUMBERS and kind != "a" and column not in _TIME_FIELDS
+        if kind in _NUMBERS and column not in _TIME_FIELDS
     ]
-
-
-def _topic_name(message: Any) -> str:
-    name, instance = message.get_type(), message.fmt.instance_field
-    return name if instance is None else f"{name}[{getattr(message, instance)}]"
 
 
 def _stream(topic: str, messages: list, path: Path, notes: tuple[str, ...]) -> Stream:

@@ -13,7 +13,7 @@ from diffsea.recordings.mappings import Mapping
 
 @dataclasses.dataclass
 class _Group:
-    """The numeric arrays of one structure, and what else stands in it."""
+    """The numeric arrays of one structure, and why what else stands in it is not read."""
 
     arrays: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     unread: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -39,22 +39,26 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     Matrices give a field per column (or per row, where the rows are as many as columns of
     others), `pos.0`, `pos.1` ...
 
-    Raises `UserError` for files of MATLAB 7.3 (HDF5) and others that cannot be read, for a
-    missing time, and for structures whose vectors have another length than their time.
+    Raises:
+        UserError: the file is of MATLAB 7.3 (HDF5) or cannot be read, a time is missing, or
+            the vectors of a structure have another length than their time.
     """
     groups = _groups(path)
-    if "t" in mapping.channels:
-        _check_time(groups, mapping, path)
-    elif mapping.time_step is None:
+    has = list_fields({name: list(group.arrays) for name, group in groups.items()})
+    if "t" not in mapping.channels and mapping.time_step is None:
         raise UserError(
             f"{mapping.name}: {path} needs a channel t, or [file] time_step in seconds; it has\n"
-            + _list_arrays(groups)
+            + has
         )
-    return {
-        topic: _stream(topic, groups, mapping, path)
-        for topic in topics
-        if topic in groups and groups[topic].arrays
-    }
+    if "t" in mapping.channels:
+        topic, field = mapping.channels["t"].topic_and_field
+        if topic not in groups or field not in groups[topic].arrays:
+            raise UserError(
+                f"{path} has no {mapping.channels['t'].column!r}, which {mapping.name} maps to t. "
+                f"It has\n{has}"
+            )
+    there = [topic for topic in topics if topic in groups and groups[topic].arrays]
+    return {topic: _stream(topic, groups, mapping) for topic in there}
 
 
 def _groups(path: Path) -> dict[str, _Group]:
@@ -77,6 +81,7 @@ def _groups(path: Path) -> dict[str, _Group]:
 
 
 def _gather(topic: str, name: str, value: Any, groups: dict[str, _Group]) -> None:
+    """Puts a variable, and what stands in it, into the groups of their structures."""
     inner = f"{topic}.{name}" if topic else name
     if isinstance(value, dict):
         for field, item in value.items():
@@ -95,60 +100,28 @@ def _gather(topic: str, name: str, value: Any, groups: dict[str, _Group]) -> Non
         group.unread[name] = "is no series of numbers"
 
 
-def _time_name(mapping: Mapping) -> tuple[str, str]:
-    topic, _, field = mapping.channels["t"].column.rpartition(":")
-    return topic, field
-
-
-def _check_time(groups: dict[str, _Group], mapping: Mapping, path: Path) -> None:
-    topic, field = _time_name(mapping)
-    if topic not in groups or field not in groups[topic].arrays:
-        raise UserError(
-            f"{path} has no {mapping.channels['t'].column!r}, which {mapping.name} maps to t. It "
-            f"has\n{_list_arrays(groups)}"
-        )
-
-
-def _list_arrays(groups: dict[str, _Group]) -> str:
-    return list_fields({name: list(group.arrays) for name, group in groups.items()})
-
-
-def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping, path: Path) -> Stream:
+def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping) -> Stream:
+    """A structure as a stream; arrays of another length than its time are unfit."""
     group = groups[topic]
     if "t" not in mapping.channels:
         size = max(max(array.shape) for array in group.arrays.values())
         t, clock = np.arange(size) * mapping.time_step, "[file] time_step"
     else:
-        owner, time = _time(topic, groups, mapping)
-        column = mapping.channels["t"]
-        t = time.ravel() * column.gain + column.shift
-        clock = f"{owner}:{_time_name(mapping)[1]}".removeprefix(":")
+        column, parts = mapping.channels["t"], topic.split(".")
+        default, field = column.topic_and_field
+        around = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
+        owners = [name for name in (*around, default) if name in groups]
+        owner = next(name for name in owners if field in groups[name].arrays)
+        t = groups[owner].arrays[field].ravel() * column.gain + column.shift
+        clock = f"{owner}:{field}".removeprefix(":")
     fields, unfit = {}, dict(group.unread)
     for name, array in group.arrays.items():
-        series = _series(name, array, t.size)
-        fields |= series
-        if not series:
+        columns = np.atleast_2d(array.T if array.shape[0] == t.size else array)
+        if array.ndim == 1 and array.size == t.size:
+            fields[name] = array
+        elif array.ndim == 2 and columns.shape[1] == t.size and len(columns) <= LONGEST_ARRAY:
+            fields |= {f"{name}.{index}": series for index, series in enumerate(columns)}
+        else:
             shape = " x ".join(map(str, array.shape))
             unfit[name] = f"has {shape} values, but its time ({clock}) has {t.size}"
     return Stream(topic, t, fields, clock, unfit=unfit)
-
-
-def _time(topic: str, groups: dict[str, _Group], mapping: Mapping) -> tuple[str, np.ndarray]:
-    """The time of a structure: its own, that of one around it, or that which t names."""
-    default, field = _time_name(mapping)
-    parts = topic.split(".")
-    around = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
-    for owner in (*around, default):
-        if owner in groups and field in groups[owner].arrays:
-            return owner, groups[owner].arrays[field]
-    raise AssertionError("the time was checked before")
-
-
-def _series(name: str, array: np.ndarray, size: int) -> dict[str, np.ndarray]:
-    """The array as series of `size`; none where it has no such axis."""
-    if array.ndim == 1:
-        return {name: array} if array.size == size else {}
-    columns = array.T if array.shape[0] == size else array
-    if columns.shape[1] != size or columns.shape[0] > LONGEST_ARRAY:
-        return {}
-    return {f"{name}.{index}": column for index, column in enumerate(columns)}

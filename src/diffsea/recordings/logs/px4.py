@@ -10,41 +10,49 @@ from diffsea.recordings.logs.streams import Stream, euler_angles, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
-# Where a flag is not set, or a fix is below two dimensions, these fields are not known.
-_FLAGS = {
-    "xy_valid": ("x", "y"),
-    "v_xy_valid": ("vx", "vy"),
-    "lat_lon_valid": ("lat", "lon"),
+# Fields that are not known where another field of the message is below a limit: a flag that is
+# not set, or a fix below two dimensions.
+_NEEDED = {
+    "xy_valid": (1, ("x", "y")),
+    "v_xy_valid": (1, ("vx", "vy")),
+    "lat_lon_valid": (1, ("lat", "lon")),
+    "fix_type": (2, ("lat", "lon", "latitude_deg", "longitude_deg", "vel_n_m_s", "vel_e_m_s")),
 }
-_FIX_NEEDED = ("lat", "lon", "latitude_deg", "longitude_deg", "vel_n_m_s", "vel_e_m_s")
-_SATELLITE = "fix_type"
-_TWO_DIMENSIONS = 2
 
 
 def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message; instances other than the first have their number in []."""
     log, _ = _open_log(path, None)
-    return {name: list(_fields(data)) for name, data in _data_by_topic(log).items()}
+    found = {}
+    for data in sorted(log.data_list, key=lambda data: (data.name, data.multi_id)):
+        instance = f"[{data.multi_id}]" if data.multi_id else ""
+        found[data.name + instance] = list(_fields(data))
+    return found
 
 
 def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
     """The streams of those of the topics that the log has; time is seconds since boot.
 
-    Quaternions `q.0` (w) to `q.3` also give `q.roll`, `q.pitch` and `q.yaw`, in the message's
-    frame, north-east-down. Fields that a flag of their message calls invalid are NaN.
+    `sensor_gps[1]` is the second instance of a message, `sensor_gps` the first. Quaternions
+    `q.0` (w) to `q.3` also give `q.roll`, `q.pitch` and `q.yaw`, in the message's frame,
+    north-east-down. Fields that a flag of their message calls invalid are NaN.
 
-    Raises `UserError` for a file that is no ULog, or has no data.
+    Raises:
+        UserError: the file is no ULog, or has no data.
     """
     del mapping
-    log, notes = _open_log(path, [_name_and_instance(topic)[0] for topic in topics])
+    wanted = {}
+    for topic in topics:
+        parts = re.fullmatch(r"(.+)\[(\d+)\]", topic)
+        wanted[topic] = (parts[1], int(parts[2])) if parts else (topic, 0)
+    log, notes = _open_log(path, [name for name, _ in wanted.values()])
     data = {(data.name, data.multi_id): data for data in log.data_list}
     streams = {}
-    for topic in topics:
-        found = data.get(_name_and_instance(topic))
-        if found is not None:
-            t = found.data["timestamp"] * 1e-6
-            clock = "the autopilot's time since boot"
-            streams[topic] = Stream(topic, t, _fields(found), clock, notes)
+    for topic, instance in wanted.items():
+        if instance in data:
+            t = data[instance].data["timestamp"] * 1e-6
+            fields, clock = _fields(data[instance]), "the autopilot's time since boot"
+            streams[topic] = Stream(topic, t, fields, clock, notes)
     return streams
 
 
@@ -58,31 +66,13 @@ def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]
             raise ValueError("it ends before its definitions")
     if log.file_corruption:
         return log, (f"{path.name} is damaged; what could be read of it is used",)
-    if _ends_within_message(path):
+    # Every message begins with its length and its kind.
+    content, at = path.read_bytes(), 16  # bytes of the file's header
+    while at + 3 <= len(content):
+        at += 3 + int.from_bytes(content[at : at + 2], "little")
+    if at != len(content):
         return log, (f"{path.name} ends within a message; what is before it is used",)
     return log, ()
-
-
-def _ends_within_message(path: Path) -> bool:
-    """Whether the last message is incomplete; each begins with its length and its kind."""
-    log = path.read_bytes()
-    at = 16  # bytes of the file's header
-    while at + 3 <= len(log):
-        at += 3 + int.from_bytes(log[at : at + 2], "little")
-    return at != len(log)
-
-
-def _data_by_topic(log: Any) -> dict[str, Any]:
-    sets = sorted(log.data_list, key=lambda data: (data.name, data.multi_id))
-    return {
-        data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]": data for data in sets
-    }
-
-
-def _name_and_instance(topic: str) -> tuple[str, int]:
-    """Name and instance: `sensor_gps[1]` is the second, `sensor_gps` the first."""
-    parts = re.fullmatch(r"(.+)\[(\d+)\]", topic)
-    return (parts[1], int(parts[2])) if parts else (topic, 0)
 
 
 def _fields(data: Any) -> dict[str, np.ndarray]:
@@ -91,20 +81,12 @@ def _fields(data: Any) -> dict[str, np.ndarray]:
         for name, series in data.data.items()
         if name != "timestamp"
     }
-    for flag, names in _FLAGS.items():
-        _mask(fields, names, fields.get(flag), 1)
-    _mask(fields, _FIX_NEEDED, fields.get(_SATELLITE), _TWO_DIMENSIONS)
-    for base in [
-        name.removesuffix(".3") for name in fields if re.fullmatch(r"(.+\.)?q(_\w+)?\.3", name)
-    ]:
+    for level, (least, names) in _NEEDED.items():
+        for name in names:
+            if level in fields and name in fields:
+                fields[name] = np.where(fields[level] >= least, fields[name], np.nan)
+    last = [name for name in fields if re.fullmatch(r"(.+\.)?q(_\w+)?\.3", name)]
+    for base in [name.removesuffix(".3") for name in last]:
         for angle, series in euler_angles(*(fields[f"{base}.{i}"] for i in range(4))).items():
             fields[f"{base}.{angle}"] = series
     return fields
-
-
-def _mask(
-    fields: dict[str, np.ndarray], names: tuple[str, ...], level: np.ndarray | None, least: int
-) -> None:
-    for name in names:
-        if level is not None and name in fields:
-            fields[name] = np.where(level >= least, fields[name], np.nan)

@@ -1,17 +1,22 @@
-"""A log through a mapping: streams read, channels picked, put into SI and NED, and joined."""
+"""A log through a mapping: streams read, channels picked, put into SI and NED, and joined.
+
+Topics have clocks of their own. They are put on one clock without inventing data.
+"""
 
 import dataclasses
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.geodesy import place_fixes
 from diffsea.recordings.logs import ardupilot, matlab, px4, ros
-from diffsea.recordings.logs.joining import LogChannel, join_channels
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
 from diffsea.recordings.mappings import Column, Mapping
+from diffsea.recordings.vocabulary import ACTUATOR_PREFIXES
+from diffsea.series import between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
 
@@ -25,12 +30,22 @@ FORMATS = (
     ),
 )
 _HEADINGS = ("yaw", "heading", "psi")  # what a field for the example may be called
+_ANGLES = ("psi", "phi", "wind_direction")
+_BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
+
+Rows = Float[np.ndarray, "row"]  # the recording's, in s, or values in them
 
 
 class LogChannels(NamedTuple):
-    """The channels of a log on one clock, in SI units and NED axes."""
+    """The channels of a log on one clock, in SI units and NED axes.
 
-    values: dict[str, Samples]  # with `t` in s
+    Attributes:
+        values: by channel, with `t` in s.
+        notes: what was done to them, in words.
+        repeated_times: of every topic that had such.
+    """
+
+    values: dict[str, Samples]
     notes: list[str]
     repeated_times: tuple[RowsLeftOut, ...]
 
@@ -43,7 +58,8 @@ def is_log(path: Path) -> bool:
 def contents(path: Path) -> dict[str, list[str]]:
     """The topics of a log and their numeric fields.
 
-    Raises `UserError` for a file that is none, or an optional package that is absent.
+    Raises:
+        UserError: the file is no log, or an optional package is absent.
     """
     form = _checked_format(path)
     with form.packages(path):
@@ -57,14 +73,26 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     where that leaves no doubt. The rows are the samples of the topic with the most of them, or
     of that under [file] clock; `join_channels` says how the other topics meet them.
 
-    Raises `UserError` for a log that cannot be read, a topic or field that it does not have,
-    a stream with one sample or with time that runs backwards, and clocks that do not overlap.
+    Raises:
+        UserError: the log cannot be read or lacks a topic or field, a stream has one sample or
+            time that runs backwards, or clocks do not overlap.
     """
     form = _checked_format(path)
     if mapping is None:
         raise UserError(_how_to_map(path, form))
-    _check_columns(mapping, path, form)
     columns = {name: column for name, column in mapping.ned_channels.items() if name != "t"}
+    if not form.time_is_mapped:
+        if "t" in mapping.channels or mapping.time_step is not None:
+            raise UserError(
+                f"{mapping.name}: {path} has clocks of its own, so leave t and [file] time_step "
+                "out; [file] clock chooses the topic whose samples become the rows"
+            )
+        for name, column in columns.items():
+            if not all(column.topic_and_field):
+                raise UserError(
+                    f"{mapping.name}: [columns] {name}: {column.column!r} must be written "
+                    f"topic:field, for {path} is a log with several topics"
+                )
     if not any(name in columns for name in (*MOTION_CHANNELS, "latitude")):
         raise UserError(
             f"{mapping.name} has no motion channel ({', '.join(MOTION_CHANNELS)}, or latitude "
@@ -72,12 +100,19 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
         )
     streams = _mapped_streams(path, mapping, form, columns)
     channels, notes = _pick_channels(path, mapping, columns, streams)
-    clock, why = _choose_clock(mapping, streams)
-    rows = clock.t
-    notes.insert(0, f"rows are the {rows.size} samples of {clock.title} ({why})")
-    values, lost = join_channels(channels, rows, mapping.velocity_axes == "earth", str(path))
+    if mapping.clock is not None and mapping.clock not in streams:
+        raise UserError(
+            f"{mapping.name}: [file] clock = {mapping.clock!r} is none of the topics mapped: "
+            + ", ".join(streams)
+            + nearest(mapping.clock, streams)
+        )
+    clock, why = max(streams.values(), key=lambda stream: stream.t.size), "the most samples"
+    if mapping.clock is not None:
+        clock, why = streams[mapping.clock], "[file] clock"
+    notes.insert(0, f"rows are the {clock.t.size} samples of {clock.title} ({why})")
+    values, lost = join_channels(channels, clock.t, mapping.velocity_axes == "earth", str(path))
     merged = [stream.repeated_times for stream in streams.values()]
-    return LogChannels({"t": rows} | values, [*notes, *lost], tuple(m for m in merged if m))
+    return LogChannels({"t": clock.t} | values, [*notes, *lost], tuple(m for m in merged if m))
 
 
 def _format(path: Path) -> LogFormat | None:
@@ -88,7 +123,7 @@ def _format(path: Path) -> LogFormat | None:
 
 def _checked_format(path: Path) -> LogFormat:
     if not path.exists():
-        siblings = [item.name for item in path.parent.glob("*")] if path.parent.is_dir() else []
+        siblings = [item.name for item in path.parent.glob("*")]
         raise UserError(f"there is no recording {path}{nearest(path.name, siblings)}")
     if path.is_file():
         try:
@@ -120,46 +155,35 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
     )
 
 
-def _topic_and_field(column: Column) -> tuple[str, str]:
-    topic, _, field = column.column.rpartition(":")
-    return topic, field
-
-
-def _check_columns(mapping: Mapping, path: Path, form: LogFormat) -> None:
-    if form.time_is_mapped:
-        return
-    if "t" in mapping.channels or mapping.time_step is not None:
-        raise UserError(
-            f"{mapping.name}: {path} has clocks of its own, so leave t and [file] time_step out; "
-            "[file] clock chooses the topic whose samples become the rows"
-        )
-    for name, column in mapping.ned_channels.items():
-        if not all(_topic_and_field(column)):
-            raise UserError(
-                f"{mapping.name}: [columns] {name}: {column.column!r} must be written topic:field, "
-                f"for {path} is a log with several topics"
-            )
-
-
 def _mapped_streams(
     path: Path, mapping: Mapping, form: LogFormat, columns: dict[str, Column]
 ) -> dict[str, Stream]:
     """The streams that the mapping names, in its order, with strictly increasing time."""
-    topics = list(dict.fromkeys(_topic_and_field(column)[0] for column in columns.values()))
-    with form.packages(path):
-        streams = form.streams(path, mapping, topics)
+    topics: dict[str, str] = {}  # and the first column of each
     for column in columns.values():
-        topic = _topic_and_field(column)[0]
+        topics.setdefault(column.topic_and_field[0], column.column)
+    with form.packages(path):
+        streams = form.streams(path, mapping, list(topics))
+    for topic, column in topics.items():
         if topic not in streams:
             found = contents(path)
             known = [*found, *(name.partition("[")[0] for name in found)]
             raise UserError(
                 f"{path} has no {topic!r}, which {mapping.name} maps to "
-                + mapping.channel_of(column.column)
+                + mapping.channel_of(column)
                 + nearest(topic, known)
                 + f". It has\n{list_fields(found)}"
             )
     return {topic: merge_repeated_times(streams[topic], path) for topic in topics}
+
+
+@dataclasses.dataclass(frozen=True)
+class LogChannel:
+    """Samples of one channel, in SI units, with their own times (s, increasing)."""
+
+    topic: str
+    t: Samples
+    values: Samples
 
 
 def _pick_channels(
@@ -169,7 +193,7 @@ def _pick_channels(
     channels: dict[str, LogChannel] = {}
     sources: dict[str, list[str]] = {topic: [] for topic in streams}
     for name, column in columns.items():
-        topic, field = _topic_and_field(column)
+        topic, field = column.topic_and_field
         written = mapping.channel_of(column.column)
         full, series = streams[topic].field(field, f"{path}, {mapping.name}, {written}")
         series = np.where(np.isfinite(series), series, np.nan) * column.gain + column.shift
@@ -202,14 +226,69 @@ def _pick_channels(
     return position | channels, [*notes, note]
 
 
-def _choose_clock(mapping: Mapping, streams: dict[str, Stream]) -> tuple[Stream, str]:
-    """The stream whose samples become the rows, and why."""
-    if mapping.clock is None:
-        return max(streams.values(), key=lambda stream: stream.t.size), "the most samples"
-    if mapping.clock not in streams:
-        raise UserError(
-            f"{mapping.name}: [file] clock = {mapping.clock!r} is none of the topics mapped: "
-            + ", ".join(streams)
-            + nearest(mapping.clock, streams)
-        )
-    return streams[mapping.clock], "[file] clock"
+def join_channels(
+    channels: dict[str, LogChannel], rows: Rows, turn: bool, where: str
+) -> tuple[dict[str, Rows], list[str]]:
+    """Every channel in the rows of one clock (s, increasing), and notes on what that cost.
+
+    Motion: a sample has its value in one row, the nearest, where it is moved to the row's
+    instant along the straight line to its neighbour; other rows stay NaN. So a slow sensor
+    counts as often as it measured. Across more than three of a channel's own intervals, and
+    beyond its ends, there is no line, and a sample that only such rows surround is left out.
+    Actuation holds from its time stamp on. With `turn`, u and v are velocities north and east
+    and are turned into body axes by the heading, interpolated in the same way.
+
+    Raises:
+        UserError: a channel shares no time with the rows; the message begins with `where`.
+    """
+    values, notes = {}, []
+    lines: dict[str, Rows] = {}
+    for name, channel in channels.items():
+        if channel.t[-1] < rows[0] or channel.t[0] > rows[-1]:
+            raise UserError(
+                f"{where}: the clocks do not overlap: the recording's runs from {rows[0]:.10g} s "
+                f"to {rows[-1]:.10g} s, but {name} from {channel.topic} has samples from "
+                f"{channel.t[0]:.10g} s to {channel.t[-1]:.10g} s; choose topics of one clock, in "
+                'ROS bags perhaps with [file] stamps = "receive", or correct it by a delay'
+            )
+        finite = np.isfinite(channel.values)
+        t, known = channel.t[finite], channel.values[finite]
+        if name.startswith(ACTUATOR_PREFIXES):
+            values[name] = hold_at(t, known, rows)
+            continue
+        lines[name], there = np.full(rows.shape, np.nan), np.zeros(rows.shape, dtype=bool)
+        if t.size > 1:
+            longest = _BRIDGED_INTERVALS * median_interval(t) * (1 + 1e-9)
+            there = between_samples(t, rows, longest)
+            continuous = unwrap(known) if name in _ANGLES else known
+            lines[name] = np.where(there, np.interp(rows, t, continuous), np.nan)
+        nearest_to_samples, lost = _nearest_rows(t, rows, there)
+        values[name] = np.where(nearest_to_samples, lines[name], np.nan)
+        if lost:
+            notes.append(f"{name}: {lost} samples beside gaps of the clocks are left out")
+    if "wind_direction" in values:
+        values["wind_direction"] = values["wind_direction"] % (2 * np.pi)
+    if turn:
+        body = (values["u"] + 1j * values["v"]) * np.exp(-1j * lines["psi"])
+        values |= {"u": body.real, "v": body.imag}
+        notes.append("u and v turned from earth into body axes by the heading")
+    return values, notes
+
+
+def _nearest_rows(
+    t: Samples, rows: Rows, usable: Bool[np.ndarray, "row"]
+) -> tuple[Bool[np.ndarray, "row"], int]:
+    """The usable rows that are nearest to a sample on either side, and how many have none."""
+    after = np.searchsorted(rows, t, side="left")
+    before = np.searchsorted(rows, t, side="right") - 1
+
+    def distance(index: np.ndarray) -> Samples:
+        inside = index.clip(0, rows.size - 1)
+        return np.where((index == inside) & usable[inside], np.abs(rows[inside] - t), np.inf)
+
+    ahead, behind = distance(after), distance(before)
+    reached = np.isfinite(np.minimum(ahead, behind))
+    nearest = np.zeros(rows.shape, dtype=bool)
+    nearest[np.where(ahead < behind, after, before)[reached]] = True
+    within = (t >= rows[0]) & (t <= rows[-1])
+    return nearest, int(np.sum(within & ~reached))

@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import (
-    LONGEST_ARRAY,
-    Stream,
-    euler_angles,
-    unreadable,
-)
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
@@ -46,7 +41,7 @@ def contents(path: Path) -> dict[str, list[str]]:
                 first = [message for *_, message in _messages(reader, [topic], path, _LOOKED_AT)]
             except UserError:  # a type that the bag does not define is no reason not to list
                 first = []
-            names = list(_flat(first))
+            names = list(_places_of_fields(first))
             for base in _quaternions(names):
                 names += [f"{base}.{angle}" for angle in ("roll", "pitch", "yaw")]
             found[topic] = names
@@ -59,7 +54,8 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     Time is that of the header stamps where messages have them, else that at which the
     recorder received the message. It counts from the first message of these topics.
 
-    Raises `UserError` for a broken bag, a type that is not defined, and stamps that jump back.
+    Raises:
+        UserError: the bag is broken, a type is not defined, or stamps jump back.
     """
     with _open_bag(path) as reader:
         there = [topic for topic in topics if topic in _topics(reader)]
@@ -68,23 +64,17 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
         for topic, time, message in _messages(reader, there, path):
             received[topic].append(time)
             messages[topic].append(message)
-    read = {
-        topic: _read(
-            topic,
-            np.array(received[topic], dtype=np.int64),
-            messages.pop(topic),
-            path,
-            mapping.stamps,
-        )
-        for topic in there
-    }
-    zero = min((int(stamps[0]) for stamps, *_ in read.values() if stamps.size), default=0)
+    stamped = {}
+    for topic in there:
+        times = np.array(received[topic], dtype=np.int64)
+        stamped[topic] = _stamped_fields(topic, times, messages.pop(topic), path, mapping.stamps)
+    zero = min((int(stamps[0]) for stamps, *_ in stamped.values() if stamps.size), default=0)
     day = np.datetime64(zero, "ns").astype("datetime64[ms]")
-    made = {}
-    for topic, (stamps, fields, clock, notes) in read.items():
-        words = f"{clock}, from {zero / 1e9:.9f} s ({day} UTC)"
-        made[topic] = Stream(topic, (stamps - zero) * 1e-9, fields, words, notes)
-    return made
+    origin = f"from {zero / 1e9:.9f} s ({day} UTC)"
+    return {
+        topic: Stream(topic, (stamps - zero) * 1e-9, fields, f"{clock}, {origin}", notes)
+        for topic, (stamps, fields, clock, notes) in stamped.items()
+    }
 
 
 @contextmanager
@@ -135,14 +125,23 @@ def _messages(
         yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 
 
-def _read(
+def _stamped_fields(
     topic: str, times: np.ndarray, messages: list, path: Path, stamps: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], str, tuple[str, ...]]:
-    """Time stamps (ns), fields, what clock they are of, and notes."""
-    fields = _table(messages)
-    header = _header_stamps(messages) if stamps == "header" else None
-    if header is None:
+    """Time stamps (ns), fields, what clock the stamps are of, and notes.
+
+    Messages that were overtaken on their way are put in the order of their header stamps.
+    """
+    places = _places_of_fields(messages[:_LOOKED_AT])
+    fields = {name: _series(messages, place) for name, place in places.items()}
+    _mask_unknown(fields, messages)
+    for base in _quaternions(list(fields)):
+        for angle, series in euler_angles(*(fields[f"{base}.{part}"] for part in "wxyz")).items():
+            fields[f"{base}.{angle}"] = series
+    if stamps != "header" or not messages or not hasattr(messages[0], "header"):
         return times, fields, "receive time", ()
+    pairs = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
+    header = np.array([sec * 1_000_000_000 + rest for sec, rest in pairs], dtype=np.int64)
     if not np.all(header):
         unset = f"header stamps not set in {np.sum(header == 0)} of {header.size} messages"
         return times, fields, "receive time", (f"{topic}: {unset}",)
@@ -165,71 +164,51 @@ def _read(
 _Place = tuple[str | int, ...]  # of a field in a message: attributes, then an index and rest
 
 
-def _header_stamps(messages: list) -> np.ndarray | None:
-    if not messages or not hasattr(messages[0], "header"):
-        return None
-    stamps = [message.header.stamp for message in messages]
-    return np.array([stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps], dtype=np.int64)
-
-
-def _table(messages: list) -> dict[str, np.ndarray]:
-    fields = _flat(messages[:_LOOKED_AT])
-    table = {name: _column(messages, *where) for name, where in fields.items()}
-    _mask(table, messages)
-    for base in _quaternions(list(table)):
-        for angle, series in euler_angles(*(table[f"{base}.{part}"] for part in "wxyz")).items():
-            table[f"{base}.{angle}"] = series
-    return table
-
-
 def _quaternions(names: list[str]) -> list[str]:
     """The groups x, y, z, w; no message of the usual ones has such a group that is no rotation."""
     bases = [name.removesuffix(".w") for name in names if name.endswith(".w")]
     return [base for base in bases if all(f"{base}.{part}" in names for part in "xyz")]
 
 
-def _flat(messages: list) -> dict[str, _Place]:
-    """Names of the numeric fields, and where they stand: attributes, then an index and rest."""
+def _places_of_fields(messages: list) -> dict[str, _Place]:
+    """Where the numeric fields of messages stand, by their names."""
     found: dict[str, _Place] = {}
+
+    def gather(value: Any, name: str, place: _Place) -> None:
+        if isinstance(value, bool | int | float | np.number | np.bool_):
+            found.setdefault(name, place)
+        elif isinstance(value, list | np.ndarray):
+            if len(value) <= LONGEST_ARRAY and not name.endswith("covariance"):
+                for index, item in enumerate(value):
+                    gather(item, f"{name}.{index}", (*place, index))
+        elif hasattr(value, "__msgtype__"):
+            for part, item in vars(value).items():
+                # Constants of the type are in capitals; a header has the clock, and no channel.
+                if not (part.startswith("__") or part.isupper() or part == "header"):
+                    gather(item, f"{name}.{part}" if name else part, (*place, part))
+
     for message in messages:
-        _gather(message, "", (), found)
+        gather(message, "", ())
     return found
 
 
-def _gather(value: Any, name: str, path: _Place, found: dict[str, _Place]) -> None:
-    if isinstance(value, bool | int | float | np.number | np.bool_):
-        found.setdefault(name, path)
-    elif isinstance(value, list | np.ndarray):
-        if len(value) <= LONGEST_ARRAY and not name.endswith("covariance"):
-            for index, item in enumerate(value):
-                _gather(item, f"{name}.{index}", (*path, index), found)
-    elif hasattr(value, "__msgtype__"):
-        for part, item in vars(value).items():
-            # Constants of the type are in capitals; a header has the clock, and no channel.
-            if not (part.startswith("__") or part.isupper() or part == "header"):
-                _gather(item, f"{name}.{part}" if name else part, (*path, part), found)
-
-
-def _column(messages: list, *path: str | int) -> np.ndarray:
+def _series(messages: list, place: _Place) -> np.ndarray:
     """One field of every message; NaN where an array is shorter."""
-    if all(isinstance(part, str) for part in path):
-        get = attrgetter(".".join(map(str, path)))
+    if all(isinstance(part, str) for part in place):
+        get = attrgetter(".".join(map(str, place)))
         return np.array([get(message) for message in messages], dtype=float)
-    return np.array([_item(message, path) for message in messages], dtype=float)
+
+    def item(value: Any) -> float:
+        for part in place:
+            if isinstance(part, int) and part >= len(value):
+                return float("nan")
+            value = value[part] if isinstance(part, int) else getattr(value, part)
+        return value
+
+    return np.array([item(message) for message in messages], dtype=float)
 
 
-def _item(value: Any, path: tuple) -> float:
-    for part in path:
-        if isinstance(part, str):
-            value = getattr(value, part)
-        elif part < len(value):
-            value = value[part]
-        else:
-            return float("nan")
-    return value
-
-
-def _mask(table: dict[str, np.ndarray], messages: list) -> None:
+def _mask_unknown(table: dict[str, np.ndarray], messages: list) -> None:
     """Empties what a message says it does not know: no fix, orientation not measured."""
     for name in [name for name in table if name.endswith("status.status")]:
         place = name.removesuffix("status.status")

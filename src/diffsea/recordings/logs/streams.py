@@ -25,13 +25,19 @@ _LISTED_FIELDS = 12  # of a topic, in a message: more would hide the other topic
 class Stream:
     """The messages of one topic: flat fields, as they stand in the file, over time.
 
-    `t` is in seconds and never decreases; `fields` are series of the same length under names
-    such as `pose.pose.position.x` or `thrusters.0`, NaN where a message has no valid value.
-    `clock` says in words which time that is. `unfit` are fields that cannot be used, and why.
+    Attributes:
+        topic: its name in the log, empty for what stands in none.
+        t: seconds that never decrease.
+        fields: series of the same length under names such as `pose.pose.position.x` or
+            `thrusters.0`, NaN where a message has no valid value.
+        clock: which time `t` is, in words.
+        notes: what was damaged or put right in the file, in words.
+        unfit: fields that cannot be used, and why.
+        repeated_times: what `merge_repeated_times` made one.
     """
 
     topic: str
-    t: Samples  # s
+    t: Samples
     fields: dict[str, Samples]
     clock: str
     notes: tuple[str, ...] = ()
@@ -46,7 +52,8 @@ class Stream:
     def field(self, name: str, where: str) -> tuple[str, Samples]:
         """The full name and the series of a field, which may be named by the end of its name.
 
-        Raises `UserError`, beginning with `where`, where there is none or more than one such.
+        Raises:
+            UserError: there is none or more than one such; the message begins with `where`.
         """
         if name in self.fields:
             return name, self.fields[name]
@@ -69,17 +76,24 @@ class Stream:
 class LogFormat:
     """How logs of one kind are read.
 
-    `contents(path)` gives the names of the numeric fields of every topic. `streams(path, mapping,
-    topics)` gives those of the topics that the log has. Both import what packages they need when
-    they are called, and raise `UserError` for a file that is damaged or no such log.
+    Both functions import what packages they need when they are called, and raise `UserError` for
+    a file that is damaged or no such log.
+
+    Attributes:
+        suffixes: of file names, in small letters.
+        contents: of a path, gives the names of the numeric fields of every topic.
+        streams: of a path, a mapping and topics, gives the streams of those that the log has.
+        extra: what brings the packages, `pip install 'diffsea[extra]'`; None where none is needed.
+        time_is_mapped: whether the mapping names the time, as it stands among the fields.
+        is_folder: whether a folder is such a log; None where only files are.
     """
 
-    suffixes: tuple[str, ...]  # of file names, in small letters
+    suffixes: tuple[str, ...]
     contents: Callable[[Path], dict[str, list[str]]]
     streams: Callable[[Path, Mapping, list[str]], dict[str, Stream]]
-    extra: str | None = None  # what brings the packages: pip install 'diffsea[extra]'
-    time_is_mapped: bool = False  # the mapping names the time, as it stands among the fields
-    is_folder: Callable[[Path], bool] | None = None  # whether a folder is such a log
+    extra: str | None = None
+    time_is_mapped: bool = False
+    is_folder: Callable[[Path], bool] | None = None
 
     @contextlib.contextmanager
     def packages(self, path: Path) -> Iterator[None]:
@@ -96,7 +110,8 @@ class LogFormat:
 def merge_repeated_times(stream: Stream, path: Path) -> Stream:
     """The stream with rows of one time stamp made one, of the last value of each field.
 
-    Raises `UserError` for fewer than two samples, and for time that is missing or runs backwards.
+    Raises:
+        UserError: there are fewer than two samples, or time is missing or runs backwards.
     """
     where = f"{path}: {stream.title}"
     missing = np.sum(~np.isfinite(stream.t))

@@ -325,8 +325,9 @@ class _DisplacementModels:
             moved, flow = self.displacement(h), self.flow(h)
             rest, penalty, scale = explain_displacements(moved, flow, self._nuisances(h, flow))
             shares = []
-            for whole, part in ((moved.real, rest.real), (moved.imag, rest.imag)):
-                share = (np.sum(part**2) + 0.5 * penalty) / max(np.sum(whole**2), 1e-300)
+            for axis in (np.real, np.imag):
+                whole = max(np.sum(axis(moved) ** 2), 1e-300)
+                share = (np.sum(axis(rest) ** 2) + 0.5 * penalty) / whole
                 shares.append(min(max(share, _FINEST), 1.0))
             self._fits[key] = h, (shares[0], shares[1]), scale
         first, left, scale = self._fits[key]
