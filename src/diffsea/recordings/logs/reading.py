@@ -14,8 +14,7 @@ from diffsea.errors import UserError, nearest
 from diffsea.recordings.geodesy import place_fixes
 from diffsea.recordings.logs import ardupilot, matlab, px4, ros
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
-from diffsea.recordings.mappings import Column, Mapping
-from diffsea.recordings.vocabulary import ACTUATOR_PREFIXES
+from diffsea.recordings.mappings import ACTUATOR_PREFIXES, Column, Mapping
 from diffsea.series import between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
