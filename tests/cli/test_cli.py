@@ -131,6 +131,7 @@ def test_a_jaxlib_whose_options_are_not_known_keeps_its_own():
 # trial
 
 
+@pytest.mark.slow
 def test_trial_writes_everything_and_prints_its_json_alone(zigzag):
     folder, out, err = zigzag
     names = {"recording.csv", "metrics.json", "track.png", "series.png"}
@@ -171,6 +172,7 @@ def test_metrics_of_its_recording_are_those_of_the_trial(zigzag, boat, tmp_path,
     assert read["imo"].keys() == known["imo"].keys()
 
 
+@pytest.mark.slow
 def test_a_thrust_instead_of_a_speed_turns_to_starboard_by_default(boat, tmp_path, capsys):
     status = run("trial", boat, "--manoeuvre", "turning-circle", "--thrust", "150", "-o", tmp_path)
     printed = capsys.readouterr()
@@ -184,6 +186,7 @@ def test_a_thrust_instead_of_a_speed_turns_to_starboard_by_default(boat, tmp_pat
     assert "written:" in printed.out and "150 N" in printed.err
 
 
+@pytest.mark.slow
 def test_a_trial_that_diverges_leaves_nothing(boat, tmp_path, capsys):
     folder = tmp_path / "deep" / "out"
     words = ("trial", boat, "--manoeuvre", "turning-circle", "--step", "5", "-o", folder)
@@ -193,6 +196,7 @@ def test_a_trial_that_diverges_leaves_nothing(boat, tmp_path, capsys):
     assert printed.out == "" and not (tmp_path / "deep").exists()
 
 
+@pytest.mark.slow
 def test_an_unsteady_approach_is_told(boat, tmp_path, capsys):
     swell = tmp_path / "swell.toml"
     swell.write_text(BOAT + SWELL)
@@ -351,6 +355,7 @@ def test_commands_that_start_together_may_share_a_new_folder(tmp_path, monkeypat
     assert (shared / "one" / "x.json").exists()
 
 
+@pytest.mark.slow
 def test_an_audit_starts_without_jax(zigzag, tmp_path):
     code = (
         "import sys; from diffsea.cli import main; status = main(sys.argv[1:])\n"
@@ -376,6 +381,7 @@ def test_a_table_is_never_wrapped_coloured_or_read_as_markup(monkeypatch):
     assert text == "[bold]x[/]  " + "y" * 300
 
 
+@pytest.mark.slow
 def test_fit_writes_a_vessel_a_report_and_what_the_data_leave_open(boat, zigzag, tmp_path, capsys):
     priors = tmp_path / "priors.toml"
     priors.write_text("[N_r]\nstd = 5.0\n[X_u]\nlower = -90.0\nupper = -20.0\n")

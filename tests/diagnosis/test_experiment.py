@@ -140,6 +140,7 @@ def surge(t, thrust, drag_at: float, drag: float, thrust_at: float) -> np.ndarra
     return out.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thrust_at", [52.0, 60.0, 75.0])
 def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     document, thrust_at

@@ -42,6 +42,9 @@ import pytest
 from tests.paths import ROOT
 
 
+pytestmark = pytest.mark.experiment
+
+
 FOLDER = ROOT / "experiments" / "concealed"
 USV = HULLS["usv"]
 

@@ -12,6 +12,9 @@ from tests.paths import EXPERIMENTS
 from diffsea import read_vessel
 
 
+pytestmark = pytest.mark.experiment
+
+
 HOME = EXPERIMENTS / "design_sweep"
 PARTS = ("loading", "sweeping", "independent", "plain_loops", "neighbours", "wanted")
 

@@ -22,6 +22,9 @@ from diffsea.metrics.repeats import fit_percent, mean_and_half_width
 from diffsea.segments.places import by_place, place_features
 
 
+pytestmark = pytest.mark.experiment
+
+
 RAD = math.pi / 180
 MODEL = Norrbin(-5e-5, 0.022, 0.2, 120.0, 2.0e-3)
 

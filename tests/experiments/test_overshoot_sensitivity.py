@@ -14,6 +14,9 @@ from tests.paths import EXPERIMENTS
 from diffsea import named, read_vessel
 
 
+pytestmark = pytest.mark.experiment
+
+
 HOME = EXPERIMENTS / "overshoot_sensitivity"
 PARTS = ("factors", "trial_lanes", "differences", "at_the_sample", "global_analysis")
 DRAG = 77.55  # N, the Otter's at 1 m/s

@@ -14,6 +14,9 @@ from diffsea import Environment, State, named, read_vessel
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.experiment
+
+
 HOME = EXPERIMENTS / "pytheas"
 PARTS = ("printed", "boat", "sailing", "still_water", "disturbances", "layouts", "design")
 PUBLISHED_TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)

@@ -11,6 +11,9 @@ from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
 
+pytestmark = pytest.mark.experiment
+
+
 FOLDER = ROOT / "experiments" / "unberthing"
 PLACES = (str(FOLDER), str(FOLDER.parent))
 MODULES = (

@@ -12,6 +12,9 @@ from tests.paths import ROOT
 from diffsea import Trajectory
 
 
+pytestmark = pytest.mark.experiment
+
+
 FOLDER = ROOT / "experiments" / "virtual_sea_trials"
 MODULES = ("published", "vessel", "trials", "diameter", "asymmetry", "fit")
 

@@ -9,6 +9,9 @@ from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
 
+pytestmark = pytest.mark.experiment
+
+
 FOLDER = ROOT / "experiments" / "vrx_wamv"
 MODULES = ("plant", "campaign", "procedure", "paths")
 

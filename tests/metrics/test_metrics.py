@@ -70,6 +70,7 @@ def with_event(t, time):
     return np.sort(np.concatenate([t, [time, time]]))
 
 
+@pytest.mark.slow
 def test_crossings_of_a_sine_are_fourth_order_accurate():
     errors = []
     for step in (0.2, 0.1):
@@ -205,6 +206,7 @@ def test_turning_on_a_circle(side, drift):
     assert got["speed_loss"] == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_turning_derivatives_are_those_of_the_closed_form():
     t = jnp.array(with_event(np.arange(0, 200, 0.25), 7.3))
 
@@ -227,6 +229,7 @@ def test_turning_derivatives_are_those_of_the_closed_form():
             np.testing.assert_allclose(got[name], expected, rtol=1e-6, atol=1e-4, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_short_turn_gives_only_the_numbers_it_contains():
     t = jnp.arange(0, 120, 0.1)
     named = ["advance", "tactical_diameter", "steady_turning_diameter"]
@@ -335,6 +338,7 @@ def test_the_peak_yaw_rate_is_the_corner_at_the_reversal_wherever_samples_lie(of
     assert got["peak_yaw_rate"] == pytest.approx(rate[-1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_zigzag_overshoot_has_the_derivative_of_the_closed_form():
     """The first leg and the return in closed form, so everything depends on (K, T)."""
     order = heading = math.radians(20)

@@ -113,6 +113,7 @@ def only(run, kind):
     return findings[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["straight", "speeds", *SHAPES])
 @pytest.mark.parametrize("seed", range(10))
 def test_sound_runs_are_not_accused(shape, seed):
@@ -493,6 +494,7 @@ PUBLISHED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_recordings(name):
     if not (DATA / name).exists():

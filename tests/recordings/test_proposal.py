@@ -56,6 +56,7 @@ def recovered(native, how, folder, seed=0):
     return judged(native, path, written), sure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -88,6 +89,7 @@ def test_columns_without_names_are_found_by_kinematics(runs, tmp_path):
     assert min(sure[channel] for channel in ("t", "psi", "r")) > 0.5
 
 
+@pytest.mark.slow
 def test_most_random_disguises_are_seen_through(runs, tmp_path):
     """Over 60 random disguises; `sure` must be right nearly always, but not be all there is."""
     whole, claims = [], []
@@ -270,6 +272,7 @@ REAL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings(name, tmp_path):
     pattern, reference, differing = REAL[name]

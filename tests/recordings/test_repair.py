@@ -63,6 +63,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_was_injected_is_taken_out(name):
     change, kind, by_mapping, near = FAULTS[name]

@@ -201,6 +201,7 @@ def days():
     return days | {"slow": SLOW_DAY}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("twin", [False, True])
 @pytest.mark.parametrize("actuation", ["both", "no exec", "no cmd"])

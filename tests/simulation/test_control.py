@@ -209,6 +209,7 @@ CONTROLLERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_a_path_is_followed_to_its_end(kind):
     controller = CONTROLLERS[kind]()
@@ -257,6 +258,7 @@ def test_a_closed_loop_agrees_with_scipy():
     np.testing.assert_allclose(found, np.array(rows), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_closed_loop_is_differentiated():
     """The cross-track error against the heading law's gain and the mass, beside differences."""
 
@@ -302,6 +304,7 @@ def test_bad_requests_are_refused():
 # -- in standard trials ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
     vessel, wanted = build(read_vessel("esso_osaka").document), 0.25
     slow, kept = (

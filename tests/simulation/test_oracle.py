@@ -890,6 +890,7 @@ def rows_of(folder, vessel, effect=()):
     return [list(csv.DictReader(path.open())) for path in sorted(folder.iterdir())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_recordings_have_any_effect_of_the_catalogue(name, plain_recordings, tmp_path):
     vessel = "ship" if name.startswith(("propeller", "rudder")) else "usv"

@@ -82,6 +82,7 @@ CASES = {  # documents, and the least order in the step that a zig-zag must conv
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_zigzag_converges_through_its_events(case):
     documents, order = CASES[case]
@@ -101,6 +102,7 @@ def test_a_zigzag_converges_through_its_events(case):
     assert size[-1, 0] < 2e-6
 
 
+@pytest.mark.slow
 def test_a_boat_with_every_actuator_stage_converges_to_the_independent_simulator():
     arguments = build(BOAT), zigzag(ANGLE, ANGLE, 4), state_of(u=0.8), 8.0, CALM
     reference = oracle.zigzag(BOAT, 8.0, executes=4, speed=0.8)
@@ -191,6 +193,7 @@ def library_circle(vessel):
     return jnp.stack([numbers[name] for name in names])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("metrics", "reference"), [(library_zigzag, oracle_zigzag), (library_circle, oracle_circle)]
 )
@@ -203,6 +206,7 @@ def test_derivatives_of_trial_numbers_are_those_of_the_independent_simulator(met
     assert largest_error(forward, truth, at, values) < 1e-5
 
 
+@pytest.mark.slow
 def test_reverse_mode_gives_the_derivatives_of_forward_mode():
     function, at = by_parameters(library_zigzag, build(DRIFTING), PARAMETERS)
     weights = jnp.array([1.0, -2.0, 0.5, 30.0, -50.0])
@@ -211,6 +215,7 @@ def test_reverse_mode_gives_the_derivatives_of_forward_mode():
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_event_on_the_boundary_of_a_step_keeps_its_derivatives():
     vessel, step, grid_time = build(LAGGING), 0.05, 3.4
     arguments = vessel, zigzag(ANGLE, 3.0, 2), state_of(u=SPEED), THRUST, CALM, step, 12.0
@@ -239,6 +244,7 @@ def test_an_event_on_the_boundary_of_a_step_keeps_its_derivatives():
         assert largest_error(jacobian(at, heading), truth, at, values) < 1e-5
 
 
+@pytest.mark.slow
 def test_derivatives_are_right_where_no_event_comes():
     names = ("N_r", "mass", "X_u")
 
@@ -282,6 +288,7 @@ def located_in_the_step(vessel, step, seconds):
     return zigzag_metrics(trajectory(rows), executes, psi0=0.0)["overshoot_1"]
 
 
+@pytest.mark.slow
 def test_only_located_events_have_derivatives_that_converge():
     names = ("N_r", "N_rdot")
     truth = differences(
@@ -310,6 +317,7 @@ def same(found, expected, tolerance):
         np.testing.assert_allclose(ours, theirs, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_runs_and_a_diverging_one_spoils_only_itself():
     drag = jnp.array([-30.0, 4e4, -52.0, -90.0])
     vessel, stages = build(USV), zigzag(ANGLE, ANGLE, 3)
@@ -332,6 +340,7 @@ def test_a_batch_is_its_runs_and_a_diverging_one_spoils_only_itself():
     assert np.sum(rows.accepted[1]) < 20 < np.sum(rows.accepted[0])
 
 
+@pytest.mark.slow
 def test_a_run_without_compilation_is_the_compiled_one():
     arguments = build(LAGGING), zigzag(ANGLE, 0.01, 2), state_of(u=0.8), 150.0, CALM, 0.4, 1.2
     carry, rows = run(*arguments)
@@ -348,6 +357,7 @@ def trial_of(vessel, heading=ANGLE, settings=None, **options):
     return run_trial(vessel, stages, settings=settings, approach_seconds=100.0, **options)
 
 
+@pytest.mark.slow
 def test_diverging_runs_spoil_no_other_derivative():
     vessel = build(USV)
 
@@ -367,6 +377,7 @@ def test_diverging_runs_spoil_no_other_derivative():
     assert np.all(slopes[1:] == 0)
 
 
+@pytest.mark.slow
 def test_the_outcome_says_how_a_trial_ended():
     vessel = build(USV)
     done = trial_of(vessel, speed=SPEED)
@@ -394,6 +405,7 @@ def test_the_outcome_says_how_a_trial_ended():
         assert np.all(np.diff(np.asarray(trial.trajectory.t)[kept]) >= 0)
 
 
+@pytest.mark.slow
 def test_a_trial_with_delayed_actuators_can_be_compiled():
     document = varied(USV, servo={"delay": 0.33})
     settings = TrialSettings(step=0.1, seconds=12.0, longest_delay=0.5)
@@ -407,6 +419,7 @@ def test_a_trial_with_delayed_actuators_can_be_compiled():
 # -- approach ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wamv", "kvlcc2", "otter"])
 def test_throttle_and_speed_of_a_straight_run_are_inverse(name):
     vessel = read_vessel(name).vessel
@@ -414,6 +427,7 @@ def test_throttle_and_speed_of_a_straight_run_are_inverse(name):
         assert float(speed_for(vessel, throttle_for(vessel, speed))) == pytest.approx(speed)
 
 
+@pytest.mark.slow
 def test_the_approach_holds_its_speed_over_ground_in_wind_and_current():
     environment = Environment(0.2, -0.15, -3.0, 4.0)
     document = varied(USV, effects=[{"name": "wind", "speed": 0.0}])
@@ -471,6 +485,7 @@ def test_energy_is_conserved_without_damping_or_thrust():
     assert np.ptp(states.u) > 0.1  # momentum goes round among the axes meanwhile
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["otter", "wamv", "blueboat", "usv", "strip"])
 def test_damping_never_adds_energy(name):
     if name == "strip":
@@ -511,6 +526,7 @@ def symmetric(name):
     return build(USV), THRUST, SPEED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["usv", "kvlcc2"])
 def test_a_mirrored_manoeuvre_gives_the_mirrored_track(name):
     vessel, throttle, speed = symmetric(name)

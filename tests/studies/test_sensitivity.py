@@ -71,6 +71,7 @@ CHOSEN = ("mass", "I_z", "x_G", "length", "draught", "X_uu", "Y_v", "N_r", "N_rd
 KINKED = {("port.y", "peak_yaw_rate"), ("starboard.angle", "peak_yaw_rate")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHOSEN)
 def test_derivatives_are_those_of_the_trials_own_numbers(name, derivatives, numbers):
     """Fourth-order central differences, whose own error is far below the tolerance."""

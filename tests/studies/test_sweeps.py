@@ -50,6 +50,7 @@ def single(speed, **hull):
     return planning.summarise_trial(vessel, plan, trial, numbers)
 
 
+@pytest.mark.slow
 def test_a_grid_has_every_combination_once(swept):
     table, summary, _ = swept
     assert len(table) == summary["designs"] == 24
@@ -57,6 +58,7 @@ def test_a_grid_has_every_combination_once(swept):
     assert sorted(set(table["mass"])) == [-190.0, 20.0, 230.0]
 
 
+@pytest.mark.slow
 def test_every_design_has_the_numbers_of_its_own_trial(swept):
     """The last of them ran twice, the second time for longer."""
     table = swept[0].set_index(AXES)

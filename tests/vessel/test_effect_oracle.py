@@ -187,6 +187,7 @@ def library_run(run, document):
     return {channel: np.asarray(getattr(states, channel)) for channel in MOTION_CHANNELS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "name", "parameters"),
     CASES,
@@ -255,6 +256,7 @@ TOGETHER = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", TOGETHER)
 def test_effects_together_are_the_reference_s(case):
     where, effects = TOGETHER[case]

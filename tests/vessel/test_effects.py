@@ -76,6 +76,7 @@ def first_states(name):
     return np.stack([getattr(states, channel) for channel in MOTION_CHANNELS])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POSSIBLE)
 def test_an_effect_of_zero_size_leaves_the_motion_unchanged(name):
     # A servo that lags by nothing rounds once more than one that answers at once.
@@ -117,6 +118,7 @@ JACOBIAN = jax.jit(jax.jacfwd(measured))
 SHOWN = jax.jit(measured)
 
 
+@pytest.mark.slow
 def test_every_effect_has_a_derivative_at_zero():
     zero = jnp.zeros(len(PLACES))
     slopes = np.asarray(JACOBIAN(zero))
