@@ -16,8 +16,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS
-from diffsea.metamodels.likelihood import identify_by_likelihood
+from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS, identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin
 
 

@@ -13,7 +13,7 @@ import pytest
 from tests.boats import BOAT, SWELL
 
 from diffsea import UserError
-from diffsea.cli import fit, main, outputs, recordings, segments
+from diffsea.cli import identification, main, outputs, recordings, segments
 from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metrics import RECORDED_TRIALS
 from diffsea.report.pictures import SEGMENT_COLOURS
@@ -99,7 +99,7 @@ def test_a_parser_does_without_jax():
 
 
 def test_names_written_out_for_the_help_are_the_librarys():
-    assert fit.ANCHORS == ANCHORS
+    assert identification.ANCHORS == ANCHORS
     assert segments.KINDS == SEGMENT_KINDS == tuple(SEGMENT_COLOURS)
 
 

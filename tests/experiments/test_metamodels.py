@@ -14,9 +14,15 @@ from scipy.stats import t as student
 from tests.experiment_runs import quick_run
 
 from diffsea import Environment, State, Trajectory, UserError
-from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS, Trials, identify, trials_of
+from diffsea.metamodels.fit import (
+    COMMON_MOMENT,
+    OWN_MOMENTS,
+    Trials,
+    identify,
+    identify_by_likelihood,
+    trials_of,
+)
 from diffsea.metamodels.ideal_zigzag import Zigzag, ideal_zigzag, overshoots, overshoots_with_std
-from diffsea.metamodels.likelihood import identify_by_likelihood
 from diffsea.metamodels.norrbin import Norrbin, in_degrees
 from diffsea.metrics.repeats import fit_percent, mean_and_half_width
 from diffsea.segments.places import by_place, place_features
@@ -69,7 +75,8 @@ def test_simulation_is_the_equation_integrated():
 
 
 def test_without_cubic_it_is_nomoto():
-    model = Norrbin.nomoto(0.08, 45.0, neutral=0.01)
+    b = 0.08 / 45.0
+    model = Norrbin(0.01 * b, 1 / 45.0, 0.0, 0.0, b)
     r = model.simulate(0.0, jnp.full(200, 0.11), 1.0)
     t = np.arange(200.0)
     np.testing.assert_allclose(r, 0.08 * 0.1 * (1 - np.exp(-t / 45.0)), atol=1e-8)

@@ -36,7 +36,7 @@ from diffsea.runtime import prepare_jax
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-COMMAND_MODULES = ("trial", "recordings", "fit", "diagnose", "studies", "segments")
+COMMAND_MODULES = ("trial", "recordings", "identification", "studies", "segments")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,12 +7,12 @@ a numerical library, so that help is quick.
 import argparse
 import difflib
 import functools
+import importlib
 import inspect
 import math
 import pathlib
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.errors import UserError
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from diffsea.vessel.files import VesselFile
 
 Commands = Any  # argparse's sub-parsers, whose class is private
+Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
 
 
 def add_command(
@@ -52,9 +53,6 @@ def add_command(
     add_flag(output, "--json", "print the result as JSON, and nothing else, on stdout")
     add_flag(output, "--debug", "show the traceback of a bug")
     return parser
-
-
-Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
 
 
 def add_option(
@@ -100,18 +98,6 @@ def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> Non
     add_option(parser, "--mapping", "M", pathlib.Path, mapping)
 
 
-def add_fit_options(parser: argparse.ArgumentParser) -> None:
-    """What `fit` and `diagnose` are given: a vessel, recordings, what is free and held out."""
-    add_vessel(parser)
-    add_recordings(parser)
-    free = "parameters to estimate, separated by commas (default: the hull's derivatives)"
-    add_option(parser, "--free", "NAMES", names, free)
-    held_out = "recordings to hold out for judging"
-    add_option(parser, "--test", "RECORDING", pathlib.Path, held_out, nargs="+", default=[])
-    environment = "whether wind and current are the same in all recordings"
-    add_choice(parser, "--environment", ("shared", "per-recording"), environment)
-
-
 # Types of arguments. A bad value is bad usage: argparse tells it and ends with status 2.
 
 
@@ -142,41 +128,47 @@ def count(text: str) -> int:
 
 
 def angle(text: str) -> float:
-    """An angle in degrees above zero and at most 180."""
-    value = positive(text)
-    if value > 180:
+    """An angle in degrees above zero and at most 180, as rad."""
+    degrees = positive(text)
+    if degrees > 180:
         raise argparse.ArgumentTypeError(f"{text} is more than 180 degrees")
-    return value
+    return math.radians(degrees)
 
 
-class LazyChoices:
-    """Names that the library knows, with what they mean, asked for only where they are needed.
+class LibraryNames:
+    """A type of argument: one of the names in a table of the library, which is read when needed.
 
-    Asking imports JAX, which takes a second that a parser must not take for other commands.
-    Iterated, as argparse does for `%(choices)s`, they are as they stand in the help.
+    Reading it imports JAX, which takes a second that a parser must not take for other commands.
+    Iterated, as argparse does for `%(choices)s`, the names have their `help` in brackets.
     """
 
-    def __init__(self, load: Callable[[], dict[str, str]]):
+    def __init__(self, what: str, place: str):
         """
         Arguments:
-            load: asks the library for meaning by name; without one it is empty.
+            what: the names are, for the message.
+            place: of the table, `module:NAME`; its values may have a text `help`.
         """
-        self._load = load
+        self._what, self._place = what, place
 
     @functools.cached_property
-    def named(self) -> dict[str, str]:
-        """Meaning by name."""
+    def _helps(self) -> dict[str, str]:
         prepare_jax()
-        return self._load()
+        module, _, name = self._place.partition(":")
+        table = getattr(importlib.import_module(module), name)
+        by_name = table if isinstance(table, dict) else dict.fromkeys(table)
+        return {name: getattr(entry, "help", "") for name, entry in by_name.items()}
+
+    def __call__(self, text: str) -> str:
+        return one_of(tuple(self._helps), self._what)(text)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.named
+        return name in self._helps
 
     def __iter__(self) -> Iterator[str]:
-        return (f"{name} ({text})" if text else name for name, text in self.named.items())
+        return (f"{name} ({text})" if text else name for name, text in self._helps.items())
 
 
-def one_of(choices: Sequence[str] | LazyChoices, what: str) -> Callable[[str], str]:
+def one_of(allowed: Sequence[str], what: str) -> Callable[[str], str]:
     """A type of argument: one of some names; the message has the nearest one and the list.
 
     Arguments:
@@ -184,7 +176,6 @@ def one_of(choices: Sequence[str] | LazyChoices, what: str) -> Callable[[str], s
     """
 
     def checked_name(text: str) -> str:
-        allowed = list(choices.named) if isinstance(choices, LazyChoices) else choices
         if text not in allowed:
             near = difflib.get_close_matches(text, allowed, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
@@ -219,7 +210,7 @@ def read_vessel(args: argparse.Namespace) -> "VesselFile":
 
 
 def read_recordings(
-    paths: Iterable[pathlib.Path], mapping: pathlib.Path | None
+    paths: Sequence[pathlib.Path], mapping: pathlib.Path | None
 ) -> "list[Trajectory]":
     """The recordings, under names that tell them apart.
 
@@ -230,15 +221,13 @@ def read_recordings(
 
     from diffsea import recordings
 
-    paths = list(paths)
     table = None if mapping is None else recordings.read_mapping(mapping)
     runs = [recordings.read_recording(path, table) for path in paths]
     if len({run.name for run in runs}) < len(runs):
-        runs = [
-            dataclasses.replace(run, name=str(path)) for run, path in zip(runs, paths, strict=True)
-        ]
-    if len({run.name for run in runs}) < len(runs):
-        raise UserError("a recording is named twice; name each only once")
+        if len(set(paths)) < len(paths):
+            raise UserError("a recording is named twice; name each only once")
+        named = zip(runs, paths, strict=True)
+        runs = [dataclasses.replace(run, name=str(path)) for run, path in named]
     return runs
 
 
@@ -250,19 +239,6 @@ def read_fitted_and_held_out(
     return runs[: len(args.recordings)], runs[len(args.recordings) :]
 
 
-# Progress
-
-
 def progress(message: str) -> None:
     """A line for the person who waits, on standard error."""
     print(message, file=sys.stderr, flush=True)
-
-
-def timed_progress() -> Callable[[str], None]:
-    """Progress with the seconds since the start."""
-    began = time.monotonic()
-
-    def tell(message: str) -> None:
-        progress(f"[{time.monotonic() - began:5.0f} s] {message}")
-
-    return tell

@@ -1,10 +1,12 @@
 """What commands leave behind: files, all of them or none, and a result on standard output."""
 
 import argparse
+import contextlib
 import json
 import math
 import os
 import pathlib
+import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -34,9 +36,9 @@ class Outputs:
         self._result = "null"
 
     def __enter__(self) -> "Outputs":
-        self._made: list[pathlib.Path] = []
+        self._made = [p for p in (self.folder, *self.folder.parents) if not os.path.exists(p)]
         try:
-            self._make_folder(self.folder)
+            self.folder.mkdir(parents=True, exist_ok=True)
             self._temporary = pathlib.Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.folder))
         except OSError as error:
             self._remove_folders()
@@ -45,24 +47,10 @@ class Outputs:
             ) from None
         return self
 
-    def _make_folder(self, folder: pathlib.Path) -> None:
-        if not folder.is_dir():
-            if folder.parent != folder:
-                self._make_folder(folder.parent)
-            try:
-                folder.mkdir()
-            except FileExistsError:  # another command may make the same folder at this moment
-                if not folder.is_dir():
-                    raise
-            else:
-                self._made.append(folder)
-
     def _remove_folders(self) -> None:
-        for folder in reversed(self._made):
-            try:
+        for folder in self._made:
+            with contextlib.suppress(OSError):  # somebody else has put something there
                 folder.rmdir()
-            except OSError:  # somebody else has put something there
-                return
 
     def path(self, name: str) -> pathlib.Path:
         """Where to write the file `name` for now."""
@@ -84,13 +72,11 @@ class Outputs:
         self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
         return self._elsewhere[file]
 
-    def path_of(self, name: str) -> pathlib.Path:
-        """Where the file `name`, which was written before, is for now."""
-        return self._temporary / name
-
-    def text(self, name: str, text: str) -> None:
-        """Write a file of text."""
-        self.path(name).write_text(text, encoding="utf-8")
+    def text(self, name: str, text: str) -> pathlib.Path:
+        """Write a file of text; returns where it is for now."""
+        path = self.path(name)
+        path.write_text(text, encoding="utf-8")
+        return path
 
     def json(self, name: str, data: Any) -> None:
         """Write the command's JSON file; `--json` will print it.
@@ -98,7 +84,7 @@ class Outputs:
         Arguments:
             data: dictionaries, lists, numbers, arrays; numbers that are not finite become null.
         """
-        self._result = json_text(data)
+        self._result = json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
         self.text(name, self._result + "\n")
 
     def __exit__(
@@ -130,11 +116,6 @@ class Outputs:
             print(f"{summary}\n\nwritten: {', '.join(str(file) for file in self.files)}")
 
 
-def json_text(data: Any) -> str:
-    """Valid JSON: numbers that are not finite become null."""
-    return json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
-
-
 def _json_value(data: Any) -> Any:
     """The data as JSON has it: text as keys, lists, null for numbers that are not finite."""
     if isinstance(data, dict):
@@ -159,10 +140,13 @@ def table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
     from rich.console import Console
     from rich.text import Text
 
+    def is_number(cell: str) -> bool:
+        return re.match(r"[+-]?\d|$", cell) is not None
+
     rows = [tuple(map(str, row)) for row in rows]
     grid = rich.table.Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
     for column in zip(*rows, strict=True):
-        grid.add_column(justify="right" if all(map(_is_number, column)) else "left", no_wrap=True)
+        grid.add_column(justify="right" if all(map(is_number, column)) else "left", no_wrap=True)
     for row in [tuple(header), *rows] if header else rows:
         grid.add_row(*map(Text, row))
     widest = sum(max(map(len, column)) + 2 for column in zip(header or rows[0], *rows, strict=True))
@@ -170,7 +154,3 @@ def table(rows: Iterable[Sequence[str]], header: Sequence[str] = ()) -> str:
     with console.capture() as captured:
         console.print(grid)
     return "\n".join(line.rstrip() for line in captured.get().splitlines())
-
-
-def _is_number(text: str) -> bool:
-    return not text or text[0].isdigit() or (text[0] in "+-" and text[1:2].isdigit())

@@ -1,10 +1,13 @@
 """Commands that judge recordings: `diffsea metrics`, `diffsea audit` and `diffsea predict`."""
 
 import argparse
+import dataclasses
 import math
+import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from diffsea.cli import options, proposals
+from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.trial import metrics_text
@@ -13,7 +16,6 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
-    from diffsea.recordings.auditing.repair import Repair
 
 
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
@@ -28,9 +30,9 @@ def register(commands: options.Commands) -> None:
     size = metrics.add_mutually_exclusive_group()
     add_option(size, "--vessel", "V", str, "vessel whose length and thrust curves count")
     add_option(size, "--length", "M", options.positive, "L_pp as recorded")
-    trials, manoeuvre = options.LazyChoices(_recorded_trials), "what was run, if known better: "
-    kind = options.one_of(trials, "manoeuvre")
-    add_option(metrics, "--manoeuvre", "NAME", kind, manoeuvre + "%(choices)s", choices=trials)
+    trials = options.LibraryNames("manoeuvre", "diffsea.metrics:RECORDED_TRIALS")
+    manoeuvre = "what was run, if known better: %(choices)s"
+    add_option(metrics, "--manoeuvre", "NAME", trials, manoeuvre, choices=trials)
     scale = "full-scale over recorded length, for the verdicts on a model"
     add_option(metrics, "--scale", "S", options.positive, scale, default=1.0)
     summary = "faults of recordings: frames, units, signs, clocks, sensors"
@@ -45,12 +47,6 @@ def register(commands: options.Commands) -> None:
     add_flag(predict, "--orders", "use the orders even where executed actuation was measured")
     environment = "estimate current (and wind) on the start of the run and predict the rest"
     add_option(predict, "--environment-from", "SECONDS", options.positive, environment)
-
-
-def _recorded_trials() -> dict[str, str]:
-    from diffsea.metrics import RECORDED_TRIALS
-
-    return dict.fromkeys(RECORDED_TRIALS, "")
 
 
 def metrics_command(args: argparse.Namespace) -> None:
@@ -98,19 +94,71 @@ def audit_command(args: argparse.Namespace) -> None:
       diffsea audit logged_by_others.csv
       diffsea audit run1.csv --repair -o out/repaired
     """
-    from diffsea.recordings import audit
-
     if args.repair:
         _repair(args)
         return
     with Outputs(args.output) as out:
-        runs, unread, message = proposals.read_or_propose(args, out)
-        found = [(run.name, audit(run)) for run in runs] + unread
+        found, message = _audit_or_propose(args, out)
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
     if message and args.json:
         options.progress(message)
-    texts = [_findings_text(name, items) for name, items in found]
+    texts = [
+        _findings_text(name, [("", one, one.repair and f"repair: {one.repair}") for one in items])
+        for name, items in found
+    ]
     out.present(args, message + "\n\n".join(texts))
+
+
+def _audit_or_propose(
+    args: argparse.Namespace, out: Outputs
+) -> "tuple[list[tuple[str, list[Finding]]], str]":
+    """Findings by recording, read through a proposed mapping, written to `out`, where need be.
+
+    A file that cannot be read for want of a time has that as its one finding. The text says what
+    was proposed, and is empty where nothing was.
+
+    Raises:
+        UserError: the recordings cannot be read, and no mapping could be proposed.
+    """
+    from diffsea.recordings import Finding, audit
+    from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping
+
+    paths = args.recordings
+    if args.mapping is not None or not any(is_foreign(path) for path in paths):
+        runs = options.read_recordings(paths, args.mapping)
+        return [(run.name, audit(run)) for run in runs], ""
+    try:
+        proposal = propose_mapping(paths)
+    except UserError as error:
+        try:
+            options.read_recordings(paths, None)
+            refusal = "some of these files need a mapping"
+        except UserError as refused:
+            refusal = str(refused)
+        raise UserError(f"{refusal}; no mapping could be proposed: {error}") from error
+    name = f"{paths[0].stem}.mapping.toml"
+    written = out.text(name, proposal.text)
+    mapping = shlex.quote(str(out.folder / name))
+    lines = [
+        f"{paths[0]} has no native columns, so a mapping was proposed: {mapping}",
+        "  channel         how sure       column",
+        proposal.summary,
+    ]
+    if proposal.checks:
+        lines += ["check these, and edit the mapping:", *(f"  {item}" for item in proposal.checks)]
+    files = " ".join(shlex.quote(str(path)) for path in paths)
+    lines += ["then run", f"  diffsea audit {files} --mapping {mapping}", ""]
+    if proposal.timed:
+        lines.append("The audit below is of the recordings read through the proposed mapping.")
+        found = [(run.name, audit(run)) for run in options.read_recordings(paths, written)]
+    else:
+        lines.append("Not audited: without a time step nothing read through it means anything.")
+        why = "the file has no time, and nothing tells its sampling interval; it was not audited"
+        repair = "put the interval (s) into [file] time_step of the proposed mapping"
+        untimed = Finding("time-step", math.nan, math.nan, "", why, repair, ("t",))
+        names = [path.name for path in paths]
+        found = [(name, [dataclasses.replace(untimed, recording=name)]) for name in names]
+    return found, "\n".join(lines) + "\n\n"
 
 
 def _repair(args: argparse.Namespace) -> None:
@@ -118,13 +166,20 @@ def _repair(args: argparse.Namespace) -> None:
     from diffsea.recordings import read_mapping, write_recording
     from diffsea.recordings.auditing.repair import mapping_text, repair
 
-    stems = _repaired_stems(args)
+    stems = [path.stem for path in args.recordings]
+    inputs = {path.resolve() for path in args.recordings}
+    for stem in stems:
+        written = args.output / f"{stem}.repaired.csv"
+        if written.resolve() in inputs:
+            raise UserError(f"{written} would be written over a recording; choose a folder with -o")
+        if stems.count(stem) > 1:
+            raise UserError(f"two recordings would be repaired into {written}; do them in turn")
     mapping = read_mapping(args.mapping) if args.mapping else None
     runs = options.read_recordings(args.recordings, args.mapping)
     with Outputs(args.output) as out:
         repairs = [repair(run, mapping) for run in runs]
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
-        records = []
+        records, texts = [], []
         for stem, one in zip(stems, repairs, strict=True):
             csv = f"{stem}.repaired.csv"
             write_recording(one.run, out.path(csv))
@@ -137,48 +192,28 @@ def _repair(args: argparse.Namespace) -> None:
                     for step in one.applied
                 ]
                 out.text(name, mapping_text(one.mapping, notes))
+            rows = []
+            for step in one.steps:
+                remark = "" if step.outcome == "applied" else f"why {step.outcome}: {step.reason}"
+                rows.append((f"{step.outcome:8s} ", step.finding, remark))
+            texts.append(_findings_text(one.run.name, rows))
         out.json("repairs.json", records)
         out.json("audit.json", [item.as_dict() for one in repairs for item in one.before])
-    out.present(args, "\n\n".join(_repair_text(one) for one in repairs))
+    out.present(args, "\n\n".join(texts))
 
 
-def _repaired_stems(args: argparse.Namespace) -> list[str]:
-    """The inputs' names without suffix; raises where an output would replace anything."""
-    stems = [path.stem for path in args.recordings]
-    inputs = {path.resolve() for path in args.recordings}
-    for stem in stems:
-        written = args.output / f"{stem}.repaired.csv"
-        if written.resolve() in inputs:
-            raise UserError(f"{written} would be written over a recording; choose a folder with -o")
-        if stems.count(stem) > 1:
-            raise UserError(f"two recordings would be repaired into {written}; do them in turn")
-    return stems
-
-
-def _repair_text(done: "Repair") -> str:
-    lines = [f"{done.run.name}:" if done.steps else f"{done.run.name}: nothing found"]
-    for step in done.steps:
-        lines.append(f"  {step.outcome:8s} {step.finding.kind:18s} {_size_text(step.finding)}")
-        lines.append(f"    {step.finding.message}")
-        lines += [f"    why {step.outcome}: {step.reason}"] if step.outcome != "applied" else []
+def _findings_text(name: str, rows: "Sequence[tuple[str, Finding, str]]") -> str:
+    """Findings of one recording for a person, each between a word ahead of it and a remark."""
+    lines = [f"{name}:" if rows else f"{name}: nothing found"]
+    for word, finding, remark in rows:
+        size = ""
+        if math.isfinite(finding.value):
+            unit = "" if finding.unit == "1" else f" {finding.unit}"
+            error = f" +- {finding.std:.2g}" if math.isfinite(finding.std) else ""
+            size = f"{finding.value:.4g}{error}{unit}"
+        lines += [f"  {word}{finding.kind:18s} {size}", f"    {finding.message}"]
+        lines += [f"    {remark}"] if remark else []
     return "\n".join(lines)
-
-
-def _findings_text(name: str, findings: "list[Finding]") -> str:
-    lines = [f"{name}:" if findings else f"{name}: nothing found"]
-    for item in findings:
-        lines.append(f"  {item.kind:18s} {_size_text(item)}")
-        lines.append(f"    {item.message}")
-        lines += [f"    repair: {item.repair}"] if item.repair else []
-    return "\n".join(lines)
-
-
-def _size_text(finding: "Finding") -> str:
-    if not math.isfinite(finding.value):
-        return ""
-    unit = "" if finding.unit == "1" else f" {finding.unit}"
-    error = f" +- {finding.std:.2g}" if math.isfinite(finding.std) else ""
-    return f"{finding.value:.4g}{error}{unit}"
 
 
 def predict_command(args: argparse.Namespace) -> None:

@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from diffsea.cli import options
 from diffsea.cli.options import add_option
@@ -14,9 +14,7 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.segments import Segment
-    from diffsea.segments.signals import Signals
     from diffsea.trajectory import Trajectory
-    from diffsea.vessel.base import Vessel
 
 
 KINDS = ("turning", "zigzag", "straight", "coasting", "station", "unknown")  # as the library has
@@ -32,7 +30,7 @@ def register(commands: options.Commands) -> None:
     vessel = "vessel that names the actuators and answers the orders"
     add_option(parser, "--vessel", "V", str, vessel)
     kinds = f"only these, separated by commas ({' | '.join(KINDS)})"
-    parser.add_argument("--kind", metavar="KINDS", type=kind_names, default=KINDS, help=kinds)
+    parser.add_argument("--kind", metavar="KINDS", type=_kind_names, default=KINDS, help=kinds)
     window = "time in which the vessel turns by 90 deg at its fastest (default: as recorded)"
     add_option(parser, "--window", "S", options.positive, window)
     interval = "resample the segments to this time step (default: as recorded)"
@@ -41,7 +39,7 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--format", "|".join(FORMATS), formats, "of the segments", default="csv")
 
 
-def kind_names(text: str) -> tuple[str, ...]:
+def _kind_names(text: str) -> tuple[str, ...]:
     """Kinds of segments separated by commas."""
     kind = options.one_of(KINDS, "kind")
     return tuple(kind(name) for name in options.names(text))
@@ -61,14 +59,21 @@ def segment_command(args: argparse.Namespace) -> None:
     """
     from diffsea.report.pictures import save_segments
     from diffsea.segments import SegmentSettings, group_repeats
-    from diffsea.segments.export import record, source_of
+    from diffsea.segments.export import export, file_name, record, source_of
     from diffsea.segments.segments import segments_of, with_window
     from diffsea.segments.signals import signals_of
+    from diffsea.segments.traceability import checks_of
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     runs = options.read_recordings(args.recordings, args.mapping)
-    stems = _distinct_stems(runs)
-    settings = SegmentSettings(window=args.window)
+    stems = [Path(run.name).stem for run in runs]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            raise UserError(
+                f"two recordings are called {stem!r}, so their segments would overwrite one "
+                "another: rename one, or run the command for each"
+            )
+    settings, suffix = SegmentSettings(window=args.window), f".{args.format}"
     with Outputs(args.output) as out:
         signals = [signals_of(run, vessel) for run in runs]
         scales = [with_window(one, settings) for one in signals]
@@ -79,6 +84,11 @@ def segment_command(args: argparse.Namespace) -> None:
             segments = [next(labelled) for _ in found[k]]
             save_segments(signals[k], segments, out.path(f"{stems[k]}.png"), run.name)
             chosen = [segment for segment in segments if segment.kind in args.kind]
+            checks = {n: checks_of(signals[k], item, vessel) for n, item in enumerate(chosen)}
+            paths = [out.path(file_name(run, n, item, suffix)) for n, item in enumerate(chosen, 1)]
+            written = (
+                export(run, chosen, paths[0].parent, args.interval, suffix, checks) if paths else []
+            )
             entries.append(
                 {
                     "recording": run.name,
@@ -88,42 +98,12 @@ def segment_command(args: argparse.Namespace) -> None:
                     "steering": signals[k].channel,
                     "parameters": dataclasses.asdict(scales[k]),
                     "notes": list(signals[k].notes),
-                    "segments": _write_segments(args, out, run, signals[k], chosen, vessel),
+                    "segments": written,
                 }
             )
             texts.append(_segments_text(run, chosen, signals[k].notes))
         out.json("segments.json", record(entries))
     out.present(args, "\n\n".join(texts))
-
-
-def _distinct_stems(runs: "list[Trajectory]") -> list[str]:
-    """Names of the runs without suffix; raises where files of two would have one name."""
-    stems = [Path(run.name).stem for run in runs]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            raise UserError(
-                f"two recordings are called {stem!r}, so their segments would overwrite one "
-                "another: rename one, or run the command for each"
-            )
-    return stems
-
-
-def _write_segments(
-    args: argparse.Namespace,
-    out: Outputs,
-    run: "Trajectory",
-    signals: "Signals",
-    found: "list[Segment]",
-    vessel: "Vessel | None",
-) -> list[dict[str, Any]]:
-    """A recording for each segment, with checks from order to motion; their entries."""
-    from diffsea.segments.export import export, file_name
-    from diffsea.segments.traceability import checks_of
-
-    suffix = f".{args.format}"
-    checks = {n: checks_of(signals, item, vessel) for n, item in enumerate(found)}
-    paths = [out.path(file_name(run, n, item, suffix)) for n, item in enumerate(found, 1)]
-    return export(run, found, paths[0].parent, args.interval, suffix, checks) if paths else []
 
 
 def _segments_text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
-from diffsea.cli.trial import add_trial_options, require_run, trial_plan
+from diffsea.cli.trial import add_trial_command, require_run, trial_plan
 from diffsea.errors import UserError
 
 
@@ -16,25 +16,23 @@ if TYPE_CHECKING:
 
     from diffsea.studies.sweep import Designs
 
+
 STRONGEST = 5  # parameters of a number that a person is told
 WEAKEST = 1e-6  # elasticity below which a parameter has no influence
+AXIS_FORMS = {"NAME=FROM:TO:COUNT": "mass=150:220:8", "NAME=FROM:TO": "mass=150:220"}  # examples
 
 
 def register(commands: options.Commands) -> None:
     """Add the commands."""
     summary = "exact derivatives of a trial's numbers"
-    sensitivity = options.add_command(commands, "sensitivity", sensitivity_command, summary)
-    options.add_vessel(sensitivity)
-    add_trial_options(sensitivity)
+    sensitivity = add_trial_command(commands, "sensitivity", sensitivity_command, summary)
     parameters = "parameters, separated by commas (default: all of them)"
     add_option(sensitivity, "--parameters", "NAMES", options.names, parameters)
     summary = "run a trial of many designs at once"
-    sweep = options.add_command(commands, "sweep", sweep_command, summary)
-    options.add_vessel(sweep)
-    add_trial_options(sweep)
+    sweep = add_trial_command(commands, "sweep", sweep_command, summary)
     group = sweep.add_argument_group("designs")
     grid, form = "all combinations of evenly spaced values", "NAME=FROM:TO:COUNT"
-    add_option(group, "--grid", form, grid_axis, grid, nargs="+", action="extend")
+    add_option(group, "--grid", form, axis, grid, nargs="+", action="extend")
     sample = "N random designs that cover all ranges evenly"
     add_option(group, "--sample", ("N", "NAME=FROM:TO"), str, sample, nargs="+")
     add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
@@ -63,47 +61,29 @@ def sensitivity_command(args: argparse.Namespace) -> None:
         require_run(trial, plan, vessel)
         options.progress("differentiating; the first time takes a while to compile")
         found = sensitivities(vessel, plan, args.parameters)
+        relative, title = found.elasticities, f"{vessel.name}: {plan.manoeuvre}"
         out.json("sensitivity.json", found.derivatives)
-        save_tornado(
-            found.elasticities, out.path("tornado.png"), f"{vessel.name}: {plan.manoeuvre}"
-        )
-    out.present(args, _strongest_text(found.numbers, found.elasticities))
-
-
-def _strongest_text(numbers: dict[str, float], relative: dict[str, dict[str, float]]) -> str:
-    """The strongest elasticities of every number, a row each.
-
-    Arguments:
-        relative: by number, then by parameter: % of change per 1 % of the parameter.
-    """
+        save_tornado(relative, out.path("tornado.png"), title)
     rows = []
     for number, row in relative.items():
         strongest = sorted(row, key=lambda name: -abs(row[name]))[:STRONGEST]
         parts = [f"{name} {row[name]:+.3g}" for name in strongest if abs(row[name]) > WEAKEST]
-        rows.append((number, f"{numbers[number]:.4g}", ", ".join(parts) or "-"))
+        rows.append((number, f"{found.numbers[number]:.4g}", ", ".join(parts) or "-"))
     header = ("number", "value (SI)", "% change per 1 % of the strongest parameters")
-    return table(rows, header)
+    out.present(args, table(rows, header))
 
 
-def grid_axis(text: str) -> tuple[str, tuple[float, float, int]]:
-    """A parameter and its evenly spaced values, `NAME=FROM:TO:COUNT`."""
-    name, bounds = _name_and_bounds(text, 3, "NAME=FROM:TO:COUNT, for example mass=150:220:8")
-    first, last = (options.number(bound) for bound in bounds[:2])
-    return name, (first, last, options.count(bounds[2]))
-
-
-def sample_range(text: str) -> tuple[str, tuple[float, float]]:
-    """A parameter and its range, `NAME=FROM:TO`."""
-    name, bounds = _name_and_bounds(text, 2, "NAME=FROM:TO, for example mass=150:220")
-    return name, (options.number(bounds[0]), options.number(bounds[1]))
-
-
-def _name_and_bounds(text: str, parts: int, form: str) -> tuple[str, list[str]]:
+def axis(text: str, form: str = "NAME=FROM:TO:COUNT") -> tuple[str, tuple[Any, ...]]:
+    """A parameter and its values: from, to and, where the form has it, how many."""
     name, equals, values = text.partition("=")
     bounds = values.split(":")
-    if not (name and equals and len(bounds) == parts):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form {form}")
-    return name, bounds
+    if not (name and equals and len(bounds) == len(form.split(":"))):
+        example = AXIS_FORMS[form]
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not of the form {form}, for example {example}"
+        )
+    first, last = (options.number(bound) for bound in bounds[:2])
+    return name, (first, last, *map(options.count, bounds[2:]))
 
 
 def _designs(args: argparse.Namespace) -> "Designs":
@@ -118,7 +98,7 @@ def _designs(args: argparse.Namespace) -> "Designs":
         number, *ranges = args.sample
         if not ranges:
             raise argparse.ArgumentTypeError("give a number of designs, then NAME=FROM:TO")
-        axes = _by_name([sample_range(text) for text in ranges])
+        axes = _by_name([axis(text, "NAME=FROM:TO") for text in ranges])
         return sweep.sample(axes, options.count(number), args.seed)
     except argparse.ArgumentTypeError as error:
         args.usage_error(str(error))
@@ -156,47 +136,52 @@ def sweep_command(args: argparse.Namespace) -> None:
     options.progress(f"{len(designs.values)} designs; the first block is compiled")
     with Outputs(args.output) as out:
         found, rate = sweep.sweep(vessel, plan, designs, options.progress)
-        summary = sweep_summary(found, designs, rate)
+        summary = _sweep_summary(found, designs)
+        summary["vessel_steps_per_second"] = rate
         found.to_parquet(out.path("sweep.parquet"), index=False)
         out.json("sweep.json", {"vessel": vessel.name, "manoeuvre": plan.manoeuvre, **summary})
         if args.grid is not None and len(designs.names) == 2:
             title = f"{vessel.name}: {plan.manoeuvre}"
             save_map(found, designs.names, out.path("map.png"), title)
-    out.present(args, _summary_text(summary))
+    outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
+    lines = [f"{summary['designs']} designs ({outcomes}), {rate:.2g} vessel-steps/s"]
+    rows = [
+        (name, *(f"{column[key]:.4g}" for key in ("least", "median", "most")))
+        for name, column in summary["metrics"].items()
+        if math.isfinite(column["median"])
+    ]
+    lines += [table(rows, ("number (SI)", "least", "median", "most"))] if rows else []
+    for name, verdict in summary["imo"].items():
+        lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
+    out.present(args, "\n".join(lines))
 
 
 def _at_slowest(args: argparse.Namespace, designs: "Designs") -> argparse.Namespace:
     """The options with the lowest speed or thrust of a sweep over it: time limits follow it."""
-    for k, name in enumerate(designs.names):
-        if name not in ("speed", "thrust"):
-            continue
+    for name, lowest in designs.slowest().items():
         if args.speed is not None or args.thrust is not None:
             args.usage_error(f"{name} is swept: leave --speed and --thrust out")
-        lowest = float(designs.values[:, k].min())
         if lowest <= 0:
             raise UserError(f"{name} must be above zero in every design; the lowest is {lowest:g}")
         args = argparse.Namespace(**{**vars(args), name: lowest})
     return args
 
 
-def sweep_summary(found: "pd.DataFrame", designs: "Designs", rate: float) -> dict[str, Any]:
-    """The content of sweep.json, all but what was swept.
+def _sweep_summary(found: "pd.DataFrame", designs: "Designs") -> dict[str, Any]:
+    """The content of sweep.json, all but what was swept and how fast; `found` has designs as rows.
 
-    Arguments:
-        found: a row for each design.
-        rate: vessel-steps per second.
+    Counts of outcomes and of IMO verdicts; least, median and most of each number in SI units.
     """
-    numbers = [str(name) for name in found.select_dtypes("number") if name not in designs.names]
-    verdicts = [str(name) for name in found if str(name).startswith("imo_")]
     metrics, imo = {}, {}
-    for name in numbers:
-        column = found[name]
+    for name, column in found.drop(columns=[*designs.names]).select_dtypes("number").items():
         least, median, most = map(float, column.agg(["min", "median", "max"]))
-        count = len(column.dropna())
-        metrics[name] = {"least": least, "median": median, "most": most, "designs": count}
-    for name in verdicts:
-        counts = {word: list(found[name]).count(word) for word in ("pass", "fail")}
-        imo[name.removeprefix("imo_")] = counts
+        extent = {"least": least, "median": median, "most": most}
+        metrics[str(name)] = extent | {"designs": len(column.dropna())}
+    for name in map(str, found):
+        if name.startswith("imo_"):
+            verdicts = list(found[name])
+            counts = {word: verdicts.count(word) for word in ("pass", "fail")}
+            imo[name.removeprefix("imo_")] = counts
     return {
         "designs": len(found),
         "parameters": {
@@ -206,21 +191,4 @@ def sweep_summary(found: "pd.DataFrame", designs: "Designs", rate: float) -> dic
         "outcomes": {str(k): int(n) for k, n in found["outcome"].value_counts().items()},
         "metrics": metrics,
         "imo": imo,
-        "vessel_steps_per_second": rate,
     }
-
-
-def _summary_text(summary: dict[str, Any]) -> str:
-    outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
-    rate = f"{summary['vessel_steps_per_second']:.2g} vessel-steps/s"
-    lines = [f"{summary['designs']} designs ({outcomes}), {rate}"]
-    rows = [
-        (name, *(f"{column[key]:.4g}" for key in ("least", "median", "most")))
-        for name, column in summary["metrics"].items()
-        if math.isfinite(column["median"])
-    ]
-    if rows:
-        lines.append(table(rows, ("number (SI)", "least", "median", "most")))
-    for name, verdict in summary["imo"].items():
-        lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
-    return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
@@ -16,31 +17,29 @@ if TYPE_CHECKING:
     from diffsea.vessel.base import Vessel
 
 
-ANGLE_HELP = (
-    "rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a modified "
-    "zig-zag)"
-)
-SECONDS_HELP = (
-    "time limit; for acceleration, coasting, spiral and the straight part of a pull-out how long "
-    "each order is held (default: by length and speed)"
-)
-
-
 def register(commands: options.Commands) -> None:
     """Add the command."""
     summary = "run a standard trial: recording, metrics, IMO verdict, plots"
-    parser = options.add_command(commands, "trial", trial_command, summary)
+    add_trial_command(commands, "trial", trial_command, summary)
+
+
+def add_trial_command(
+    commands: options.Commands,
+    name: str,
+    run: Callable[[argparse.Namespace], None],
+    summary: str,
+) -> argparse.ArgumentParser:
+    """A command on a vessel, with the options that describe a trial."""
+    parser = options.add_command(commands, name, run, summary)
     options.add_vessel(parser)
-    add_trial_options(parser)
-
-
-def add_trial_options(parser: argparse.ArgumentParser) -> None:
-    """The options that describe a trial."""
     group = parser.add_argument_group("trial")
-    trials = options.LazyChoices(_standard_trials)
-    kind = options.one_of(trials, "manoeuvre")
-    add_option(group, "--manoeuvre", "NAME", kind, "%(choices)s", choices=trials, required=True)
-    add_option(group, "--angle", "DEG", options.angle, ANGLE_HELP)
+    trials = options.LibraryNames("manoeuvre", "diffsea.simulation.standard:STANDARD_TRIALS")
+    add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=True)
+    angle = (
+        "rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a "
+        "modified zig-zag)"
+    )
+    add_option(group, "--angle", "DEG", options.angle, angle)
     heading = "heading change at which a zig-zag switches (default: 20; modified: 1)"
     add_option(group, "--heading", "DEG", options.angle, heading)
     add_choice(group, "--side", ("starboard", "port"), "side of the first order")
@@ -51,17 +50,16 @@ def add_trial_options(parser: argparse.ArgumentParser) -> None:
     add_option(start, "--thrust", "N", options.positive, thrust)
     keep = "let the speed controller go on after the execute (by the book it does not)"
     add_flag(group, "--keep-speed", keep)
-    add_option(group, "--seconds", "S", options.positive, SECONDS_HELP)
+    seconds = (
+        "time limit; for acceleration, coasting, spiral and the straight part of a pull-out how "
+        "long each order is held (default: by length and speed)"
+    )
+    add_option(group, "--seconds", "S", options.positive, seconds)
     step = "time step (default: about 0.05 sqrt(L/g))"
     add_option(group, "--step", "S", options.positive, step)
     executes = "rudder executions of a zig-zag"
     add_option(group, "--executes", "N", options.count, executes, default=4)
-
-
-def _standard_trials() -> dict[str, str]:
-    from diffsea.simulation.standard import STANDARD_TRIALS
-
-    return {name: trial.help for name, trial in STANDARD_TRIALS.items()}
+    return parser
 
 
 def trial_plan(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
@@ -75,8 +73,8 @@ def trial_plan(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
     plan = plan_trial(
         vessel,
         args.manoeuvre,
-        angle=None if args.angle is None else math.radians(args.angle),
-        heading=None if args.heading is None else math.radians(args.heading),
+        angle=args.angle,
+        heading=args.heading,
         side=1.0 if args.side == "starboard" else -1.0,
         speed=args.speed,
         thrust=args.thrust,
@@ -169,12 +167,13 @@ def metrics_text(metrics: dict[str, Any]) -> str:
 
 def _number_and_unit(name: str, value: float) -> tuple[str, str]:
     """A number of metrics.json and its unit, for a person."""
-    if name in ("speed_loss",):
-        return f"{value:.4g}", ""
-    if "yaw_rate" in name:
-        return f"{math.degrees(value):.4g}", "deg/s"
-    if "time" in name or name == "period":
-        return f"{value:.4g}", "s"
-    if any(word in name for word in ("overshoot", "angle", "heading")):
-        return f"{math.degrees(value):.4g}", "deg"
-    return f"{value:.4g}", "m/s" if "speed" in name else "m"
+    unit = "m/s" if "speed" in name else "m"
+    if name == "speed_loss":
+        unit = ""
+    elif "yaw_rate" in name:
+        value, unit = math.degrees(value), "deg/s"
+    elif "time" in name or name == "period":
+        unit = "s"
+    elif any(word in name for word in ("overshoot", "angle", "heading")):
+        value, unit = math.degrees(value), "deg"
+    return f"{value:.4g}", unit

@@ -1,10 +1,14 @@
-"""Norrbin's metamodel from several trials at once, by least squares.
+"""Norrbin's metamodel from several trials at once: one set of coefficients for all of them.
 
-Output error, as Gavrilin and Steen (2017) do: one set of coefficients, every trial with a first
-yaw rate of its own, all that disturbs taken for white noise of the sensor.
+`identify` minimises the output error, as Gavrilin and Steen (2017) do, every trial with a first
+yaw rate of its own and all that disturbs taken for white noise of the sensor.
+`identify_by_likelihood` estimates each trial's steady wind and lasting gusts with the coefficients.
 """
 
+import dataclasses
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,24 +17,30 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
+from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
 from diffsea.metamodels.norrbin import Norrbin
+from diffsea.parameters import Parameter
 from diffsea.recordings.conditioning import resample
 from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar
+from diffsea.vessel.effects import EFFECTS
 
 
-MAX_STEPS = (
-    25  # of Levenberg and Marquardt: from the regression, enough from the regression's start
-)
-COMMON_MOMENT = 1e9  # a tie so stiffness that trials have no moment of their own
+MAX_STEPS = 25  # of Levenberg and Marquardt: enough from the regression's start
+COMMON_MOMENT = 1e9  # a tie so stiff that trials have no moment of their own
 OWN_MOMENTS = 1e-2  # a tie so weak that every trial's moment is free
+NORRBIN_PARAMETERS = ("norrbin.a0", "norrbin.a1", "norrbin.a2", "norrbin.a3", "rudder.N_d")
+# Rudder angle that wind of 10 m/s would ask for: it sets how far the trials' own moments may be
+# from zero, three times as far for 15 m/s.
+WIND_ANGLE = math.radians(1.0)  # rad
 
 
 class Trials(eqx.Module):
     """Several trials on uniform clocks, padded to one length.
 
-    A trial of which nothing is known is none: sets of different numbers of trials can share a
-    shape.
+    One of which nothing is known is none: sets of different numbers can share a shape.
     """
 
     dt: Scalar  # s
@@ -51,14 +61,13 @@ class NorrbinFit(eqx.Module):
     converged: Bool[Array, ""]
 
 
-def trials_of(
-    recordings: Sequence[Trajectory], dt: float, channel: str = "rudder", length: int | None = None
-) -> Trials:
-    """Trials from recordings, resampled to `dt` s; `length` samples each, the longest if None.
+def trials_of(recordings: Sequence[Trajectory], dt: float, channel: str = "rudder") -> Trials:
+    """Trials from recordings, resampled to `dt` s.
 
-    Executed angles where they were measured, else the orders.
+    Executed angles of the `channel` where they were measured, else the orders.
 
-    Raises `UserError` where a recording has no such channel or no yaw rate.
+    Raises:
+        UserError: a recording has no such channel or no yaw rate.
     """
     columns = []
     for run in recordings:
@@ -66,18 +75,14 @@ def trials_of(
             names = ", ".join([*run.executed, *run.commanded]) or "none"
             raise UserError(f"{run.name} has no channel {channel!r}; it has: {names}")
         if not run.has("r"):
-            raise UserError(
-                f"{run.name} has no yaw rate (r); map one, or differentiate the heading"
-            )
+            message = "has no yaw rate (r); map one, or differentiate the heading"
+            raise UserError(f"{run.name} {message}")
         even = resample(run, dt)
         group = even.executed if channel in even.executed else even.commanded
         columns.append((np.asarray(group[channel], float), np.asarray(even.r, float)))
-    count = max(len(r) for _, r in columns) if length is None else length
-    shape = (len(columns), count)
-    delta, r = np.empty(shape), np.full(shape, np.nan)
-    for k, (angle, rate) in enumerate(columns):
-        delta[k] = np.pad(angle, (0, max(0, count - len(angle))), "edge")[:count]
-        r[k, : len(rate)] = rate[:count]
+    count = max(len(r) for _, r in columns)
+    delta = np.stack([np.pad(a, (0, count - len(a)), "edge") for a, _ in columns])
+    r = np.stack([np.pad(r, (0, count - len(r)), constant_values=np.nan) for _, r in columns])
     known = np.isfinite(r)
     measured = np.where(known, r, 0.0)
     return Trials(*(jnp.asarray(part) for part in (dt, delta, measured, known)))
@@ -103,10 +108,23 @@ def identify(trials: Trials, tie: Scalar = COMMON_MOMENT, steps: int = MAX_STEPS
     stiffness = _normal_equations(theta, own, trials, 0.0)[0][:, 6, 6] * tie + 1e-300
     start = theta, own, _cost(theta, own, trials, stiffness), jnp.asarray(1e-2)
 
-    def body(carry: tuple, _: None) -> tuple[tuple, None]:
-        return _levenberg_marquardt_step(carry, trials, stiffness), None
+    def step(carry: tuple, _: None) -> tuple[tuple, None]:
+        """Of Levenberg and Marquardt, withdrawn where it makes things worse."""
+        theta, own, cost, damping = carry
+        H, g = _normal_equations(theta, own, trials, stiffness)
+        A, scores, share, alone = _eliminate_own(H, g, damping)
+        size = jnp.sqrt(jnp.diag(A)) + 1e-150
+        scaled = A / jnp.outer(size, size) + damping * jnp.eye(5)
+        change = -jnp.linalg.solve(scaled, scores.sum(0) / size) / size
+        mine = alone - jnp.einsum("nij,i->nj", share, change)
+        after = _cost(theta + change, own + mine, trials, stiffness)
+        better = after < cost
+        damping = jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-12, 1e8)
+        moved = theta + change, own + mine, after
+        kept = jax.tree.map(lambda new, old: jnp.where(better, new, old), moved, carry[:3])
+        return (*kept, damping), None
 
-    theta, own, cost, _ = jax.lax.scan(body, start, length=steps)[0]
+    theta, own, cost, _ = jax.lax.scan(step, start, length=steps)[0]
     return _summarise(theta, own, cost, trials, stiffness)
 
 
@@ -188,26 +206,6 @@ def _eliminate_own(H: Array, g: Array, damping: Scalar) -> tuple[Array, Array, A
     return A, scores, share, -jnp.einsum("nij,nj->ni", inverse, g[:, 5:])
 
 
-def _levenberg_marquardt_step(carry: tuple, trials: Trials, stiffness: Array) -> tuple:
-    """One step of Levenberg and Marquardt, withdrawn where it makes things worse."""
-    theta, own, cost, damping = carry
-    A, scores, share, alone = _eliminate_own(
-        *_normal_equations(theta, own, trials, stiffness), damping
-    )
-    size = jnp.sqrt(jnp.diag(A)) + 1e-150
-    scaled = A / jnp.outer(size, size) + damping * jnp.eye(5)
-    step = -jnp.linalg.solve(scaled, scores.sum(0) / size) / size
-    mine = alone - jnp.einsum("nij,i->nj", share, step)
-    after = _cost(theta + step, own + mine, trials, stiffness)
-    better = after < cost
-    return (
-        jnp.where(better, theta + step, theta),
-        jnp.where(better, own + mine, own),
-        jnp.where(better, after, cost),
-        jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-12, 1e8),
-    )
-
-
 def _summarise(
     theta: Array, own: Array, cost: Array, trials: Trials, stiffness: Array
 ) -> NorrbinFit:
@@ -231,4 +229,71 @@ def _summarise(
         white=variance * inverse,
         clustered=inverse @ spread @ inverse,
         converged=gain < little,
+    )
+
+
+class LikelihoodFit(NamedTuple):
+    """What the likelihood found."""
+
+    model: Norrbin
+    covariance: Float[np.ndarray, "5 5"]  # in the order a_0, a_1, a_2, a_3, b
+
+
+def identify_by_likelihood(
+    recordings: Sequence[Trajectory],
+    start: Norrbin,
+    length: float,
+    speed: float,
+    least: DatasetShape = ANY_SHAPE,
+) -> LikelihoodFit:
+    """Coefficients by the innovation likelihood, disturbances of every trial as nuisances.
+
+    Arguments:
+        recordings: trials with yaw rate, heading or both, and the rudder (rad).
+        start: where to start from, such as what `identify` found.
+        length: of the vessel, m; with it sizes of gusts are judged.
+        speed: of the trials, m/s.
+        least: shape of the dataset; fits of one shape share their compiled programs.
+
+    Wind is each trial's own, two components in the earth, zero on average over trials; gusts
+    of yaw acceleration that last have their strength and memory estimated.
+    """
+    runs = [_yaw_only(run, speed) for run in recordings]
+    b = float(start.b)
+    vessel = start.vessel(length, speed, wind_moment=WIND_ANGLE * b)
+    # Wide normal priors about the start: they rule nothing out.
+    T, usual = 1 / max(abs(float(start.a1)), 1e-6), math.radians(0.5)  # s, rad/s
+    sizes = (abs(b) * math.radians(2.0), 1 / T, 1 / (T * usual), 1 / (T * usual**2), abs(b))
+    values = zip(NORRBIN_PARAMETERS, jax.tree.leaves(start), sizes, strict=True)
+    priors = {name: Parameter(name, float(x), float(size), 3.0) for name, x, size in values}
+    problem = make_problem(
+        vessel,
+        runs,
+        NORRBIN_PARAMETERS,
+        (EFFECTS["wind"],),
+        per_run=True,
+        capacity=2,
+        priors=priors,
+        least=least,
+    )
+    found = estimate(problem, (*NORRBIN_PARAMETERS, "wind"))
+    parameters = problem.layout.parameters
+    values = {p.name: p.decode(c) for p, c in zip(parameters, found.coordinates, strict=False)}
+    scale = np.array([p.scale for p in parameters])
+    order = [problem.layout.indices((name,))[0] for name in NORRBIN_PARAMETERS]
+    place = [list(found.index).index(k) for k in order]
+    covariance = found.covariance[np.ix_(place, place)] * np.outer(scale[order], scale[order])
+    model = Norrbin(*(float(values[name]) for name in NORRBIN_PARAMETERS))
+    return LikelihoodFit(model, covariance)
+
+
+def _yaw_only(run: Trajectory, speed: float) -> Trajectory:
+    """The recording without what the metamodel says nothing of, at its constant speed."""
+    nothing, steady = (np.full(np.shape(run.t), value) for value in (np.nan, speed))
+    rudder = {
+        group: {c: s for c, s in getattr(run, group).items() if c == "rudder"}
+        for group in ("commanded", "executed")
+    }
+    return dataclasses.replace(
+        run, x=nothing, y=nothing, u=steady, v=0 * steady, extra={}, **rudder
     )

@@ -18,7 +18,6 @@ class Zigzag:
     """The ideal zig-zag that a metamodel is asked for. Angles in rad.
 
     From straight running, at exactly the ordered angles, switched at exactly the heading.
-    `trimmed` counts rudder angles from the neutral one; else from amidships.
     """
 
     angle: float = math.radians(10.0)
@@ -28,7 +27,6 @@ class Zigzag:
     seconds: float = 600.0
     step: float = 0.25  # s; the rudder's ramp is straight within each
     executes: int = 3
-    trimmed: bool = False
 
 
 class IdealRun(eqx.Module):
@@ -57,16 +55,11 @@ def ideal_zigzag(model: Norrbin, wanted: Zigzag) -> IdealRun:
     Switches are located inside their steps, on the cubic through headings and yaw rates at both
     ends, and the step is done in two parts; peaks of heading are read off likewise.
     """
-    neutral = jnp.asarray(model.neutral, float)
+    zero, neutral = jnp.zeros(()), jnp.asarray(model.neutral, float)
     nothing = jnp.full(wanted.executes - 1, jnp.nan)
-    zero = jnp.zeros(())
     start = _ZigzagState(zero, zero, neutral, jnp.zeros((), int), nothing, nothing)
-
-    def body(now: _ZigzagState, t: Scalar) -> tuple[_ZigzagState, _ZigzagState]:
-        return _step(model, wanted, now, t), now
-
     times = wanted.step * jnp.arange(math.ceil(wanted.seconds / wanted.step), dtype=float)
-    last, rows = jax.lax.scan(body, start, times)
+    last, rows = jax.lax.scan(lambda now, t: (_step(model, wanted, now, t), now), start, times)
     return IdealRun(times, rows.psi, rows.r, rows.delta, last.overshoots, last.switch_times)
 
 
@@ -93,8 +86,7 @@ def _advance(
     model: Norrbin, wanted: Zigzag, now: _ZigzagState, stage: Int[Array, ""], dt: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Heading, yaw rate and rudder `dt` s later under the order of a stage."""
-    sense = _side(wanted, jnp.minimum(stage, wanted.executes - 1))
-    order = sense * wanted.angle + (model.neutral if wanted.trimmed else 0.0)
+    order = _side(wanted, jnp.minimum(stage, wanted.executes - 1)) * wanted.angle
     largest = wanted.rate_limit * dt
     delta = now.delta + jnp.clip(order - now.delta, -largest, largest)
     r = model.step(now.r, now.delta, delta, dt)

@@ -41,12 +41,6 @@ class Norrbin(eqx.Module):
     b: Scalar  # 1/s^2
 
     @staticmethod
-    def nomoto(gain: Scalar, time_constant: Scalar, neutral: Scalar = 0.0) -> "Norrbin":
-        """The linear model of Nomoto: `gain` 1/s, `time_constant` s, `neutral` angle rad."""
-        b = gain / time_constant
-        return Norrbin(b * neutral, 1 / time_constant, 0.0, 0.0, b)
-
-    @staticmethod
     def of(coefficients: Float[Array, "5"]) -> "Norrbin":
         """From a_0, a_1, a_2, a_3 and b in one array."""
         return Norrbin(*(coefficients[k] for k in range(5)))

@@ -41,8 +41,8 @@ class TrialSensitivities:
         """Relative change of a number per relative change of a parameter; zeros left out."""
         relative = {}
         for number, row in self.derivatives.items():
-            if self.numbers[number] != 0:
-                scale = self.numbers[number]
+            scale = self.numbers[number]
+            if scale != 0:
                 scaled = {name: d * self.parameters[name] / scale for name, d in row.items()}
                 relative[number] = {name: value for name, value in scaled.items() if value != 0}
         return relative

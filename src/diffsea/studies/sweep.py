@@ -43,6 +43,11 @@ class Designs(NamedTuple):
     names: tuple[str, ...]
     values: Float[np.ndarray, "design name"]
 
+    def slowest(self) -> dict[str, float]:
+        """The lowest approach speed (m/s) or thrust (N) that is swept: time limits follow it."""
+        columns = zip(self.names, self.values.T, strict=True)
+        return {name: float(column.min()) for name, column in columns if name in OF_THE_TRIAL}
+
 
 class SweepResult(NamedTuple):
     """What a sweep found.
@@ -64,10 +69,10 @@ class _DesignResults(NamedTuple):
 
 def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
     """All combinations of evenly spaced values: from, to and how many, by name."""
-    _check_count(math.prod(number for *_, number in axes.values()))
-    lines = [np.linspace(start, stop, number) for start, stop, number in axes.values()]
-    points = np.stack([axis.ravel() for axis in np.meshgrid(*lines, indexing="ij")], axis=-1)
-    return Designs(tuple(axes), points)
+    _check_count(math.prod(count for *_, count in axes.values()))
+    lines = [np.linspace(start, stop, count) for start, stop, count in axes.values()]
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    return Designs(tuple(axes), points.reshape(-1, len(axes)))
 
 
 def sample(axes: Mapping[str, tuple[float, float]], count: int, seed: int = 0) -> Designs:
@@ -85,10 +90,9 @@ def _check_count(count: int) -> None:
 
 def check_names(vessel: Vessel, names: Sequence[str]) -> None:
     """Raise `UserError` for a name that is neither a parameter of the vessel nor of the trial."""
-    known = file_parameters(vessel)
+    every = (*OF_THE_TRIAL, *file_parameters(vessel))
     for name in names:
-        if name not in known and name not in OF_THE_TRIAL:
-            every = (*OF_THE_TRIAL, *known)
+        if name not in every:
             raise UserError(
                 f"there is no parameter {name!r}{nearest(name, every)}; "
                 f"choose among {', '.join(every)}"
@@ -113,9 +117,8 @@ def sweep(
         UserError: a name that is neither a parameter of the vessel nor of the trial.
     """
     check_names(vessel, designs.names)
-    known = file_parameters(vessel)
+    known, values = file_parameters(vessel), np.asarray(designs.values, float)
     places = tuple((name, known.get(name, ())) for name in designs.names)
-    values = np.asarray(designs.values, float)
     first, *longer = _quicker_plans(vessel, plan)
     found, steps, seconds = _run_designs(vessel, first, places, values, progress)
     for following in longer:
@@ -148,11 +151,9 @@ def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
         if seconds > 0.7 * plan.settings.seconds:  # timed stages end by the clock
             seconds = plan.settings.seconds
         approach = planning.round_up(factor * before) if before > 0 else plan.approach_seconds
-        shorter = dataclasses.replace(
-            plan,
-            settings=dataclasses.replace(plan.settings, seconds=seconds),
-            approach_seconds=min(approach, plan.approach_seconds),
-        )
+        settings = dataclasses.replace(plan.settings, seconds=seconds)
+        approach = min(approach, plan.approach_seconds)
+        shorter = dataclasses.replace(plan, settings=settings, approach_seconds=approach)
         plans += [shorter] if shorter != plan else []
     return [*plans, plan]
 
@@ -177,10 +178,9 @@ def _run_designs(
     def run_batch(batch: np.ndarray) -> tuple[_DesignResults, float]:
         padded = np.pad(batch, ((0, size - len(batch)), (0, 0)), mode="edge")
         began = time.perf_counter()
-        found = jax.tree.map(
-            np.asarray, _batched_trial(arrays, jnp.asarray(padded), (plan, places))
-        )
-        return jax.tree.map(lambda leaf: leaf[: len(batch)], found), time.perf_counter() - began
+        found = _batched_trial(arrays, jnp.asarray(padded), (plan, places))
+        found = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(batch)], found)
+        return found, time.perf_counter() - began
 
     first, compiling = run_batch(batches[0])
     results, reported, began = [first], time.perf_counter(), time.perf_counter()
@@ -206,27 +206,21 @@ def _batched_trial(
 ) -> _DesignResults:
     plan, places = trial
 
-    def one_trial(row: Float[Array, "name"]) -> _DesignResults:
+    def run_one(row: Float[Array, "name"]) -> _DesignResults:
         chosen: dict[str, Scalar] = {name: row[k] for k, (name, _) in enumerate(places)}
         changed = replace(vessel, spread_over_places(dict(places), chosen))
-        throttle = chosen.get("thrust")
-        if throttle is not None:
-            throttle = throttle_for_thrust(changed, throttle)
+        thrust = chosen.get("thrust")
+        throttle = None if thrust is None else throttle_for_thrust(changed, thrust)
         done = planning.run_plan(changed, plan, chosen.get("speed"), throttle)
         numbers, run = planning.trial_numbers(plan, done), done.trajectory
-        return _DesignResults(
-            numbers, jnp.asarray(run.outcome), _is_possible(changed), jnp.sum(run.valid)
-        )
+        body = changed.rigid_body
+        sizes = (body.mass, body.I_z, body.length, body.beam, body.draught, body.water_density)
+        # As a vessel file's have to be.
+        positive = jnp.all(jnp.stack([jnp.asarray(size, float) for size in sizes]) > 0)
+        possible = positive & changed.has_inertia()
+        return _DesignResults(numbers, jnp.asarray(run.outcome), possible, jnp.sum(run.valid))
 
-    return jax.vmap(one_trial)(values)
-
-
-def _is_possible(vessel: Vessel) -> Bool[Array, ""]:
-    """Whether masses and dimensions are positive, as a vessel file's have to be."""
-    body = vessel.rigid_body
-    sizes = (body.mass, body.I_z, body.length, body.beam, body.draught, body.water_density)
-    positive = jnp.all(jnp.stack([jnp.asarray(size, float) for size in sizes]) > 0)
-    return positive & vessel.has_inertia()
+    return jax.vmap(run_one)(values)
 
 
 def _results_table(
@@ -243,8 +237,9 @@ def _results_table(
     verdicts = []
     for k, length in enumerate(lengths):
         row = {name: float(column[k]) for name, column in numbers.items() if np.isfinite(column[k])}
-        found_verdicts = planning.trial_verdicts(plan, row, length)
-        verdicts.append({name: verdict["verdict"] for name, verdict in found_verdicts.items()})
-    criteria = sorted({name for row in verdicts for name in row})
-    imo = {f"imo_{name}": [row.get(name) for row in verdicts] for name in criteria}
+        verdicts.append(planning.trial_verdicts(plan, row, length))
+    imo = {
+        f"imo_{name}": [row[name]["verdict"] if name in row else None for row in verdicts]
+        for name in sorted({name for row in verdicts for name in row})
+    }
     return pd.DataFrame({**parameters, **numbers, **imo, "outcome": outcome})

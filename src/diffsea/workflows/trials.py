@@ -169,12 +169,7 @@ def sweep(
     boat = as_vessel(vessel)
     chosen = designs.grid(grid) if grid is not None else designs.sample(sample or {}, count, seed)
     designs.check_names(boat, chosen.names)
-    lowest = {
-        name: float(chosen.values[:, k].min())
-        for k, name in enumerate(chosen.names)
-        if name in designs.OF_THE_TRIAL
-    }
-    plan = planning.plan_trial(boat, manoeuvre, **{**options, **lowest})
+    plan = planning.plan_trial(boat, manoeuvre, **{**options, **chosen.slowest()})
     return designs.sweep(boat, plan, chosen, progress).table
 
 

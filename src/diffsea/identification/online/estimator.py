@@ -6,7 +6,7 @@ nothing but its recursion.
 
 import abc
 from collections.abc import Mapping, Sequence
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,16 +24,15 @@ from diffsea.vessel.servo import Servo
 
 
 ParameterChoice = Sequence[str | Parameter]
-
-# Numbers that are usually zero in a vessel file, with the catalogue's size of each.
-_USUAL_SIZES = {"current": EFFECTS["current"], "wind": EFFECTS["wind"]}
+Orders = dict[str, Scalar]  # by channel, in the channel's unit
+Measurement = Float[Array, "6"]  # x, y (m), psi (rad), u, v (m/s), r (rad/s); NaN where missing
 
 
 class AbstractBelief(eqx.Module):
     """What an estimator knows at one instant."""
 
-    t: eqx.AbstractVar[Scalar]  # s
-    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+    t: Scalar  # s
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
     @property
     @abc.abstractmethod
@@ -54,13 +53,13 @@ class AbstractBelief(eqx.Module):
 Belief = TypeVar("Belief", bound=AbstractBelief)
 
 
-class AbstractInnovation(eqx.Module):
+class Innovation(eqx.Module):
     """What one measurement said beyond what was expected of it."""
 
-    white: eqx.AbstractVar[Float[Array, "channel"]]  # unit variance; zero where missing
-    share: eqx.AbstractVar[Float[Array, "channel"]]  # independent samples it counts for, 0 to 1
-    change: eqx.AbstractVar[Float[Array, "parameter"]]  # of the coordinates, by this measurement
-    settled: eqx.AbstractVar[Float[Array, "parameter"]]  # variance of them that it took away
+    white: Float[Array, "channel"]  # in unit variance, given the channels before; 0 where missing
+    share: Float[Array, "channel"]  # independent samples that it counts for, 0 to 1
+    change: Float[Array, "parameter"]  # of the coordinates, by this measurement
+    settled: Float[Array, "parameter"]  # variance of the coordinates that it took away
 
 
 class AbstractEstimator(eqx.Module, Generic[Belief]):
@@ -69,9 +68,10 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
     `channels` names the innovations of each step in their order.
     """
 
-    channels: eqx.AbstractClassVar[tuple[str, ...]]
-    vessel: eqx.AbstractVar[Vessel]  # at the prior mean
-    parameters: eqx.AbstractVar[tuple[Parameter, ...]]
+    channels: ClassVar[tuple[str, ...]]
+
+    vessel: Vessel  # at the prior mean
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
     @abc.abstractmethod
     def init(
@@ -85,34 +85,17 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
             t: s.
         """
 
-    def settled_motion(
-        self, start: State, orders: Mapping[str, float] | None, step: float
-    ) -> SimulationState:
-        """The vessel at `start`, its actuators settled to the orders (zero where none is given).
-
-        `step` (s) is the time between orders: it sets how many of them a delay remembers.
-        """
-        given = orders or {}
-        settled: dict[str, Scalar] = {
-            c: jnp.asarray(float(given.get(c, 0.0))) for c in self.vessel.channels
-        }
-        return begin(self.vessel, start, settled, history_lengths(self.vessel, step, 3.0))
-
     @abc.abstractmethod
     def step(
-        self,
-        belief: Belief,
-        orders: dict[str, Scalar],
-        measurement: Float[Array, "6"],
-        dt: Scalar,
-    ) -> tuple[Belief, AbstractInnovation]:
+        self, belief: Belief, orders: Orders, measurement: Measurement, dt: Scalar
+    ) -> tuple[Belief, Innovation]:
         """The belief `dt` s later, after a measurement there. Pure, for `jit` and `lax.scan`.
 
         Arguments:
-            orders: what held since the last step, by channel in that channel's unit; the
-                executed value for a channel whose execution is measured.
-            measurement: (x, y, psi, u, v, r) in m, rad, m/s, rad/s; NaN where there is none, so
-                that sensors of different rates and lost samples need nothing special.
+            orders: what held since the last step; the executed value for a channel whose
+                execution is measured.
+            measurement: NaN where there is none, so that sensors of different rates and lost
+                samples need nothing special.
             dt: s since the last step; zero for the first measurement of a run.
         """
 
@@ -120,10 +103,17 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
     def reset(self, belief: Belief, coordinates: Float[Array, "parameter"]) -> Belief:
         """The same motion, the parameters back at `coordinates` with their prior's uncertainty."""
 
-    @property
-    def prior_std(self) -> Float[np.ndarray, "parameter"]:
-        """Prior standard deviation of every coordinate."""
-        return np.array([parameter.spread for parameter in self.parameters])
+    def settled_motion(
+        self, start: State, orders: Mapping[str, float] | None, step: float
+    ) -> SimulationState:
+        """The vessel at `start`, its actuators settled to the orders (zero where none is given).
+
+        `step` (s) is the time between orders: it sets how many of them a delay remembers.
+        """
+        settled: Orders = {
+            c: jnp.asarray(float((orders or {}).get(c, 0.0))) for c in self.vessel.channels
+        }
+        return begin(self.vessel, start, settled, history_lengths(self.vessel, step, 3.0))
 
     def vessel_at(self, coordinates: Float[Array, "parameter"]) -> Vessel:
         """The vessel with its parameters at these coordinates."""
@@ -162,10 +152,10 @@ def parameters_with_priors(vessel: Vessel, free: ParameterChoice) -> tuple[Param
             parameters.append(choice)
             continue
         value = float(values[choice])
-        component = choice.endswith(("_north", "_east"))
-        effect = _USUAL_SIZES.get(choice.split("_")[0]) if component else None
-        if effect is not None:
-            parameters.append(Parameter(choice, value, effect.sizes(vessel)[0], 1.0, unit="m/s"))
+        flow, _, component = choice.partition("_")
+        if flow in ("current", "wind") and component in ("north", "east"):
+            size = EFFECTS[flow].sizes(vessel)[0]
+            parameters.append(Parameter(choice, value, size, 1.0, unit="m/s"))
         elif value == 0:
             raise UserError(
                 f"{choice} is zero in the vessel, which says nothing of its size: give a Parameter "
@@ -182,6 +172,11 @@ def without_bounds(parameter: Parameter) -> Parameter:
     return Parameter(parameter.name, parameter.value, scale, parameter.spread, unit=parameter.unit)
 
 
+def prior_std(parameters: Sequence[Parameter]) -> Float[np.ndarray, "parameter"]:
+    """Prior standard deviation of every coordinate."""
+    return np.array([parameter.spread for parameter in parameters])
+
+
 def with_measured_actuation(vessel: Vessel, measured: Sequence[str]) -> Vessel:
     """The vessel whose measured channels execute at once what is passed for their order.
 
@@ -194,4 +189,4 @@ def with_measured_actuation(vessel: Vessel, measured: Sequence[str]) -> Vessel:
                 f"{channel!r} is said to be measured, but the vessel has no such actuator "
                 f"channel; it has: {', '.join(vessel.channels)}"
             )
-    return change_servos(vessel, tuple(measured), lambda servo, actuator: Servo())
+    return change_servos(vessel, measured, lambda servo, actuator: Servo())

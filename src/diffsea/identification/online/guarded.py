@@ -1,26 +1,25 @@
 """An online estimator with its trust and its gate, step by step or along a recording.
 
-Only estimates that stood the test of time reach a controller. A fault is found some time after
-it began, and by then the estimate has followed it. So an estimate waits for `quarantine` seconds,
-and only if trust never fell to the alarm level in between is it handed on. At an alarm the gate
-closes: what waits is thrown away and the controller keeps what it has (the prior mean, where
-nothing was handed on yet). The gate opens again after trust has been above a higher level for as
-long (hysteresis in level and time).
+A fault is found some time after it began, and by then the estimate has followed it. So an estimate
+waits for `quarantine` seconds, and only if trust never fell to the alarm level in between is it
+handed on. At an alarm the gate closes: what waits is thrown away and the controller keeps what it
+has (the prior mean at first). The gate opens again after trust has been above a higher level for
+as long (hysteresis in level and time).
 
-An estimator that followed a fault is sure of what is wrong, and would take long to find back.
-So it starts again, from what the controller has and with the prior's uncertainty, when the gate
-closes, and every two windows after that while its trust is at the alarm level. The same lets it
-follow a real change of the vessel that is faster than its random walk.
+An estimator that followed a fault is sure of what is wrong. So it starts again, from what the
+controller has and with the prior's uncertainty, when the gate closes, and every two windows after
+that while its trust is at the alarm level: so it also follows a sudden change of the vessel.
 """
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
@@ -31,12 +30,13 @@ from diffsea.identification.online.ekf import kalman_filter
 from diffsea.identification.online.estimator import (
     AbstractBelief,
     AbstractEstimator,
+    Measurement,
+    Orders,
     ParameterChoice,
     decode_parameters,
 )
 from diffsea.identification.online.rls import recursive_least_squares
 from diffsea.identification.online.trust import FadingSums, StepEvidence, Trust, TrustLimits
-from diffsea.parameters import Parameter
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import recorded_actuation
 from diffsea.trajectory import Trajectory
@@ -44,7 +44,6 @@ from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
 
-REOPEN_TRUST = 0.75  # half way between the alarm and the usual level
 _WAITING_SLOTS = 8  # estimates that wait: one passes at most an eighth of a quarantine late
 
 
@@ -60,11 +59,10 @@ class GateState(eqx.Module):
 
 
 class Gate(eqx.Module):
-    """How long an estimate waits, s, and the levels of trust that close and open."""
+    """How long an estimate waits, and which trust opens; the alarm level closes."""
 
-    quarantine: Scalar
-    close: Scalar = trust.ALARM_TRUST
-    reopen: Scalar = REOPEN_TRUST
+    quarantine: Scalar  # s
+    reopen: Scalar = 0.75  # half way between the alarm and the usual level
 
     def init(self, parameters: int) -> GateState:
         """A closed gate that has handed on the prior mean, coordinates of zero."""
@@ -72,27 +70,26 @@ class Gate(eqx.Module):
         return GateState(jnp.zeros(parameters), jnp.asarray(False), zero, zero, slots, zero)
 
     def step(
-        self, state: GateState, estimate: Float[Array, "parameter"], trust: Scalar, dt: Scalar
+        self, state: GateState, estimate: Float[Array, "parameter"], value: Scalar, dt: Scalar
     ) -> GateState:
-        """What has passed after one more step of `dt` s. Pure, for `jit` and `lax.scan`."""
-        good = jnp.where(trust >= self.reopen, state.good + dt, 0.0)
+        """What has passed after one more step of `dt` s at a trust of `value`. Pure."""
+        good = jnp.where(value >= self.reopen, state.good + dt, 0.0)
         # A trust that is not a number fails both comparisons.
-        sound = trust > self.close
+        sound = value > trust.ALARM_TRUST
         opened = jnp.where(state.open, sound, good >= self.quarantine)
         waits = sound & (state.open | (good > 0))
         clock = jnp.where(waits, state.clock + dt, 0.0)
         due = waits & ((clock >= self.quarantine / _WAITING_SLOTS) | (state.filled == 0))
         ripe = due & (state.filled >= _WAITING_SLOTS) & opened
         shifted = jnp.concatenate([state.waiting[1:], estimate[None]])
+        filled = jnp.minimum(state.filled + due.astype(float), _WAITING_SLOTS)
         return GateState(
             handed=jnp.where(ripe, state.waiting[0], state.handed),
             open=opened,
             good=good,
             clock=jnp.where(due, 0.0, clock),
             waiting=jnp.where(due, shifted, state.waiting),
-            filled=jnp.where(
-                waits, jnp.minimum(state.filled + due.astype(float), _WAITING_SLOTS), 0.0
-            ),
+            filled=jnp.where(waits, filled, 0.0),
         )
 
 
@@ -122,26 +119,17 @@ class GuardedEstimator(eqx.Module):
     limits: TrustLimits
     gate: Gate
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What is estimated."""
-        return self.estimator.parameters
-
     def decode(self, coordinates: Float[Array, "parameter"]) -> dict[str, Scalar]:
         """Parameters in SI units at some coordinates."""
-        return decode_parameters(self.parameters, coordinates)
+        return decode_parameters(self.estimator.parameters, coordinates)
 
     def init(self, belief: AbstractBelief) -> GuardedState:
         """The state before the first measurement, the gate closed."""
-        sums, gate = self.limits.init(), self.gate.init(len(self.parameters))
+        sums, gate = self.limits.init(), self.gate.init(len(self.estimator.parameters))
         return GuardedState(belief, sums, gate, jnp.zeros(()))
 
     def step(
-        self,
-        state: GuardedState,
-        orders: dict[str, Scalar],
-        measurement: Float[Array, "6"],
-        dt: Scalar,
+        self, state: GuardedState, orders: Orders, measurement: Measurement, dt: Scalar
     ) -> tuple[GuardedState, GuardedStep]:
         """One step of estimator, trust and gate; arguments as of the estimator's. Pure."""
         belief, news = self.estimator.step(state.belief, orders, measurement, dt)
@@ -152,7 +140,7 @@ class GuardedEstimator(eqx.Module):
         sums, verdict = trust.assess(self.limits, state.sums, evidence, dt)
         gate = self.gate.step(state.gate, estimate, verdict.value, dt)
         closed = jnp.where(gate.open, 0.0, state.closed + dt)
-        wrong = ~(verdict.fault > self.gate.close) & (closed >= 2 * self.gate.quarantine)
+        wrong = ~(verdict.fault > trust.ALARM_TRUST) & (closed >= 2 * self.gate.quarantine)
         again = (state.gate.open & ~gate.open) | wrong
         fresh = self.estimator.reset(belief, gate.handed), self.limits.init()
         belief, sums = jax.tree.map(
@@ -180,17 +168,16 @@ def guard_estimator(
 class OnlineRun(NamedTuple):
     """Histories of an estimator along a recording; time is that of the recording's rows."""
 
-    t: np.ndarray  # s, (time,)
-    estimate: dict[str, np.ndarray]  # SI, (time,)
-    std: dict[str, np.ndarray]  # SI, (time,), to first order
-    handed: dict[str, np.ndarray]  # what the gate passed, SI, (time,)
-    nis: np.ndarray  # normalised innovation squared, (time,)
-    degrees: np.ndarray  # its degrees of freedom, (time,)
-    trust: np.ndarray  # 0 to 1, (time,)
-    open: np.ndarray  # whether the gate is open, (time,)
+    t: Float[np.ndarray, "time"]  # s
+    estimate: dict[str, Float[np.ndarray, "time"]]  # SI
+    std: dict[str, Float[np.ndarray, "time"]]  # SI, to first order
+    handed: dict[str, Float[np.ndarray, "time"]]  # what the gate passed, SI
+    nis: Float[np.ndarray, "time"]  # normalised innovation squared
+    degrees: Int[np.ndarray, "time"]  # its degrees of freedom
+    trust: Float[np.ndarray, "time"]  # 0 to 1
+    open: Bool[np.ndarray, "time"]  # whether the gate is open
     steps: GuardedStep  # everything else, leaves (time, ...)
     guard: GuardedEstimator
-    state: GuardedState
 
     def reasons(self, row: int) -> tuple[str, ...]:
         """Why trust is at the alarm level or below in a row, in words; the worst first."""
@@ -224,11 +211,8 @@ def run_online(
     """
     dataset = make_dataset(vessel, [recording])
     noise = Noise.of(noise_prior(vessel, dataset).mean) if noise is None else noise
-    steps = _recorded_steps(vessel, recording)
-    estimator = kalman_filter(
-        vessel, free, noise, drift=drift, measured=steps.measured, interval=steps.interval
-    )
-    return _run_along(guard_estimator(estimator, limits), steps)
+    make = functools.partial(kalman_filter, vessel, free, noise, drift=drift)
+    return _run_along(vessel, recording, make, limits)
 
 
 def run_least_squares(
@@ -248,16 +232,14 @@ def run_least_squares(
     Raises:
         UserError: as `run_online`, or no complete rows of heading and velocities.
     """
-    steps = _recorded_steps(vessel, recording)
-    if np.isfinite(steps.measurement[:, 2:]).all(1).sum() < 10:
+    motion = recording.counted().motion
+    if np.isfinite([motion[c] for c in ("psi", "u", "v", "r")]).all(0).sum() < 10:
         raise UserError(
             f"{recording.name}: recursive least squares needs rows with heading, u, v and r "
             "together, and there are fewer than ten; use the extended Kalman filter"
         )
-    estimator = recursive_least_squares(
-        vessel, free, measured=steps.measured, interval=steps.interval, **options
-    )
-    return _run_along(guard_estimator(estimator, limits), steps)
+    make = functools.partial(recursive_least_squares, vessel, free, **options)
+    return _run_along(vessel, recording, make, limits)
 
 
 def calibrate_limits(runs: Sequence[OnlineRun]) -> TrustLimits:
@@ -272,66 +254,51 @@ def calibrate_limits(runs: Sequence[OnlineRun]) -> TrustLimits:
     return trust.calibrate(runs[0].guard.limits, [run.steps.evidence for run in runs], steps)
 
 
-class _RecordedSteps(NamedTuple):
-    """A recording as steps: what held before each measurement, and the measurement."""
-
-    t: np.ndarray  # s, of the recording's rows
-    dt: np.ndarray
-    measurement: np.ndarray
-    orders: dict[str, np.ndarray]
-    kept: np.ndarray  # steps that end in a row of the recording
-    start: np.ndarray  # first sample of every channel; zero where there is none
-    settled: dict[str, float]
-    measured: tuple[str, ...]
-    interval: float
+@eqx.filter_jit
+def _scan(guard: GuardedEstimator, state: GuardedState, rows: tuple) -> GuardedStep:
+    return jax.lax.scan(lambda now, row: guard.step(now, *row), state, rows)[1]
 
 
-def _recorded_steps(vessel: Vessel, recording: Trajectory) -> _RecordedSteps:
+def _run_along(
+    vessel: Vessel,
+    recording: Trajectory,
+    make_estimator: Callable[..., AbstractEstimator],
+    limits: TrustLimits | None,
+) -> OnlineRun:
+    """A recording as steps, each of what held before a measurement and the measurement."""
     run = recording.counted()
     t, motion = run.t, np.stack([*run.motion.values()], -1)
     orders, executed = recorded_actuation(vessel, recording)
     actuation = {c: executed.get(c, orders[c]) for c in vessel.channels}
     interval = 5 * median_interval(t)
+    estimator = make_estimator(measured=tuple(executed), interval=interval)
+    guard = guard_estimator(estimator, limits)
+
     parts = np.maximum(1, np.ceil(np.diff(t) / interval - 1e-9)).astype(int)
     row = np.append(0, np.repeat(np.arange(1, len(t)), parts))
-    kept = np.append(0, np.cumsum(parts))
+    kept = np.append(0, np.cumsum(parts))  # steps that end in a row of the recording
     measurement = np.full((len(row), 6), np.nan)
     measurement[kept] = motion
-    before, known = np.maximum(row - 1, 0), np.isfinite(motion)
-    return _RecordedSteps(
-        t=t,
-        dt=np.append(0.0, np.repeat(np.diff(t) / parts, parts)),
-        measurement=measurement,
-        orders={c: values[before] for c, values in actuation.items()},
-        kept=kept,
-        start=np.where(known.any(0), motion[known.argmax(0), np.arange(6)], 0.0),
-        settled={c: float(values[0]) for c, values in actuation.items()},
-        measured=tuple(executed),
-        interval=interval,
-    )
+    held = {c: values[np.maximum(row - 1, 0)] for c, values in actuation.items()}
+    dt = np.append(0.0, np.repeat(np.diff(t) / parts, parts))
+    known = np.isfinite(motion)
+    first = np.where(known.any(0), motion[known.argmax(0), np.arange(6)], 0.0)
+    settled = {c: float(values[0]) for c, values in actuation.items()}
+    belief = estimator.init(State(*first), orders=settled, t=float(t[0]))
+    rows = jax.tree.map(jnp.asarray, (held, measurement, dt))
+    steps = _scan(guard, guard.init(belief), rows)
 
-
-@eqx.filter_jit
-def _scan(guard: GuardedEstimator, state: GuardedState, rows: tuple) -> tuple:
-    return jax.lax.scan(lambda now, row: guard.step(now, *row), state, rows)
-
-
-def _run_along(guard: GuardedEstimator, recorded: _RecordedSteps) -> OnlineRun:
-    start, t = State(*recorded.start), float(recorded.t[0])
-    belief = guard.estimator.init(start, orders=recorded.settled, t=t)
-    rows = jax.tree.map(jnp.asarray, (recorded.orders, recorded.measurement, recorded.dt))
-    state, steps = _scan(guard, guard.init(belief), rows)
-    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[recorded.kept], steps)
+    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], steps)
     coordinates = steps.evidence.coordinates
     deviation = np.sqrt(np.diagonal(steps.evidence.covariance, axis1=1, axis2=2))
     estimate, std, handed = {}, {}, {}
-    for k, p in enumerate(guard.parameters):
+    for k, p in enumerate(estimator.parameters):
         estimate[p.name] = np.asarray(p.decode(coordinates[:, k]))
         slope = [p.slope(float(c)) for c in coordinates[:, k]]
         std[p.name] = np.array(slope) * deviation[:, k]
         handed[p.name] = np.asarray(p.decode(steps.handed[:, k]))
     return OnlineRun(
-        t=recorded.t,
+        t=t,
         estimate=estimate,
         std=std,
         handed=handed,
@@ -341,5 +308,4 @@ def _run_along(guard: GuardedEstimator, recorded: _RecordedSteps) -> OnlineRun:
         open=steps.open,
         steps=steps,
         guard=guard,
-        state=state,
     )

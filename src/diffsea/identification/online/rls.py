@@ -8,25 +8,23 @@ Phi is the derivative of the left side by theta, so that every model of the libr
 linear in what is chosen can be used, hull derivatives and masses alike. Both sides pass the
 same low-pass filter `b^2 / (s + b)^2` (state-variable filter: Young 1981, Automatica 17(1);
 Garnier and Wang 2008, chapter 1): the filtered acceleration is then a difference of two
-filter states, and no noise is differentiated. What a filter takes from both sides alike
-biases nothing. Left over is the bias of noise in the regressors, about the square of the
-noise-to-signal ratio of the measured speeds.
+filter states, and no noise is differentiated. Left over is the bias of noise in the regressors,
+about the square of the noise-to-signal ratio of the measured speeds.
 
 Forgetting is the stabilised one of Kulhavy and Zarrop (1993, Int. J. Control 58(4)): the
 geometric mean, with weights mu and 1 - mu, of what is known now and of the prior,
 
     R <- mu R + (1 - mu) R_0 + Phi' W Phi,   mu = exp(-dt / memory).
 
-This is exponential forgetting whose loss is made up from the prior. Plain exponential
-forgetting loses information that a straight run does not replace; its covariance grows
-exponentially and the next manoeuvre throws the estimate anywhere (wind-up). Here the
-covariance never exceeds the prior's, in any direction, and needs no rule for when a run is
-exciting enough; what has not been excited for longer than `memory` returns to the prior mean.
+Plain exponential forgetting loses information that a straight run does not replace, and the next
+manoeuvre throws the estimate anywhere (wind-up). Here the loss is made up from the prior: the
+covariance never exceeds the prior's, in any direction, and what has not been excited for longer
+than `memory` returns to the prior mean.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
@@ -39,7 +37,9 @@ from diffsea.errors import UserError
 from diffsea.identification.online.estimator import (
     AbstractBelief,
     AbstractEstimator,
-    AbstractInnovation,
+    Innovation,
+    Measurement,
+    Orders,
     ParameterChoice,
     decode_parameters,
     parameters_with_priors,
@@ -62,7 +62,6 @@ _ROUNDING = 1e-9  # relative change of a column of Phi that is rounding
 class RegressionBelief(AbstractBelief):
     """Information on the parameters, and the filtered signals of the next row."""
 
-    t: Scalar  # s
     motion: Float[Array, "6"]  # last complete measurement
     executed: dict[str, Scalar]
     histories: dict[str, OrderHistory]
@@ -75,29 +74,22 @@ class RegressionBelief(AbstractBelief):
     vector: Float[Array, "parameter"]
     variance: Float[Array, "3"]  # of the residual, N^2, N^2, (N m)^2
     samples: Scalar  # that the variance rests on
-    parameters: tuple[Parameter, ...] = eqx.field(static=True)
 
     @property
     def coordinates(self) -> Float[Array, "parameter"]:
-        """Estimate, in the prior's units from the prior mean."""
         return jnp.linalg.solve(self.information, self.vector)
 
     @property
     def parameter_covariance(self) -> Float[Array, "parameter parameter"]:
-        """Covariance of the coordinates."""
         return jnp.linalg.inv(self.information)
 
 
-class EquationError(AbstractInnovation):
+class EquationError(Innovation):
     """One row of the regression, filtered, and what it said."""
 
     target: Float[Array, "3"]  # y in N, N, N m
     regressor: Float[Array, "3 parameter"]  # Phi, per unit of coordinate
     weight: Float[Array, "3"]  # inverse variance times the row's share; zero where not used
-    white: Float[Array, "3"]  # y less its prediction, in unit variance
-    share: Float[Array, "3"]  # independent samples that the row counts for, 0 to 1
-    change: Float[Array, "parameter"]  # of the coordinates, by this row
-    settled: Float[Array, "parameter"]  # variance of the coordinates that it took away
 
 
 class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
@@ -105,7 +97,6 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
 
     channels: ClassVar[tuple[str, ...]] = ("surge force", "sway force", "yaw moment")
 
-    vessel: Vessel
     inertia: Float[Array, "3 3"]  # mass matrix at the prior mean
     inertia_slope: Float[Array, "3 3 parameter"]
     prior: Float[Array, "parameter parameter"]  # information of the prior, 1 / spread^2
@@ -114,7 +105,6 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
     correlation: Scalar  # s in which the residual becomes another one
     fixed: Bool[Array, ""]  # whether the noise stays as first given
     first_variance: Float[Array, "3"]  # of the residual, N^2, N^2, (N m)^2
-    parameters: tuple[Parameter, ...] = eqx.field(static=True)
     interval: float = eqx.field(static=True)  # s between measurements
 
     def init(
@@ -141,22 +131,19 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
         )
 
     def step(
-        self,
-        belief: RegressionBelief,
-        orders: dict[str, Scalar],
-        measurement: Float[Array, "6"],
-        dt: Scalar,
+        self, belief: RegressionBelief, orders: Orders, measurement: Measurement, dt: Scalar
     ) -> tuple[RegressionBelief, EquationError]:
-        """Filtered signals `dt` s later and, after a complete measurement, one row more.
+        """Filtered signals `dt` s later; one row more if heading and velocities were measured."""
 
-        A measurement without heading or one of the velocities waits for the next complete one.
-        """
+        def velocity_through_water(row: Float[Array, "6"]) -> Float[Array, "3"]:
+            water = through_water(State(*row), self.vessel.environment)
+            return jnp.stack([water.u, water.v, water.r])
+
         histories = {c: h.push(belief.t, orders[c]) for c, h in belief.histories.items()}
+        servos, since = self.vessel.servos, belief.since + dt
         answer = {
-            c: s.respond(belief.executed[c], histories[c], belief.t, dt)
-            for c, s in self.vessel.servos.items()
+            c: s.respond(belief.executed[c], histories[c], belief.t, dt) for c, s in servos.items()
         }
-        since = belief.since + dt
         impulse = {
             c: belief.impulse[c] + dt / 6 * (a.start + 4 * a.middle + a.end)
             for c, a in answer.items()
@@ -171,7 +158,7 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
             self._force_columns(row, mean, belief.t)
             for row in (jnp.where(first, motion, belief.motion), motion)
         )
-        begin, end = (self._velocity_through_water(row) for row in (belief.motion, motion))
+        begin, end = (velocity_through_water(row) for row in (belief.motion, motion))
         velocity = _low_pass(belief.velocity, begin, end, since, self.bandwidth)
         velocity = jnp.where(first, jnp.stack([end, end]), velocity)
         force = _low_pass(belief.force, before, after, since, self.bandwidth)
@@ -194,10 +181,7 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
     def reset(
         self, belief: RegressionBelief, coordinates: Float[Array, "parameter"]
     ) -> RegressionBelief:
-        """The same filters, the parameters back at `coordinates` with their prior's uncertainty.
-
-        Forgetting still leads back to the prior mean.
-        """
+        # Forgetting still leads back to the prior mean.
         return dataclasses.replace(belief, information=self.prior, vector=self.prior @ coordinates)
 
     def _update(
@@ -254,10 +238,6 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
         slope, total = jax.jacfwd(force, has_aux=True)(jnp.zeros(len(self.parameters)))
         return jnp.concatenate([total[:, None], slope], axis=1)
 
-    def _velocity_through_water(self, motion: Float[Array, "6"]) -> Float[Array, "3"]:
-        water = through_water(State(*motion), self.vessel.environment)
-        return jnp.stack([water.u, water.v, water.r])
-
 
 def recursive_least_squares(
     vessel: Vessel,
@@ -295,17 +275,24 @@ def recursive_least_squares(
         raise UserError("the memory of the forgetting must be a positive number of seconds")
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
     _check_linear(vessel, parameters)
-    scale = time_scale(float(vessel.rigid_body.length))
+    length = float(vessel.rigid_body.length)
+    scale = time_scale(length)
     bandwidth = 1 / scale if bandwidth is None else bandwidth
     lasting = 5 * scale if disturbance_memory is None else disturbance_memory
 
     def inertia(coordinates: Float[Array, "parameter"]) -> Float[Array, "3 3"]:
         return replace(vessel, decode_parameters(parameters, coordinates)).mass_matrix()
 
+    if noise is None:
+        # Force that changes the speed by 1 % of that at Froude number 0.3 within sqrt(L / g).
+        rate = 0.01 * 0.3 * froude_speed(length) / scale
+        std = jnp.diag(vessel.mass_matrix()) * rate * jnp.array([1.0, 1.0, 2 / length])
+    else:
+        std = jnp.array(noise)
     zero = jnp.zeros(len(parameters))
-    std = _first_noise_guess(vessel) if noise is None else jnp.array(noise)
     return RecursiveLeastSquares(
         vessel=vessel,
+        parameters=parameters,
         inertia=inertia(zero),
         inertia_slope=jax.jacfwd(inertia)(zero),
         prior=jnp.diag(jnp.array([parameter.spread**-2 for parameter in parameters])),
@@ -314,7 +301,6 @@ def recursive_least_squares(
         correlation=jnp.asarray(2 * lasting + 4 / bandwidth, float),
         fixed=jnp.asarray(noise is not None),
         first_variance=std**2,
-        parameters=parameters,
         interval=interval,
     )
 
@@ -327,11 +313,7 @@ def _total_force(
 
 
 def _low_pass(
-    stages: Float[Array, "2 ..."],
-    begin: Float[Array, "..."],
-    end: Float[Array, "..."],
-    span: Scalar,
-    b: Scalar,
+    stages: Float[Array, "2 ..."], begin: Array, end: Array, span: Scalar, b: Scalar
 ) -> Float[Array, "2 ..."]:
     """Two equal lags in a row, exactly for an input that goes straight from begin to end."""
     slope = (end - begin) / jnp.where(span > 0, span, 1.0)
@@ -342,21 +324,37 @@ def _low_pass(
     return jnp.stack([end - slope / b + first * decay, after])
 
 
-def _first_noise_guess(vessel: Vessel) -> Float[Array, "3"]:
-    """Force that changes the speed by 1 % of that at Froude number 0.3 within sqrt(L / g)."""
-    length = float(vessel.rigid_body.length)
-    time = time_scale(length)
-    rate = 0.01 * 0.3 * froude_speed(length) / time
-    return jnp.diag(vessel.mass_matrix()) * rate * jnp.array([1.0, 1.0, 2 / length])
-
-
 def _check_linear(vessel: Vessel, parameters: tuple[Parameter, ...]) -> None:
-    """Compare Phi where one parameter after the other has been moved by its prior's spread."""
-    jacobian, zero = _jacobian_at_random_motions(vessel, parameters), jnp.zeros(len(parameters))
+    """Compare Phi, at random motions of the vessel's size, with one parameter moved by its spread.
+
+    Raises:
+        UserError: the equations of motion do not contain a parameter, or are not linear in it.
+    """
+    rng = np.random.default_rng(0)
+    length, count = float(vessel.rigid_body.length), 16
+    speed = froude_speed(length, 0.3)
+    sizes = np.array([length, length, 3.0, speed, 0.3 * speed, speed / length])
+    motions = sizes * rng.uniform(-1, 1, (count, 6))
+    accelerations = sizes[3:] / time_scale(length) * rng.uniform(-1, 1, (count, 3))
+    executed = {
+        c: (1.0 if s.upper is None else float(s.upper)) * rng.uniform(-1, 1, count)
+        for c, s in vessel.servos.items()
+    }
+    rows = jax.tree.map(jnp.asarray, (motions, accelerations, executed))
+
+    def left_side(coordinates: Array, motion: Array, rate: Array, executed: Orders) -> Array:
+        at = replace(vessel, decode_parameters(parameters, coordinates))
+        return at.mass_matrix() @ rate - _total_force(at, motion, executed, 0.0)
+
+    @jax.jit
+    def jacobian(coordinates: Array) -> Float[Array, "motion 3 parameter"]:
+        return jax.vmap(lambda *row: jax.jacfwd(left_side)(coordinates, *row))(*rows)
+
+    zero = jnp.zeros(len(parameters))
     nominal = np.asarray(jacobian(zero))
     size = np.abs(nominal).max((0, 1))
-    for k, parameter in enumerate(parameters):
-        if size[k] == 0:
+    for parameter, largest in zip(parameters, size, strict=True):
+        if largest == 0:
             raise UserError(
                 f"the equations of motion do not contain {parameter.name!r} (it may act within "
                 "a servo or a sensor), so recursive least squares cannot estimate it; use the "
@@ -372,30 +370,3 @@ def _check_linear(vessel: Vessel, parameters: tuple[Parameter, ...]) -> None:
                 f"the equations of motion are not linear in {moved.name!r}{together}, which "
                 "recursive least squares needs; hold it fixed or use the extended Kalman filter"
             )
-
-
-def _jacobian_at_random_motions(
-    vessel: Vessel, parameters: tuple[Parameter, ...]
-) -> Callable[[Array], Float[Array, "motion 3 parameter"]]:
-    """Phi as a function of the coordinates, at random motions of the vessel's size."""
-    rng = np.random.default_rng(0)
-    length, count = float(vessel.rigid_body.length), 16
-    speed = froude_speed(length, 0.3)
-    sizes = np.array([length, length, 3.0, speed, 0.3 * speed, speed / length])
-    motions = sizes * rng.uniform(-1, 1, (count, 6))
-    accelerations = sizes[3:] / time_scale(length) * rng.uniform(-1, 1, (count, 3))
-    executed = {
-        c: (1.0 if s.upper is None else float(s.upper)) * rng.uniform(-1, 1, count)
-        for c, s in vessel.servos.items()
-    }
-    rows = jax.tree.map(jnp.asarray, (motions, accelerations, executed))
-
-    def left_side(coordinates: Array, motion: Array, rate: Array, executed: dict) -> Array:
-        at = replace(vessel, decode_parameters(parameters, coordinates))
-        return at.mass_matrix() @ rate - _total_force(at, motion, executed, 0.0)
-
-    @jax.jit
-    def jacobian(coordinates: Array) -> Array:
-        return jax.vmap(lambda *row: jax.jacfwd(left_side)(coordinates, *row))(*rows)
-
-    return jacobian

@@ -3,22 +3,21 @@
 Four questions, each a statistical test with the same false-alarm rate; trust is the lowest of
 the four answers:
 
-- *innovations*: are they no larger than the filter thinks, and free of bias? Sums over a fading
-  window are compared with their chi-squared and normal distributions, channel by channel
-  (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
-- *excitation*: have the data said anything? The mean share of the prior's variance that they
-  took away (degrees of freedom for signal: Rodgers 2000, section 2.4) answers; and no parameter
-  may be known less than beforehand.
+- *innovations*: no larger than the filter thinks, and free of bias? Sums over a fading window
+  against their chi-squared and normal distributions, channel by channel (Bar-Shalom, Li and
+  Kirubarajan 2001, section 5.4).
+- *excitation*: which mean share of the prior's variance did the data take away (degrees of freedom
+  for signal: Rodgers 2000, section 2.4)? No parameter may be known less than beforehand.
 - *bounds*: is the estimate possible (positive mass, no energy from drag) and within the prior?
-- *steadiness*: has it moved by more than the information that came in? The corrections of a
-  sound filter are uncorrelated, each with the variance that it took away (Kailath 1968), so
-  that their sum over the window has a known distribution.
+- *steadiness*: has it moved by more than the information that came in? The corrections of a sound
+  filter are uncorrelated, each with the variance that it took away (Kailath 1968).
 
 An answer of 1 stands for what is seen in 95 of 100 windows of a sound filter, 0.5 for the alarm
 level, which a sound filter reaches once in `false_alarm_interval`, 0 for as far again. For
 excitation 0.5 means that half of the variance is gone, 1 three quarters.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -27,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from diffsea.identification.online.estimator import decode_parameters
+from diffsea.identification.online.estimator import Innovation, decode_parameters, prior_std
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
@@ -37,49 +36,14 @@ from diffsea.vessel.base import Force, Vessel
 ALARM_TRUST = 0.5  # trust at the alarm level
 _SQRT_TWO_PI = np.sqrt(2 * np.pi)
 _USUAL_TAIL = 0.05  # share of a sound filter's windows beyond which trust falls below one
+_SETTLING = 3.0  # windows at the start of a run until the sums are those of any other time
 
 
-class StepEvidence(eqx.Module):
-    """What one step of any estimator says about itself."""
+class StepEvidence(Innovation):
+    """What one step of any estimator says about itself: its innovation, and the belief after it."""
 
-    white: Float[Array, "channel"]  # whitened innovations, zero where missing
-    share: Float[Array, "channel"]  # independent samples that the row counts for, 0 to 1
-    change: Float[Array, "parameter"]  # of the coordinates by the data
-    settled: Float[Array, "parameter"]  # variance of the coordinates that the data took away
     coordinates: Float[Array, "parameter"]
     covariance: Float[Array, "parameter parameter"]
-
-
-class TrustLimits(eqx.Module):
-    """What is compared with what."""
-
-    vessel: Vessel  # at its prior
-    spread: Float[Array, "parameter"]  # prior standard deviations
-    window: Scalar  # s, time constant with which the past fades
-    false_alarm_interval: Scalar  # s
-    scale: Float[Array, "channel"]  # of the innovations of sound runs, one in theory
-    width: "TrustScores"  # spread of the scores of sound runs, one in theory
-    motions: Float[Array | np.ndarray, "motion 3"]  # (u, v, r) at which drag must brake
-    parameters: tuple[Parameter, ...] = eqx.field(static=True)
-    channels: tuple[str, ...] = eqx.field(static=True)
-
-    def init(self) -> "FadingSums":
-        """Nothing remembered."""
-        channel, parameter = jnp.zeros(len(self.channels)), jnp.zeros(len(self.parameters))
-        return FadingSums(channel, channel, channel, channel, parameter, parameter)
-
-    def level(self, tests: int) -> tuple[Scalar, Scalar]:
-        """Usual score and alarm level of the largest of so many two-sided tests.
-
-        A fading sum of white noise is a Gauss-Markov process with the window as time constant,
-        which leaves +-z every T / (2 z phi(z)) seconds (Leadbetter, Lindgren and Rootzen 1983,
-        section 12.2).
-        """
-        rate = self.window / (2 * tests * self.false_alarm_interval)
-        alarm = jnp.sqrt(-2 * jnp.log(rate))
-        for _ in range(8):  # z phi(z) = rate, a contraction for z above one
-            alarm = jnp.sqrt(2 * jnp.log(alarm / (rate * _SQRT_TWO_PI)))
-        return jax.scipy.stats.norm.isf(_USUAL_TAIL / (2 * tests)), alarm
 
 
 class TrustScores(eqx.Module):
@@ -99,6 +63,38 @@ class FadingSums(eqx.Module):
     white_squared: Float[Array, "channel"]
     change: Float[Array, "parameter"]
     settled: Float[Array, "parameter"]  # with squared weights
+
+
+class TrustLimits(eqx.Module):
+    """What is compared with what."""
+
+    vessel: Vessel  # at its prior
+    spread: Float[Array, "parameter"]  # prior standard deviations
+    window: Scalar  # s, time constant with which the past fades
+    false_alarm_interval: Scalar  # s
+    scale: Float[Array, "channel"]  # of the innovations of sound runs, one in theory
+    width: TrustScores  # spread of the scores of sound runs, one in theory
+    motions: Float[Array | np.ndarray, "motion 3"]  # (u, v, r) at which drag must brake
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    channels: tuple[str, ...] = eqx.field(static=True)
+
+    def init(self) -> FadingSums:
+        """Nothing remembered."""
+        channel, parameter = jnp.zeros(len(self.channels)), jnp.zeros(len(self.parameters))
+        return FadingSums(channel, channel, channel, channel, parameter, parameter)
+
+    def level(self, tests: int) -> tuple[Scalar, Scalar]:
+        """Usual score and alarm level of the largest of so many two-sided tests.
+
+        A fading sum of white noise is a Gauss-Markov process with the window as time constant,
+        which leaves +-z every T / (2 z phi(z)) seconds (Leadbetter, Lindgren and Rootzen 1983,
+        section 12.2).
+        """
+        rate = self.window / (2 * tests * self.false_alarm_interval)
+        alarm = jnp.sqrt(-2 * jnp.log(rate))
+        for _ in range(8):  # z phi(z) = rate, a contraction for z above one
+            alarm = jnp.sqrt(2 * jnp.log(alarm / (rate * _SQRT_TWO_PI)))
+        return jax.scipy.stats.norm.isf(_USUAL_TAIL / (2 * tests)), alarm
 
 
 class Trust(eqx.Module):
@@ -142,15 +138,23 @@ def trust_limits(
             longer a smaller one.
         false_alarm_interval: mean time between false alarms of each of the tests, s.
     """
+    length = float(vessel.rigid_body.length)
+    speed = 0.3 * length / time_scale(length)
+    ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
+    grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
+    grid = grid[np.abs(grid).sum(1) > 0] * np.array([speed, 0.3 * speed, speed / length])
+    # Derivative sets that hold inertial terms as well (Abkowitz) put power into some motions at
+    # no fault of theirs; nothing is asked of an estimate there.
+    braked = np.asarray(_resistance_power(vessel, jnp.asarray(grid))) < 0
     one = jnp.ones(len(channels))
     return TrustLimits(
         vessel=vessel,
-        spread=jnp.array([parameter.spread for parameter in parameters]),
+        spread=jnp.asarray(prior_std(parameters)),
         window=jnp.asarray(float(window)),
         false_alarm_interval=jnp.asarray(float(false_alarm_interval)),
         scale=one,
         width=TrustScores(one, one, jnp.ones(len(parameters))),
-        motions=_dissipative_motions(vessel),
+        motions=grid[braked],
         parameters=tuple(parameters),
         channels=tuple(channels),
     )
@@ -217,10 +221,7 @@ def scores_of_sums(sums: FadingSums) -> TrustScores:
 
 
 def calibrate(
-    limits: TrustLimits,
-    sound: Sequence[StepEvidence],
-    dt: Sequence[Float[np.ndarray, "time"]],
-    settling: float = 3.0,
+    limits: TrustLimits, sound: Sequence[StepEvidence], dt: Sequence[Float[np.ndarray, "time"]]
 ) -> TrustLimits:
     """Limits by which sound runs have innovations and scores of unit size.
 
@@ -230,46 +231,37 @@ def calibrate(
     Arguments:
         sound: evidence along each of several runs known to be sound, leaves (time, ...).
         dt: the steps of each run, s, (time,).
-        settling: how many windows at the start of each run are left out.
     """
-    late = [np.cumsum(np.asarray(steps)) > settling * float(limits.window) for steps in dt]
+    late = [np.cumsum(np.asarray(steps)) > _SETTLING * float(limits.window) for steps in dt]
     white = [np.where(e.share > 0, e.white, np.nan)[k] for e, k in zip(sound, late, strict=True)]
     scale = np.maximum(1.0, np.sqrt(np.nanmean(np.concatenate(white) ** 2, axis=0)))
     ones = jax.tree.map(jnp.ones_like, limits.width)
-    limits = eqx.tree_at(lambda at: (at.scale, at.width), limits, (jnp.asarray(scale), ones))
+    limits = dataclasses.replace(limits, scale=jnp.asarray(scale), width=ones)
 
     @jax.jit
-    def along(evidence: StepEvidence, dt: Array) -> TrustScores:
+    def scores_along(evidence: StepEvidence, dt: Array) -> TrustScores:
         def body(sums: FadingSums, row: tuple) -> tuple[FadingSums, TrustScores]:
             sums, verdict = assess(limits, sums, *row)
             return sums, verdict.scores
 
         return jax.lax.scan(body, limits.init(), (evidence, dt))[1]
 
+    def spread(scores: Float[np.ndarray, "time test"], sides: int = 1) -> Float[Array, "test"]:
+        return jnp.asarray(np.maximum(1.0, np.sqrt(np.mean(scores**2, axis=0) * sides)))
+
     found = []
     for evidence, steps, rows in zip(sound, dt, late, strict=True):
-        scores = along(evidence, jnp.asarray(steps))
+        scores = scores_along(evidence, jnp.asarray(steps))
         found.append(jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], scores))
     together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
-    width = jax.tree.map(
-        lambda leaf: jnp.asarray(np.maximum(1.0, np.sqrt(np.mean(leaf**2, axis=0)))), together
-    )
     # Only the upper side of the size counts.
-    upper = np.sqrt(np.mean(np.maximum(together.size, 0.0) ** 2, axis=0) * 2)
-    width = eqx.tree_at(lambda w: w.size, width, jnp.asarray(np.maximum(1.0, upper)))
-    return eqx.tree_at(lambda at: at.width, limits, width)
+    size = spread(np.maximum(together.size, 0.0), sides=2)
+    width = TrustScores(size, spread(together.bias), spread(together.moved))
+    return dataclasses.replace(limits, width=width)
 
 
 def reasons(limits: TrustLimits, trust: Trust) -> tuple[str, ...]:
     """What lowers the trust to the alarm level or below, in words; the worst first."""
-    answers = trust.innovations, trust.excitation, trust.bounds, trust.steadiness
-    answers = [float(answer) for answer in answers]
-    found = sorted(zip(answers, _explanations(limits, trust), strict=True))
-    return tuple(text for answer, text in found if not answer > ALARM_TRUST)
-
-
-def _explanations(limits: TrustLimits, trust: Trust) -> tuple[str, str, str, str]:
-    """What is worst in innovations, excitation, bounds and steadiness."""
     names = [parameter.name for parameter in limits.parameters]
     size, bias = np.asarray(trust.scores.size), np.asarray(trust.scores.bias)
     scores = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
@@ -290,21 +282,25 @@ def _explanations(limits: TrustLimits, trust: Trust) -> tuple[str, str, str, str
     )
     far = np.abs(np.asarray(trust.far))
     k = int(np.argmax(far))
-    bounds = (
-        f"{names[k]} is {far[k]:.1f} standard deviations of its prior away "
-        f"from {limits.parameters[k].value:.4g}"
-    )
     if not bool(trust.inertia):
         bounds = "the estimated mass matrix is not positive definite"
     elif not bool(trust.drag):
         bounds = "the estimated drag would put energy into the motion"
+    else:
+        bounds = (
+            f"{names[k]} is {far[k]:.1f} standard deviations of its prior away "
+            f"from {limits.parameters[k].value:.4g}"
+        )
     moved = np.abs(np.asarray(trust.scores.moved))
     k = int(np.argmax(moved))
     steadiness = (
         f"{names[k]} has moved by {moved[k]:.1f} times the standard deviation that the data "
         "account for"
     )
-    return innovations, excitation, bounds, steadiness
+    texts = innovations, excitation, bounds, steadiness
+    answers = trust.innovations, trust.excitation, trust.bounds, trust.steadiness
+    found = sorted(zip(map(float, answers), texts, strict=True))
+    return tuple(text for answer, text in found if not answer > ALARM_TRUST)
 
 
 def _trust_of_scores(limits: TrustLimits, scores: Float[Array, "test"]) -> Scalar:
@@ -332,18 +328,3 @@ def _resistance_power(
         return drag.X * u + drag.Y * v + drag.N * r
 
     return jnp.asarray(jax.vmap(power)(jnp.asarray(motions)))
-
-
-def _dissipative_motions(vessel: Vessel) -> Float[np.ndarray, "motion 3"]:
-    """Motions at which the vessel's own drag brakes.
-
-    Derivative sets that hold inertial terms as well (Abkowitz) put power into some motions at
-    no fault of theirs; nothing is asked of an estimate there.
-    """
-    length = float(vessel.rigid_body.length)
-    speed = 0.3 * length / time_scale(length)
-    ends = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
-    grid = np.stack(np.meshgrid(ends, ends, ends), -1).reshape(-1, 3)
-    sizes = np.array([speed, 0.3 * speed, speed / length])
-    grid = grid[np.abs(grid).sum(1) > 0] * sizes
-    return grid[np.asarray(_resistance_power(vessel, jnp.asarray(grid))) < 0]

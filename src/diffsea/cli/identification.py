@@ -1,0 +1,258 @@
+"""Commands from recordings to a vessel and what it lacks: `diffsea fit`, `diffsea diagnose`."""
+
+import argparse
+import dataclasses
+import pathlib
+import time
+from typing import TYPE_CHECKING, Any
+
+from diffsea.cli import options
+from diffsea.cli.options import add_choice, add_option
+from diffsea.cli.outputs import Outputs, table
+from diffsea.errors import UserError
+
+
+if TYPE_CHECKING:
+    from diffsea.identification.study import Study
+
+
+ANCHORS = ("mass", "thrust")  # as the library has them, which would import JAX to be asked
+STAGES = 8  # of a diagnosis, as most are
+
+
+def register(commands: options.Commands) -> None:
+    """Add the commands."""
+    summary = "identify a vessel's derivatives from recordings"
+    fit = options.add_command(commands, "fit", fit_command, summary)
+    _add_inputs(fit)
+    objectives = options.LibraryNames("objective", "diffsea.identification.study:OBJECTIVES")
+    objective = "%(choices)s (default: innovation; trial-numbers for a sheet)"
+    add_option(fit, "--objective", "O", objectives, objective, choices=objectives)
+    priors = "TOML file of starts, prior widths and bounds by parameter"
+    add_option(fit, "--priors", "FILE", pathlib.Path, priors)
+    anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
+    add_choice(fit, "--anchor", ANCHORS, anchor)
+    starts = "starts drawn from the priors, explored at once"
+    add_option(fit, "--starts", "N", options.count, starts, default=1)
+    profile = (
+        "parameters whose intervals come from the profile likelihood, `none` for none (default: "
+        "those whose likelihood is asymmetric)"
+    )
+    add_option(fit, "--profile", "NAMES", options.names, profile)
+    effects = "effects of the catalogue to estimate besides, for example current,wind"
+    add_option(fit, "--effects", "NAMES", options.names, effects, default=())
+
+    summary = "find the physics that the model leaves out"
+    diagnose = options.add_command(commands, "diagnose", diagnose_command, summary)
+    _add_inputs(diagnose)
+    draws = "judge chance by so many simulated and refitted data sets (100 or more; seconds each)"
+    add_option(diagnose, "--bootstrap", "DRAWS", int, draws, default=0)
+    manoeuvre = "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)"
+    add_option(diagnose, "--next-manoeuvre", "CSV", pathlib.Path, manoeuvre)
+
+
+def _add_inputs(parser: argparse.ArgumentParser) -> None:
+    """What both are given: a vessel, recordings, what is free and held out."""
+    options.add_vessel(parser)
+    options.add_recordings(parser)
+    free = "parameters to estimate, separated by commas (default: the hull's derivatives)"
+    add_option(parser, "--free", "NAMES", options.names, free)
+    held_out = "recordings to hold out for judging"
+    add_option(parser, "--test", "RECORDING", pathlib.Path, held_out, nargs="+", default=[])
+    environment = "whether wind and current are the same in all recordings"
+    add_choice(parser, "--environment", ("shared", "per-recording"), environment)
+
+
+def fit_command(args: argparse.Namespace) -> None:
+    """Fits a vessel's parameters, with standard errors, and predicts runs that were held out. By
+    default hull derivatives and added masses to recordings by an innovation-form likelihood, gusts
+    and sensor noise estimated; --objective free-run by multiple shooting instead. A TOML sheet of
+    trial numbers (advance, diameters, overshoots) in place of recordings is fitted as it is.
+    Says which combinations the data do not determine, and the manoeuvre to record next.
+    Writes vessel.toml, fit.json and report.html.
+
+    examples:
+      diffsea fit usv.toml run1.csv run2.csv --test run3.csv
+      diffsea fit usv.toml run*.csv --free X_u,X_uu,N_r,Y_v --starts 8
+      diffsea fit usv.toml run*.csv --priors known.toml --anchor thrust
+      diffsea fit ship.toml sea_trial.toml
+    """
+    with Outputs(args.output) as out:
+        from diffsea.identification.objectives.trial_numbers import read_trial_table
+        from diffsea.identification.problem import default_priors
+        from diffsea.identification.study import FitSettings, identify
+        from diffsea.parameters import read_priors
+        from diffsea.report.fit import compare_fit, fit_report, worse_warning
+        from diffsea.report.predictions import horizon_table
+        from diffsea.vessel.files import build, dump, updated_document
+        from diffsea.workflows.identification import provenance
+
+        began = time.monotonic()
+        history: list[str] = []
+
+        def tell(message: str) -> None:
+            options.progress(f"[{time.monotonic() - began:5.0f} s] {message}")
+
+        def follow(message: str) -> None:
+            history.append(message)
+            tell(message)
+
+        file = options.read_vessel(args)
+        sheets = _are_sheets(args)
+        data: list[Any] = []
+        if sheets:
+            tables = [read_trial_table(path, file.vessel) for path in args.recordings]
+            data, test = [trial for trials in tables for trial in trials], []
+        else:
+            data, test = options.read_fitted_and_held_out(args)
+        settings = FitSettings(
+            args.objective or ("trial-numbers" if sheets else "innovation"),
+            args.free,
+            args.anchor,
+            read_priors(args.priors, default_priors(file.vessel)) if args.priors else {},
+            args.starts,
+            () if args.profile == ("none",) else args.profile,
+            effects=args.effects,
+            per_recording=args.environment == "per-recording",
+        )
+        runs = [] if settings.objective == "trial-numbers" else data
+        tell(f"reading: {len(data)} to fit, {len(test)} held out; compiling")
+        study = identify(file.vessel, data, settings, follow)
+        document = updated_document(file.document, study.values, study.effect_tables)
+        vessel = build(document)
+        quality = study.quality(test)
+        source = provenance(file, runs, test)
+        tell("predicting and writing the report")
+        predicted = compare_fit(study, file.vessel, vessel, (runs, test))
+        out.text("vessel.toml", dump(document))
+        record = _fit_record(study, settings.objective, quality)
+        horizons = horizon_table(predicted)
+        out.json("fit.json", record | {"source": source, "predictions": horizons})
+        page = fit_report(study, quality, history, predicted, (runs, test), source)
+        out.text("report.html", page)
+    out.present(args, _summary_text(study, quality, worse_warning(predicted)))
+
+
+def _are_sheets(args: argparse.Namespace) -> bool:
+    """Whether trial numbers are to be fitted, and not recordings."""
+    from diffsea.identification.objectives.trial_numbers import is_trial_table
+
+    sheets = [is_trial_table(path) for path in args.recordings]
+    if any(sheets) and not all(sheets):
+        raise UserError("give either recordings or sheets of trial numbers (TOML), not both")
+    if all(sheets) and args.test:
+        raise UserError("--test takes recordings, and a fit to trial numbers has none to hold out")
+    return all(sheets)
+
+
+def _fit_record(study: "Study", objective: str, quality: dict[str, float]) -> dict[str, Any]:
+    """The content of fit.json, all but the source and the predictions."""
+    rows = [dict(row) for row in study.rows]
+    record: dict[str, Any] = {
+        "format": 1,
+        "objective": objective,
+        "parameters": {row.pop("name"): row for row in rows},
+        "effects": study.effects,
+        "anchor": study.anchor,
+        "fit": quality,
+        "deviance": study.estimate.deviance,
+        "path": list(study.estimate.path),
+        "outcome": study.estimate.outcome.value,
+        "identifiability": study.identifiability.as_dict(),
+        "next_manoeuvre": None if study.next is None else study.next.as_dict(),
+        "starts": None if study.agreement is None else study.agreement.as_dict(),
+        "outliers": study.outliers,
+    }
+    if objective == "innovation":
+        record["noise"] = _noise_record(study)
+    if objective == "trial-numbers":
+        residuals = study.objective.residuals(study.estimate.coordinates)
+        record["trial_numbers"] = [dataclasses.asdict(one) for one in residuals]
+    return record
+
+
+def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
+    """Scales of process noise and of the sensors that measured anything, in SI units."""
+    import numpy as np
+
+    from diffsea.trajectory import MOTION_CHANNELS
+
+    scales = {}
+    for name, logarithms in dataclasses.asdict(study.noise).items():
+        channels = MOTION_CHANNELS[-len(logarithms) :]
+        scales[name] = dict(zip(channels, np.exp(logarithms).tolist(), strict=True))
+    measured = np.asarray(study.recorded.dataset.known).any(0)
+    sensors = np.array(MOTION_CHANNELS)[measured]
+    return {
+        "gust": scales["gust"],
+        "lasting_gust": scales["slow"],
+        "gust_memory": scales["memory"],
+        "sensor": {name: scales["sensor"][name] for name in sensors},
+    }
+
+
+def _summary_text(study: "Study", quality: dict[str, float], warning: str) -> str:
+    """fit.json for a person: a table of parameters, then sentences."""
+    from diffsea.report.words import effect_lines
+
+    rows = []
+    for row in study.rows:
+        numbers = (f"{row['start']:.4g}", f"{row['value']:.4g}", f"{row['std']:.2g}")
+        low, high = row["interval"]
+        interval = f"{low:.4g} to {high:.4g}" + (" (profile)" if row["profiled"] else "")
+        source = "mostly the data" if row["determined"] > 0.5 else "mostly the prior"
+        source = "the data" if row["determined"] > 0.9 else source
+        rows.append((row["name"], row["meaning"], row["unit"], *numbers, interval, source))
+    header = ("symbol", "name", "unit", "start", "estimate", "+-", "90 % interval", "determined by")
+    misfit = ", ".join(f"{name} {value:.2f}" for name, value in quality.items())
+    parts = [table(rows, header), "", f"normalised misfit (1 = noise level): {misfit}"]
+    parts += [line for item in study.effects.items() for line in effect_lines(*item)]
+    parts += [study.anchor, study.estimate.outcome.sentence]
+    parts += [] if study.agreement is None else [study.agreement.sentence]
+    if study.outliers:
+        lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
+        parts.append(f"outliers left out: {lost}")
+    parts += study.identifiability.sentences
+    parts += [] if study.next is None else [f"next: {study.next.sentence}"]
+    parts += [f"warning: {warning}"] if warning else []
+    return "\n".join(parts)
+
+
+def diagnose_command(args: argparse.Namespace) -> None:
+    """Locates where model and recordings differ, names what was left out, models it and
+    shows the fit improve on data that was held out. Writes diagnosis.json, the vessel with what
+    was found as vessel.toml, and report.html.
+
+    examples:
+      diffsea diagnose usv.toml run*.csv --test other*.csv
+      diffsea diagnose ship.toml a.csv b.csv --environment per-recording
+    """
+    with Outputs(args.output) as out:
+        import pandas as pd
+
+        from diffsea.cli.progress import StagedProgress
+        from diffsea.diagnosis.experiment import commands
+        from diffsea.report.words import verdict_text
+        from diffsea.vessel.files import dump
+        from diffsea.workflows.identification import diagnose
+
+        next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
+        with StagedProgress(STAGES) as tell:
+            file = options.read_vessel(args)
+            runs, test = options.read_fitted_and_held_out(args)
+            per_run = args.environment == "per-recording"
+            found = diagnose(file, runs, test, None, per_run, args.free, args.bootstrap, tell)
+            if next_csv is not None:
+                experiment, train = found.experiment, found.diagnosis.split.train
+                if experiment is None:
+                    tell("no two explanations are left to separate, so no manoeuvre is written")
+                elif not experiment.exists:
+                    tell(f"no manoeuvre is written: {experiment.why}")
+                else:
+                    sequence = pd.DataFrame(commands(train, found.diagnosis.final, experiment))
+                    sequence.to_csv(next_csv, index=False, float_format="%.6g")
+            tell("writing the report")
+            out.json("diagnosis.json", found.record)
+            out.text("vessel.toml", dump(found.diagnosed.document))
+            out.text("report.html", found.html())
+    out.present(args, verdict_text(found.record))
