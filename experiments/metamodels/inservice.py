@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from diffsea.segments.free_motion import turning_motions
 from diffsea.segments.places import by_place
-from diffsea.segments.settings import SegmentSettings
+from diffsea.segments.spans import SegmentSettings
 
 
 INTERVAL = 1.0  # s, common to all channels

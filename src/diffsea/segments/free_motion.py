@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 from scipy import ndimage
 
-from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import Signals
-from diffsea.segments.spans import Span, plateau_rows
+from diffsea.segments.spans import SegmentSettings, Span, plateau_rows
 from diffsea.series import median_interval, stretches
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples

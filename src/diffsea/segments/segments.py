@@ -2,24 +2,30 @@
 
 The onset of a trial is when the *executed* steering first leaves that of the approach by
 more than a threshold, as Rezayan (2026) does; turning that no held order explains is found
-in the yaw rate, after Gavrilin and Steen (2017).
+in the yaw rate, after Gavrilin and Steen (2017). Segments of one kind, side, order and approach
+speed are repeats of one another.
 """
 
 import dataclasses
+import itertools
 import math
+from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.cluster import hierarchy
 
 from diffsea.metrics.orders import departure_row
-from diffsea.segments.approach import ApproachConditions, approach_to
 from diffsea.segments.free_motion import find_rest, find_turns, quarter_turn_window
-from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import MEASURED, NOTHING, Signals, signals_of
 from diffsea.segments.spans import (
     ONSET_SCATTER,
     ONSET_SHARE,
+    ApproachConditions,
+    SegmentSettings,
     Span,
     approach_row,
+    approach_to,
     robust_scatter,
 )
 from diffsea.segments.trials import find_trials, leaving_row, order_row, switch_rows
@@ -37,10 +43,21 @@ class Segment:
 
     `start` to `onset` is the approach, `onset` to `end` what was run; a piece that nothing
     begins (straight, station) has its onset at the start, and its own speed as approach
-    speed. `manoeuvre` is what the trial numbers call it. `ordered` is when the order was
-    given, NaN where orders were not recorded or there was none. `threshold` is how far the
-    executed angle is from that of the approach at the onset. `switches` are the onsets of
-    all orders, `actuation` says where the executed angle is from.
+    speed.
+
+    Attributes:
+        kind: one of `SEGMENT_KINDS`.
+        reference_heading: at the onset.
+        manoeuvre: what the trial numbers call it.
+        side: to which the vessel turned, first in a zig-zag; None where it did not.
+        order: mean size of the orders; of turning without a held order, of the median angle.
+        heading_change: from the onset to the end, positive to starboard.
+        ordered: when the order was given, NaN where orders were not recorded or there was none.
+        threshold: how far the executed angle is from that of the approach at the onset.
+        switches: the onsets of all orders.
+        actuation: where the executed angle is from, such as `measured`.
+        why: what made the segment what it is, in words.
+        group: label of the repeats that it belongs to.
     """
 
     kind: str
@@ -75,7 +92,8 @@ def find_segments(
     They do not overlap. What is too short to be anything is in none. Channels named after
     rudders, sides or azimuth angles steer, unless a vessel says which do.
 
-    Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
+    Raises:
+        UserError: there is neither heading nor yaw rate, or hardly a row.
     """
     return segments_of(signals_of(run, vessel), settings)
 
@@ -96,30 +114,28 @@ def segments_of(signals: Signals, settings: SegmentSettings | None = None) -> li
     spans = [*spans, *find_rest(signals, settings, spans)]
     found: list[Segment] = []
     for span in sorted(spans, key=lambda span: span.first):
-        segment = _segment(signals, settings, span, _earliest_start(found, signals))
+        earliest = float(signals.t[0])
+        if found and found[-1].kind in _PASSIVE:
+            earliest = found[-1].start
+        elif found:
+            after = signals.rows(0.0, found[-1].end).stop
+            earliest = float(signals.t[min(after, len(signals.t) - 1)])
+        segment = _segment(signals, settings, span, earliest)
         # What nothing begins gives way to an approach.
         if found and segment.start <= found[-1].end:
             last = found.pop()
             if segment.start - last.start >= settings.piece * settings.seconds:
                 rows = signals.rows(last.start, segment.start)
-                end = Span(last.kind, rows.start, rows.stop - 2, "")
-                change = float(signals.psi[end.last] - signals.psi[end.first])
-                approach = _own_conditions(signals, settings, end)
-                stop = float(signals.t[end.last])
-                found.append(
-                    dataclasses.replace(last, end=stop, approach=approach, heading_change=change)
+                rest = Span(last.kind, rows.start, rows.stop - 2, "")
+                shorter = dataclasses.replace(
+                    last,
+                    end=float(signals.t[rest.last]),
+                    approach=_own_conditions(signals, settings, rest),
+                    heading_change=float(signals.psi[rest.last] - signals.psi[rest.first]),
                 )
+                found.append(shorter)
         found.append(segment)
     return found
-
-
-def _earliest_start(found: list[Segment], signals: Signals) -> float:
-    """From when on (s) a segment may begin; what nothing begins gives way to an approach."""
-    if not found:
-        return float(signals.t[0])
-    if found[-1].kind in _PASSIVE:
-        return found[-1].start
-    return float(signals.t[min(signals.rows(0.0, found[-1].end).stop, len(signals.t) - 1)])
 
 
 def _segment(signals: Signals, settings: SegmentSettings, span: Span, earliest: float) -> Segment:
@@ -140,8 +156,16 @@ def _segment(signals: Signals, settings: SegmentSettings, span: Span, earliest: 
         start = float(t[approach_row(signals, settings, first)])
         approach = approach_to(signals, start, onset, settings)
         start = max(start, earliest)
-    change = float(psi[span.last] - psi[first])
-    side = _side(signals, span, change)
+    change, side, order = float(psi[span.last] - psi[first]), None, math.nan
+    if span.kind in ("turning", "zigzag"):
+        begun = change
+        if span.kind == "zigzag":
+            begun = float(psi[span.plateaus[1].first] - psi[span.first])
+        side = "starboard" if begun >= 0 else "port"
+    if span.plateaus:
+        order = float(np.mean([abs(plateau.level) for plateau in span.plateaus]))
+    elif span.kind == "turning" and signals.steer is not None:
+        order = float(abs(np.median(signals.steer[span.first : span.last + 1])))
     switches = switch_rows(signals, settings, span.plateaus) if span.plateaus else []
     return Segment(
         kind=span.kind,
@@ -152,7 +176,7 @@ def _segment(signals: Signals, settings: SegmentSettings, span: Span, earliest: 
         approach=approach,
         manoeuvre=span.manoeuvre,
         side=side,
-        order=_order_size(signals, span),
+        order=order,
         heading_change=change,
         ordered=ordered,
         threshold=threshold,
@@ -196,24 +220,6 @@ def _own_conditions(signals: Signals, settings: SegmentSettings, span: Span) -> 
     return approach_to(signals, float(t[span.first]), end, settings, "of the piece")
 
 
-def _side(signals: Signals, span: Span, change: float) -> str | None:
-    """The side to which the vessel turned, first in a zig-zag."""
-    if span.kind not in ("turning", "zigzag"):
-        return None
-    if span.kind == "zigzag":
-        change = float(signals.psi[span.plateaus[1].first] - signals.psi[span.first])
-    return "starboard" if change >= 0 else "port"
-
-
-def _order_size(signals: Signals, span: Span) -> float:
-    """Mean size of the orders (rad); of turning without a held order, the median angle."""
-    if span.plateaus:
-        return float(np.mean([abs(plateau.level) for plateau in span.plateaus]))
-    if span.kind == "turning" and signals.steer is not None:
-        return float(abs(np.median(signals.steer[span.first : span.last + 1])))
-    return math.nan
-
-
 def _why(signals: Signals, span: Span, side: str | None, change: float) -> str:
     """What made the span what it is, in words for people."""
     notes = [span.why]
@@ -225,3 +231,57 @@ def _why(signals: Signals, span: Span, side: str | None, change: float) -> str:
     elif span.kind == "turning":
         notes.append(f"heading changed by {math.degrees(change):.0f} deg")
     return "; ".join(notes)
+
+
+def group_repeats(
+    found: Sequence[Segment], settings: SegmentSettings | None = None
+) -> list[Segment]:
+    """The segments with `group` filled in: one label for those that repeat one another.
+
+    All members of a group are alike: order and approach speed differ by no more than
+    `settings.alike` of the larger (an order by less than `settings.order` in any case).
+    What has no order or no speed is compared by what it has. The label says what is common.
+    """
+    settings = SegmentSettings() if settings is None else settings
+    kinds: dict[tuple[object, ...], list[int]] = defaultdict(list)
+    for number, segment in enumerate(found):
+        known = math.isfinite(segment.order), math.isfinite(segment.approach.speed)
+        kinds[segment.kind, segment.manoeuvre, segment.side, *known].append(number)
+    labels: dict[int, str] = {}
+    for numbers in kinds.values():
+        for cluster in _clusters([found[n] for n in numbers], settings):
+            members = [numbers[k] for k in cluster]
+            common = label = _common_label([found[n] for n in members])
+            repeat = 2
+            while label in labels.values():
+                label, repeat = f"{common} ({repeat})", repeat + 1
+            labels |= dict.fromkeys(members, label)
+    return [dataclasses.replace(item, group=labels[n]) for n, item in enumerate(found)]
+
+
+def _clusters(found: list[Segment], settings: SegmentSettings) -> list[list[int]]:
+    """Complete linkage: the two members of a group that differ most are still alike."""
+    if len(found) == 1:
+        return [[0]]
+    pairs = []  # how unlike two segments are; one is just alike
+    for one, other in itertools.combinations(found, 2):
+        pairs.append(0.0)
+        if math.isfinite(one.order):
+            allowed = max(settings.alike * max(one.order, other.order), settings.order)
+            pairs[-1] = max(pairs[-1], abs(one.order - other.order) / allowed)
+        speeds = one.approach.speed, other.approach.speed
+        if math.isfinite(speeds[0]):
+            allowed = settings.alike * max(*speeds, 1e-12)
+            pairs[-1] = max(pairs[-1], abs(speeds[0] - speeds[1]) / allowed)
+    numbers = hierarchy.fcluster(hierarchy.complete(np.array(pairs)), 1.0, "distance")
+    return [np.flatnonzero(numbers == n).tolist() for n in dict.fromkeys(numbers)]
+
+
+def _common_label(members: list[Segment]) -> str:
+    first = members[0]
+    words = [first.kind if first.manoeuvre == "unknown" else first.manoeuvre, first.side or ""]
+    if math.isfinite(first.order):
+        words.append(f"{math.degrees(np.mean([m.order for m in members])):.0f} deg")
+    if math.isfinite(first.approach.speed):
+        words.append(f"{np.mean([m.approach.speed for m in members]):.3g} m/s")
+    return " ".join(word for word in words if word)

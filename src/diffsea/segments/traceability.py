@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from diffsea.segments.segments import Segment
-from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import MEASURED, Signals, signals_of
+from diffsea.segments.spans import SegmentSettings
 from diffsea.series import integrate
 from diffsea.statistics import noise_scale
 from diffsea.trajectory import Samples, Trajectory

@@ -20,11 +20,11 @@ from diffsea.metrics.orders import (
     find_swings,
     last_row_before_move,
 )
-from diffsea.segments.settings import SegmentSettings
 from diffsea.segments.signals import Signals
 from diffsea.segments.spans import (
     ONSET_SCATTER,
     ONSET_SHARE,
+    SegmentSettings,
     Span,
     approach_row,
     plateau_rows,
