@@ -210,10 +210,10 @@ def read_priors(path: str | Path, known: Mapping[str, Parameter]) -> dict[str, P
         raise UserError(f"cannot read priors from {path}: {error}") from error
     if document.pop("format", 1) != 1:
         raise UserError(f"{path}: this version reads format = 1")
-    return {name: _from_entry(path, name, entry, known) for name, entry in document.items()}
+    return {name: _prior_of(path, name, entry, known) for name, entry in document.items()}
 
 
-def _from_entry(
+def _prior_of(
     path: str | Path, name: str, entry: object, known: Mapping[str, Parameter]
 ) -> Parameter | None:
     if name not in known:
@@ -228,9 +228,9 @@ def _from_entry(
     if not entry.get("free", True):
         return None
     default = known[name]
-    lower, upper = float(entry.get("lower", -math.inf)), float(entry.get("upper", math.inf))
-    if "lower" not in entry and "upper" not in entry:
-        lower, upper = default.lower, default.upper
+    lower, upper = default.lower, default.upper
+    if "lower" in entry or "upper" in entry:
+        lower, upper = float(entry.get("lower", -math.inf)), float(entry.get("upper", math.inf))
     value = float(entry.get("value", default.value))
     if not (lower < value < upper and math.isfinite(value)):
         raise UserError(

@@ -23,6 +23,7 @@ R = TypeVar("R")
 # the jaxlib named here; another one's XLA might end the process over an option that it lacks.
 MEASURED_WITH = "0.10."
 MEASURED_FLAG = "xla_cpu_small_while_loop_byte_threshold"  # the one worth most
+CACHE_SETTING = "jax_compilation_cache_dir"
 XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000,"
     "xla_cpu_disable_new_fusion_emitters,xla_cpu_flatten_after_fusion "
@@ -47,11 +48,12 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 def set_xla_flags() -> None:
     """The XLA flags above, before JAX starts; not over the user's own, nor for another jaxlib."""
-    if _flags_known():
+    if are_flags_known():
         os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
 
 
-def _flags_known() -> bool:
+def are_flags_known() -> bool:
+    """Whether the installed jaxlib is one that the flags were measured with."""
     return importlib.metadata.version("jaxlib").startswith(MEASURED_WITH)
 
 
@@ -78,7 +80,7 @@ def prepare_library() -> None:
             "numbers have 32 bits, too few for fits, diagnoses and located switching "
             "(jax.config.update('jax_enable_x64', True) before anything is calculated)"
         )
-    if MEASURED_FLAG not in os.environ.get("XLA_FLAGS", "") and _flags_known():
+    if MEASURED_FLAG not in os.environ.get("XLA_FLAGS", "") and are_flags_known():
         lacking.append(
             "XLA's flags are not diffsea's, so that a single run takes up to eight times as long "
             "(use a name of diffsea, or call diffsea.prepare_jax(), before JAX is imported)"
@@ -98,23 +100,16 @@ def prepare_jax() -> None:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on slow compiling
     # Tracing a program makes many objects that stay: looking through them took a third of its time.
     gc.set_threshold(100_000, 20, 100)
-    _configure_jax("jax_enable_x64", True)
-    if not _jax_setting("jax_compilation_cache_dir") and (cache := _cache_folder()):
-        _configure_jax("jax_compilation_cache_dir", str(cache))
-        _configure_jax("jax_persistent_cache_min_compile_time_secs", 0.02)
-
-
-def _jax_setting(name: str) -> str | None:
-    if "jax" in sys.modules:
-        return getattr(sys.modules["jax"].config, name)
-    return os.environ.get(name.upper())
-
-
-def _configure_jax(name: str, value: bool | float | str) -> None:
-    if "jax" in sys.modules:
-        sys.modules["jax"].config.update(name, value)
-    else:
-        os.environ[name.upper()] = str(value)
+    settings: dict[str, bool | float | str] = {"jax_enable_x64": True}
+    jax = sys.modules.get("jax")
+    chosen = jax.config.jax_compilation_cache_dir if jax else os.environ.get(CACHE_SETTING.upper())
+    if not chosen and (cache := _cache_folder()):
+        settings |= {CACHE_SETTING: str(cache), "jax_persistent_cache_min_compile_time_secs": 0.02}
+    for name, value in settings.items():
+        if jax:
+            jax.config.update(name, value)
+        else:
+            os.environ[name.upper()] = str(value)
 
 
 def _cache_folder() -> pathlib.Path | None:

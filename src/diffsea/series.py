@@ -105,17 +105,12 @@ def unwrap(angle: Samples) -> Samples:
     """
     finite = np.isfinite(angle)
     continuous = np.array(angle, dtype=float)
-    period = _wrapping_period(continuous[finite])
-    if period > 0:
-        continuous[finite] = np.unwrap(continuous[finite], period=period)
+    known = continuous[finite]
+    jumps, period = np.abs(np.diff(known)), 2 * np.pi
+    if known.size >= 2 and np.max(np.abs(known)) > 4 * np.pi:
+        if np.any(jumps > 300):
+            period = 360.0
+        elif not np.any(np.abs(jumps - 2 * np.pi) < 1):
+            return continuous  # it is not wrapped
+    continuous[finite] = np.unwrap(known, period=period)
     return continuous
-
-
-def _wrapping_period(angle: Samples) -> float:
-    """The jump that a wrapped angle makes: 2 pi, or 360; zero where it is not wrapped."""
-    if angle.size < 2 or np.max(np.abs(angle)) <= 4 * np.pi:
-        return 2 * np.pi
-    jumps = np.abs(np.diff(angle))
-    if np.any(jumps > 300):
-        return 360.0
-    return 2 * np.pi if np.any(np.abs(jumps - 2 * np.pi) < 1) else 0.0

@@ -7,12 +7,7 @@ import pytest
 from tests.diagnosis.small import CLEAR_GAIN, STEADY, UNSTEADY, candidate, hypothesis, judged
 
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
-from diffsea.diagnosis.decision import (
-    AcceptedEffect,
-    ShortList,
-    decide,
-    still_stands,
-)
+from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
@@ -114,8 +109,8 @@ def test_rivals_are_other_names_that_were_judged_and_come_near():
 def test_an_effect_stands_unless_evidence_or_held_out_data_speak_against_it(
     constancy, gain, stands
 ):
-    assert still_stands(hypothesis("wind", 60.0, constancy, gain), NEEDED) == stands
-    assert not still_stands(hypothesis("wind", NEEDED, constancy, gain), NEEDED)
+    assert hypothesis("wind", 60.0, constancy, gain).still_stands(NEEDED) == stands
+    assert not hypothesis("wind", NEEDED, constancy, gain).still_stands(NEEDED)
 
 
 @pytest.mark.parametrize(

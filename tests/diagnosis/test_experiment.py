@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import expit
-from tests.diagnosis.small import DOCUMENT, linear_estimate
+from tests.diagnosis.small import DOCUMENT, hypothesis, linear_estimate
 from tests.runs import varied
 
 from diffsea import EFFECTS, Trajectory
@@ -152,6 +152,10 @@ def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     train = trained(vessel, (drag.name, thrust.name, "gyro-bias"))
     fouled = estimated(train, drag, (factor, drag_at))
     boosted = estimated(train, thrust, (-factor, thrust_at))
+    true, bias, rival = (
+        dataclasses.replace(hypothesis(name, 0.0), estimate=estimate)
+        for name, estimate in ((drag.name, fouled), ("gyro-bias", fouled), (thrust.name, boosted))
+    )
     schedule = LIBRARY["speed steps"]
     run = simulate_manoeuvre(vessel, schedule)
     push = sum(run.commanded[channel] for channel in vessel.channels)
@@ -159,9 +163,9 @@ def test_a_change_amid_the_run_is_told_from_another_by_what_the_other_cannot_do(
     left = np.append(factor * by_drag / SENSOR, 0.0)
     column = np.append(thrust.sizes(vessel)[0] * by_thrust / SENSOR, 1 / PRIOR)
     kept = left - column * (column @ left) / (column @ column)
-    alone = expected_evidence(train, fouled, drag.name, fouled, "gyro-bias", schedule)
+    alone = expected_evidence(train, true, bias, schedule)
     assert alone == pytest.approx(left @ left, rel=1e-3)
-    told = expected_evidence(train, fouled, drag.name, boosted, thrust.name, schedule)
+    told = expected_evidence(train, true, rival, schedule)
     assert told == pytest.approx(kept @ kept, rel=1e-3)
     assert told < 0.9 * alone
 

@@ -19,7 +19,7 @@ from tests.diagnosis.small import (
 )
 
 from diffsea import EFFECTS
-from diffsea.diagnosis.refit import (
+from diffsea.diagnosis.hypotheses import (
     Hypothesis,
     first_guess,
     has_room,

@@ -12,7 +12,7 @@ from tests.runs import random_steps
 
 from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
-from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import (

@@ -10,8 +10,7 @@ import pytest
 from tests.diagnosis.small import candidate, still_problem
 
 from diffsea import EFFECTS, Parameter
-from diffsea.diagnosis.decision import AcceptedEffect, ShortList
-from diffsea.diagnosis.refit import make_hypothesis, rank_hypotheses
+from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, make_hypothesis, rank_hypotheses
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
 

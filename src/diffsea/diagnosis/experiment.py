@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.diagnosis.jacobians import LinearisedModel
+from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.score import LinearisedModel
 from diffsea.diagnosis.search import Diagnosis
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (
@@ -21,13 +22,8 @@ from diffsea.identification.problem import (
     make_problem,
     vessel_in_environment,
 )
-from diffsea.identification.uncertainty.design import (
-    LIBRARY,
-    SECONDS,
-    Schedule,
-    manoeuvre_orders,
-    simulate_manoeuvre,
-)
+from diffsea.identification.uncertainty import design
+from diffsea.identification.uncertainty.design import LIBRARY, SECONDS
 from diffsea.scales import time_scale
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, catalogue_name
@@ -68,11 +64,10 @@ def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
         for two in accepted.short_list.hypotheses:
             if catalogue_name(two.effect) not in accepted.rivals or two.effect == one.effect:
                 continue
-            first, second = (one.estimate, one.effect), (two.estimate, two.effect)
             evidence = {
                 manoeuvre: min(
-                    expected_evidence(train, *first, *second, schedule),
-                    expected_evidence(train, *second, *first, schedule),
+                    expected_evidence(train, one, two, schedule),
+                    expected_evidence(train, two, one, schedule),
                 )
                 for manoeuvre, schedule in LIBRARY.items()
             }
@@ -105,47 +100,41 @@ def commands(
     `t` (s) and `cmd_<channel>` in the unit of each channel, for as long as it must run.
     """
     vessel = vessel_in_environment(train, first_run_coordinates(train, final.coordinates))
-    t, orders = manoeuvre_orders(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
+    t, orders = design.manoeuvre_orders(vessel, LIBRARY[experiment.manoeuvre], experiment.seconds)
     return {"t": t} | {f"cmd_{channel}": series for channel, series in orders.items()}
 
 
 def expected_evidence(
-    train: Problem,
-    true: Estimate,
-    name: str,
-    otherwise: Estimate,
-    other: str,
-    schedule: Schedule,
+    train: Problem, true: Hypothesis, other: Hypothesis, schedule: design.Schedule
 ) -> float:
-    """Evidence of one run against effect `other` if the vessel is as estimated with `name`.
+    """Evidence of one run against the other effect if the vessel is as estimated with the true one.
 
     The other has the onset with which it was fitted: a change happens when it was found to.
     """
-    coordinates = first_run_coordinates(train, true.coordinates)
+    coordinates = first_run_coordinates(train, true.estimate.coordinates)
     vessel = vessel_in_environment(train, coordinates)
     measured = train.dataset.recorded_channels
     parameters = tuple(parameter.name for parameter in train.layout.parameters)
-    problem = make_problem(
-        train.base,
-        [simulate_manoeuvre(vessel, schedule, measured)],
-        parameters,
-        train.layout.effects,
-        capacity=train.directions - len(parameters),
-        least=train.dataset.shape,
+    run, capacity = (
+        design.simulate_manoeuvre(vessel, schedule, measured),
+        train.directions - len(parameters),
     )
-    onset = EFFECTS[other].scanned
+    effects, least = train.layout.effects, train.dataset.shape
+    problem = make_problem(train.base, [run], parameters, effects, capacity=capacity, least=least)
+    onset = EFFECTS[other.effect].scanned
     if onset is not None:
-        scanned = problem.layout.indices((other,))[onset[0]]
-        coordinates[scanned] = first_run_coordinates(train, otherwise.coordinates)[scanned]
-    model = LinearisedModel(problem, coordinates, problem.run_filter(coordinates, true.noise).gains)
-    projection = model.projection(tuple(n for n in true.free if n not in (name, other)))
-    place = problem.layout.indices((name,))
-    columns = model.by_name((name,))[1].copy()
+        scanned = problem.layout.indices((other.effect,))[onset[0]]
+        coordinates[scanned] = first_run_coordinates(train, other.estimate.coordinates)[scanned]
+    gains = problem.run_filter(coordinates, true.estimate.noise).gains
+    model, rivals = LinearisedModel(problem, coordinates, gains), (true.effect, other.effect)
+    projection = model.projection(tuple(n for n in true.estimate.free if n not in rivals))
+    place = problem.layout.indices((true.effect,))
+    columns = model.by_name((true.effect,))[1].copy()
     columns[projection.data_values + np.array(place)] = 0.0  # its prior is no evidence of a run
     A = projection.efficient(columns)
-    B = projection.efficient(model.by_name((other,))[1])
+    B = projection.efficient(model.by_name((other.effect,))[1])
     eta = coordinates[place].copy()
-    eta[~EFFECTS[name].amounts] = 0.0  # it is gone without its size, whatever its time
+    eta[~EFFECTS[true.effect].amounts] = 0.0  # it is gone without its size, whatever its time
     left = A @ eta
     fitted = B @ np.linalg.lstsq(B, left, rcond=1e-10)[0]
     return float(((left - fitted) ** 2).sum())

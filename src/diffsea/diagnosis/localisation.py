@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from diffsea.diagnosis.jacobians import Columns, LinearisedModel, linearise_model
-from diffsea.diagnosis.score import Projection
+from diffsea.diagnosis.score import Columns, LinearisedModel, Projection, linearise_model
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Gain, Split, held_out_coordinates
 from diffsea.identification.problem import Problem
@@ -176,8 +175,10 @@ def locate_forces(
 ) -> tuple[tuple[Cell, ...], Float[np.ndarray, "value cell"]]:
     """Test an unnamed force in every bin and degree of freedom.
 
-    Returns the tests in newtons and newton metres, those without information left out, and the
-    efficient columns of all.
+    Forces are accelerations times the mass matrix's diagonal, added mass included.
+
+    **Returns:** the tests in N and N m, those without information left out, and the efficient
+    columns of all.
     """
     problem = model.problem
     binnings = [time_windows(problem), *regimes(problem)]

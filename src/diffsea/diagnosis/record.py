@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from diffsea.diagnosis.decision import AcceptedEffect
+from diffsea.diagnosis.hypotheses import AcceptedEffect, Hypothesis
 from diffsea.diagnosis.localisation import (
     DEGREES_OF_FREEDOM,
     FORCE_UNITS,
@@ -17,7 +17,6 @@ from diffsea.diagnosis.localisation import (
     latent_force,
     regime_within,
 )
-from diffsea.diagnosis.refit import Hypothesis
 from diffsea.diagnosis.screening import Screening, detection_limits
 from diffsea.diagnosis.search import ALPHA, Diagnosis
 from diffsea.identification.effect_records import effect_table, is_known, parameter_records
@@ -236,6 +235,7 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
 
 
 def _gain(hypothesis: Hypothesis) -> Record:
+    """The gain on held-out data, and the constancy of the size, as far as they were judged."""
     gain, constancy = hypothesis.pooled_gain, hypothesis.constancy
     if gain is None:
         return {}
@@ -355,5 +355,6 @@ def nominal_document(document: Table, diagnosis: Diagnosis) -> Table:
 def _fitted_document(
     document: Table, problem: Problem, fitted: Estimate, effects: list[Table]
 ) -> Table:
+    """The vessel's document with the numbers of an estimate and tables of effects."""
     rows = parameter_estimates(problem.layout.parameters, fitted)
     return updated_document(document, {one.name: one.value for one in rows}, effects)

@@ -1,4 +1,4 @@
-"""Efficient score tests, and what the strongest of many of them shows by chance.
+"""Efficient score tests: of candidates, of the strongest of many, and of an effect's constancy.
 
 With residual e, Jacobian J_n of the nuisances and J_a of a candidate, the efficient score is
 `J_a' M e` with M the projection off J_n (Rao 1948, Neyman 1959). Its variance is taken with the
@@ -7,6 +7,11 @@ autocorrelation of the innovations, so that coloured gusts do not pass for physi
 The joint null distribution is that of data sets drawn from the fitted model on the same inputs,
 nuisances refitted to each, both to first order: the scores of all candidates, windows and regimes
 are then jointly normal with the Gram matrix of their efficient columns.
+
+All derivatives come from one compiled program per problem: which coordinates are free is a
+selection matrix, an unnamed force is a history of accelerations, and a candidate is differentiated
+at each of its expansion points. The rows of the prior are those of all coordinates, so that columns
+combine.
 """
 
 import dataclasses
@@ -16,13 +21,26 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.expansion_points import ExpansionPoint
+from diffsea.identification.filter.kalman import Gains
+from diffsea.identification.problem import Problem
+from diffsea.identification.residual import innovations_at, linearise
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
+from diffsea.vessel.effects import EFFECTS
 
 
 NULL_DRAWS = 1999  # of the joint null: its one per cent is then known to a fifth of itself
 NULL_SEED = 7
 COUNTABLE = 0.02  # share of the draws from which on they are counted: forty of them
 NO_INFORMATION = 1e-12  # of a column, in squared standard deviations of the innovations
+LEVEL = 0.01  # of significance, shared by the tests
+PARTS = (2, 8)  # of each run: what changes once, and what comes and goes
+TOLERATED_SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
+TOLERATED_OF_SENSORS = 0.1  # kinematics has no laws that only nearly hold
+
+Columns = Float[np.ndarray, "value column"]  # six to each row of the data set, then the prior's
+PerColumn = Float[np.ndarray, "column"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +73,12 @@ class NullDistribution:
 def joint_null(
     gram: Float[np.ndarray, "column column"], tests: list[slice], draws: int = NULL_DRAWS
 ) -> NullDistribution:
-    """The null distribution of several tests, each of the columns of one slice of a Gram matrix."""
+    """The null distribution of several tests, each of the columns of one slice of a Gram matrix.
+
+    Arguments:
+        gram: `E' E` of efficient columns E, the covariance of their scores.
+        draws: of the joint normal, always the same ones.
+    """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -106,18 +129,20 @@ class Projection:
             correlation = autocorrelation(self.residual[: self.data_values].reshape(-1, 6), run)
         self.correlation = correlation
 
-    def efficient(
-        self, columns: Float[np.ndarray, "value column"]
-    ) -> Float[np.ndarray, "value column"]:
+    def efficient(self, columns: Columns) -> Columns:
         """Columns with the nuisances projected out."""
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def is_informative(self, E: Float[np.ndarray, "value column"]) -> Bool[np.ndarray, "column"]:
+    def is_informative(self, E: Columns) -> Bool[np.ndarray, "column"]:
         """Which columns move an innovation: those of the spare runs of a data set move none."""
         return (E[: self.data_values] ** 2).sum(0) > NO_INFORMATION * (E**2).sum(0)
 
-    def test(self, E: Float[np.ndarray, "value column"]) -> ScoreTest:
-        """Test one candidate by its efficient columns."""
+    def test(self, E: Columns) -> ScoreTest:
+        """Test one candidate by its efficient columns.
+
+        The statistic is `s' V^-1 s` with `s = E' e` and `V = E' E`, over the mean factor by which
+        autocorrelation widens the variance of s. Columns without information count for nothing.
+        """
         step, informative = np.zeros(E.shape[1]), self.is_informative(E)
         k = int(informative.sum())
         if k == 0:
@@ -131,11 +156,7 @@ class Projection:
         step[informative] = -(inverse @ s)
         return ScoreTest(statistic, float(stats.chi2.sf(statistic, k)), step, ratio)
 
-    def test_each(
-        self, E: Float[np.ndarray, "value column"]
-    ) -> tuple[
-        Float[np.ndarray, "column"], Float[np.ndarray, "column"], Float[np.ndarray, "column"]
-    ]:
+    def test_each(self, E: Columns) -> tuple[PerColumn, PerColumn, PerColumn]:
         """Test every column as a candidate of its own: steps, standard errors, p-values.
 
         A column without information has a p-value of one and an infinite error.
@@ -148,3 +169,184 @@ class Projection:
         std = np.where(informed, np.sqrt(ratio / V), np.inf)
         p = np.where(informed, stats.chi2.sf((step / std) ** 2, 1), 1.0)
         return step, std, p
+
+
+def linearise_model(problem: Problem, fitted: Estimate) -> "LinearisedModel":
+    """The linearisation of a problem's innovations at an estimate, with the gains of its filter."""
+    gains = fitted.filter_run(problem).gains
+    return LinearisedModel(problem, np.asarray(fitted.coordinates), gains)
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearisedModel:
+    """Whitened innovations around some coordinates, the gains of the filter held fixed."""
+
+    problem: Problem
+    coordinates: Float[np.ndarray, "coordinate"]
+    gains: Gains
+
+    def by_name(self, names: tuple[str, ...]) -> tuple[Float[np.ndarray, "value"], Columns]:
+        """Residual and columns of parameters and effects."""
+        return self.by_index([k for name in names for k in self.problem.layout.indices((name,))])
+
+    def by_index(
+        self, index: list[int], at: Float[np.ndarray, "coordinate"] | None = None
+    ) -> tuple[Float[np.ndarray, "value"], Columns]:
+        """Residual and columns of some coordinates by their positions, there or `at` others."""
+        coordinates = self.coordinates if at is None else at
+        residual, J = linearise(self.problem, self.gains, coordinates, index)
+        keep = int(self.problem.dataset.measured.size) + self.problem.layout.size
+        return residual[:keep], J[:keep]
+
+    def projection(
+        self, names: tuple[str, ...], correlation: Float[np.ndarray, "lag 6"] | None = None
+    ) -> Projection:
+        """The projection off parameters and effects as nuisances.
+
+        With the correlation of the innovations in time as they show it, where none is given.
+        """
+        residual, nuisance = self.by_name(names)
+        return Projection(residual, nuisance, np.asarray(self.problem.dataset.run), correlation)
+
+    def by_pulses(self, pulses: Float[np.ndarray, "pulse row 3"]) -> Columns:
+        """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), which have no prior."""
+        problem, parts = self.problem, []
+        values = int(problem.dataset.measured.size)
+        for first in range(0, len(pulses), problem.directions):
+            part = pulses[first : first + problem.directions]
+            J = linearise(problem, self.gains, self.coordinates, (), part).jacobian
+            parts.append(J[:values])
+        J = np.concatenate(parts, axis=1)
+        return np.concatenate([J, np.zeros((problem.layout.size, J.shape[1]))])
+
+    def by_points(self, points: list[ExpansionPoint]) -> list[Columns]:
+        """Columns at each expansion point, several points to one run of the compiled program.
+
+        An onset changes nothing while its effect is absent, so that points of different effects
+        share their residual. Some columns are secants from the effect's absence to a size.
+        """
+        out: dict[int, Columns] = {}
+        for batch in self._batches(points):
+            members = [points[number] for number in batch]
+            indices = [self._differentiated_index(point) for point in members]
+            J = self.by_index(sum(indices, []), self._coordinates_at(members))[1]
+            ends = np.cumsum([len(index) for index in indices])
+            out |= zip(batch, np.split(J, ends[:-1], axis=1), strict=True)
+        secants = [number for number, point in enumerate(points) if point.secant]
+        if secants:
+            base = innovations_at(self.problem, self.gains, self.coordinates)
+            out |= {number: self._secant(points[number], base) for number in secants}
+        return [out[number] for number in range(len(points))]
+
+    def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:
+        """Change of the innovations from `base` for each prior size; the prior's by its tangent."""
+        change = innovations_at(self.problem, self.gains, self._coordinates_at([point])) - base
+        prior, index = np.zeros(self.problem.layout.size), self._differentiated_index(point)
+        prior[index] = 1 / self.problem.layout.spreads()[index]
+        return np.concatenate([change / point.at[0], prior])[:, None]
+
+    def _coordinates_at(self, points: list[ExpansionPoint]) -> Float[np.ndarray, "coordinate"]:
+        """Coordinates with some effects at expansion points, each at the same one in every run."""
+        coordinates = np.array(self.coordinates, float)
+        for point in points:
+            index = self.problem.layout.indices((point.effect,))
+            coordinates[index] = np.tile(point.at, len(index) // len(point.at))
+        return coordinates
+
+    def _differentiated_index(self, point: ExpansionPoint) -> list[int]:
+        """Coordinates that an expansion point is differentiated by, for each run of its own."""
+        index, size = self.problem.layout.indices((point.effect,)), len(point.at)
+        return [k for position, k in enumerate(index) if position % size in point.directions]
+
+    def _batches(self, points: list[ExpansionPoint]) -> list[list[int]]:
+        """Numbers of the points with a tangent for each run of the program, an effect once each."""
+        batches: list[tuple[list[int], set[str], int]] = []
+        for number, point in enumerate(points):
+            if point.secant:
+                continue
+            width, size = len(self._differentiated_index(point)), len(point.directions)
+            for k, (members, effects, used) in enumerate(batches):
+                total = sum(len(self._differentiated_index(points[m])) for m in members) + width
+                room = used + size <= self.problem.directions and total <= self.problem.width
+                if room and point.effect not in effects:
+                    batches[k] = ([*members, number], effects | {point.effect}, used + size)
+                    break
+            else:
+                batches.append(([number], {point.effect}, size))
+        return [members for members, _, _ in batches]
+
+
+class Constancy(NamedTuple):
+    """Outcome of the test that an effect's size is one."""
+
+    statistic: float  # chi-squared under a constant size
+    p_value: float
+    share: float  # of the statistic of the effect itself
+    tolerated: float = TOLERATED_SHARE
+    degrees: int = 0  # of freedom
+
+    @property
+    def holds(self) -> bool:
+        """Whether the size is constant, or differs by little against the effect itself."""
+        return self.p_value > LEVEL / len(PARTS) or self.share < self.tolerated
+
+    @property
+    def scatter(self) -> float:
+        """How far sizes in parts of the data are apart over what their errors say; at least one.
+
+        The ratio of Birge (1932), by which errors are to be widened: a law that holds nearly
+        gives each part of the data another size.
+        """
+        return max(1.0, self.statistic / self.degrees) ** 0.5 if self.degrees else 1.0
+
+
+def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
+    """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
+
+    Of the two tests, the one that speaks more against one size. How the innovations depend on one
+    another in time is taken from what is left with those sizes: with one size, what comes and goes
+    would pass for coloured gusts.
+
+    Arguments:
+        effect: its name; one of those that `fitted` was fitted with.
+        explained: the drop of the deviance by it.
+    """
+    residual, nuisance = linearise_model(problem, fitted).by_name(fitted.free)
+    run = np.asarray(problem.dataset.run)
+    owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
+    J = nuisance[:, [owner == effect for owner in owners]]
+    # All parts together are the effect but for its prior, which says nothing of constancy.
+    own = np.array(J)
+    own[: 6 * len(run)] = 0.0
+    is_sensor = EFFECTS[effect].family == "sensor"
+    tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
+    tests = []
+    for count in PARTS:
+        parts = _columns_of_parts(problem, J, count)
+        degrees = parts.shape[1] - J.shape[1]
+        if degrees <= 0:
+            tests.append(Constancy(0.0, 1.0, 0.0, tolerated))
+            continue
+        richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
+        whole = np.concatenate([nuisance, own], axis=1)
+        projection = Projection(residual, whole, run, richer.correlation)
+        score = projection.test(projection.efficient(parts))
+        p_value = float(stats.chi2.sf(score.statistic, degrees))
+        excess = max(score.statistic - degrees, 0.0)
+        share = excess * score.inflation / max(explained, 1e-9)
+        tests.append(Constancy(score.statistic, p_value, share, tolerated, degrees))
+    return min(tests, key=lambda test: (test.holds, test.p_value))
+
+
+def _columns_of_parts(problem: Problem, J: Columns, count: int) -> Columns:
+    """An effect's columns in each of `count` parts of every run, without those of the prior."""
+    parts = []
+    for rows in problem.dataset.rows_of_runs:
+        for part in np.array_split(rows, count):
+            if len(part):
+                member = np.zeros(len(J))
+                member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
+                parts.append(J * member[:, None])
+    columns = np.concatenate(parts, axis=1)
+    # A part without information has nothing to differ in.
+    return columns[:, (columns**2).sum(0) > 1e-9 * (J**2).sum()]

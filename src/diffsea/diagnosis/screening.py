@@ -12,9 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from diffsea.diagnosis.jacobians import Columns, linearise_model
 from diffsea.diagnosis.localisation import Cell, latent_acceleration, locate_forces
-from diffsea.diagnosis.score import NullDistribution, Projection, ScoreTest, joint_null
+from diffsea.diagnosis.score import (
+    Columns,
+    NullDistribution,
+    Projection,
+    ScoreTest,
+    joint_null,
+    linearise_model,
+)
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
 from diffsea.identification.fit import estimate
@@ -95,7 +101,14 @@ class Screening:
 
 
 def screen(problem: Problem, fitted: Estimate) -> Screening:
-    """Test every candidate that is not in the model, and locate the mismatch."""
+    """Test every candidate that is not in the model, and locate the mismatch.
+
+    Candidates are tested at all their expansion points, then twice more closely around the best of
+    each. The joint null is that of the first round and of the unnamed forces.
+
+    Arguments:
+        fitted: the estimate whose free parameters and effects are the nuisances.
+    """
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free)
     frequencies, resolution = wave_frequencies(problem, fitted)
@@ -155,7 +168,10 @@ def _null_distribution(
 
 
 def expected_evidence(score: ScoreTest, columns: Columns) -> float:
-    """Twice the log evidence that a refit would give were the model linear."""
+    """Twice the log evidence that a refit would give were the model linear.
+
+    The statistic less `log det(1 + V)`, with V the information of the data in prior spreads.
+    """
     prior = np.eye(columns.shape[1]) / PRIOR_SPREAD**2
     information = PRIOR_SPREAD**2 * (columns.T @ columns - prior) / score.inflation
     occam = float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
@@ -196,7 +212,10 @@ def nearby_points(point: ExpansionPoint, spacing: float) -> list[ExpansionPoint]
 
 
 def mimicry(A: Float[np.ndarray, "value a"], B: Float[np.ndarray, "value b"]) -> float:
-    """Share of the efficient information of columns A that B reproduces, 0 to 1."""
+    """Share of the efficient information of columns A that B reproduces, 0 to 1.
+
+    The mean over A's columns of `V_A^-1 V_AB V_B^-1 V_BA`, with V the products of columns.
+    """
     VA, VB, VAB = A.T @ A, B.T @ B, A.T @ B
     inner = VAB @ np.linalg.pinv(VB, rcond=1e-10, hermitian=True) @ VAB.T
     return float(np.trace(np.linalg.pinv(VA, rcond=1e-10, hermitian=True) @ inner) / len(VA))

@@ -9,30 +9,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
-from diffsea.diagnosis.decision import (
+from diffsea.diagnosis.hypotheses import (
+    EVIDENCE,
     AcceptedEffect,
+    Hypothesis,
     ShortList,
     decide,
-    needed_evidence,
-    still_stands,
-)
-from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
-from diffsea.diagnosis.refit import (
-    EVIDENCE,
-    Hypothesis,
     has_room,
-    rank_hypotheses,
+    refit_candidates,
     refit_fully,
-    refit_short_list,
     refit_without,
 )
-from diffsea.diagnosis.screening import (
-    Screening,
-    candidate_effects,
-    locate_by_noise_of,
-    screen,
-    short_list,
-)
+from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
+from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, Progress, no_progress
@@ -108,7 +97,7 @@ def diagnose(
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
             too few draws to show one per cent.
     """
-    if 0 < draws < LEAST_DRAWS:
+    if draws and draws < LEAST_DRAWS:
         raise UserError(
             f"{draws} bootstrap draws cannot show one per cent: take {LEAST_DRAWS} or more"
         )
@@ -195,30 +184,6 @@ def forward_search(
     return now
 
 
-def refit_candidates(
-    data: Split, current: Estimate, screening: Screening, progress: Progress
-) -> ShortList:
-    """The short list of a screening refitted, as far as the compiled program has room for it.
-
-    Where an accepted effect came out larger than its law holds for, the error of that law is left
-    over and looks like the effect's confusables: these are not asked for.
-    """
-    problem, doubtful = data.train, set[str]()
-    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
-    for effect in problem.layout.effects:
-        if effect.name in current.free:
-            place = problem.layout.indices((effect.name,))[0]
-            if abs(current.coordinates[place]) > effect.leading.valid_to:
-                doubtful |= set(effect.confusables)
-    names = [
-        name
-        for name in short_list(screening, declared)
-        if has_room(problem, current, name) and catalogue_name(name) not in doubtful
-    ]
-    tried = refit_short_list(data, current, screening.candidates, names, progress) if names else []
-    return ShortList(tuple(tried), needed_evidence(problem))
-
-
 def _exchange(
     data: Split, current: Estimate, progress: Progress
 ) -> Callable[[Hypothesis], Gain] | None:
@@ -249,7 +214,7 @@ def find_pair(
         again = refit_fully(data, bare, one, other.estimate.coordinates)
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
         gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
-        if gained > -EVIDENCE and still_stands(again, alone.needed) and left > ALPHA:
+        if gained > -EVIDENCE and again.still_stands(alone.needed) and left > ALPHA:
             return AcceptedEffect(one, alone), AcceptedEffect(other, beside)
     return ()
 
@@ -285,17 +250,15 @@ def ask_again(
             for hypothesis in (one.hypothesis, *one.short_list.judged)
             if hypothesis.effect not in bare.free and has_room(data.train, bare, hypothesis.effect)
         }
-        again = rank_hypotheses(
-            [
-                refit_fully(data, bare, option, current.coordinates if name == one.name else None)
-                for name, option in options.items()
-            ]
-        )
-        tried = ShortList(tuple(again), needed_evidence(data.train))
+        again = [
+            refit_fully(data, bare, option, current.coordinates if name == one.name else None)
+            for name, option in options.items()
+        ]
+        tried = ShortList.of(data.train, again)
         best = decide(tried, _exchange(data, bare, progress))
         if best is None:
             same = next((option for option in again if option.effect == one.name), None)
-            best = same if same is not None and still_stands(same, tried.needed) else None
+            best = same if same is not None and same.still_stands(tried.needed) else None
             stays = best is not None
         else:
             stays = best.effect == one.name and AcceptedEffect(best, tried).rivals == one.rivals

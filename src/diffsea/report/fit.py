@@ -1,6 +1,5 @@
 """A fit as one page for people: parameters, what is not known, predictions beside the data."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -9,25 +8,12 @@ import plotly.graph_objects as go
 
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
-from diffsea.report.page import Plot, Provenance, Table, parameter_table, provenance, render
+from diffsea.report import words
+from diffsea.report.page import Plot, Table, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
-from diffsea.report.predictions import (
-    ComparedRun,
-    PredictionSection,
-    horizon_table,
-    predict,
-    prediction_section,
-)
+from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
-from diffsea.report.words import (
-    Record,
-    capital,
-    count_recordings,
-    effect_lines,
-    enumeration,
-    headline_horizon,
-    horizon_line,
-)
+from diffsea.report.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
@@ -36,38 +22,6 @@ MODELS = {"start": "vessel file", "fitted": "fitted"}
 WORSE = 1.1  # times the error of the vessel file, which chance alone hardly gives
 SHOWN_RUNS = 2  # the two that are predicted worst tell most
 DRAWN_ROWS = 1500  # of a run: more cannot be told apart
-
-
-@dataclasses.dataclass(frozen=True)
-class FitPage:
-    """What `fit.html.j2` shows.
-
-    Attributes:
-        errors: of predictions before and after, a sentence; empty where none could be made.
-        warning: why not to trust the fit; empty where nothing speaks against it.
-        anchor: what fixes the scale of forces, a sentence.
-        open_questions: what the data do not determine, and what to record next.
-        trial_numbers: given and fitted; None for recordings.
-        history: how the fit converged, a line for each step.
-    """
-
-    title: str
-    subtitle: str
-    lead: str
-    errors: str
-    misfit: str
-    misfit_held_out: str
-    warning: str
-    parameters: Table
-    anchor: str
-    effects: Sequence[str]
-    open_questions: Sequence[str]
-    trial_numbers: Table | None
-    held_out: bool
-    predictions: PredictionSection
-    convergence: Plot | None
-    history: Sequence[str]
-    provenance: Provenance
 
 
 def fit_report(
@@ -94,22 +48,25 @@ def fit_report(
     lead = "1 parameter was" if count == 1 else f"{count} parameters were"
     determined = "all that was fitted."
     if weak:
-        determined = f"all but {len(weak)}: {enumeration(weak)} {rest} mostly on the vessel file."
-    row = headline_horizon(horizon_table(runs), tuple(MODELS))
+        determined = (
+            f"all but {len(weak)}: {words.enumeration(weak)} {rest} mostly on the vessel file."
+        )
+    row = words.headline_horizon(horizon_table(runs), tuple(MODELS))
     judged = "On runs held out" if test else "On the runs it was fitted to"
-    errors = "" if row is None else horizon_line(row, tuple(MODELS))
-    counts = f"{count_recordings(len(recordings))} fitted, {count_recordings(len(test))} held out"
-    page = FitPage(
+    errors = "" if row is None else words.horizon_line(row, tuple(MODELS))
+    fitted, held_out = (words.count_recordings(len(several)) for several in data)
+    return render(
+        "fit.html.j2",
         title=f"Fit of {study.vessel_name}",
-        subtitle=counts if recordings else "trial numbers fitted",
+        subtitle=f"{fitted} fitted, {held_out} held out" if recordings else "trial numbers fitted",
         lead=f"{lead} fitted; the data determine {determined}",
         errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
         misfit=significant(quality["train"], 3),
         misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
-        warning=f"{capital(text)}." if (text := worse_warning(runs)) else "",
+        warning=f"{words.capital(text)}." if (text := worse_warning(runs)) else "",
         parameters=parameter_table(study.rows),
-        anchor=capital(study.anchor) + ".",
-        effects=[line for item in study.effects.items() for line in effect_lines(*item)],
+        anchor=words.capital(study.anchor) + ".",
+        effects=[line for item in study.effects.items() for line in words.effect_lines(*item)],
         open_questions=_open_questions(study),
         trial_numbers=None if study.problem is not None else _trial_number_table(study),
         held_out=bool(test),
@@ -120,7 +77,6 @@ def fit_report(
             source, [(r, "fitted") for r in recordings] + [(r, "held out") for r in test]
         ),
     )
-    return render("fit.html.j2", page)
 
 
 def compare_fit(
@@ -145,33 +101,34 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
     A fit that makes up for missing physics with its parameters may follow the next sample better
     and yet predict worse.
     """
-    row = headline_horizon(horizon_table(runs), tuple(MODELS))
+    row = words.headline_horizon(horizon_table(runs), tuple(MODELS))
     if row is None:
         return ""
     before, after = row["start"], row["fitted"]
     worse = [n for n in ("position", "heading") if n in after and after[n] > WORSE * before[n]]
     if not worse:
         return ""
+    ahead, what = f"{row['seconds']:g} s ahead", words.enumeration(worse)
     return (
-        f"{row['seconds']:g} s ahead the fit predicts {enumeration(worse)} worse than the vessel "
-        "file as it was: something is missing in the model or unsound in the data, and the fit "
-        "makes up for it with these parameters. See `diffsea audit` and `diffsea diagnose`"
+        f"{ahead} the fit predicts {what} worse than the vessel file as it was: something is "
+        "missing in the model or unsound in the data, and the fit makes up for it with these "
+        "parameters. See `diffsea audit` and `diffsea diagnose`"
     )
 
 
 def _open_questions(study: Study) -> list[str]:
     """What the data do not tell, and what to record next."""
-    sentences = [capital(sentence) + "." for sentence in study.identifiability.sentences]
+    sentences = list(study.identifiability.sentences)
     if study.estimate.outcome is not FitOutcome.CONVERGED:
-        sentences.append(capital(study.estimate.outcome.sentence) + ".")
+        sentences.append(study.estimate.outcome.sentence)
     if study.outliers:
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
-        sentences.append(f"Lone outliers left out of the fit: {lost}.")
+        sentences.append(f"lone outliers left out of the fit: {lost}")
     if study.agreement is not None:
-        sentences.append(capital(study.agreement.sentence) + ".")
+        sentences.append(study.agreement.sentence)
     if study.next is not None:
-        sentences.append(f"To record next: {study.next.sentence}.")
-    return sentences
+        sentences.append(f"to record next: {study.next.sentence}")
+    return [f"{words.capital(sentence)}." for sentence in sentences]
 
 
 def _trial_number_table(study: Study) -> Table:

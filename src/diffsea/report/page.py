@@ -90,14 +90,14 @@ TEMPLATES = jinja2.Environment(
 TEMPLATES.filters["verbatim"] = Verbatim
 
 
-def render(template: str, page: object) -> str:
-    """A page from its template (`diagnosis.html.j2`) and the record that it shows.
+def render(template: str, **page: object) -> str:
+    """A page from its template (`diagnosis.html.j2`) and what it shows.
 
     Arguments:
-        page: what the template calls `page`; has at least `title` and `subtitle`.
+        page: what the template finds in `page`; has at least `title` and `subtitle`.
 
     Raises:
-        jinja2.UndefinedError: the template asks for what the record does not have.
+        jinja2.UndefinedError: the template asks for what is not given.
     """
     return TEMPLATES.get_template(template).render(page=page, plotly=Markup(get_plotlyjs()))
 

@@ -76,7 +76,10 @@ def remove_frame(ax: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
 
 
 def save_trial_track(trial: Trial, path: Path, title: str) -> None:
-    """The track seen from above, with the heading at the execute upwards."""
+    """The track seen from above, with the heading at the execute upwards.
+
+    Marks show the execute and the switching of orders, arrows the heading, evenly in time.
+    """
     run = trial.trajectory.counted()
     start = min(int(np.searchsorted(run.t, float(trial.execute_time))), len(run.t) - 1)
     north, east = run.x - run.x[start], run.y - run.y[start]
@@ -145,7 +148,11 @@ def save_trial_series(trial: Trial, path: Path, title: str, units: Mapping[str, 
 
 
 def save_prediction(predicted: Trajectory, recording: Trajectory, path: Path, title: str) -> None:
-    """A recording and what the model makes of its orders."""
+    """A recording (grey) and what the model makes of its orders.
+
+    The track stands left, with its start; heading, u, v and yaw rate stand right, as far as they
+    were recorded.
+    """
     run = recording.counted()
     figure = empty_figure(11.0, 6.5)
     grid = figure.add_gridspec(4, 2)

@@ -58,7 +58,11 @@ TRACK_LAYOUT = {  # of a map, north up, both axes to the same scale
 
 
 def figure(*traces: go.Scatter | go.Bar | go.Heatmap, **layout: object) -> go.Figure:
-    """A figure in the style of the pages."""
+    """A figure in the style of the pages.
+
+    Arguments:
+        layout: properties of Plotly's layout, over those of the style.
+    """
     return go.Figure(data=traces, layout={"template": _TEMPLATE, **layout})
 
 
@@ -106,7 +110,10 @@ def thin_rows(run: Trajectory, channel: str, most: int) -> Float[np.ndarray, "ro
 def numbers(
     values: Sequence[float] | np.ndarray, digits: int = SIGNIFICANT_DIGITS
 ) -> list[float | None]:
-    """A series with so many digits of its range, so that a page needs few characters for it."""
+    """A series with so many digits of its range, so that a page needs few characters for it.
+
+    What is not finite becomes None, which JSON can hold.
+    """
     values = np.asarray(values, float)
     finite = values[np.isfinite(values)]
     span = float(np.ptp(finite)) if finite.size else 0.0

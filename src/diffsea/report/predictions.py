@@ -229,7 +229,13 @@ def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: in
 
 
 def compared_tracks(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
-    """Tracks from above, measured first, then predicted, each of at most `most` points."""
+    """Tracks from above, north up; the axes leave out what strays far from the measured one.
+
+    Arguments:
+        curves: what was measured, then each prediction, the result last.
+        group: of plots that share a cursor.
+        most: points of a track.
+    """
     drawn = plots.figure(**plots.TRACK_LAYOUT | {"showlegend": True})
     north, east = ([plots.thin_rows(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
     room = max(float(np.nanmax(series[0]) - np.nanmin(series[0])) for series in (north, east))
@@ -245,7 +251,10 @@ def compared_tracks(curves: Sequence[Curve], group: str, most: int) -> go.Figure
 
 
 def compared_histories(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
-    """Heading, yaw rate and speeds against time, measured beside predicted, as far as measured."""
+    """Heading, yaw rate and speeds against time, measured beside predicted, as far as measured.
+
+    Arguments: as of `compared_tracks`. Angles are in degrees, headings without steps of a turn.
+    """
     panels = [panel for panel in _PANELS if curves[0][1].has(panel[0])]
     margin = {"t": 24, "b": 36, "l": 48, "r": 8}
     drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)

@@ -21,7 +21,7 @@ def for_people(value: float, unit: str) -> tuple[float, str]:
 
 
 def is_known(value: float | None) -> TypeGuard[float]:
-    """Whether there is a finite number."""
+    """Whether there is a finite number: records have None, tables NaN, where nothing is known."""
     return value is not None and math.isfinite(value)
 
 

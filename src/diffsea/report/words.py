@@ -137,7 +137,7 @@ def capital(text: str) -> str:
 
 
 def count_recordings(number: int) -> str:
-    """`1 recording`, `3 recordings`."""
+    """How many recordings, in words: `1 recording`, `3 recordings`."""
     return "1 recording" if number == 1 else f"{number} recordings"
 
 
@@ -262,7 +262,10 @@ def strongest_places(summary: Record, count: int = 3) -> list[str]:
 
 
 def parameter_lines(effect: Record) -> list[str]:
-    """`speed 0.301 +- 0.004 m/s` for each parameter of an effect."""
+    """`speed 0.301 +- 0.004 m/s` for each parameter of an effect.
+
+    One of which data only say that it is no smaller reads `rate limit above 90 N/s, if any`.
+    """
     lines = []
     for name, entry in effect["parameters"].items():
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
@@ -273,7 +276,12 @@ def parameter_lines(effect: Record) -> list[str]:
 
 
 def effect_lines(name: str, runs: Sequence[Record]) -> list[str]:
-    """A fitted effect in a line, or in one line for each recording."""
+    """A fitted effect in a line, or in one line for each recording.
+
+    Arguments:
+        name: in the registry, `rate-limit:propulsion`.
+        runs: parameters by name, each with `value`, `std` and `unit`, for each recording.
+    """
     lines = []
     for number, parameters in enumerate(runs, start=1):
         sizes = ", ".join(parameter_lines({"name": name, "parameters": parameters}))

@@ -1,7 +1,4 @@
-"""How results show themselves: a short table in a terminal, the same as HTML in a notebook.
-
-Reading and auditing recordings. Needs no JAX.
-"""
+"""What all jobs share, recordings as given and results as tables; and the audit. Needs no JAX."""
 
 import abc
 import html
@@ -20,7 +17,7 @@ _DIGITS = "{:.4g}".format  # of numbers shown
 
 
 class Tabulated(abc.ABC):
-    """A record that prints as a headline, a short table and notes.
+    """A record that prints as a headline, a short table and notes; as HTML in a notebook.
 
     A dataclass that derives from it is declared with `repr=False`, or its own representation
     would come first.
@@ -43,21 +40,16 @@ class Tabulated(abc.ABC):
         return pd.DataFrame(list(self.rows()))
 
     def __repr__(self) -> str:
-        table = self.to_frame()
-        body = (
-            [table.to_string(index=False, na_rep="-", float_format=_DIGITS)] if len(table) else []
-        )
-        return "\n".join([self.headline(), *body, *self.notes()])
+        table, lines = self.to_frame(), [self.headline()]
+        if len(table):
+            lines.append(table.to_string(index=False, na_rep="-", float_format=_DIGITS))
+        return "\n".join([*lines, *self.notes()])
 
     def _repr_html_(self) -> str:
-        table = self.to_frame()
-        body = (
-            table.to_html(index=False, border=0, na_rep="-", float_format=_DIGITS)
-            if len(table)
-            else ""
-        )
-        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes())
-        return f"<p><b>{html.escape(self.headline())}</b></p>{body}{notes}"
+        table, parts = self.to_frame(), [f"<p><b>{html.escape(self.headline())}</b></p>"]
+        if len(table):
+            parts.append(table.to_html(index=False, border=0, na_rep="-", float_format=_DIGITS))
+        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes())])
 
 
 Recording = Trajectory | pd.DataFrame | str | pathlib.Path
@@ -117,8 +109,7 @@ def as_recordings(
 
 
 def audit(
-    recordings: Recording | Iterable[Recording],
-    mapping: Mapping | str | pathlib.Path | None = None,
+    recordings: Recording | Iterable[Recording], mapping: Mapping | str | pathlib.Path | None = None
 ) -> Findings:
     """Whether recordings are sound: clocks, frames, units, signs, sensor errors.
 

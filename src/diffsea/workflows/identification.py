@@ -4,13 +4,14 @@ import dataclasses
 import importlib.metadata
 import pathlib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
 from diffsea.diagnosis.search import Diagnosis
 from diffsea.diagnosis.search import diagnose as search_effects
+from diffsea.identification.estimates import Progress, no_progress
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial
 from diffsea.identification.study import FitSettings, Study, identify
 from diffsea.parameters import Parameter
@@ -22,13 +23,6 @@ from diffsea.simulation.actuation import how_actuated
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
 from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings, audit
-
-
-Progress = Callable[[str], None]
-
-
-def _silent(message: str) -> None:
-    """No progress."""
 
 
 def as_vessel_file(given: VesselFile | str | pathlib.Path) -> VesselFile:
@@ -83,7 +77,7 @@ def fit(
     starts: int = 1,
     effects: Sequence[str] = (),
     per_recording: bool = False,
-    progress: Progress = _silent,
+    progress: Progress = no_progress,
 ) -> FitResult:
     """Identify a vessel's parameters as `diffsea fit` does.
 
@@ -193,7 +187,7 @@ def diagnose(
     per_recording: bool = False,
     free: Sequence[str] | None = None,
     bootstrap: int = 0,
-    progress: Progress = _silent,
+    progress: Progress = no_progress,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 

@@ -99,17 +99,13 @@ class PredictionResult(Tabulated):
     horizons: dict[float, dict[str, float]]
 
     def headline(self) -> str:
-        return (
-            f"{self.recording.name} predicted by {self.vessel.name}: root-mean-square errors (SI)"
-        )
+        who = f"{self.recording.name} predicted by {self.vessel.name}"
+        return f"{who}: root-mean-square errors (SI)"
 
     def rows(self) -> list[dict[str, Any]]:
         ahead = {f"{seconds:g} s ahead": row for seconds, row in self.horizons.items()}
         table = {"whole run": self.errors, **ahead}
-        return [
-            {"": label, **{name: value for name, value in row.items()}}
-            for label, row in table.items()
-        ]
+        return [{"": label, **row} for label, row in table.items()]
 
 
 def predict(
@@ -131,13 +127,8 @@ def predict(
     predicted = replay(boat, run, measured_actuation)
     if predicted.outcome == Outcome.DIVERGED:
         raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")
-    return PredictionResult(
-        boat,
-        run,
-        predicted,
-        replay_errors(predicted, run),
-        horizon_errors(boat, run, measured_actuation=measured_actuation),
-    )
+    horizons = horizon_errors(boat, run, measured_actuation=measured_actuation)
+    return PredictionResult(boat, run, predicted, replay_errors(predicted, run), horizons)
 
 
 def sweep(
@@ -167,7 +158,7 @@ def sweep(
     if (grid is None) == (sample is None):
         raise UserError("give either a grid or a sample of designs")
     boat = as_vessel(vessel)
-    chosen = designs.grid(grid) if grid is not None else designs.sample(sample or {}, count, seed)
+    chosen = designs.sample(sample or {}, count, seed) if grid is None else designs.grid(grid)
     designs.check_names(boat, chosen.names)
     plan = planning.plan_trial(boat, manoeuvre, **{**options, **chosen.slowest()})
     return designs.sweep(boat, plan, chosen, progress).table
@@ -188,9 +179,8 @@ class SensitivityResult(Tabulated):
     relative: dict[str, dict[str, float]]
 
     def headline(self) -> str:
-        return (
-            f"{self.manoeuvre} of {self.vessel.name}: % change by 1 % of the strongest parameters"
-        )
+        trial = f"{self.manoeuvre} of {self.vessel.name}"
+        return f"{trial}: % change by 1 % of the strongest parameters"
 
     def rows(self) -> list[dict[str, Any]]:
         table = []

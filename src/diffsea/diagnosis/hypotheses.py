@@ -1,19 +1,21 @@
-"""Refits of the short list, and the evidence for each hypothesis.
+"""Hypotheses: refits of a short list, the evidence for each, and which of them to believe.
 
 A hypothesis is the model with the effects accepted so far and one more. All are first refitted at
 the noise of the model without the effect; those that come near the best then to their end, with
-noise of their own, and judged on held-out data.
+noise of their own, and judged on held-out data. A name is given where evidence, held-out data and
+one size in all the data speak for it, together with what else would do.
 """
 
 import dataclasses
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.diagnosis.constancy import Constancy, constancy_test
-from diffsea.diagnosis.screening import Candidate
+from diffsea.diagnosis.score import Constancy, constancy_test
+from diffsea.diagnosis.screening import Candidate, Screening, short_list
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Gain, Split, held_out_gain
@@ -68,6 +70,15 @@ class Hypothesis:
             return self.gain
         return self.gain.pooled(self.exchanged)
 
+    def still_stands(self, needed: float) -> bool:
+        """Whether an effect that held-out data spoke for once is still needed beside others.
+
+        Then they may leave it open; against it speaks a lack of evidence, or their loss.
+        """
+        if self.gain is None or not self.is_judged or not self.has_one_size:
+            return False
+        return self.evidence(self.inflation) > needed and (self.gain.open or self.gain.clear)
+
     def evidence(self, inflation: float) -> float:
         """Twice the log of the Bayes factor against the model without the effect (Laplace).
 
@@ -82,28 +93,6 @@ class Hypothesis:
         held_out = 0.0 if self.gain is None else self.gain.total / inflation
         out = self.evidence(inflation) + held_out
         return out if np.isfinite(out) else -np.inf
-
-
-def refit_short_list(
-    data: Split,
-    current: Estimate,
-    candidates: dict[str, Candidate],
-    names: list[str],
-    progress: Progress,
-) -> list[Hypothesis]:
-    """Refit each candidate of a short list beside the current effects, best first."""
-
-    def refit_first(name: str) -> Hypothesis:
-        number, stage = names.index(name), f"refitting {len(names)} hypotheses"
-        message = f"refitting {number + 1} of {len(names)}: {name}"
-        progress(PartialProgress(message, number / len(names), stage))
-        return refit_at_fixed_noise(data.train, current, candidates[name])
-
-    # A compiled program runs on one core and lets other threads run meanwhile.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        near, rest = near_the_best(list(pool.map(refit_first, names)))
-        full = list(pool.map(lambda one: refit_fully(data, current, one), near))
-    return rank_hypotheses([*full, *rest])
 
 
 def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
@@ -204,7 +193,10 @@ def start_beside(
 
 
 def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
-    """Coordinates of the effect, in every instance, from its one-step estimate."""
+    """Coordinates of the effect, in every instance, from its one-step estimate.
+
+    At most three prior sizes; those of a secant at its size, positive ones above zero.
+    """
     point = candidate.point
     step = np.clip(candidate.score.step, -LARGEST_STEP, LARGEST_STEP)
     step = step.reshape(-1, len(point.directions))
@@ -297,8 +289,152 @@ def has_room(problem: Problem, current: Estimate, name: str) -> bool:
 
 
 def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
-    """The estimate without some of its effects."""
+    """The estimate without some of its effects, fitted from where it was with noise of its own."""
     free = tuple(name for name in current.free if name not in names)
     start = np.array(current.coordinates, float)
     start[problem.layout.indices(tuple(names))] = 0.0
     return estimate(problem, free, start, current.noise)
+
+
+@dataclasses.dataclass(frozen=True)
+class ShortList:
+    """Refitted hypotheses, best first, and the evidence that a name needs."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    needed: float  # twice the natural log of odds
+
+    @classmethod
+    def of(cls, problem: Problem, tried: list[Hypothesis]) -> "ShortList":
+        """Hypotheses ranked; a name needs odds of 150 to 1, with one chance for all the names."""
+        names = {catalogue_name(effect.name) for effect in problem.layout.effects}
+        return cls(tuple(rank_hypotheses(tried)), EVIDENCE + 2 * float(np.log(len(names))))
+
+    @property
+    def judged(self) -> list[Hypothesis]:
+        """Physical hypotheses that were judged on held-out data."""
+        return [one for one in self.hypotheses if one.is_judged]
+
+    @property
+    def inflation(self) -> float:
+        """How many dependent values count as one, by the best judged hypothesis."""
+        return self.judged[0].inflation if self.judged else 1.0
+
+    @property
+    def has_something_nameless(self) -> bool:
+        """Whether something is missing that no name could be given to, where none was.
+
+        All data together speak for it, but what comes nearest does not predict held-out runs
+        clearly, is not physical, or has not one size in all the data. What held-out runs contradict
+        as strongly as the others support it is no sign of anything.
+        """
+        supported = (one for one in self.hypotheses if one.support(one.inflation) > self.needed)
+        return any(np.isfinite(one.deviance_drop) for one in supported)
+
+    def pair_candidates(self) -> list[Hypothesis]:
+        """Hypotheses beside which another effect may be missing; those of one size come first.
+
+        For a list of which `decide` accepted none. There are some only where the best lacks nothing
+        but one size in all the data: what else is missing may come and go beside it, or it stands
+        for two effects at once.
+        """
+        sound = [
+            one
+            for one in self.judged
+            if one.evidence(self.inflation) > self.needed and one.gain and one.gain.clear
+        ]
+        if not sound or sound[0] is not self.judged[0]:
+            return []
+        return sorted(sound, key=lambda one: not one.has_one_size)
+
+
+def decide(
+    short_list: ShortList, exchanged_gain: Callable[[Hypothesis], Gain] | None
+) -> Hypothesis | None:
+    """The best hypothesis for which evidence and held-out data both speak.
+
+    It is the one that all data support most, or one that they support nearly as well. Where
+    held-out data leave one open, they and the training data change places: `exchanged_gain` says
+    what comes of it, None where they cannot.
+    """
+    inflation = short_list.inflation
+    for one in short_list.judged:
+        behind = short_list.judged[0].support(inflation) - one.support(inflation)
+        if behind > EVIDENCE:
+            return None
+        gain = one.gain
+        if gain is None or not one.has_one_size or one.evidence(inflation) <= short_list.needed:
+            continue
+        if gain.open and exchanged_gain is not None:
+            # Not part of its support: the training data speak in the evidence already, and the
+            # others are not asked.
+            one = dataclasses.replace(one, exchanged=exchanged_gain(one))
+            gain = one.pooled_gain
+        if gain is not None and gain.clear:
+            return one
+    return None
+
+
+def refit_candidates(
+    data: Split, current: Estimate, screening: Screening, progress: Progress
+) -> ShortList:
+    """The short list of a screening refitted, as far as the compiled program has room for it.
+
+    Where an accepted effect came out larger than its law holds for, the error of that law is left
+    over and looks like the effect's confusables: these are not asked for.
+    """
+    problem, doubtful = data.train, set[str]()
+    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
+    for name in set(declared) & set(current.free):
+        place = problem.layout.indices((name,))[0]
+        if abs(current.coordinates[place]) > EFFECTS[name].leading.valid_to:
+            doubtful |= set(declared[name])
+    names = [
+        name
+        for name in short_list(screening, declared)
+        if has_room(problem, current, name) and catalogue_name(name) not in doubtful
+    ]
+
+    def refit_first(name: str) -> Hypothesis:
+        number, stage = names.index(name), f"refitting {len(names)} hypotheses"
+        message = f"refitting {number + 1} of {len(names)}: {name}"
+        progress(PartialProgress(message, number / len(names), stage))
+        return refit_at_fixed_noise(problem, current, screening.candidates[name])
+
+    # A compiled program runs on one core and lets other threads run meanwhile.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        near, rest = near_the_best(list(pool.map(refit_first, names)))
+        full = list(pool.map(lambda one: refit_fully(data, current, one), near))
+    return ShortList.of(problem, [*full, *rest])
+
+
+@dataclasses.dataclass(frozen=True)
+class AcceptedEffect:
+    """An effect that was accepted, with what else could have been."""
+
+    hypothesis: Hypothesis
+    short_list: ShortList  # that it was chosen from
+
+    @property
+    def name(self) -> str:
+        """The effect's name in the catalogue's registry."""
+        return self.hypothesis.effect
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Catalogue names that the same data support nearly as well, the best first."""
+        best, names = self.hypothesis, dict[str, None]()
+        for other in self.short_list.judged:
+            if best.support(best.inflation) - other.support(best.inflation) < EVIDENCE:
+                names[catalogue_name(other.effect)] = None
+        return tuple(name for name in names if name != catalogue_name(best.effect))
+
+    @property
+    def lead(self) -> float:
+        """Twice the log of its odds against the next best name, or none; all data together."""
+        best = self.hypothesis
+        others = [
+            one.support(best.inflation)
+            for one in self.short_list.hypotheses
+            if one.is_physical and catalogue_name(one.effect) != catalogue_name(best.effect)
+        ]
+        return best.support(best.inflation) - max([0.0, *others])
