@@ -61,20 +61,11 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 
 # The dimension of every channel; actuator channels may have any.
-CHANNEL_DIMENSIONS = {
-    "t": "time",
-    "x": "length",
-    "y": "length",
-    "psi": "angle",
-    "u": "speed",
-    "v": "speed",
-    "r": "angular rate",
-    "wind_speed": "speed",
-    "wind_direction": "angle",
-    "phi": "angle",
-    "p": "angular rate",
-}
-EXTRA_CHANNELS = ("wind_speed", "wind_direction", "phi", "p")  # beside motion and actuation
+CHANNEL_DIMENSIONS = {"t": "time", "x": "length", "y": "length", "psi": "angle"}
+CHANNEL_DIMENSIONS |= {"u": "speed", "v": "speed", "r": "angular rate"}
+_EXTRA = {"wind_speed": "speed", "wind_direction": "angle", "phi": "angle", "p": "angular rate"}
+CHANNEL_DIMENSIONS |= _EXTRA
+EXTRA_CHANNELS = tuple(_EXTRA)  # beside motion and actuation
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
 
 # The first words of the notes of the provenance on rows that reading left out.

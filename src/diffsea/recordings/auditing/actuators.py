@@ -7,7 +7,7 @@ compared with each other, and it is asked whether they can be what they are call
 import numpy as np
 
 from diffsea.recordings.auditing.edits import ExecutedToCommanded
-from diffsea.recordings.auditing.finding import Finding, in_degrees
+from diffsea.recordings.auditing.finding import Finding, finding_of, in_degrees
 from diffsea.series import median_interval
 from diffsea.trajectory import Samples, Trajectory
 
@@ -67,17 +67,12 @@ def _executed_against_ordered(
         return []
     channels = order, answer = f"cmd_{name}", f"exec_{name}"
     if np.ptp(executed) < _MOTIONLESS * np.ptp(ordered):
-        text = (
-            f"{answer} stays at {np.median(executed):.4g} all the time while {order} "
-            f"moves by {np.ptp(ordered):.4g}: actuator or sensor is dead"
-        )
-        repair = f"leave {answer} out of the mapping, if the vessel obeyed its orders"
-        seconds, std = float(t[-1] - t[0]), median_interval(t)
-        return [Finding("stuck", seconds, std, "s", text, repair, (answer,))]
+        size = float(t[-1] - t[0]), median_interval(t)
+        words = {"level": np.median(executed), "order": order, "travel": np.ptp(ordered)}
+        return [finding_of("dead-actuator", (answer,), *size, words)]
     ratio, error = _settled_ratio(t, ordered, executed)
-    if abs(ratio) <= _CERTAIN * error:
-        return []
-    if ratio > 0 and abs(ratio - 1) < max(_DIFFERENT, _CERTAIN * error):
+    like_order = ratio > 0 and abs(ratio - 1) < max(_DIFFERENT, _CERTAIN * error)
+    if like_order or abs(ratio) <= _CERTAIN * error:
         return []
     kind, what = "scale", f"is {ratio:.4g} times"
     units = [
@@ -153,14 +148,9 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
         large &= change > _FASTEST_RUDDER * step if angle else step <= _JUMP_SECONDS
         if np.sum(large) < 2 or np.sum(change[large]) < 0.5 * np.sum(change):
             continue
-        jump, channel = float(np.max(change)), f"exec_{name}"
-        shown = f"{np.degrees(jump):.3g} deg" if angle else f"{jump:.4g}"
-        text = (
-            f"{channel} moves in jumps of up to {shown} within one sample: these are orders, not "
-            "motion"
-        )
-        repair = f"map it to cmd_{name}; what was executed has to be reconstructed"
-        unit, edits = "rad" if angle else "1", (ExecutedToCommanded(name),)
-        kind = "order-not-motion"
-        found.append(Finding(kind, jump, 0.0, unit, text, repair, (channel,), edits=edits))
+        jump = float(np.max(change))
+        words = {"name": name, "unit": "rad" if angle else "1"}
+        words["jump"] = f"{np.degrees(jump):.3g} deg" if angle else f"{jump:.4g}"
+        edit, channels = ExecutedToCommanded(name), (f"exec_{name}",)
+        found.append(finding_of("order-not-motion", channels, jump, 0.0, words, edit))
     return found

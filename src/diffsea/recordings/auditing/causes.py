@@ -159,8 +159,8 @@ class KinematicComparison:
     """Measured levels, their prediction, and the causes that may part them.
 
     `times` (s) are the knots. `linked[i]` says whether the increment from knot i to i + 1 can be
-    used. `steps` are the increments with which derivatives are taken and `bounds` the largest
-    magnitudes, by parameter. `doubt` is the standard deviation that the gain is allowed in every
+    used. `ranges` are, by parameter, the increment with which derivatives are taken and the largest
+    magnitude. `doubt` is the standard deviation that the gain is allowed in every
     test of another cause: noise in the prediction shrinks it a little, and that must not pass
     for, say, a bias in a steady turn. A cause whose whole effect on the levels is below `floor`
     (root mean square) is not named. `walk` (levels squared per second) is the random walk that
@@ -173,8 +173,7 @@ class KinematicComparison:
     predict: Callable[[Parameters], Levels]
     linked: Bool[np.ndarray, "window"]
     causes: tuple[Cause, ...]
-    steps: Parameters
-    bounds: Parameters
+    ranges: dict[str, tuple[float, float]]
     doubt: float
     floor: float
     walk: float
@@ -196,7 +195,7 @@ class KinematicComparison:
         """d(predicted increments) / d(parameter), by central differences."""
         columns = []
         for name in names:
-            step = self.steps[name]
+            step, _ = self.ranges[name]
             ahead = self.predict(theta | {name: theta[name] + step})
             behind = self.predict(theta | {name: theta[name] - step})
             columns.append(np.diff(ahead - behind, axis=-1) / (2 * step))
@@ -278,7 +277,7 @@ def select_causes(comparison: KinematicComparison | None) -> Explanation | None:
     """
     if comparison is None:
         return None
-    fit = FittedCauses((), dict.fromkeys(comparison.steps, 0.0))
+    fit = FittedCauses((), dict.fromkeys(comparison.ranges, 0.0))
     white = comparison.whitener(fit.theta)
     first = _candidates(comparison, white, fit)
     first = [each for each in first if _is_confirmed(comparison, each, each.causes[-1])]
@@ -366,7 +365,7 @@ def _fit_parameters(
 ) -> FittedCauses:
     """Gauss-Newton over the causes' parameters, within their bounds, with step halving."""
     names, theta = _parameter_names(fit.causes), fit.theta
-    bounds = np.array([comparison.bounds[name] for name in names])
+    bounds = np.array([comparison.ranges[name][1] for name in names])
     for _ in range(_MOST_STEPS if names else 0):
         rest = white(comparison.residual(theta))
         step, cov = robust_regression(white(comparison.jacobian(theta, names)), rest)
@@ -441,7 +440,7 @@ def _is_confirmed(comparison: KinematicComparison, fit: FittedCauses, cause: Cau
     names, columns, rest, cov = _tested_columns(comparison, fit)
     index = [names.index(name) for name in cause.parameters]
     values = np.array([fit.theta[name] for name in cause.parameters])
-    if any(abs(fit.theta[name]) >= comparison.bounds[name] for name in cause.parameters):
+    if any(abs(fit.theta[name]) >= comparison.ranges[name][1] for name in cause.parameters):
         return False
     if not comparison.significant(values, cov[np.ix_(index, index)]):
         return False

@@ -6,11 +6,13 @@ coarsely rounded or has wild values would pass for a fault of another kind if it
 channels are compared.
 """
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Bool, Float, Inexact
 
 from diffsea.recordings.auditing.edits import Blank, Edit, MergeRows, UniformClock
-from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.auditing.finding import Finding, finding_of
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.series import integrate, median_interval, stretches
 from diffsea.statistics import robust_scale
@@ -53,12 +55,8 @@ def clock_findings(trajectory: Trajectory) -> list[Finding]:
     found += _repeated_rows(trajectory)
     empty = run.read.empty_rows
     if empty is not None:
-        text = f"{empty.count} empty rows ({empty.note})"
-        repair = (
-            "nothing to repair: they are left out; if samples were lost there, the time stamps of "
-            "the other rows show it"
-        )
-        found.append(Finding("gap", float(empty.count), 0.0, "1", text, repair, ("t",)))
+        words = dataclasses.asdict(empty)
+        found.append(finding_of("empty-rows", ("t",), float(empty.count), 0.0, words))
     ahead = steps[steps > 0]
     if ahead.size < 3:
         return found
@@ -67,19 +65,14 @@ def clock_findings(trajectory: Trajectory) -> list[Finding]:
     wide = np.flatnonzero(steps > _CLOCK_GAP * usual)
     if wide.size:
         longest = wide[np.argmax(steps[wide])]
-        text = (
-            f"{wide.size} gaps in the time stamps, {np.sum(steps[wide]):.4g} s in all; the "
-            f"longest, {steps[longest]:.4g} s, begins at t = {run.t[longest]:.6g} s"
-        )
-        repair = "split the recording there, or leave the gap: nothing is interpolated across it"
-        found.append(Finding("gap", float(steps[longest]), usual, "s", text, repair, ("t",)))
+        words = {"count": wide.size, "total": np.sum(steps[wide]), "start": run.t[longest]}
+        found.append(finding_of("clock-gap", ("t",), float(steps[longest]), usual, words))
     return found + _channel_gaps(run, usual)
 
 
 def _duplicate(what: str, count: int, where: str, *edits: Edit) -> Finding:
-    text = f"{count} {what} repeat the one before ({where})"
-    repair = "delete them, or give [file] time_step if the stamps were merely rounded"
-    return Finding("duplicate", float(count), 0.0, "1", text, repair, ("t",), edits=edits)
+    words = {"count": count, "what": what, "where": where}
+    return finding_of("duplicate", ("t",), float(count), 0.0, words, *edits)
 
 
 def _repeated_rows(trajectory: Trajectory) -> list[Finding]:
@@ -129,13 +122,9 @@ def _rounded_stamps(t: Samples) -> list[Finding]:
         return []
     spread, slope = float(np.std(steps)), float(slope)
     std = spread / np.sqrt(2 * steps.size)
-    text = (
-        f"time stamps are rounded to {resolution:.4g} s: the rows are {slope:.6g} s apart "
-        f"throughout, the stamps unevenly (standard deviation {spread:.3g} s)"
-    )
-    repair = f"[file] time_step = {slope:.6g} in the mapping instead of the time column"
-    parameters, edits = {"resolution": resolution, "time_step": slope}, (UniformClock(slope),)
-    return [Finding("time-step", spread, std, "s", text, repair, ("t",), parameters, edits=edits)]
+    by, edit = {"resolution": resolution, "time_step": slope}, UniformClock(slope)
+    words = {"resolution": resolution, "step": slope}
+    return [finding_of("rounded-stamps", ("t",), spread, std, words, edit, parameters=by)]
 
 
 def _irregular_steps(steps: Float[np.ndarray, "step"], usual: float) -> list[Finding]:
@@ -145,16 +134,9 @@ def _irregular_steps(steps: Float[np.ndarray, "step"], usual: float) -> list[Fin
     if np.mean(off) < _IRREGULAR_SHARE or np.sum(off) < 3:
         return []
     spread = float(np.std(short))
-    text = (
-        f"{100 * np.mean(off):.2g} % of the time steps differ by more than "
-        f"{100 * _IRREGULAR:.0f} % from the usual {usual:.4g} s (standard deviation {spread:.3g} s)"
-    )
-    repair = (
-        "resample on a uniform clock; if the samples were really equally spaced, give "
-        "[file] time_step in the mapping instead of the time column"
-    )
     std = spread / np.sqrt(2 * short.size)
-    return [Finding("time-step", spread, std, "s", text, repair, ("t",))]
+    words = {"share": 100 * np.mean(off), "limit": 100 * _IRREGULAR, "usual": usual}
+    return [finding_of("irregular-stamps", ("t",), spread, std, words)]
 
 
 def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
@@ -180,18 +162,12 @@ def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
     if longest:
         channel = max(longest, key=lambda name: longest[name][0])
         seconds, start = longest[channel]
-        text = (
-            f"{', '.join(longest)} without samples; the longest stretch, {seconds:.4g} s of "
-            f"{channel}, begins at t = {start:.6g} s"
-        )
-        repair = "nothing to repair: nothing is interpolated across the gap"
-        found.append(Finding("gap", seconds, usual, "s", text, repair, tuple(longest)))
+        channels, at = tuple(longest), {"longest": channel, "start": start}
+        found.append(finding_of("channel-gap", channels, seconds, usual, at))
     if lost:
         counts = ", ".join(f"{count} of {channel}" for channel, count in lost.items())
-        text = f"single samples are lost all along the recording: {counts}"
-        repair = "nothing to repair: missing samples stay missing"
         size = usual * max(lost.values())
-        found.append(Finding("gap", size, usual, "s", text, repair, tuple(lost)))
+        found.append(finding_of("lost-samples", tuple(lost), size, usual, {"counts": counts}))
     return found
 
 
@@ -214,14 +190,9 @@ def rounding_findings(trajectory: Trajectory) -> list[Finding]:
         multiples = np.round((series - series.min()) / step)
         rest = series - series.min() - step * multiples
         error = np.std(rest) / max(np.sqrt(np.sum(multiples**2)), 1.0)
-        unit = _UNITS[channel]
-        text = (
-            f"{channel} comes in steps of {step:.4g} {unit}, "
-            f"{int(round(np.ptp(series) / step)) + 1} levels in all"
-        )
-        repair = "log it with more digits; until then its noise is at least the step / sqrt(12)"
         std = float(max(error, 1e-9 * step))
-        found.append(Finding("quantised", step, std, unit, text, repair, (channel,)))
+        words = {"unit": _UNITS[channel], "levels": int(round(np.ptp(series) / step)) + 1}
+        found.append(finding_of("quantised", (channel,), step, std, words))
     return found
 
 
@@ -253,11 +224,9 @@ def bridge_outliers(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Findin
             continue
         values[channel] = np.interp(motion.t, motion.t[~wild], values[channel][~wild])
         at = motion.t[wild].tolist()
-        text = f"{np.sum(wild)} wild values in {channel}, the first at t = {at[0]:.6g} s"
-        repair = "empty these cells: missing samples do no harm, wild ones do"
-        edits = (Blank((channel,), tuple(zip(at, at, strict=True))),)
-        count = float(np.sum(wild))
-        found.append(Finding("outliers", count, 0.0, "1", text, repair, (channel,), edits=edits))
+        edit = Blank((channel,), tuple(zip(at, at, strict=True)))
+        words = {"count": len(at), "start": at[0]}
+        found.append(finding_of("outliers", (channel,), float(len(at)), 0.0, words, edit))
     return motion.with_channels(**values), found
 
 
@@ -315,13 +284,9 @@ def drop_frozen(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
         channels, begin, stop = tuple(names), float(motion.t[start]), float(motion.t[end])
         for channel in channels:
             known[channel][start : end + 1] = False
-        text = (
-            f"{', '.join(channels)} did not change from t = {begin:.6g} s to {stop:.6g} s while "
-            "the other channels say that the vessel moved"
-        )
-        repair = "empty these cells, or cut the recording there"
-        size, std, edits = stop - begin, motion.interval, (Blank(channels, ((begin, stop),)),)
-        found.append(Finding("stuck", size, std, "s", text, repair, channels, edits=edits))
+        words, edit = {"start": begin, "end": stop}, Blank(channels, ((begin, stop),))
+        size = stop - begin, motion.interval
+        found.append(finding_of("frozen", channels, *size, words, edit))
     return MeasuredMotion(motion.t, motion.values, known), found
 
 

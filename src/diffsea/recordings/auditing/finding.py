@@ -1,32 +1,20 @@
 """What an audit says: one record per fault, with its size and its uncertainty."""
 
 import dataclasses
+import importlib.resources
 import math
+import tomllib
+from collections.abc import Mapping
 
 from diffsea.recordings.auditing.edits import Affine, Edit, Swap
 
 
+# In the order in which they are reported: sensors, labels, clocks and samples, what a channel is.
 KINDS = (
-    "sensor-latency",
-    "gyro-bias",
-    "heading-offset",
-    "hard-iron",
-    "lever-arm",
-    "clock-drift",
-    "axes",
-    "sign",
-    "unit",
-    "scale",
-    "swapped-channels",
-    "swapped-actuators",
-    "time-step",
-    "gap",
-    "duplicate",
-    "stuck",
-    "quantised",
-    "outliers",
-    "order-not-motion",
-    "through-water",
+    *("sensor-latency", "gyro-bias", "heading-offset", "hard-iron", "lever-arm", "clock-drift"),
+    *("axes", "sign", "unit", "scale", "swapped-channels", "swapped-actuators"),
+    *("time-step", "gap", "duplicate", "stuck", "quantised", "outliers"),
+    *("order-not-motion", "through-water"),
 )
 
 
@@ -68,6 +56,36 @@ class Finding:
             "channels": list(self.channels),
             "parameters": {k: _finite_or_none(value) for k, value in self.parameters.items()},
         }
+
+
+_TEXT = importlib.resources.files("diffsea.recordings.auditing") / "findings.toml"
+_CATALOGUE = tomllib.loads(_TEXT.read_text(encoding="utf-8"))
+
+
+def finding_of(
+    fault: str,
+    channels: tuple[str, ...],
+    value: float,
+    std: float,
+    words: Mapping[str, object],
+    *edits: Edit,
+    parameters: dict[str, float] | None = None,
+    doubt: str = "",
+    axis: str = "",
+) -> Finding:
+    """The finding of a fault in the words of `findings.toml`, into which `words` are filled.
+
+    `value` and `std` are its size and standard error in the unit that is said there; `edits` make
+    the repair. The other arguments are fields of the finding.
+    """
+    entry = _CATALOGUE[fault]
+    own = {"value": value, "std": std, "channel": channels[0], "channels": ", ".join(channels)}
+    filled = {**own, **words}
+    unit, message, repair = (entry[key].format(**filled) for key in ("unit", "message", "repair"))
+    kind = entry.get("kind", fault)
+    return Finding(
+        kind, value, std, unit, message, repair, channels, parameters or {}, "", edits, doubt, axis
+    )
 
 
 def _finite_or_none(value: float) -> float | None:

@@ -24,7 +24,7 @@ from diffsea.recordings.auditing.causes import (
     Parameters,
 )
 from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift
-from diffsea.recordings.auditing.finding import Finding
+from diffsea.recordings.auditing.finding import Finding, finding_of
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
 from diffsea.series import integrate
 from diffsea.trajectory import Samples
@@ -91,18 +91,17 @@ def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicCompari
     )
     if np.ptp(course) > _IRON_RANGE:
         causes += (Cause("iron", ("sine", "cosine"), np.radians(1.0)),)
-    shift = max(0.25, motion.interval)
-    steps = {"gain": 1e-3, "bias": 1e-4, "delay": shift, "rate": shift / motion.duration}
-    bounds = {"gain": 0.9, "bias": 1.0, "delay": _LONGEST_DELAY, "rate": _FASTEST_DRIFT}
-    unresolved = _unresolved(motion, fine, integrate(motion.t, motion.values["r"]), turned)
+    ranges = {"gain": (1e-3, 0.9), "bias": (1e-4, 1.0)}
+    ranges["delay"], ranges["rate"] = _delay_ranges(motion)
+    coarse = integrate(motion.t, motion.values["r"])
+    unresolved = float(np.std(coarse - np.interp(motion.t, fine.t, turned)))
     return KinematicComparison(
         motion.t[index],
         motion.values["psi"][None, index],
         functools.partial(_predicted_heading, fine, course, motion.t[index]),
         linked,
         causes,
-        steps | {"sine": 1e-3, "cosine": 1e-3},
-        bounds | {"sine": _LARGEST_IRON, "cosine": _LARGEST_IRON},
+        ranges | dict.fromkeys(("sine", "cosine"), (1e-3, _LARGEST_IRON)),
         doubt=0.02,
         floor=max(np.radians(0.1), unresolved),
         walk=_random_walk(motion, "r"),
@@ -140,24 +139,24 @@ def velocity_comparison(
     if np.sum(linked) < _FEWEST_WINDOWS:
         return None
     fine = refine(motion, _TURN_PER_STEP)
-    rates = ("p_rate", "nu_rate", "psi_rate")
-    shift = max(0.25, motion.interval)
-    steps = dict.fromkeys(("gain", "angle", "north", "east", "sine", "cosine"), 1e-3)
-    steps |= {"lever_x": 1e-2, "lever_y": 1e-2}
-    steps |= dict.fromkeys(_DELAYS, shift) | dict.fromkeys(rates, shift / motion.duration)
-    bounds = dict.fromkeys(steps, 1e3) | {"gain": 0.95, "angle": 3.2}
-    bounds |= dict.fromkeys(_DELAYS, _LONGEST_DELAY) | dict.fromkeys(rates, _FASTEST_DRIFT)
-    paths = (integrate(each.t, each.earth_velocity) for each in (motion, fine))
+    ranges = {"gain": (1e-3, 0.95), "angle": (1e-3, 3.2)}
+    ranges |= dict.fromkeys(("north", "east"), (1e-3, 1e3))
+    ranges |= dict.fromkeys(("sine", "cosine"), (1e-3, _LARGEST_IRON))
+    ranges |= dict.fromkeys(("lever_x", "lever_y"), (1e-2, 1e3))
+    delay, rate = _delay_ranges(motion)
+    ranges |= dict.fromkeys(_DELAYS, delay)
+    ranges |= dict.fromkeys(("p_rate", "nu_rate", "psi_rate"), rate)
+    coarse, path = (integrate(each.t, each.earth_velocity) for each in (motion, fine))
+    unresolved = float(np.std(coarse - np.interp(motion.t, fine.t, path)))
     return KinematicComparison(
         motion.t[index],
         np.stack([motion.values["x"], motion.values["y"]])[:, index],
         functools.partial(_predicted_position, fine, motion.t[index]),
         linked,
         _velocity_causes(motion, iron, psi_late),
-        steps,
-        bounds | {"sine": _LARGEST_IRON, "cosine": _LARGEST_IRON},
+        ranges,
         doubt=0.01,
-        floor=max(0.02, _unresolved(motion, fine, *paths)),
+        floor=max(0.02, unresolved),
         walk=max(_random_walk(motion, "u"), _random_walk(motion, "v")),
         middle=float(fine.t.mean()),
         level=level,
@@ -225,6 +224,12 @@ def _smallest_delay(motion: MeasuredMotion) -> tuple[float, float]:
     return delay, max(1e-3, 2 * delay / motion.duration)
 
 
+def _delay_ranges(motion: MeasuredMotion) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Step and bound of a delay (s), and of its rate (s/s)."""
+    shift = max(0.25, motion.interval)
+    return (shift, _LONGEST_DELAY), (shift / motion.duration, _FASTEST_DRIFT)
+
+
 def _moving_average(series: Samples, width: int) -> Samples:
     """Mean over about `width` samples, fewer at the ends."""
     total = np.concatenate([[0.0], np.cumsum(series)])
@@ -232,16 +237,6 @@ def _moving_average(series: Samples, width: int) -> Samples:
     first = (index - width // 2).clip(0)
     last = (index + width // 2 + 1).clip(None, series.size)
     return (total[last] - total[first]) / (last - first)
-
-
-def _unresolved(
-    motion: MeasuredMotion, fine: MeasuredMotion, coarse_sum: np.ndarray, fine_sum: np.ndarray
-) -> float:
-    """How far (root mean square) an integral on the two clocks parts.
-
-    What happens between the samples is known no better than that.
-    """
-    return float(np.std(coarse_sum - np.interp(motion.t, fine.t, fine_sum)))
 
 
 def _random_walk(motion: MeasuredMotion, channel: str) -> float:
@@ -268,7 +263,9 @@ def disagreement_findings(
     found = _latencies(heading, velocity)
     compass = velocity is not None and "iron" in velocity.causes
     for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, _VELOCITY_FAULTS)):
-        for cause in explanation.causes if explanation else ():
+        if explanation is None:
+            continue
+        for cause in explanation.causes:
             if cause not in makers or (compass and explanation is heading and cause == "gain"):
                 continue
             fault = makers[cause](explanation)
@@ -327,49 +324,33 @@ def _latencies(heading: Explanation | None, velocity: Explanation | None) -> lis
 
 
 def _latency(late: Channels, others: Channels, delay: float, std: float, unsure: str) -> Finding:
-    channels, rest = ", ".join(late), ", ".join(others)
-    text = f"{channels} lag {rest} by {delay:.3g} s"
-    repair = f"delay = {delay:.3g} for {channels} in the mapping"
-    doubt = unsure
+    rest, either, instead, doubt = ", ".join(others), "", "", unsure
     # Where most sensors are late, it may be the rest that is stamped too early.
     if len(set(_SENSOR_OF) & set(late)) > len(set(_SENSOR_OF) & set(others)):
-        text += f", or {rest} are stamped that much too early"
-        repair += f" (or delay = {-delay:.3g} for {rest})"
+        either = f", or {rest} are stamped that much too early"
+        instead = f" (or delay = {-delay:.3g} for {rest})"
         doubt = f"{rest} may be stamped too early instead"
-    text += f"; {unsure}" if unsure else ""
-    repair += ", or estimate it as an effect"
-    values, edits = {"delay": delay}, (Shift(late, delay),)
-    return Finding(
-        "sensor-latency", delay, std, "s", text, repair, late, values, edits=edits, doubt=doubt
-    )
+    either += f"; {unsure}" if unsure else ""
+    words = {"rest": rest, "either": either, "instead": instead}
+    by, edit = {"delay": delay}, Shift(late, delay)
+    return finding_of("sensor-latency", late, delay, std, words, edit, parameters=by, doubt=doubt)
 
 
 def _clock_drift(late: Channels, others: Channels, rate: str, found: Explanation) -> Finding:
     """A clock that falls behind by the parameter `rate`, and by the delay of the same sensor."""
-    drift, delay, std = (
-        found.theta[rate],
-        found.theta[rate.replace("rate", "delay")],
-        found.std[rate],
-    )
-    channels = ", ".join(late)
-    text = (
-        f"the clock of {channels} falls behind that of {', '.join(others)} by "
-        f"{1e3 * drift:.3g} ms per second; half-way through the run it is {delay:.3g} s late"
-    )
-    repair = f"rescale the time of {channels} before merging the logs"
-    values, edits = {"rate": drift, "offset": delay}, (Shift(late, delay, drift, found.middle),)
-    return Finding("clock-drift", drift, std, "s/s", text, repair, late, values, edits=edits)
+    drift, std, delay = found.theta[rate], found.std[rate], found.theta[rate[:-4] + "delay"]
+    by, edit = {"rate": drift, "offset": delay}, Shift(late, delay, drift, found.middle)
+    words = {"rest": ", ".join(others), "milli": 1e3 * drift, "delay": delay}
+    return finding_of("clock-drift", late, drift, std, words, edit, parameters=by)
 
 
 def _scale(channels: Channels, against: str, found: Explanation) -> Finding:
     """Channels that read too much or too little."""
     ratio = 1.0 / (1.0 + found.theta["gain"])
     std = found.std["gain"] * ratio**2
-    names = " and ".join(channels)
-    text = f"{names} read {ratio:.4g} times what {against} implies"
-    repair = f"scale = {1 / ratio:.5g} for {names} in the mapping"
-    values, edits = {"factor": ratio}, (Affine(channels, 1 / ratio),)
-    return Finding("scale", ratio, std, "1", text, repair, channels, values, edits=edits)
+    by, edit = {"factor": ratio}, Affine(channels, 1 / ratio)
+    words = {"names": " and ".join(channels), "against": against, "factor": 1 / ratio}
+    return finding_of("scale", channels, ratio, std, words, edit, parameters=by)
 
 
 def _length(found: Explanation, first: str, second: str) -> tuple[float, float]:
@@ -383,70 +364,41 @@ def _hard_iron(found: Explanation) -> Finding:
     sine, cosine = found.theta["sine"], found.theta["cosine"]
     size, std = _length(found, "sine", "cosine")
     phase = float(np.arctan2(sine, cosine))
-    text = (
-        f"heading is in error by {np.degrees(size):.3g} deg times cos(heading - "
-        f"{np.degrees(phase):.0f} deg)"
-    )
-    repair = "calibrate the compass; the error is an effect that can be estimated with the rest"
-    values, edits = {"amplitude": size, "phase": phase}, (Compass(sine, cosine),)
-    return Finding("hard-iron", size, std, "rad", text, repair, ("psi",), values, edits=edits)
+    by, edit = {"amplitude": size, "phase": phase}, Compass(sine, cosine)
+    words = {"degrees": np.degrees(size), "phase": np.degrees(phase)}
+    return finding_of("hard-iron", ("psi",), size, std, words, edit, parameters=by)
 
 
 def _gyro_bias(found: Explanation) -> Finding:
     value = -found.theta["bias"]  # of the sensor: what has to be added to heading, less that
-    text = (
-        f"yaw rate reads {value:.3g} rad/s ({np.degrees(value):.3g} deg/s) more than heading "
-        "changes"
-    )
-    repair = f'r = {{ ..., unit = "rad/s", offset = {-value:.5g} }} in the mapping'
-    std, edits = found.std["bias"], (Affine(("r",), 1.0, -value),)
-    return Finding(
-        "gyro-bias", value, std, "rad/s", text, repair, ("r",), {"bias": value}, edits=edits
-    )
+    by, edit = {"bias": value}, Affine(("r",), 1.0, -value)
+    words = {"degrees": np.degrees(value), "offset": -value}
+    return finding_of("gyro-bias", ("r",), value, found.std["bias"], words, edit, parameters=by)
 
 
 def _heading_offset(found: Explanation) -> Finding:
-    value, std, channels = found.theta["angle"], found.std["angle"], ("psi",)
-    kind, what, doubt = "heading-offset", "heading reads", ""
+    value, std = found.theta["angle"], found.std["angle"]
+    fault, doubt = "heading-offset", ""
     if abs(value) > _LARGE_ANGLE:
-        kind, what = "axes", "heading or the axes of the velocities are turned"
-        doubt = "heading or velocity may be turned"
-    text = (
-        f"{what} {np.degrees(value):.3g} deg too far clockwise: position moves at that angle to "
-        "the recorded velocity, on every heading"
-    )
-    repair = f'psi = {{ ..., unit = "rad", offset = {-value:.5g} }} in the mapping'
-    by, edits = {"angle": value}, (Affine(channels, 1.0, -value),)
-    return Finding(kind, value, std, "rad", text, repair, channels, by, edits=edits, doubt=doubt)
+        fault, doubt = "turned-axes", "heading or velocity may be turned"
+    by, edit = {"angle": value}, Affine(("psi",), 1.0, -value)
+    words = {"degrees": np.degrees(value), "offset": -value}
+    return finding_of(fault, ("psi",), value, std, words, edit, parameters=by, doubt=doubt)
 
 
 def _through_water(found: Explanation) -> Finding:
     north, east = found.theta["north"], found.theta["east"]
-    speed, std = _length(found, "north", "east")
+    size = _length(found, "north", "east")
     towards = float(np.arctan2(east, north))
-    text = (
-        f"position moves {speed:.3g} m/s towards {np.degrees(towards) % 360:.0f} deg faster than "
-        "u and v say, whatever the heading: they are velocities through the water, and this is "
-        "the current"
-    )
-    repair = "take velocities over ground from the positions, or model a current"
-    values, edits = {"speed": speed, "direction": towards}, (OverGround(north, east),)
-    kind, channels = "through-water", ("u", "v")
-    return Finding(kind, speed, std, "m/s", text, repair, channels, values, edits=edits)
+    by, edit = {"speed": size[0], "direction": towards}, OverGround(north, east)
+    words = {"degrees": np.degrees(towards) % 360}
+    return finding_of("through-water", ("u", "v"), *size, words, edit, parameters=by)
 
 
 def _lever_arm(found: Explanation) -> Finding:
     x, y = found.theta["lever_x"], found.theta["lever_y"]
-    length, std = _length(found, "lever_x", "lever_y")
-    text = (
-        f"position belongs to a point {x:.3g} m forward and {y:.3g} m to starboard of the one "
-        "that velocity belongs to"
-    )
-    repair = (
-        "move one of them to the reference point, or name the lever arm in the vessel's sensors"
-    )
-    values, edits = {"x": x, "y": y}, (Lever(x, y),)
-    return Finding("lever-arm", length, std, "m", text, repair, ("x", "y"), values, edits=edits)
+    size, by = _length(found, "lever_x", "lever_y"), {"x": x, "y": y}
+    return finding_of("lever-arm", ("x", "y"), *size, by, Lever(x, y), parameters=by)
 
 
 _Makers = dict[str, Callable[[Explanation], Finding]]

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from diffsea.recordings.auditing.edits import Affine, Swap
-from diffsea.recordings.auditing.finding import Finding, wrong_sign
+from diffsea.recordings.auditing.finding import Finding, finding_of, wrong_sign
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Samples, Series, Trajectory
 
@@ -222,17 +222,9 @@ def _blame_mirrored_axes(found: list[Finding]) -> list[Finding]:
     turning = [finding for finding in found if finding.axis == "yaw"]
     if {finding.kind for finding in turning} != {"sign", "swapped-actuators"}:
         return found
-    text = (
-        "rudder and thrust both turn the vessel to the other side: y, heading, v and yaw rate "
-        "are positive to port, or x is east and y north"
-    )
-    repair = (
-        "sign = -1 for y, psi, v and r in the mapping, or exchange x and y and turn psi by "
-        "90 deg as well"
-    )
     first, channels = turning[0], ("y", "psi", "v", "r")
-    size, edits = (first.value, first.std, first.unit), (Affine(channels, -1.0),)
-    mirrored = Finding("axes", *size, text, repair, channels, edits=edits)
+    size, edit = (first.value, first.std), Affine(channels, -1.0)
+    mirrored = finding_of("mirrored-axes", channels, *size, {"unit": first.unit}, edit)
     return [finding for finding in found if finding not in turning] + [mirrored]
 
 
@@ -286,14 +278,11 @@ def _thruster_pair(
     # Thrusters that are both reversed turn the vessel the wrong way as well.
     if yaw.sound and (yaw.gains[0] >= 0 if found else yaw.gains[0] < 0):
         gain = float(yaw.gains[0])
-        text = (
-            f"more {names[0]} than {names[1]} turns the vessel to port{_share_text(yaw)}: the two "
-            f"are exchanged{_MIRRORED}"
-        )
-        repair = f"exchange the columns of {names[0]} and {names[1]} in the mapping"
-        size, edits = (gain, abs(gain) / yaw.certainty, _UNITS["yaw"]), (Swap(*names),)
-        kind = "swapped-actuators"
-        found.append(Finding(kind, *size, text, repair, names, edits=edits, axis="yaw"))
+        size = gain, abs(gain) / yaw.certainty
+        words = {"port": names[0], "starboard": names[1], "unit": _UNITS["yaw"]}
+        words |= {"share": _share_text(yaw), "mirrored": _MIRRORED}
+        fault = "swapped-actuators"
+        found.append(finding_of(fault, names, *size, words, Swap(*names), axis="yaw"))
     return found
 
 
@@ -301,16 +290,14 @@ def _one_reversed_thruster(
     motion: MeasuredMotion, names: tuple[str, str], both: _Actuation, yaw: LaggedResponse
 ) -> list[Finding]:
     """One of two thrusters reversed: the sum then turns and the difference speeds up."""
-    if np.min(np.ptp(both, axis=1)) <= 0 or not motion.has("u"):
-        return []
-    if abs(np.corrcoef(both)[0, 1]) > 0.9:
+    still = np.min(np.ptp(both, axis=1)) <= 0 or not motion.has("u")
+    if still or abs(np.corrcoef(both)[0, 1]) > 0.9:
         return []
     turn, surge = response_to(motion, "r", both), response_to(motion, "u", both)
-    if not (turn.sound and surge.sound) or turn.explained < yaw.explained + 0.2:
-        return []
     signs = tuple(np.sign(turn.gains)), tuple(np.sign(surge.gains))
     wrong = {((-1, -1), (-1, 1)): 0, ((1, 1), (1, -1)): 1}.get(signs)
-    if wrong is None:
+    sound = turn.sound and surge.sound and turn.explained >= yaw.explained + 0.2
+    if not sound or wrong is None:
         return []
     text = _PUSHES_ASTERN.format(channel=names[wrong])
     return [_reversed_actuator(names[wrong], surge, "surge", text)]
@@ -318,11 +305,9 @@ def _one_reversed_thruster(
 
 def zigzag_findings(motion: MeasuredMotion, channel: str, angle: Samples) -> list[Finding]:
     """A zig-zag whose rudder angle (rad) goes with the heading instead of against it."""
-    if not motion.has("psi"):
-        return []
     at = _reversals(angle)
     at = at[motion.known["psi"][at]]
-    if at.size < 4:
+    if not motion.has("psi") or at.size < 4:
         return []
     # An odd one out would shift the middle to its own side.
     middle = np.mean(motion.values["psi"][at[: at.size - at.size % 2]])
@@ -356,13 +341,9 @@ def _dead_rudder(motion: MeasuredMotion, channel: str, angle: Samples) -> list[F
     share = max(explained for _, explained, _, _ in _lagged_fits(motion, "r", angle[None]))
     if share > _DEAD_RUDDER:
         return []
-    text = (
-        f"{channel} moves by {np.degrees(np.ptp(angle)):.3g} deg and explains {100 * share:.2g} % "
-        "of the yaw rate's variance: the rudder does not move, or this is another vessel's record"
-    )
-    repair = "nothing to repair: leave the channel out if it is not this vessel's"
     std = float(np.sqrt(share / motion.t.size))
-    return [Finding("stuck", share, std, "1", text, repair, (channel,))]
+    words = {"travel": np.degrees(np.ptp(angle)), "percent": 100 * share}
+    return [finding_of("dead-rudder", (channel,), share, std, words)]
 
 
 def _dead_thruster(
@@ -370,9 +351,7 @@ def _dead_thruster(
 ) -> list[Finding]:
     """One of two thrusters without effect, while the other turns the vessel."""
     spans = np.ptp(both, axis=1)
-    if not np.min(spans) > 0.3 * np.max(spans):
-        return []
-    if abs(np.corrcoef(both)[0, 1]) > 0.7:
+    if not np.min(spans) > 0.3 * np.max(spans) or abs(np.corrcoef(both)[0, 1]) > 0.7:
         return []
     response = response_to(motion, "r", both, signs=False)
     if not response.sound:
@@ -384,9 +363,5 @@ def _dead_thruster(
     error = float(response.errors[weak] / abs(response.gains[strong]))
     if abs(share) > 3 * error or abs(share) + 3 * error > _DEAD_THRUSTER:
         return []
-    text = (
-        f"{names[weak]} turns the vessel {share:.2g} +- {error:.2g} times as much as "
-        f"{names[strong]}: the thruster is dead"
-    )
-    repair = "nothing to repair: leave the channel out"
-    return [Finding("stuck", share, error, "1", text, repair, (names[weak],))]
+    words = {"partner": names[strong]}
+    return [finding_of("dead-thruster", (names[weak],), share, error, words)]

@@ -1,6 +1,6 @@
 """Logs of robots and of MATLAB: many topics, each with a clock of its own, made one recording.
 
-May import what recordings are made of (mappings, geodesy, vocabulary), and needs no JAX. The
+May import what recordings are made of (mappings, geodesy), and needs no JAX. The
 packages that formats are read with are optional and imported when a log of theirs is.
 """
 
