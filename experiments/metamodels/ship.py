@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea import Environment, State, read_vessel, replace
-from diffsea.vessel.effects.environment import default_wind
+from diffsea.vessel.effects.environment import superstructure
 from diffsea.vessel.files import build
 
 
@@ -37,7 +37,7 @@ def ship(ratio: float = 1.0, hull: dict | None = None):
     document = dict(read_vessel("mariner").document)
     document["hull"] = {**document["hull"], "reference_speed": SPEED * ratio, **(hull or {})}
     vessel = build(document)
-    wind = dataclasses.replace(default_wind(vessel), C_N=-0.1)
+    wind = dataclasses.replace(superstructure(vessel), C_N=-0.1)
     return eqx.tree_at(lambda v: v.forces, vessel, vessel.forces | {"wind": wind})
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from diffsea import State, Vessel, read_vessel, replace
 from diffsea.types import Scalar
-from diffsea.vessel.environment import EarthForce
+from diffsea.vessel.forces import EarthForce
 
 
 Tree = TypeVar("Tree")

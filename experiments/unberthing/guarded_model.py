@@ -15,7 +15,7 @@ from diffsea import Parameter, State, Vessel
 from diffsea.identification.online.guarded import Gate, GuardedEstimator, GuardedState
 from diffsea.identification.online.rls import recursive_least_squares
 from diffsea.identification.online.trust import TrustLimits, trust_limits
-from diffsea.vessel.environment import SteadyForce
+from diffsea.vessel.forces import SteadyForce
 
 
 MEMORY = 120.0  # s of forgetting

@@ -31,8 +31,6 @@ from .trajectory import Trajectory as Trajectory
 from .types import Environment as Environment
 from .types import State as State
 from .vessel.base import AbstractActuator as AbstractActuator
-from .vessel.base import AbstractForce as AbstractForce
-from .vessel.base import Force as Force
 from .vessel.base import Vessel as Vessel
 from .vessel.effects import EFFECTS as EFFECTS
 from .vessel.effects import Effect as Effect
@@ -40,6 +38,8 @@ from .vessel.files import VesselFile as VesselFile
 from .vessel.files import read_vessel as read_vessel
 from .vessel.files import shipped_vessels as shipped_vessels
 from .vessel.files import write_vessel as write_vessel
+from .vessel.forces import AbstractForce as AbstractForce
+from .vessel.forces import Force as Force
 from .vessel.sensors import Sensors as Sensors
 from .workflows.audits import Findings as Findings
 from .workflows.audits import audit as audit

@@ -37,8 +37,8 @@ from diffsea.identification.residual import (
 from diffsea.identification.study import FitSettings
 from diffsea.parameters import hull_prior
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
-from diffsea.vessel.environment import Wind
 from diffsea.vessel.files import build
+from diffsea.vessel.forces import Wind
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr", "N_rdot")

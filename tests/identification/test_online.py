@@ -32,8 +32,8 @@ from diffsea.identification.online.rls import recursive_least_squares
 from diffsea.identification.online.trust import StepEvidence
 from diffsea.parameters import hull_prior
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.vessel.environment import SteadyForce
 from diffsea.vessel.files import build
+from diffsea.vessel.forces import SteadyForce
 
 
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")

@@ -3,12 +3,12 @@
 
 import copy
 import tomllib
-from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve
+from tests.diagnosis.small import linear_estimate, still_problem
 from tests.paths import ORACLE
 
 from diffsea import (
@@ -21,13 +21,12 @@ from diffsea import (
     replace,
     shipped_vessels,
 )
-from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.effect_records import (
     is_known,
     parameter_records,
     parameters_with_errors,
 )
-from diffsea.vessel.effects.environment import default_wind
+from diffsea.vessel.effects.environment import superstructure
 from diffsea.vessel.files import build, dump, updated_document
 
 
@@ -736,11 +735,11 @@ def test_what_is_endless_without_an_effect_has_no_error_where_it_is_not_seen(
         assert found[parameter]["beyond"] == pytest.approx(beyond)
         seen = parameters_with_errors(boat, EFFECTS[name], np.array([2.0]), np.eye(1))
         assert is_known(seen) and "beyond" not in seen[parameter]
-    effect, fitted = EFFECTS[name], SimpleNamespace(coordinates=np.zeros(1), index=np.arange(1))
-    layout = CoordinateLayout((), (effect,), ((1.0,),), 1, False)
-    fitted.covariance = np.eye(1)
-    told = parameter_records(SimpleNamespace(layout=layout, base=boat), fitted, name)
-    assert [entry[parameter]["value"] for entry in told] == [None]
+    problem = still_problem(name)
+    told = parameter_records(problem, linear_estimate(size=problem.layout.size), name)
+    assert [(entry[parameter]["value"], "beyond" in entry[parameter]) for entry in told] == [
+        (None, True)
+    ]
     of_lag = EFFECTS["thrust-lag:propulsion"]
     assert is_known(parameters_with_errors(boat, of_lag, np.array([0.0]), np.eye(1)))
 
@@ -759,7 +758,7 @@ def test_every_possible_effect_applies_to_a_tug_with_all_kinds_of_thruster():
 
 def test_wind_is_fossens_law_of_the_angle_of_attack():
     """Fossen 2021, eqs. 10.16 to 10.23, with gamma = -atan2(v_rw, u_rw), less that of still air."""
-    wind = default_wind(read_vessel("otter").vessel)
+    wind = superstructure(read_vessel("otter").vessel)
     area, side, length = map(float, (wind.frontal_area, wind.lateral_area, wind.length))
 
     def law(u_rw, v_rw):

@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 from diffsea.kinematics import through_water
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.actuators import DerivativeRudder
-from diffsea.vessel.base import AbstractForce, AddedMass, Force, RigidBody, Vessel
-from diffsea.vessel.environment import Wind
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.forces import AbstractForce, Force, Wind
 from diffsea.vessel.hull import Scaling
+from diffsea.vessel.inertia import AddedMass, RigidBody
 from diffsea.vessel.servo import Servo
 
 

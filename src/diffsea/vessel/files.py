@@ -16,17 +16,20 @@ import tomli_w
 from diffsea.errors import UserError, nearest
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import ACTUATORS
-from diffsea.vessel.base import AbstractForce, AddedMass, RigidBody, Vessel
+from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import with_effect
+from diffsea.vessel.forces import AbstractForce
 from diffsea.vessel.hull import POWERS, Damping, PrimeDamping, Scaling, is_derivative
-from diffsea.vessel.servo import Servo
+from diffsea.vessel.inertia import AddedMass, RigidBody
 from diffsea.vessel.tables import Table as Table
-from diffsea.vessel.tables import check_keys, needed, positive, tables_of
+from diffsea.vessel.tables import check_keys, needed, numbers, positive, tables_of
 
 
+_NEEDED = ("mass", "I_z", "length", "beam", "draught")
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
-_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents", "reference_speed")
+_HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents")
+_COMMON_DERIVATIVES = ("X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,11 +108,15 @@ def build(document: Table) -> Vessel:
 
 
 def check(vessel: Vessel) -> None:
-    """Raise `UserError` where a vessel is impossible."""
-    body = vessel.rigid_body
-    for field in ("mass", "I_z", "length", "beam", "draught", "water_density"):
-        if not float(getattr(body, field)) > 0:
-            raise UserError(f"[hull] {field} = {float(getattr(body, field)):g} must be positive")
+    """Raise `UserError` where a vessel is impossible.
+
+    Mass, inertia and dimensions are positive, the mass matrix is positive definite, the limits of
+    each servo are in order and its stages are not negative.
+    """
+    for field in (*_NEEDED, "water_density"):
+        value = float(getattr(vessel.rigid_body, field))
+        if not value > 0:
+            raise UserError(f"[hull] {field} = {value:g} must be positive")
     if not vessel.has_inertia():
         raise UserError(
             "[hull] the mass matrix (rigid body plus added mass) is not positive definite; "
@@ -117,97 +124,85 @@ def check(vessel: Vessel) -> None:
             "and Y_rdot, N_vdot, x_G must be small against them"
         )
     for channel, servo in vessel.servos.items():
-        _check_servo(channel, servo)
-
-
-def _check_servo(channel: str, servo: Servo) -> None:
-    low, high = servo.lower, servo.upper
-    if low is not None and high is not None and not float(low) < float(high):
-        raise UserError(
-            f"actuator {channel!r}: its lower limit {low:g} is not below its upper limit {high:g}"
-        )
-    for field in ("time_constant", "delay", "deadband", "backlash", "sharpness"):
-        value = getattr(servo, field)
-        if value is not None and float(value) < 0:
-            raise UserError(f"actuator {channel!r}: {field} = {float(value):g} is negative")
-    if servo.rate_limit is not None and not float(servo.rate_limit) > 0:
-        raise UserError(f"actuator {channel!r}: rate_limit must be positive")
+        where, low, high = f"actuator {channel!r}", servo.lower, servo.upper
+        if low is not None and high is not None and not float(low) < float(high):
+            raise UserError(
+                f"{where}: its lower limit {low:g} is not below its upper limit {high:g}"
+            )
+        for field in ("time_constant", "delay", "deadband", "backlash", "sharpness"):
+            value = getattr(servo, field)
+            if value is not None and float(value) < 0:
+                raise UserError(f"{where}: {field} = {float(value):g} is negative")
+        if servo.rate_limit is not None and not float(servo.rate_limit) > 0:
+            raise UserError(f"{where}: rate_limit must be positive")
 
 
 def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
-    known = (*_BODY, *_ADDED, *_HULL_WORDS)
-    names = [key for key in hull if is_derivative(key)]
-    suggestions = (*known, "X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
+    """Rigid body, added mass and forces of a `[hull]` table."""
+    known = (*_BODY, *_ADDED, *_HULL_WORDS, "reference_speed")
+    derivatives = list(filter(is_derivative, hull))
     for key in hull:
-        if key not in known and key not in names:
-            raise UserError(f"unknown key {key!r} in [hull]{nearest(key, suggestions)}")
-    for key in ("mass", "I_z", "length", "beam", "draught"):
+        if key not in known and key not in derivatives:
+            hint = nearest(key, (*known, *_COMMON_DERIVATIVES))
+            raise UserError(f"unknown key {key!r} in [hull]{hint}")
+    for key in _NEEDED:
         needed(hull, key, "[hull]")
-    numbers = {key: needed(hull, key, "[hull]") for key in hull if key not in _HULL_WORDS[:3]}
-    body = RigidBody(**{key: numbers[key] for key in _BODY if key in numbers})
+    values = numbers(hull, (key for key in hull if key not in _HULL_WORDS), "[hull]")
+    body = RigidBody(**{key: values[key] for key in _BODY if key in values})
     terms = hull.get("added_mass_coriolis", "full")
     if terms not in ("full", "no-munk", "none"):
         raise UserError('[hull] added_mass_coriolis is "full", "no-munk" or "none"')
-    added = AddedMass(
-        **{key: numbers[key] for key in _ADDED if key in numbers}, coriolis_terms=terms
-    )
-    derivatives: dict[str, Scalar] = {name: numbers[name] for name in names}
-    scaling = _scaling(hull, body, numbers)
-    exponents = _exponents(hull, derivatives)
-    if scaling is None:
-        return body, added, {"damping": Damping(derivatives, exponents)}
-    return body, added, {"damping": PrimeDamping(derivatives, scaling)}
+    added = {key: values[key] for key in _ADDED if key in values}
+    damping = _damping(hull, body, {key: values[key] for key in derivatives})
+    return body, AddedMass(**added, coriolis_terms=terms), {"damping": damping}
 
 
-def _exponents(hull: Table, derivatives: dict[str, Scalar]) -> dict[str, Scalar]:
-    """Exponents of power laws: `[hull.exponents]` with some of X_u, Y_v and N_r."""
-    table, where = hull.get("exponents", {}), "[hull.exponents]"
-    if not isinstance(table, dict):
-        raise UserError(f"{where} is a table, for example X_u = 1.7")
-    check_keys(table, POWERS, where)
-    if table and "nondimensional" in hull:
-        raise UserError(f"{where}: power laws are for derivatives in SI units")
-    for key in table:
-        if key not in derivatives:
-            raise UserError(f"{where}: {key} is no power law without {key} in [hull]")
-    return {key: positive(table, key, where) for key in table}
-
-
-def _scaling(hull: Table, body: RigidBody, numbers: dict[str, float]) -> Scaling | None:
-    kind = hull.get("nondimensional")
-    if kind is None:
-        return None
-    if kind not in ("mmg", "abkowitz"):
+def _damping(hull: Table, body: RigidBody, derivatives: dict[str, Scalar]) -> AbstractForce:
+    """The derivative set of a `[hull]` table: in SI units, with power laws, or a prime set."""
+    kind, speed = hull.get("nondimensional"), hull.get("reference_speed", 0.0)
+    if kind not in (None, "mmg", "abkowitz"):
         raise UserError('[hull] nondimensional is "mmg" or "abkowitz"; leave it out for SI units')
-    speed = numbers.get("reference_speed", 0.0)
     if kind == "abkowitz" and not speed > 0:
         raise UserError("[hull] an Abkowitz set needs reference_speed (m/s)")
-    return Scaling(kind, body.length, body.draught, body.water_density, speed)
+    exponents, where = hull.get("exponents", {}), "[hull.exponents]"
+    if not isinstance(exponents, dict):
+        raise UserError(f"{where} is a table, for example X_u = 1.7")
+    check_keys(exponents, POWERS, where)
+    if exponents and kind is not None:
+        raise UserError(f"{where}: power laws are for derivatives in SI units")
+    for key in exponents:
+        if key not in derivatives:
+            raise UserError(f"{where}: {key} is no power law without {key} in [hull]")
+    if kind is None:
+        return Damping(derivatives, {key: positive(exponents, key, where) for key in exponents})
+    scaling = Scaling(kind, body.length, body.draught, body.water_density, float(speed))
+    return PrimeDamping(derivatives, scaling)
 
 
 def updated_document(document: Table, values: Mapping[str, float], effects: list[Table]) -> Table:
-    """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables."""
+    """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables.
+
+    `values` are by parameter name: `X_u`, `exponents.X_u`, or `port.max_force` of an actuator.
+
+    Raises:
+        UserError: no table of the document is that of the actuator.
+    """
     new = copy.deepcopy(document)
     for name, value in values.items():
-        if name.startswith("exponents."):
-            new["hull"]["exponents"][name.removeprefix("exponents.")] = float(value)
-        elif "." in name:
-            _set_actuator(new, name, value)
+        place, _, key = name.rpartition(".")
+        if place == "":
+            table = new["hull"]
+        elif place == "exponents":
+            table = new["hull"]["exponents"]
         else:
-            new["hull"][name] = float(value)
+            parts = ((kind, table) for kind in ACTUATORS for table in new.get(kind, []))
+            table = next((t for kind, t in parts if t.get("name", kind) == place), None)
+            if table is None:
+                raise UserError(f"{name!r} cannot be written into the vessel file")
+        table[key] = float(value)
     if effects:
         new["effect"] = [*new.get("effect", []), *effects]
     return new
-
-
-def _set_actuator(document: Table, name: str, value: float) -> None:
-    actuator, key = name.rsplit(".", 1)
-    for kind in ACTUATORS:
-        for table in document.get(kind, []):
-            if table.get("name", kind) == actuator:
-                table[key] = float(value)
-                return
-    raise UserError(f"{name!r} cannot be written into the vessel file")
 
 
 def dump(document: Table) -> str:

@@ -1,4 +1,4 @@
-"""Hydrodynamic forces on the hull: derivative sets, cross-flow drag, Munk moment, heel."""
+"""Hydrodynamic forces on the hull: derivative sets, cross-flow drag, heel, and their changes."""
 
 import re
 from typing import ClassVar
@@ -9,11 +9,18 @@ import jax.numpy as jnp
 
 from diffsea.kinematics import through_water
 from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import AbstractForce, Force
+from diffsea.vessel.base import AbstractDependentForce, Forces, Vessel
+from diffsea.vessel.forces import AbstractForce, Force, step
 
 
-DERIVATIVE = re.compile(r"([XYN])_(0|[uvr]+)")
-RUDDER_DERIVATIVE = re.compile(r"([XYN])_([uvr]*d[uvrd]*)")
+def is_derivative(name: str) -> bool:
+    """Whether `name` is a hull derivative such as `X_u`, `Y_vvr` or `N_0`."""
+    return re.fullmatch(r"[XYN]_(0|[uvr]+)", name) is not None
+
+
+def is_rudder_derivative(name: str) -> bool:
+    """Whether `name` is a derivative with the rudder angle d, such as `N_d` or `Y_vvd`."""
+    return re.fullmatch(r"[XYN]_[uvr]*d[uvrd]*", name) is not None
 
 
 def monomial(
@@ -30,13 +37,11 @@ def monomial(
     if letters == "0":
         return 1.0
     transverse = sum(letter in "vrd" for letter in letters)
-    even = transverse % 2 == 0
     if axis in "YN":
-        wrong = even and transverse > 0
+        wrong = transverse > 0 and transverse % 2 == 0
     else:
         wrong = transverse == 0 and len(letters) % 2 == 0 and not u_is_deviation
-    first = jnp.abs(values[letters[0]]) if wrong else values[letters[0]]
-    product = first
+    product = jnp.abs(values[letters[0]]) if wrong else values[letters[0]]
     for letter in letters[1:]:
         product = product * values[letter]
     return product
@@ -74,8 +79,8 @@ class Damping(AbstractForce):
         made = polynomial_force(plain, motion)
         for name, exponent in self.exponents.items():
             axis, letter = name.split("_")
-            force = self.derivatives[name] * signed_power(motion[letter], exponent)
-            made = made + Force(**{axis: force})
+            power = signed_power(motion[letter], exponent)
+            made = made + Force(**{axis: self.derivatives[name] * power})
         return made
 
 
@@ -153,16 +158,6 @@ class CrossFlowDrag(AbstractForce):
         return Force(0.0, unit * sway, unit * yaw)
 
 
-class MunkMoment(AbstractForce):
-    """The moment `k u_r v_r` of added masses that are wrong relative to one another."""
-
-    difference: Scalar  # kg, of Y_vdot - X_udot
-
-    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
-        water = through_water(state, environment)
-        return Force(0.0, 0.0, self.difference * water.u * water.v)
-
-
 class RollCoupling(AbstractForce):
     """Sway force and yaw moment of the recorded heel."""
 
@@ -171,6 +166,39 @@ class RollCoupling(AbstractForce):
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
         return Force(0.0, self.Y_phi * environment.heel, self.N_phi * environment.heel)
+
+
+class ShallowDamping(AbstractDependentForce):
+    """What shallow water adds to the hull's resistance.
+
+    With q = T / h, surge is multiplied by `(1 - q)^(-1/4)`, sway and yaw by `(1 - q)^(-1)`:
+    twice the lateral damping at h = 2 T and three times at 1.5 T.
+    """
+
+    part_of: ClassVar[str] = "resistance"
+
+    def __call__(
+        self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
+    ) -> Force:
+        along = jnp.expm1(0.25 * environment.shallowness)
+        across = jnp.expm1(environment.shallowness)
+        drag = vessel.sum_of_part(forces, "resistance")
+        return Force(along * drag.X, across * drag.Y, across * drag.N)
+
+
+class Change(AbstractDependentForce):
+    """A change of the hull's resistance, or of all thrusts, from one time on."""
+
+    factor: Scalar  # relative: 0.2 is a fifth more
+    time: Scalar  # s, on the run's clock
+    part: str = eqx.field(static=True)  # "resistance" or "thrust"
+
+    def __call__(
+        self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
+    ) -> Force:
+        changed = vessel.sum_of_part(forces, self.part)
+        share = self.factor * step(t, self.time, vessel.rigid_body.length)
+        return Force(share * changed.X, share * changed.Y, share * changed.N)
 
 
 @jax.custom_jvp
@@ -228,13 +256,3 @@ def _modulus_moments(v: Scalar, r: Scalar, half: Scalar) -> tuple[Scalar, Scalar
         return jnp.where(uniform, sign * (high - low), split)
 
     return moment(0), moment(1), moment(2)
-
-
-def is_derivative(name: str) -> bool:
-    """Whether `name` is a hull derivative such as `X_u`, `Y_vvr` or `N_0`."""
-    return DERIVATIVE.fullmatch(name) is not None
-
-
-def is_rudder_derivative(name: str) -> bool:
-    """Whether `name` is a derivative with the rudder angle d, such as `N_d` or `Y_vvd`."""
-    return RUDDER_DERIVATIVE.fullmatch(name) is not None

@@ -39,19 +39,14 @@ class Sensors(eqx.Module):
     clock: Clock | None = None  # None: that of the orders
 
     def lags(self, t: Scalar | None = None) -> dict[str, Scalar]:
-        """How late (s) each motion channel is against the orders at time `t` of the run.
+        """How late (s) each motion channel is against the orders at time `t` (s) of the run.
 
         Without a time, against the motion channels' own clock.
         """
         clock = 0.0 if t is None or self.clock is None else self.clock.late(t)
-        return {
-            "x": self.latency_position + clock,
-            "y": self.latency_position + clock,
-            "psi": self.latency_heading + clock,
-            "u": self.latency_velocity + clock,
-            "v": self.latency_velocity + clock,
-            "r": self.latency_yaw_rate + clock,
-        }
+        position, velocity = self.latency_position, self.latency_velocity
+        own = (position, position, self.latency_heading, velocity, velocity, self.latency_yaw_rate)
+        return {c: lag + clock for c, lag in zip(MOTION_CHANNELS, own, strict=True)}
 
     def measure(
         self, state: State, rate: State, jerk: State, t: Scalar | None = None
@@ -69,14 +64,13 @@ class Sensors(eqx.Module):
         return self.shown(past)
 
     def shown(self, past: dict[str, Scalar]) -> Float[Array, "6"]:
-        """Measured (x, y, psi, u, v, r) where each channel shows a value of its own past."""
-        lever = to_earth(self.lever_x, self.lever_y, past["psi"])
+        """Measured (x, y, psi, u, v, r) where each channel shows a value of its own past.
+
+        Units are those of `State`; headings are not wrapped. The compass error is taken at the
+        heading with its offset.
+        """
+        north, east = to_earth(self.lever_x, self.lever_y, past["psi"])
         psi = past["psi"] + self.heading_offset
         psi = psi + self.hard_iron_cos * jnp.cos(psi) + self.hard_iron_sin * jnp.sin(psi)
-        measured = past | {
-            "x": past["x"] + lever[0],
-            "y": past["y"] + lever[1],
-            "psi": psi,
-            "r": past["r"] + self.gyro_bias,
-        }
-        return jnp.stack([measured[channel] for channel in MOTION_CHANNELS])
+        x, y, r = past["x"] + north, past["y"] + east, past["r"] + self.gyro_bias
+        return jnp.stack([x, y, psi, past["u"], past["v"], r])

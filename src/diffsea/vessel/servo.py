@@ -100,7 +100,9 @@ class Servo(eqx.Module):
         """What the channel settles to under a constant order."""
         value = order if self.bias is None else order + self.bias
         if self.deadband is not None:
-            value = _dead_band(value, self.deadband)
+            # Without a width it is the value, at zero too.
+            acts = (jnp.abs(value) > self.deadband) | (self.deadband <= 0)
+            value = jnp.where(acts, value - jnp.sign(value) * self.deadband, 0.0)
         if self.sharpness is None or self.lower is None or self.upper is None:
             value = value if self.lower is None else jnp.maximum(value, self.lower)
             return value if self.upper is None else jnp.minimum(value, self.upper)
@@ -175,14 +177,21 @@ class Servo(eqx.Module):
         def segment(so_far: _Reached, part: tuple[Scalar, ...]) -> tuple[_Reached, None]:
             value, sums = so_far
             target, begin, end = part
-            goal = target if self.backlash is None else _play(value, target, self.backlash)
+            goal = target
+            if self.backlash is not None:  # driven no further than it must
+                high, low = target + self.backlash, target - self.backlash
+                goal = jnp.where(value > high, high, jnp.where(value < low, low, value))
             error, span = value - goal, end - begin
             slewing, rest = (0.0, error) if slow is None else _slewing_phase(error, span, slow, tau)
             decay = _moments_from(_exponential_moments(span - slewing, tau), slewing)
             moments = tuple(rest * m for m in decay)
             if slow is not None:
-                ramp = _ramp_moments(error, rest, slewing, slow)
-                moments = tuple(m + r for m, r in zip(moments, ramp, strict=True))
+                # Without slowness everything is travelled in no time, and a lag answers to all.
+                travelled = jnp.where(slow == 0, error, error - rest)
+                moments = tuple(
+                    m + slewing ** (k + 1) * (error / (k + 1) - travelled / (k + 2))
+                    for k, m in enumerate(moments)
+                )
             held = ((end ** (k + 1) - begin ** (k + 1)) / (k + 1) for k in range(3))
             deviation = _moments_from(moments, begin)
             after = (s + goal * h + d for s, h, d in zip(sums, held, deviation, strict=True))
@@ -197,14 +206,6 @@ class Servo(eqx.Module):
             parts = tuple(jnp.stack([jnp.asarray(p, float) for p in part]) for part in stack)
             (value, moments), _ = jax.lax.scan(segment, begun, parts)
         return moments, value
-
-
-def _ramp_moments(error: Scalar, rest: Scalar, slewing: Scalar, slow: Scalar) -> Moments:
-    """Moments of a deviation that falls at its limiting rate from `error` to `rest`."""
-    # Without slowness everything is travelled in no time, and a lag answers to all of it.
-    travelled = jnp.where(slow == 0, error, error - rest)
-    m0, m1, m2 = (slewing ** (k + 1) * (error / (k + 1) - travelled / (k + 2)) for k in range(3))
-    return m0, m1, m2
 
 
 def _moments_from(moments: Moments, by: Scalar) -> Moments:
@@ -227,12 +228,6 @@ def _slewing_phase(error: Scalar, span: Scalar, slow: Scalar, tau: Scalar) -> tu
     return slewing, jnp.where(slews & some, jnp.sign(error) * left, error)
 
 
-def _play(value: Scalar, target: Scalar, width: Scalar) -> Scalar:
-    """Where a part with play of half width `width` is driven to: no further than it must."""
-    high, low = target + width, target - width
-    return jnp.where(value > high, high, jnp.where(value < low, low, value))
-
-
 def _break_fraction(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scalar:
     """Fraction of the step at which an order takes effect.
 
@@ -241,27 +236,15 @@ def _break_fraction(order: Scalar, delay: Scalar, t: Scalar, dt: Scalar) -> Scal
     takes effect just at the beginning or the end.
     """
     hold = jax.lax.stop_gradient
-    grown = _clip_fraction((order + delay - hold(t)) / hold(dt))
+    # With the derivative of growth on the lower end, which jnp.clip halves. What takes effect at
+    # the end, to rounding, is the next step's alone: no derivative, however short the time left.
+    grown = (order + delay - hold(t)) / hold(dt)
+    grown = jnp.where(grown < 0, 0.0, jnp.where(grown > 1 - BREAK_ROUNDING, 1.0, grown))
     moved = (order + hold(delay) - t) / dt
     place = hold(moved)
     inside = (place > -BREAK_ROUNDING) & (place < 1 + BREAK_ROUNDING)
     sides = jnp.where((place < BREAK_ROUNDING) | (place > 1 - BREAK_ROUNDING), 0.5, 1.0)
     return grown + jnp.where(inside, sides, 0.0) * (moved - place)
-
-
-def _clip_fraction(value: Scalar) -> Scalar:
-    """Clip to [0, 1], with the derivative on the lower end (jnp.clip halves it there).
-
-    What takes effect at the end of a step, to rounding, is the next step's alone: it must have no
-    derivative in this one, however short the time left.
-    """
-    return jnp.where(value < 0, 0.0, jnp.where(value > 1 - BREAK_ROUNDING, 1.0, value))
-
-
-def _dead_band(value: Scalar, width: Scalar) -> Scalar:
-    """No action within +-width, shifted by it outside; without a width the value, at zero too."""
-    acts = (jnp.abs(value) > width) | (width <= 0)
-    return jnp.where(acts, value - jnp.sign(value) * width, 0.0)
 
 
 def _decay(span: Scalar, tau: Scalar) -> Scalar:

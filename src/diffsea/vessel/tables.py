@@ -1,14 +1,16 @@
-"""Numbers of TOML tables, checked: every message names the table and the key."""
+"""Numbers of TOML tables, checked: every message names the table and the key.
+
+`where` is the table's name in messages, such as `[hull]`.
+"""
 
 import math
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from diffsea.errors import UserError, nearest
 
 
 Table = dict[str, Any]
-Default = TypeVar("Default")
 
 
 def check_keys(table: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
@@ -20,7 +22,10 @@ def check_keys(table: Mapping[str, Any], keys: tuple[str, ...], where: str) -> N
 
 
 def tables_of(document: Table, kind: str) -> list[Table]:
-    """The tables of an array `[[kind]]`; none where there is no such array."""
+    """The tables of an array `[[kind]]`; none where there is no such array.
+
+    Raises `UserError` for a table in single brackets.
+    """
     tables = document.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
         raise UserError(f"write [[{kind}]] with double brackets: there can be several")
@@ -37,18 +42,17 @@ def optional_number(table: Mapping[str, Any], key: str, where: str) -> float | N
     return float(value)
 
 
-def number(table: Mapping[str, Any], key: str, where: str, default: Default) -> float | Default:
-    """A finite number, or the default where the key is missing."""
-    value = optional_number(table, key, where)
-    return default if value is None else value
-
-
 def needed(table: Mapping[str, Any], key: str, where: str) -> float:
     """A finite number that must be there."""
     value = optional_number(table, key, where)
     if value is None:
         raise UserError(f"{where}: {key} is missing")
     return value
+
+
+def numbers(table: Mapping[str, Any], keys: Iterable[str], where: str) -> dict[str, float]:
+    """Those of some numbers that a table has. Raises `UserError` for one that is not finite."""
+    return {key: needed(table, key, where) for key in keys if key in table}
 
 
 def positive(table: Mapping[str, Any], key: str, where: str) -> float:

@@ -50,7 +50,8 @@ from diffsea.kinematics import through_water
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import froude_speed, time_scale
 from diffsea.types import Scalar, State
-from diffsea.vessel.base import Force, Vessel
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import OrderHistory
 
 

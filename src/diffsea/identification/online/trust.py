@@ -30,7 +30,8 @@ from diffsea.identification.online.estimator import Innovation, decode_parameter
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import positive_inertia, time_scale
 from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import Force, Vessel
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.forces import Force
 
 
 ALARM_TRUST = 0.5  # trust at the alarm level

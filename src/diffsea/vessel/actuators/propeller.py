@@ -1,12 +1,24 @@
-"""A screw propeller: its thrust by the open-water polynomial, and its slipstream."""
+"""A screw propeller: thrust by the open-water polynomial, slipstream, side force."""
 
+from typing import ClassVar
+
+import equinox as eqx
 import jax.numpy as jnp
 
 from diffsea.errors import UserError
-from diffsea.types import Scalar, State
-from diffsea.vessel.base import AbstractPropulsor, CommandChannel, Force, Jet, Losses, Vessel
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import (
+    AbstractDependentForce,
+    AbstractPropulsor,
+    CommandChannel,
+    Forces,
+    Jet,
+    Losses,
+    Vessel,
+)
+from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, number, positive
+from diffsea.vessel.tables import Table, check_keys, needed, numbers, positive
 
 
 def drift_speed(water: State) -> Scalar:
@@ -26,6 +38,8 @@ class Propeller(AbstractPropulsor):
     `beta_P = beta - x r / U`, and `X = (1 - t) T` (Yasukawa and Yoshimura 2015, eqs. 9 to 16).
     """
 
+    command: ClassVar[CommandChannel] = CommandChannel("propulsion", "rev/s")
+
     servos: dict[str, Servo]
     x: Scalar  # m forward of amidships
     diameter: Scalar  # m
@@ -39,15 +53,8 @@ class Propeller(AbstractPropulsor):
     losses: Losses = Losses()
 
     @property
-    def channels(self) -> dict[str, CommandChannel]:
-        return dict.fromkeys(self.servos, CommandChannel("propulsion", "rev/s"))
-
-    @property
     def bollard_coefficient(self) -> Scalar:
         return self.water_density * self.diameter**4 * self.k_T[0]
-
-    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        return dict.fromkeys(self.servos, throttle)
 
     def _advance(self, water: State) -> Scalar:
         """Speed into the disc, m/s."""
@@ -89,11 +96,34 @@ class Propeller(AbstractPropulsor):
         k0, k1, k2 = (needed(polynomial, key, where) for key in polynomial)
         return cls(
             {name: Servo.from_table(table, where, *limits)},
-            x=number(table, "x", where, 0.0),
-            y=number(table, "y", where, 0.0),
             diameter=positive(table, "diameter", where),
             k_T=(k0, k1, k2),
             water_density=vessel.rigid_body.water_density,
             losses=Losses.from_table(table, where),
-            **{key: needed(table, key, where) for key in optional if key in table},
+            **{"x": 0.0} | numbers(table, ("x", "y", *optional), where),
         )
+
+
+class ScrewSideForce(AbstractDependentForce):
+    """Side force and moment of a single screw, in proportion to its own force.
+
+    `Y = Y_a |X_P|`, `N = N_a L |X_P|`, with other coefficients ahead and astern, where a
+    right-handed screw moves the stern to port (Brix 1993, section 1.3).
+    """
+
+    part_of: ClassVar[str] = "thrust"
+
+    propeller: str = eqx.field(static=True)
+    Y_ahead: Scalar = 0.0
+    N_ahead: Scalar = 0.0
+    Y_astern: Scalar = 0.0
+    N_astern: Scalar = 0.0
+
+    def __call__(
+        self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
+    ) -> Force:
+        push = forces[self.propeller].X
+        ahead, astern = jnp.maximum(push, 0.0), jnp.maximum(-push, 0.0)
+        Y = self.Y_ahead * ahead + self.Y_astern * astern
+        N = self.N_ahead * ahead + self.N_astern * astern
+        return Force(0.0, Y, N * vessel.rigid_body.length)

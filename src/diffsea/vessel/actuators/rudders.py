@@ -10,13 +10,15 @@ import jax.numpy as jnp
 from diffsea.errors import UserError
 from diffsea.types import Scalar, State
 from diffsea.vessel.actuators.propeller import Propeller, drift_speed
-from diffsea.vessel.base import AbstractActuator, CommandChannel, Force, Jet, Vessel
+from diffsea.vessel.base import AbstractActuator, CommandChannel, Jet, Vessel
+from diffsea.vessel.forces import Force
 from diffsea.vessel.hull import PrimeDamping, Scaling, is_rudder_derivative
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, number, positive
+from diffsea.vessel.tables import Table, check_keys, numbers, positive
 
 
 _KEYS = ("name", *Servo.KEYS, "max_angle", "min_angle")
+_COMMAND = CommandChannel("steering", "rad")
 
 
 def rudder_from_table(name: str, table: Table, vessel: Vessel) -> AbstractActuator:
@@ -44,6 +46,8 @@ class Rudder(AbstractActuator):
     `N = -(x_R + a_H x_H) F_N cos(delta)`.
     """
 
+    command: ClassVar[CommandChannel] = _COMMAND
+
     servos: dict[str, Servo]
     area: Scalar  # m^2
     x: Scalar  # m, x_R, negative aft
@@ -62,13 +66,6 @@ class Rudder(AbstractActuator):
     wake_fraction: Scalar = 0.0  # used without a propeller
     hull_lever: Scalar = 0.0  # m, beyond a_H x_H: a product that has a derivative at a_H = 0
     propeller: str | None = eqx.field(static=True, default=None)
-
-    @property
-    def channels(self) -> dict[str, CommandChannel]:
-        return dict.fromkeys(self.servos, CommandChannel("steering", "rad"))
-
-    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        return dict.fromkeys(self.servos, angle)
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
         (delta,) = (executed[channel] for channel in self.servos)
@@ -104,8 +101,7 @@ class Rudder(AbstractActuator):
         optional = ("y", "lift_slope", "t_R", "a_H", "x_H", "gamma_R_port", "gamma_R_starboard")
         optional += ("l_R", "epsilon", "kappa", "wake_fraction")
         check_keys(table, (*_KEYS, "area", "x", "height", "propeller", *optional), where)
-        servo = _servo_from_table(table, where)
-        area = positive(table, "area", where)
+        servo, area = _servo_from_table(table, where), positive(table, "area", where)
         propeller = table.get("propeller")
         propellers = [n for n, part in vessel.actuators.items() if isinstance(part, Propeller)]
         if propeller is not None and propeller not in propellers:
@@ -116,11 +112,10 @@ class Rudder(AbstractActuator):
         return cls(
             {name: servo},
             area=area,
-            x=number(table, "x", where, -0.5 * body.length),
             height=positive({"height": math.sqrt(1.6 * area)} | table, "height", where),
             water_density=body.water_density,
             propeller=propeller,
-            **{key: needed(table, key, where) for key in optional if key in table},
+            **{"x": -0.5 * body.length} | numbers(table, ("x", *optional), where),
         )
 
 
@@ -131,18 +126,12 @@ class DerivativeRudder(AbstractActuator):
     to starboard (published sets for the opposite sign flip the odd powers of d).
     """
 
+    command: ClassVar[CommandChannel] = _COMMAND
     y: ClassVar[float] = 0.0
 
     servos: dict[str, Servo]
     derivatives: dict[str, Scalar]
     scaling: Scaling
-
-    @property
-    def channels(self) -> dict[str, CommandChannel]:
-        return dict.fromkeys(self.servos, CommandChannel("steering", "rad"))
-
-    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        return dict.fromkeys(self.servos, angle)
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
         (delta,) = (executed[channel] for channel in self.servos)
@@ -151,10 +140,8 @@ class DerivativeRudder(AbstractActuator):
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "DerivativeRudder":
         where, hull = f"[[rudder]] {name!r}", vessel.forces["damping"]
-        derivatives: dict[str, Scalar] = {
-            key: needed(table, key, where) for key in table if is_rudder_derivative(key)
-        }
+        derivatives = numbers(table, filter(is_rudder_derivative, table), where)
         check_keys(table, (*_KEYS, *derivatives), where)
         if not isinstance(hull, PrimeDamping):
             raise UserError(f"{where}: rudder derivatives need [hull] nondimensional")
-        return cls({name: _servo_from_table(table, where)}, derivatives, hull.scaling)
+        return cls({name: _servo_from_table(table, where)}, {**derivatives}, hull.scaling)

@@ -12,13 +12,16 @@ from diffsea.vessel.base import (
     AbstractActuator,
     AbstractPropulsor,
     CommandChannel,
-    Force,
     Jet,
     Losses,
     Vessel,
 )
+from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, number, optional_number, positive
+from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number, positive
+
+
+_FORCES = ("min_force", "max_force")  # keys of limits, N
 
 
 class FixedThruster(AbstractPropulsor):
@@ -34,8 +37,8 @@ class FixedThruster(AbstractPropulsor):
     diameter: ClassVar[None] = None
 
     servos: dict[str, Servo]
-    x: Scalar  # m forward of amidships
-    y: Scalar  # m to starboard
+    x: Scalar = 0.0  # m forward of amidships
+    y: Scalar = 0.0  # m to starboard
     angle: Scalar = 0.0  # rad, direction of push from ahead, clockwise
     curve: tuple[Scalar, Scalar] | None = None  # c in N s^2/m, d in N s^2
     losses: Losses = Losses()
@@ -70,41 +73,27 @@ class FixedThruster(AbstractPropulsor):
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "FixedThruster":
         where, curve = f"[[thruster]] {name!r}", None
-        keys = ("name", *Servo.KEYS, *Losses.KEYS, "x", "y", "angle", "curve")
-        limits = ("min_force", "max_force")
-        if "curve" not in table:
-            check_keys(table, (*keys, *limits), where)
-            servo = Servo.from_table(table, where, *limits)
-        else:
-            speeds = ("min_speed", "max_speed")
-            check_keys(table, (*keys, *limits, *speeds), where)
-            curve = _read_curve(table["curve"], where)
-            with_speeds = _speeds_at_bollard(table, curve[1], where) | table
-            servo = Servo.from_table(with_speeds, where, *speeds)
+        places, limits, speeds = ("x", "y", "angle"), _FORCES, ("min_speed", "max_speed")
+        known = ("name", *Servo.KEYS, *Losses.KEYS, *places, "curve", *_FORCES)
+        check_keys(table, (*known, *speeds) if "curve" in table else known, where)
+        if "curve" in table:
+            given, limits = table["curve"], speeds
+            if not isinstance(given, dict) or set(given) != {"c", "d"}:
+                raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
+            curve = needed(given, "c", where), positive(given, "d", where)
+            # Limits of speed (rev/s) that make the limits of force at rest.
+            forces = numbers(table, _FORCES, where).items()
+            at_rest = {
+                key.replace("force", "speed"): math.copysign(math.sqrt(abs(F) / curve[1]), F)
+                for key, F in forces
+            }
+            table = at_rest | table
         return cls(
-            {name: servo},
-            x=number(table, "x", where, 0.0),
-            y=number(table, "y", where, 0.0),
-            angle=number(table, "angle", where, 0.0),
+            {name: Servo.from_table(table, where, *limits)},
             curve=curve,
             losses=Losses.from_table(table, where),
+            **numbers(table, places, where),
         )
-
-
-def _read_curve(curve: object, where: str) -> tuple[float, float]:
-    if not isinstance(curve, dict) or set(curve) != {"c", "d"}:
-        raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
-    return needed(curve, "c", where), positive(curve, "d", where)
-
-
-def _speeds_at_bollard(table: Table, d: float, where: str) -> Table:
-    """Limits of speed (rev/s) that make the limits of force at rest."""
-    forces = {end: optional_number(table, f"{end}_force", where) for end in ("min", "max")}
-    return {
-        f"{end}_speed": math.copysign(math.sqrt(abs(force) / d), force)
-        for end, force in forces.items()
-        if force is not None
-    }
 
 
 class AzimuthThruster(AbstractPropulsor):
@@ -117,8 +106,8 @@ class AzimuthThruster(AbstractPropulsor):
     bollard_coefficient: ClassVar[None] = None
 
     servos: dict[str, Servo]  # "<name>.force" and "<name>.angle", in any order
-    x: Scalar  # m forward of amidships
-    y: Scalar  # m to starboard
+    x: Scalar = 0.0  # m forward of amidships
+    y: Scalar = 0.0  # m to starboard
     losses: Losses = Losses()
 
     @property
@@ -149,22 +138,16 @@ class AzimuthThruster(AbstractPropulsor):
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "AzimuthThruster":
         where = f"[[azimuth_thruster]] {name!r}"
-        angle_keys = ("max_angle", "min_angle", "angle_time_constant", "angle_rate_limit")
-        keys = ("name", *Servo.KEYS, *Losses.KEYS, "x", "y", "max_force", "min_force")
-        check_keys(table, (*keys, *angle_keys), where)
-        force = Servo.from_table(table, where, "min_force", "max_force")
-        angle = Servo(
-            lower=optional_number(table, "min_angle", where),
-            upper=optional_number(table, "max_angle", where),
-            time_constant=optional_number(table, "angle_time_constant", where),
-            rate_limit=optional_number(table, "angle_rate_limit", where),
-            delay=force.delay,
-        )
+        stages = {"upper": "max_angle", "lower": "min_angle"}
+        stages |= {"time_constant": "angle_time_constant", "rate_limit": "angle_rate_limit"}
+        keys = ("name", *Servo.KEYS, *Losses.KEYS, "x", "y", *_FORCES[::-1])
+        check_keys(table, (*keys, *stages.values()), where)
+        force = Servo.from_table(table, where, *_FORCES)
+        read = {stage: optional_number(table, key, where) for stage, key in stages.items()}
         return cls(
-            {f"{name}.force": force, f"{name}.angle": angle},
-            x=number(table, "x", where, 0.0),
-            y=number(table, "y", where, 0.0),
+            {f"{name}.force": force, f"{name}.angle": Servo(delay=force.delay, **read)},
             losses=Losses.from_table(table, where),
+            **numbers(table, ("x", "y"), where),
         )
 
 
@@ -175,19 +158,13 @@ class TunnelThruster(AbstractActuator):
     allocation leaves it alone: it is for manoeuvres at low speed.
     """
 
+    command: ClassVar[CommandChannel] = CommandChannel("side thrust", "N")
     y: ClassVar[float] = 0.0
 
     servos: dict[str, Servo]
     x: Scalar  # m forward of amidships
     fading_speed: Scalar | None = None  # m/s, half the force is left here
     effectiveness: Scalar = 1.0  # force at rest over the ordered one
-
-    @property
-    def channels(self) -> dict[str, CommandChannel]:
-        return dict.fromkeys(self.servos, CommandChannel("side thrust", "N"))
-
-    def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        return dict.fromkeys(self.servos, 0.0)
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
         (thrust,) = (self.effectiveness * executed[channel] for channel in self.servos)
@@ -197,12 +174,10 @@ class TunnelThruster(AbstractActuator):
 
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "TunnelThruster":
-        where, limits = f"[[tunnel_thruster]] {name!r}", ("min_force", "max_force")
-        keys = ("name", *Servo.KEYS, *limits, "x", "fading_speed", "effectiveness")
-        check_keys(table, keys, where)
+        where, optional = f"[[tunnel_thruster]] {name!r}", ("fading_speed", "effectiveness")
+        check_keys(table, ("name", *Servo.KEYS, *_FORCES, "x", *optional), where)
         return cls(
-            {name: Servo.from_table(table, where, *limits)},
+            {name: Servo.from_table(table, where, *_FORCES)},
             x=needed(table, "x", where),
-            fading_speed=optional_number(table, "fading_speed", where),
-            effectiveness=number(table, "effectiveness", where, 1.0),
+            **numbers(table, optional, where),
         )

@@ -4,9 +4,9 @@ An entry is an `Effect`, in the module of what it acts on; files state it, fits 
 diagnoses look for it. May import the rest of `vessel`, `kinematics` and `types`.
 """
 
-from diffsea.vessel.effects.catalogue import EFFECTS as EFFECTS
-from diffsea.vessel.effects.catalogue import find_effects as find_effects
-from diffsea.vessel.effects.catalogue import with_effect as with_effect
+from diffsea.errors import UserError, nearest
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.actuators import ACTUATORS
 from diffsea.vessel.effects.coordinates import Coefficient as Coefficient
 from diffsea.vessel.effects.coordinates import Coordinate as Coordinate
 from diffsea.vessel.effects.coordinates import Frequency as Frequency
@@ -15,3 +15,41 @@ from diffsea.vessel.effects.coordinates import Size as Size
 from diffsea.vessel.effects.entry import Effect as Effect
 from diffsea.vessel.effects.entry import Parametrisation as Parametrisation
 from diffsea.vessel.effects.entry import catalogue_name as catalogue_name
+from diffsea.vessel.effects.entry import read_table
+from diffsea.vessel.effects.environment import ENVIRONMENT
+from diffsea.vessel.effects.hull import HULL
+from diffsea.vessel.effects.sensors import SENSORS
+from diffsea.vessel.effects.thrust import THRUST
+from diffsea.vessel.tables import Table
+
+
+EFFECTS: dict[str, Effect] = {
+    effect.name: effect for effect in (*SENSORS, *ENVIRONMENT, *ACTUATORS, *THRUST, *HULL)
+}
+
+
+def find_effects(name: str) -> tuple[Effect, ...]:
+    """The catalogue's entries of that name, its variants among them.
+
+    Raises:
+        UserError: no such entry, with the nearest one.
+    """
+    found = tuple(e for e in EFFECTS.values() if name in (e.name, catalogue_name(e.name)))
+    if not found:
+        known = sorted({catalogue_name(effect) for effect in EFFECTS})
+        raise UserError(
+            f"unknown effect {name!r}{nearest(name, known)}; the catalogue has: {', '.join(known)}"
+        )
+    return found
+
+
+def with_effect(vessel: Vessel, table: Table) -> Vessel:
+    """The vessel with the effect of an `[[effect]]` table.
+
+    Raises:
+        UserError: the effect or a key is unknown, a value is wrong, or the vessel cannot have it.
+    """
+    name = str(table.get("name", ""))
+    variants = find_effects(name)
+    read = variants[0].read or read_table
+    return read(vessel, table, variants, f"[[effect]] {name!r}")

@@ -20,8 +20,8 @@ from diffsea.vessel.effects.entry import (
     Numbers,
     Parametrisation,
     Place,
+    read_names,
 )
-from diffsea.vessel.effects.tables import read_names
 from diffsea.vessel.servo import Servo
 from diffsea.vessel.tables import Table, check_keys, needed
 
@@ -44,17 +44,13 @@ class OrderedChannels(Place):
 
     def all_on(self, vessel: Vessel) -> tuple[str, ...]:
         """Their names on a vessel."""
-        if self.kind in SIDES:
-            pushing = OrderedChannels("propulsion").all_on(vessel)
-            side, parts = SIDES[self.kind], vessel.actuators.values()
-            beside = [part for part in parts if side * float(part.y) > 0]
-            return tuple(c for part in beside for c in part.servos if c in pushing)
-        steers = self.kind == "steering"
+        side, steers = SIDES.get(self.kind, 0), self.kind == "steering"
         return tuple(
             channel
             for part in vessel.actuators.values()
             for channel in part.servos
             if (part.channels[channel].role == "steering") == steers
+            and (side == 0 or side * float(part.y) > 0)
         )
 
     def in_file(self, vessel: Vessel) -> dict[str, list[str]]:
@@ -131,25 +127,25 @@ class Stage:
         order_unit = "rad" if kind == "steering" else ORDER_UNIT
         unit = self.unit.format(order_unit)
 
+        def largest(vessel: Vessel) -> Scalar:
+            return largest_order(vessel, alike.all_on(vessel))
+
         def apply(vessel: Vessel, at: CoordinateValues) -> Vessel:
-            largest = largest_order(vessel, alike.all_on(vessel))
+            most = largest(vessel)
 
             def change(servo: Servo, actuator: AbstractActuator) -> Servo:
-                if side == 0:
-                    return self.add(servo, at[0], largest)
-                beside = jnp.sign(actuator.y) == side
-                return self.add(servo, jnp.where(beside, at[0], 0.0), largest)
+                # By `where`: under JAX an actuator's place is not known.
+                own = jnp.where(jnp.sign(actuator.y) == side, at[0], 0.0) if side else at[0]
+                return self.add(servo, own, most)
 
             return change_servos(vessel, alike.all_on(vessel), change)
 
         def size(vessel: Vessel) -> Scalar:
-            return self.size(largest_order(vessel, alike.all_on(vessel)), vessel_time(vessel))
+            return self.size(largest(vessel), vessel_time(vessel))
 
         def bounds(vessel: Vessel) -> Bound:
-            largest = math.inf
-            if self.in_orders:
-                largest = float(largest_order(vessel, alike.all_on(vessel)))
-            return -largest, largest
+            end = float(largest(vessel)) if self.in_orders else math.inf
+            return -end, end
 
         def is_possible(vessel: Vessel) -> bool:
             servos = [vessel.servos[channel] for channel in alike.all_on(vessel)]
@@ -169,12 +165,12 @@ class Stage:
             "actuator",
             (self.kind_of_size(*coordinate, size, bounds),),
             apply,
-            law=self.law,
-            phrase=self.phrase,
-            confusables=self.confusables,
-            possible=is_possible,
-            parametrisation=form,
-            place=place,
+            self.law,
+            self.phrase,
+            self.confusables,
+            is_possible,
+            form,
+            place,
             read=self.read,
         )
 
@@ -184,9 +180,16 @@ class Stage:
         value = needed(table, self.key, where)
         if variants[0].leading.positive and value < 0:
             raise UserError(f"{where}: {self.key} = {value:g} is negative")
-        channels = _named_channels(vessel, table, where)
-        angles = set(OrderedChannels("steering").all_on(vessel)) & set(channels)
-        if "{}" in self.unit and 0 < len(angles) < len(set(channels)):
+        known = {name: tuple(part.servos) for name, part in vessel.actuators.items()}
+        known = {c: (c,) for c in vessel.channels} | known
+        names = read_names(table, "actuators", where)
+        names = vessel.channels if names is None else names
+        for name in names:
+            if name not in known:
+                raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
+        channels = {channel for name in names for channel in known[name]}
+        angles = channels & set(OrderedChannels("steering").all_on(vessel))
+        if "{}" in self.unit and 0 < len(angles) < len(channels):
             raise UserError(
                 f"{where}: {self.key} is in the unit of the orders, and the vessel has thrusts and "
                 "angles; say which with actuators = [...] (it has: "
@@ -199,19 +202,6 @@ class Stage:
             return self.add(servo, value, value) if self.state is None else self.state(servo, value)
 
         return change_servos(vessel, channels, change)
-
-
-def _named_channels(vessel: Vessel, table: Table, where: str) -> tuple[str, ...]:
-    """Channels by their own names or those of their actuators; all of them for none."""
-    names = read_names(table, "actuators", where)
-    if names is None:
-        return vessel.channels
-    known = {c: (c,) for c in vessel.channels}
-    known |= {name: tuple(part.servos) for name, part in vessel.actuators.items()}
-    for name in names:
-        if name not in known:
-            raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
-    return tuple(channel for name in names for channel in known[name])
 
 
 def _plus(field: str) -> Callable[[Servo, Scalar, Scalar], Servo]:

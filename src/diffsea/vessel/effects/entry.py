@@ -1,4 +1,4 @@
-"""What an entry of the catalogue of effects says of itself.
+"""What an entry of the catalogue of effects says of itself, and how a file's table states it.
 
 An effect is an ordinary part of the vessel once applied: a force, a servo stage, a field
 of the environment or a term of the sensors. Its coordinates are numbers that are zero
@@ -7,15 +7,16 @@ what people and files say (a current's speed and direction).
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from diffsea.errors import UserError
 from diffsea.types import Scalar
-from diffsea.vessel.base import Vessel
+from diffsea.vessel.base import AbstractDependentForce, Vessel
 from diffsea.vessel.effects.coordinates import (
     Bound,
     Coefficient,
@@ -24,7 +25,8 @@ from diffsea.vessel.effects.coordinates import (
     Size,
     value_on,
 )
-from diffsea.vessel.tables import Table
+from diffsea.vessel.forces import AbstractForce
+from diffsea.vessel.tables import Table, check_keys, numbers
 
 
 CoordinateValues = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
@@ -147,8 +149,8 @@ class Effect:
         """Parameters from coordinates in SI units, in the order of `units`."""
         if self.parametrisation is not None:
             return self.parametrisation.decode(vessel, values)
-        numbers = dict(zip((one.key for one in self.coordinates), values, strict=True))
-        return {key: numbers[key] for key in self.units}
+        found = dict(zip((one.key for one in self.coordinates), values, strict=True))
+        return {key: found[key] for key in self.units}
 
     def encode(self, vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
         """Coordinates in SI units from parameters; those not given say that nothing is there."""
@@ -182,19 +184,49 @@ def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
     return eqx.tree_at(where, part, replace_fn=lambda value: value + by)
 
 
-def with_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
-    """The vessel with a force of that name, instead of the one it may have."""
-    return eqx.tree_at(lambda v: v.forces, vessel, vessel.forces | {name: force})
+def with_force(vessel: Vessel, name: str, force: AbstractForce | AbstractDependentForce) -> Vessel:
+    """The vessel with a force of that name, instead of the one of its kind that it may have."""
+    if isinstance(force, AbstractForce):
+        return eqx.tree_at(lambda v: v.forces, vessel, vessel.forces | {name: force})
+    forces = vessel.dependent_forces | {name: force}
+    return eqx.tree_at(lambda v: v.dependent_forces, vessel, forces)
 
 
-def with_dependent_force(vessel: Vessel, name: str, force: eqx.Module) -> Vessel:
-    """The vessel with a dependent force of that name, instead of the one it may have."""
-    return eqx.tree_at(
-        lambda v: v.dependent_forces, vessel, vessel.dependent_forces | {name: force}
-    )
-
-
-def free_name(name: str, taken: Iterable[str]) -> str:
-    """The name, or a numbered one where it is taken: effects given twice add up."""
+def add_force(vessel: Vessel, name: str, force: AbstractForce | AbstractDependentForce) -> Vessel:
+    """The vessel with one force more, numbered where it has that name: effects add up."""
+    taken = vessel.forces if isinstance(force, AbstractForce) else vessel.dependent_forces
     names = [name, *(f"{name} {k}" for k in range(2, 100))]
-    return next(n for n in names if n not in taken)
+    return with_force(vessel, next(n for n in names if n not in taken), force)
+
+
+def read_table(
+    vessel: Vessel, table: Table, variants: Sequence[Effect], where: str, others: Sequence[str] = ()
+) -> Vessel:
+    """The vessel with the effect of a table, whose keys are the effect's parameters.
+
+    `where` names the table in messages; `others` are keys that have been read before.
+
+    Raises:
+        UserError: a key is unknown, a value is no number, or the vessel cannot have the effect.
+    """
+    keys = [key for variant in variants for key in variant.units]
+    check_keys(table, tuple(dict.fromkeys(("name", *keys, *others))), where)
+    # Where an effect has an entry of all its coefficients, its parts are of no use here.
+    whole = [variant for variant in variants if variant.name == table["name"]]
+    for variant in whole or variants:
+        values = numbers(table, variant.units, where)
+        if not values and not whole:
+            continue
+        why = "" if variant.refusal is None else variant.refusal(vessel, values)
+        if why:
+            raise UserError(f"{where}: {why}")
+        vessel = variant.apply(vessel, np.asarray(variant.encode(vessel, values)))
+    return vessel
+
+
+def read_names(table: Table, key: str, where: str, example: str = "") -> list[str] | None:
+    """A list of names; None where the key is missing. Raises `UserError` for anything else."""
+    names = table.get(key)
+    if names is None or (isinstance(names, list) and all(isinstance(n, str) for n in names)):
+        return names
+    raise UserError(f"{where}: {key} = {names!r} is not a list of names{example}")

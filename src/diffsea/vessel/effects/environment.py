@@ -11,28 +11,26 @@ from diffsea.kinematics import components_towards, speed_and_direction
 from diffsea.scales import GRAVITY
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.dependent_forces import ShallowDamping
 from diffsea.vessel.effects.coordinates import Coefficient, Frequency, OfVessel, Size, vessel_time
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
     Numbers,
     Parametrisation,
+    add_force,
     add_to,
     entry,
-    free_name,
-    with_dependent_force,
+    read_table,
     with_force,
 )
-from diffsea.vessel.effects.tables import read_table
-from diffsea.vessel.environment import EarthForce, Wind
-from diffsea.vessel.tables import Table, needed
+from diffsea.vessel.forces import EarthForce, Wind
+from diffsea.vessel.hull import ShallowDamping
+from diffsea.vessel.tables import Table, numbers
 
 
 # Spread of the logarithm of a wind coefficient: what is known of an unmeasured superstructure.
 LOG_COEFFICIENT_SPREAD = 0.8
 C_N_SPREAD = 0.1  # of the coefficient of the wind's moment: as large as its usual value
-_OPPOSITE = np.pi  # rad, a wind is named after where it comes from
 CURRENT_SIZE = 0.3  # m/s
 WIND_SIZE = 5.0  # m/s
 environment_effect = functools.partial(entry, "environment")
@@ -58,33 +56,23 @@ def _flow_parametrisation(turn: float, note: str) -> Parametrisation:
         return {"speed": speed, "direction": jnp.mod(direction + turn, 2 * jnp.pi)}
 
     def encode(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-        return _flow_components(numbers, turn)
+        speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
+        north, east = components_towards(speed, direction - turn)
+        return float(north), float(east)
 
     units = {"speed": "m/s", "direction": "rad"}
     return Parametrisation(units, decode, encode, notes={"direction": note})
 
 
-def _flow_components(numbers: Numbers, turn: float) -> tuple[float, float]:
-    """Components north and east (m/s) of a flow, see `_flow_parametrisation`."""
-    speed, direction = numbers.get("speed", 0.0), numbers.get("direction", 0.0)
-    north, east = components_towards(speed, direction - turn)
-    return float(north), float(east)
+def superstructure(vessel: Vessel) -> Wind:
+    """The wind's force on a vessel; where it states none, of the usual coefficients.
 
-
-_CURRENT = _flow_parametrisation(0.0, "flows to")
-_WIND = _flow_parametrisation(_OPPOSITE, "comes from")
-
-
-def default_wind(vessel: Vessel) -> Wind:
-    """Wind areas of a vessel that states none: as much above the water as below."""
-    body = vessel.rigid_body
+    Its areas are as large above the water as below then.
+    """
+    stated, body = vessel.forces.get("wind"), vessel.rigid_body
+    if isinstance(stated, Wind):
+        return stated
     return Wind(body.beam * body.draught, body.length * body.draught, body.length)
-
-
-def _superstructure(vessel: Vessel) -> Wind:
-    """The wind's force on a vessel, of the usual areas and coefficients where it states none."""
-    stated = vessel.forces.get("wind")
-    return stated if isinstance(stated, Wind) else default_wind(vessel)
 
 
 def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
@@ -92,29 +80,9 @@ def _read_wind(vessel: Vessel, table: Table, variants: Sequence[Effect], where: 
 
     What an earlier table says of the superstructure holds for a wind that is added.
     """
-    given = {key: needed(table, key, where) for key in _SUPERSTRUCTURE_KEYS if key in table}
-    vessel = with_force(vessel, "wind", dataclasses.replace(_superstructure(vessel), **given))
+    given = numbers(table, _SUPERSTRUCTURE_KEYS, where)
+    vessel = with_force(vessel, "wind", dataclasses.replace(superstructure(vessel), **given))
     return read_table(vessel, table, variants, where, _SUPERSTRUCTURE_KEYS)
-
-
-def _wind_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
-    meant = _superstructure(vessel)
-    return _WIND.decode(vessel, at[:2]) | {
-        "C_X": meant.C_X * jnp.exp(at[3]),
-        "C_Y": meant.C_Y * jnp.exp(at[4]),
-        "C_N": meant.C_N + at[2],
-    }
-
-
-def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
-    meant = _superstructure(vessel)
-    ratios = (numbers.get(key, getattr(meant, key)) / getattr(meant, key) for key in ("C_X", "C_Y"))
-    added = float(numbers.get("C_N", meant.C_N) - meant.C_N)
-    return (
-        *_flow_components(numbers, _OPPOSITE),
-        added,
-        *(float(np.log(ratio)) for ratio in ratios),
-    )
 
 
 @environment_effect(
@@ -122,7 +90,7 @@ def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     *_components("m/s", CURRENT_SIZE),
     phrase="a steady current of {speed} flowing to {direction}",
     confusables=("wind", "hard-iron", "heading-offset", "wave-force"),
-    parametrisation=_CURRENT,
+    parametrisation=_flow_parametrisation(0.0, "flows to"),
     per_run=True,
 )
 def current(vessel: Vessel, flow: CoordinateValues) -> Vessel:
@@ -138,16 +106,33 @@ def current(vessel: Vessel, flow: CoordinateValues) -> Vessel:
     *_components("m/s", WIND_SIZE),
     phrase="a steady wind of {speed} from {direction}",
     confusables=("current", "wave-force", "thrust-asymmetry"),
-    parametrisation=_WIND,
+    parametrisation=_flow_parametrisation(np.pi, "comes from"),
     per_run=True,
     read=_read_wind,
 )
 def wind(vessel: Vessel, flow: CoordinateValues) -> Vessel:
     """Quadratic in apparent wind, coefficients of Isherwood type (Fossen 2021, eq. 10.23)."""
     if "wind" not in vessel.forces:
-        vessel = with_force(vessel, "wind", default_wind(vessel))
+        vessel = with_force(vessel, "wind", superstructure(vessel))
     vessel = add_to(vessel, lambda v: v.environment.wind_north, flow[0])
     return add_to(vessel, lambda v: v.environment.wind_east, flow[1])
+
+
+def _coefficients_at(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
+    """Coefficients of the superstructure, by what is added to C_N and the logarithms of factors."""
+    usual = superstructure(vessel)
+    return {
+        "C_X": usual.C_X * jnp.exp(at[3]),
+        "C_Y": usual.C_Y * jnp.exp(at[4]),
+        "C_N": usual.C_N + at[2],
+    }
+
+
+def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    usual = superstructure(vessel)
+    ratios = (numbers.get(key, getattr(usual, key)) / getattr(usual, key) for key in ("C_X", "C_Y"))
+    added = float(numbers.get("C_N", usual.C_N) - usual.C_N)
+    return (*wind.encode(vessel, numbers), added, *(float(np.log(ratio)) for ratio in ratios))
 
 
 @environment_effect(
@@ -161,10 +146,10 @@ def wind(vessel: Vessel, flow: CoordinateValues) -> Vessel:
     # What a file states of the superstructure is believed.
     possible=lambda vessel: "wind" not in vessel.forces,
     parametrisation=Parametrisation(
-        _WIND.units | {"C_X": "1", "C_Y": "1", "C_N": "1"},
-        _wind_parameters,
+        wind.units | {"C_X": "1", "C_Y": "1", "C_N": "1"},
+        lambda vessel, at: wind.decode(vessel, at[:2]) | _coefficients_at(vessel, at),
         _wind_coordinates,
-        notes=_WIND.notes,
+        notes={"direction": "comes from"},
     ),
     per_run=True,
 )
@@ -172,13 +157,7 @@ def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Wind on a superstructure of which only what is usual is known: C_X and C_Y within a
     factor of 2.2, C_N within 0.1 (one standard deviation).
     """
-    meant, (C_N, log_C_X, log_C_Y) = _superstructure(vessel), at[2:]
-    changed = dataclasses.replace(
-        meant,
-        C_N=meant.C_N + C_N,
-        C_X=meant.C_X * jnp.exp(log_C_X),
-        C_Y=meant.C_Y * jnp.exp(log_C_Y),
-    )
+    changed = dataclasses.replace(superstructure(vessel), **_coefficients_at(vessel, at))
     return wind.apply(with_force(vessel, "wind", changed), at[:2])
 
 
@@ -242,15 +221,10 @@ def wave_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
     on the clocks of all runs.
     """
     train = EarthForce(*at[:6], frequency=_base_frequency(vessel) + at[6])
-    return with_force(vessel, free_name("wave-force", vessel.forces), train)
+    return add_force(vessel, "wave-force", train)
 
 
 # -- shallow water -----------------------------------------------------------------------
-
-
-def _depth(vessel: Vessel, shallowness: CoordinateValues) -> dict[str, Scalar]:
-    """The depth h (m) of which -log(1 - T / h) is the shallowness."""
-    return {"depth": -vessel.rigid_body.draught / jnp.expm1(-shallowness[0])}
 
 
 def _shallowness(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
@@ -271,7 +245,12 @@ def _is_aground(vessel: Vessel, numbers: Numbers) -> str:
     Size("shallowness", "1", 0.3, positive=True),
     phrase="shallow water, {depth} deep,",
     confusables=("drag-change", "added-mass-coupling", "crossflow-drag"),
-    parametrisation=Parametrisation({"depth": "m"}, _depth, _shallowness, inverse=True),
+    parametrisation=Parametrisation(
+        {"depth": "m"},
+        lambda vessel, at: {"depth": -vessel.rigid_body.draught / jnp.expm1(-at[0])},
+        _shallowness,
+        inverse=True,
+    ),
     per_run=True,
     refusal=_is_aground,
 )
@@ -281,7 +260,7 @@ def shallow_water(vessel: Vessel, shallowness: CoordinateValues) -> Vessel:
     hulls differ by tens of per cent.
     """
     vessel = add_to(vessel, lambda v: v.environment.shallowness, shallowness[0])
-    return with_dependent_force(vessel, "shallow-water", ShallowDamping())
+    return with_force(vessel, "shallow-water", ShallowDamping())
 
 
 ENVIRONMENT = (current, wind, wind_and_coefficients, wave_force, shallow_water)

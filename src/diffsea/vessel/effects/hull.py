@@ -9,19 +9,18 @@ import equinox as eqx
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.dependent_forces import Change
 from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
     Parametrisation,
+    add_force,
     add_to,
     entry,
-    free_name,
-    with_dependent_force,
     with_force,
 )
-from diffsea.vessel.hull import CrossFlowDrag, Damping, MunkMoment, PrimeDamping, RollCoupling
+from diffsea.vessel.hull import Change, CrossFlowDrag, Damping, PrimeDamping, RollCoupling
+from diffsea.vessel.inertia import MunkMoment
 
 
 hull_effect = functools.partial(entry, "hull")
@@ -31,6 +30,8 @@ LEVER_SHARE = 0.05  # of the length: a load at one end, or another origin than a
 # The buoyancy of a box lies at most L / 6 off amidships while both its ends are wet; a quarter
 # leaves room for other shapes and for an origin that is not amidships.
 LEVER_BOUND = 0.25  # of the length
+_LATERAL = ("Y_vv", "Y_vr", "Y_rr", "Y_vvv", "Y_vvr", "N_vv", "N_vr", "N_rrv", "N_vvr")
+_LIFT = {"Y_ur": "N s^2/(m rad)", "N_ur": "N s^2/rad", "Y_uv": "N s^2/m^2", "N_uv": "N s^2/m"}
 
 
 def _one_by_one(
@@ -146,9 +147,6 @@ def _speed_dependent_damping(variant: str, units: dict[str, str]) -> Effect:
     return lift
 
 
-_LATERAL = ("Y_vv", "Y_vr", "Y_rr", "Y_vvv", "Y_vvr", "N_vv", "N_vr", "N_rrv", "N_vvr")
-
-
 @hull_effect(
     "crossflow-drag",
     Size("cd", "1", 1.0, positive=True),
@@ -160,11 +158,11 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
     """dY = -1/2 rho cd T |v_r + x r| (v_r + x r) dx, dN = x dY (Faltinsen 1990;
     Fossen 2021, eq. 6.91), one coefficient along the hull.
     """
-    stated = vessel.forces.get("crossflow-drag")
-    if isinstance(stated, CrossFlowDrag):
-        return with_force(vessel, "crossflow-drag", add_to(stated, lambda drag: drag.cd, cd[0]))
-    body = vessel.rigid_body
-    drag = CrossFlowDrag(cd[0], body.length, body.draught, body.water_density)
+    drag, body = vessel.forces.get("crossflow-drag"), vessel.rigid_body
+    if isinstance(drag, CrossFlowDrag):
+        drag = add_to(drag, lambda d: d.cd, cd[0])
+    else:
+        drag = CrossFlowDrag(cd[0], body.length, body.draught, body.water_density)
     return with_force(vessel, "crossflow-drag", drag)
 
 
@@ -177,8 +175,7 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
 )
 def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Damping of the hull times (1 + factor) from `time` on the run's clock."""
-    change = Change(at[0], at[1], False)
-    return with_dependent_force(vessel, free_name("drag-change", vessel.dependent_forces), change)
+    return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
 
 
 # -- inertia -----------------------------------------------------------------------------
@@ -226,7 +223,7 @@ def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
 )
 def munk_moment(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """N = (Y_vdot - X_udot) u v beyond that of the model's added masses (Munk 1924)."""
-    return with_force(vessel, free_name("munk-moment", vessel.forces), MunkMoment(at[0]))
+    return add_force(vessel, "munk-moment", MunkMoment(at[0]))
 
 
 def _payload_refusal(vessel: Vessel, numbers: dict[str, float]) -> str:
@@ -265,8 +262,8 @@ def mass_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
 def _roll_coupling(variant: str, units: dict[str, str]) -> Effect:
     def size(name: str, vessel: Vessel) -> float:
         weight = GRAVITY * float(vessel.rigid_body.mass)
-        force = name == "Y_phi"
-        return 0.02 * weight if force else 0.01 * weight * float(vessel.rigid_body.length)
+        length = float(vessel.rigid_body.length)
+        return 0.02 * weight if name == "Y_phi" else 0.01 * weight * length
 
     @hull_effect(
         f"roll-coupling{variant}",
@@ -280,12 +277,10 @@ def _roll_coupling(variant: str, units: dict[str, str]) -> Effect:
         effect cannot be told.
         """
         force = RollCoupling(**dict(zip(units, at, strict=True)))
-        return with_force(vessel, free_name("roll-coupling", vessel.forces), force)
+        return add_force(vessel, "roll-coupling", force)
 
     return roll_coupling
 
-
-_LIFT = {"Y_ur": "N s^2/(m rad)", "N_ur": "N s^2/rad", "Y_uv": "N s^2/m^2", "N_uv": "N s^2/m"}
 
 HULL = (
     crossflow_drag,

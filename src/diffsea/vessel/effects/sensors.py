@@ -19,8 +19,8 @@ from diffsea.vessel.effects.entry import (
     Place,
     add_to,
     entry,
+    read_names,
 )
-from diffsea.vessel.effects.tables import read_names
 from diffsea.vessel.sensors import Clock
 from diffsea.vessel.tables import Table, check_keys, needed
 
@@ -32,6 +32,7 @@ LATENCY_CHANNELS = {
     "velocity": ("u", "v"),
     "yaw_rate": ("r",),
 }
+_LIKE_LATENCY = ("lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,9 +75,7 @@ def _latency(
         f"sensor-latency:{variant}",
         Size("delay", "s", vessel_time, positive=True, valid_to=1.0),
         phrase=phrase,
-        confusables=(
-            *("lever-arm", "clock-drift", "thrust-delay", "thrust-lag", "rate-limit", "current"),
-        ),
+        confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
         read=_read_latency,
     )
@@ -100,14 +99,6 @@ def heading_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     return add_to(vessel, lambda v: v.sensors.heading_offset, angle[0])
 
 
-def _deviation_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
-    """Amplitude and phase of A cos(psi) + B sin(psi)."""
-    return {
-        "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
-        "phase": jnp.arctan2(-at[0], at[1]),
-    }
-
-
 def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     """A and B of a deviation with an amplitude and a phase."""
     size, phase = numbers.get("amplitude", 0.0), numbers.get("phase", 0.0)
@@ -121,7 +112,12 @@ def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...
     phrase="a compass error of {amplitude} that changes with heading",
     confusables=("current", "heading-offset", "wind"),
     parametrisation=Parametrisation(
-        {"amplitude": "rad", "phase": "rad"}, _deviation_parameters, _deviation_coordinates
+        {"amplitude": "rad", "phase": "rad"},
+        lambda vessel, at: {
+            "amplitude": jnp.sqrt(at[0] ** 2 + at[1] ** 2),
+            "phase": jnp.arctan2(-at[0], at[1]),
+        },
+        _deviation_coordinates,
     ),
 )
 def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TypeVar
 
 import equinox as eqx
@@ -12,18 +12,18 @@ import jax.numpy as jnp
 from diffsea.scales import froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import FixedThruster, Propeller, Rudder
-from diffsea.vessel.base import AbstractActuator, Vessel
-from diffsea.vessel.dependent_forces import Change, ScrewSideForce
+from diffsea.vessel.actuators.propeller import ScrewSideForce
+from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
 from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Numbers,
     Parametrisation,
+    add_force,
     add_to,
     entry,
-    free_name,
-    with_dependent_force,
 )
+from diffsea.vessel.hull import Change
 
 
 Actuator = TypeVar("Actuator", bound=AbstractActuator)
@@ -35,9 +35,18 @@ def _of_kind(vessel: Vessel, kind: type[Actuator]) -> dict[str, Actuator]:
     return {n: part for n, part in vessel.actuators.items() if isinstance(part, kind)}
 
 
-def _with_parts(vessel: Vessel, parts: Mapping[str, AbstractActuator]) -> Vessel:
-    """The vessel with other actuators in the place of those of the same names."""
-    return eqx.tree_at(lambda v: v.actuators, vessel, vessel.actuators | dict(parts))
+def _change_each(
+    vessel: Vessel, kind: type[Actuator], change: Callable[[Actuator], Actuator]
+) -> Vessel:
+    """The vessel with every actuator of one kind changed."""
+    parts = {name: change(part) for name, part in _of_kind(vessel, kind).items()}
+    return eqx.tree_at(lambda v: v.actuators, vessel, vessel.actuators | parts)
+
+
+def _add_loss(vessel: Vessel, loss: str, by: Callable[[AbstractPropulsor], Scalar]) -> Vessel:
+    """The vessel with more of one of the `Losses` of every propulsor."""
+    where = lambda part: getattr(part.losses, loss)
+    return _change_each(vessel, AbstractPropulsor, lambda part: add_to(part, where, by(part)))
 
 
 def _has_two_sides(vessel: Vessel) -> bool:
@@ -56,11 +65,7 @@ def _has_two_sides(vessel: Vessel) -> bool:
 )
 def thrust_asymmetry(vessel: Vessel, ratio: CoordinateValues) -> Vessel:
     """Port and starboard thrust times (1 - ratio) and (1 + ratio)."""
-    parts = {
-        name: add_to(part, lambda p: p.losses.asymmetry, jnp.sign(part.y) * ratio[0])
-        for name, part in vessel.propulsors.items()
-    }
-    return _with_parts(vessel, parts)
+    return _add_loss(vessel, "asymmetry", lambda part: jnp.sign(part.y) * ratio[0])
 
 
 @thrust_effect(
@@ -72,8 +77,7 @@ def thrust_asymmetry(vessel: Vessel, ratio: CoordinateValues) -> Vessel:
 )
 def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     """The push of every fixed thruster turned by `angle`, clockwise from above."""
-    fixed = _of_kind(vessel, FixedThruster).items()
-    return _with_parts(vessel, {n: add_to(part, lambda p: p.angle, angle[0]) for n, part in fixed})
+    return _change_each(vessel, FixedThruster, lambda p: add_to(p, lambda q: q.angle, angle[0]))
 
 
 @thrust_effect(
@@ -93,9 +97,7 @@ def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
 )
 def thrust_loss_with_speed(vessel: Vessel, slope: CoordinateValues) -> Vessel:
     """T (1 - slope u_r): the tangent of a propeller's falling K_T(J)."""
-    every = vessel.propulsors.items()
-    parts = {name: add_to(part, lambda p: p.losses.with_speed, slope[0]) for name, part in every}
-    return _with_parts(vessel, parts)
+    return _add_loss(vessel, "with_speed", lambda part: slope[0])
 
 
 @thrust_effect(
@@ -107,9 +109,7 @@ def thrust_loss_with_speed(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 )
 def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
     """T (1 - slope |r|): ventilation and shadowing in turns."""
-    every = vessel.propulsors.items()
-    parts = {name: add_to(part, lambda p: p.losses.in_turns, slope[0]) for name, part in every}
-    return _with_parts(vessel, parts)
+    return _add_loss(vessel, "in_turns", lambda part: slope[0])
 
 
 @thrust_effect(
@@ -122,8 +122,7 @@ def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 )
 def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """All thrusts times (1 + factor) from `time` on the run's clock."""
-    change = Change(at[0], at[1], True)
-    return with_dependent_force(vessel, free_name("thrust-change", vessel.dependent_forces), change)
+    return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust"))
 
 
 def _lacks(kind: type[AbstractActuator]) -> Callable[[Vessel, Numbers], str]:
@@ -148,9 +147,7 @@ def propeller_side_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
     astern (Brix 1993, section 1.3).
     """
     force = ScrewSideForce(next(iter(_of_kind(vessel, Propeller))), *at)
-    return with_dependent_force(
-        vessel, free_name("propeller-side-force", vessel.dependent_forces), force
-    )
+    return add_force(vessel, "propeller-side-force", force)
 
 
 def _has_plain_rudders(vessel: Vessel) -> bool:
@@ -190,16 +187,18 @@ def rudder_interaction(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """MMG: Y = -(1 + a_H) F_N cos delta, N = -(x_R + a_H x_H) F_N cos delta, inflow angle
     straightened by gamma_R (Yasukawa and Yoshimura 2015).
     """
-    parts, length = {}, vessel.rigid_body.length
-    for name, rudder in _of_kind(vessel, Rudder).items():
-        parts[name] = dataclasses.replace(
+    length = vessel.rigid_body.length
+
+    def change(rudder: Rudder) -> Rudder:
+        return dataclasses.replace(
             rudder,
             a_H=rudder.a_H + at[0],
             hull_lever=rudder.hull_lever + at[1] * length - at[0] * rudder.x_H,
             gamma_R_port=rudder.gamma_R_port - at[2],
             gamma_R_starboard=rudder.gamma_R_starboard - at[2],
         )
-    return _with_parts(vessel, parts)
+
+    return _change_each(vessel, Rudder, change)
 
 
 THRUST = (

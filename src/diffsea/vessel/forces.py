@@ -1,10 +1,55 @@
-"""Forces from outside the water's steady flow: wind, an earth-fixed swell, any steady force."""
+"""Generalised forces on a vessel, and those that come from outside: wind, swell, a steady force."""
 
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from diffsea.kinematics import through_air, to_body
+from diffsea.scales import time_scale
 from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import AbstractForce, Force
+
+
+class Force(eqx.Module):
+    """A generalised force in body axes about the midship origin."""
+
+    X: Scalar = 0.0  # N, forward
+    Y: Scalar = 0.0  # N, to starboard
+    N: Scalar = 0.0  # N m, turning the bow to starboard
+
+    def __add__(self, other: "Force") -> "Force":
+        return Force(self.X + other.X, self.Y + other.Y, self.N + other.N)
+
+    def __sub__(self, other: "Force") -> "Force":
+        return Force(self.X - other.X, self.Y - other.Y, self.N - other.N)
+
+    @classmethod
+    def of_thrust(cls, thrust: Scalar, x: Scalar, y: Scalar, angle: Scalar) -> "Force":
+        """A thrust (N) that acts at (x, y) m, `angle` rad clockwise from ahead."""
+        X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
+        return cls(X, Y, x * Y - y * X)
+
+    @property
+    def stacked(self) -> Float[Array, "3"]:
+        """Surge force (N), sway force (N) and yaw moment (N m) as one array."""
+        return jnp.stack([jnp.asarray(part, float) for part in (self.X, self.Y, self.N)])
+
+
+class AbstractForce(eqx.Module):
+    """A generalised force on the hull that depends on motion, environment and time.
+
+    `resists` says whether it is the water's resistance to the hull's motion, which changes
+    with depth and fouling.
+    """
+
+    resists: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        """The force at this instant; `state` is over ground, `t` is the run's clock in s."""
 
 
 class Wind(AbstractForce):
@@ -76,3 +121,11 @@ class SteadyForce(AbstractForce):
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
         return Force(*to_body(self.north, self.east, state.psi), self.moment)
+
+
+def step(t: Scalar, at: Scalar, length: Scalar) -> Scalar:
+    """A change at time `at` s: from zero to one, half at `at`, within some tenths of sqrt(L / g).
+
+    Smooth, so that motion has a derivative by the time of the change.
+    """
+    return jax.nn.sigmoid((t - at) / (0.1 * time_scale(length)))
