@@ -36,8 +36,7 @@ from scipy.stats import spearmanr
 
 from diffsea import EFFECTS, Trajectory
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.identification.effect_records import parameter_records
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, parameter_records
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, held_out_coordinates, row_deviance, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem

@@ -29,8 +29,8 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
 from diffsea.identification.least_squares import with_known_jacobian
+from diffsea.identification.objectives import output_error
 from diffsea.identification.objectives import output_error as objective
-from diffsea.identification.objectives import shooting
 from diffsea.identification.problem import Problem, make_problem
 
 
@@ -157,12 +157,12 @@ class Counter:
 
     def __enter__(self) -> "Counter":
         self.shots = self.slopes = 0
-        self._kept = shooting.shoot, shooting.shoot_with_slopes
-        shooting.shoot, shooting.shoot_with_slopes = self._shoot, self._slopes
+        self._kept = output_error.shoot, output_error.shoot_with_slopes
+        output_error.shoot, output_error.shoot_with_slopes = self._shoot, self._slopes
         return self
 
     def __exit__(self, *_: object) -> None:
-        shooting.shoot, shooting.shoot_with_slopes = self._kept
+        output_error.shoot, output_error.shoot_with_slopes = self._kept
 
     def _shoot(self, *args):
         self.shots += 1

@@ -26,7 +26,7 @@ from tests.oracle.make_recordings import MASSES, gust_scale, perform, perturbed,
 from tests.oracle.simulator import load
 
 from diffsea import State, Trajectory, Vessel
-from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.online.ekf import ExtendedKalmanFilter, KalmanBelief, kalman_filter
 from diffsea.identification.online.guarded import OnlineRun, run_least_squares, run_online
 from diffsea.trajectory import MOTION_CHANNELS

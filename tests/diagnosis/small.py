@@ -10,8 +10,8 @@ from diffsea import EFFECTS, Trajectory, Vessel
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.score import Constancy, ScoreTest
 from diffsea.diagnosis.screening import Candidate
+from diffsea.identification.coordinates import ExpansionPoint
 from diffsea.identification.estimates import Estimate, posterior_estimate
-from diffsea.identification.expansion_points import ExpansionPoint
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import build

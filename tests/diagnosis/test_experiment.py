@@ -23,7 +23,7 @@ from diffsea.diagnosis.experiment import (
     expected_evidence,
 )
 from diffsea.identification.estimates import posterior_estimate
-from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, simulate_manoeuvre
 from diffsea.scales import time_scale

@@ -20,8 +20,8 @@ from diffsea.diagnosis.screening import (
     short_list,
     spectral_peaks,
 )
-from diffsea.identification.coordinates import CoordinateLayout
-from diffsea.identification.expansion_points import expansion_points, merge_spans
+from diffsea.identification.coordinates import CoordinateLayout, expansion_points
+from diffsea.identification.data.dataset import merge_spans
 
 
 NULL = NullDistribution(np.linspace(0.0, 1.0, 100))

@@ -18,11 +18,10 @@ from diffsea import EFFECTS, Parameter, Trajectory, UserError
 from diffsea.identification import study
 from diffsea.identification.coordinates import negative_effects, vessel_at
 from diffsea.identification.estimates import FitOutcome, parameter_estimates
+from diffsea.identification.filter.covariance import Noise, gust_propagation, measurement_update
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
-from diffsea.identification.filter.process_noise import Noise, gust_propagation
-from diffsea.identification.filter.updates import measurement_update
-from diffsea.identification.fit import estimate, normalised_rms, posterior_deviance
+from diffsea.identification.fit import estimate, filter_at, normalised_rms
 from diffsea.identification.least_squares import solve_least_squares
 from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import make_problem
@@ -390,7 +389,7 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
         assert (np.linalg.eigvalsh(0.5 * (mass + mass.T)).min() > 0) == possible
         assert bool(changed.has_inertia()) == possible
         assert np.isfinite(float(vessel.rigid_body.mass)) == possible
-        assert np.isfinite(posterior_deviance(problem, start, noise)) == possible
+        assert np.isfinite(filter_at(problem, start, noise).deviance) == possible
     start[place] = 3.0
     fitted = estimate(problem, (*HULL, effect.name), start)
     vessel, _ = vessel_at(problem.base, problem.layout, fitted.coordinates)

@@ -25,8 +25,11 @@ from diffsea.identification.uncertainty.design import (
     next_manoeuvre,
     simulate_manoeuvre,
 )
-from diffsea.identification.uncertainty.identifiability import identifiability
-from diffsea.identification.uncertainty.profile import asymmetric_parameters, profile_interval
+from diffsea.identification.uncertainty.identifiability import (
+    asymmetric_parameters,
+    identifiability,
+    profile_interval,
+)
 from diffsea.vessel.files import build
 
 
@@ -84,7 +87,7 @@ def test_the_profile_of_a_parabola_is_the_interval_of_its_standard_error():
     fitted = estimate((0.0, 0.0), H - prior)
     assert asymmetric_parameters(objective, fitted) == ()
     std = math.sqrt(np.linalg.inv(H)[0, 0])
-    found = profile_interval(objective, fitted, "A").interval
+    found = profile_interval(objective, fitted, "A")
     rise = math.sqrt(chi2.ppf(0.9, 1))
     assert found == pytest.approx((2 - rise * std, 2 + rise * std), abs=0.02)
     assert normal_interval(A, 0.0, std) == pytest.approx((2 - rise * std, 2 + rise * std), abs=1e-3)
@@ -98,7 +101,7 @@ def test_an_asymmetric_likelihood_is_seen_and_its_interval_follows_it():
     curvature = np.diag([8.0, 50.0])
     fitted = estimate((0.0, 0.0), curvature - np.diag([1.0, 4.0]))
     assert asymmetric_parameters(objective, fitted) == ("A",)
-    low, high = profile_interval(objective, fitted, "A").interval
+    low, high = profile_interval(objective, fitted, "A")
     rise = chi2.ppf(0.9, 1)
     for end in (low, high):
         assert cost(end - 2.0, 0.0) == pytest.approx(rise, rel=0.06)
@@ -109,7 +112,7 @@ def test_an_interval_that_the_data_leave_open_is_infinite():
     objective = Cost(lambda a, b: 2 * (1 - np.exp(-np.maximum(a, 0.0))) + 20 * np.minimum(a, 0) ** 2
                      + b**2)  # fmt: skip
     fitted = estimate((0.0, 0.0), np.diag([4.0, 4.0]))
-    low, high = profile_interval(objective, fitted, "A").interval
+    low, high = profile_interval(objective, fitted, "A")
     assert math.isinf(high) and 1.0 < low < 2.0
 
 
@@ -118,7 +121,7 @@ def test_colour_widens_profiles_as_it_widens_standard_errors():
     objective = Cost(lambda a, b: H[0, 0] * a**2 + H[1, 1] * b**2)
     information = H - np.diag([1.0, 4.0])
     fitted = estimate((0.0, 0.0), information, coloured=4 * information)
-    low, high = profile_interval(objective, fitted, "A").interval
+    low, high = profile_interval(objective, fitted, "A")
     rise = math.sqrt(chi2.ppf(0.9, 1)) * fitted.stds[0]
     assert fitted.stds[0] == pytest.approx(2 / math.sqrt(40), rel=0.02)
     assert (low, high) == pytest.approx((2 - rise, 2 + rise), abs=0.02)

@@ -19,13 +19,13 @@ from tests.paths import ORACLE
 from tests.runs import varied
 
 from diffsea import EFFECTS, Environment, Trajectory
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import (
     FilterRow,
     deviance,
     expected_measurements,
     measurement_jacobian,
 )
-from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import build
 from diffsea.vessel.servo import Response

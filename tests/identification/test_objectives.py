@@ -89,7 +89,8 @@ def test_free_runs_are_fitted_from_far_away_whatever_outliers_there_are(document
     # Three positions 8 m off in 240 would raise the standard deviation of x to 0.9 m.
     assert fitted.state.sigma[0] == pytest.approx(0.05, rel=0.3)
     # At the end the windows are joined: it is one free run.
-    assert np.abs(objective.window_gaps(fitted.state) / fitted.state.sigma).max() < 0.1
+    gaps = objective.window_gaps(fitted.state, objective.shot(fitted.state))
+    assert np.abs(gaps / fitted.state.sigma).max() < 0.1
     assert fitted.outcome is FitOutcome.CONVERGED
 
 

@@ -17,7 +17,7 @@ from tests.oracle.simulator import Simulator, load
 from tests.paths import ORACLE
 
 from diffsea import Parameter, State, Trajectory, UserError, named
-from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.online import trust
 from diffsea.identification.online.ekf import ExtendedKalmanFilter, kalman_filter
 from diffsea.identification.online.guarded import (

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from diffsea import Trajectory
 from diffsea.identification.estimates import posterior_estimate
-from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import draw_process_noise, resimulate
 from diffsea.vessel.files import build

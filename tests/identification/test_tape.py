@@ -13,7 +13,7 @@ from tests.runs import random_steps
 from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
-from diffsea.identification.fit import estimate, posterior_deviance
+from diffsea.identification.fit import estimate, filter_at
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import innovations_at, linearise
@@ -70,7 +70,7 @@ def test_positions_alone_tell_the_first_heading(document, run):
     values = []
     for one in (alone, turned):
         problem = make_problem(vessel, [one], ("X_u",))
-        values.append(posterior_deviance(problem, *problem.start()))
+        values.append(filter_at(problem, *problem.start()).deviance)
     assert values[0] == pytest.approx(values[1], abs=1.0)
 
 

@@ -21,11 +21,7 @@ from diffsea import (
     replace,
     shipped_vessels,
 )
-from diffsea.identification.effect_records import (
-    is_known,
-    parameter_records,
-    parameters_with_errors,
-)
+from diffsea.identification.estimates import is_known, parameter_records, parameters_with_errors
 from diffsea.vessel.effects.environment import superstructure
 from diffsea.vessel.files import build, dump, updated_document
 

@@ -160,7 +160,7 @@ def _fit_record(study: "Study", objective: str, quality: dict[str, float]) -> di
         "outcome": study.estimate.outcome.value,
         "identifiability": study.identifiability.as_dict(),
         "next_manoeuvre": None if study.next is None else study.next.as_dict(),
-        "starts": None if study.agreement is None else study.agreement.as_dict(),
+        "starts": None if study.agreement is None else dataclasses.asdict(study.agreement),
         "outliers": study.outliers,
     }
     if objective == "innovation":

@@ -19,8 +19,13 @@ from diffsea.diagnosis.localisation import (
 )
 from diffsea.diagnosis.screening import Screening, detection_limits
 from diffsea.diagnosis.search import ALPHA, Diagnosis
-from diffsea.identification.effect_records import effect_table, is_known, parameter_records
-from diffsea.identification.estimates import Estimate, parameter_estimates
+from diffsea.identification.estimates import (
+    Estimate,
+    effect_table,
+    is_known,
+    parameter_estimates,
+    parameter_records,
+)
 from diffsea.identification.fit import normalised_rms
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem

@@ -21,8 +21,8 @@ from diffsea.diagnosis.score import (
     joint_null,
     linearise_model,
 )
+from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.expansion_points import ExpansionPoint, expansion_points
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.trajectory import Trajectory

@@ -2,10 +2,14 @@
 
 They are zero at the vessel as it is stated; those of an effect count sizes that would be
 noticeable, so that one prior suits all effects.
+
+An absent effect is screened by derivatives at `expansion_points`: its onset or frequency has to be
+chosen, and what is strong soon is better seen by a secant than by the tangent at zero.
 """
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.parameters import Parameter, replace
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import Effect
+from diffsea.vessel.effects import Coefficient, Effect
+from diffsea.vessel.effects.coordinates import TimeSpan
 
 
 # Degrees of freedom of the Student t of an effect's amounts: it may be far larger than expected.
@@ -178,3 +183,49 @@ def vessel_at(
         flow = jax.tree.map(lambda now, more: now + more + zero, flow, added)
         vessel = still
     return vessel.if_possible(), flow
+
+
+@dataclasses.dataclass(frozen=True)
+class ExpansionPoint:
+    """One point at which the residuals are expanded in an effect.
+
+    `at` are its coordinates in noticeable sizes: amounts are zero, unless this is a `secant` from
+    the effect's absence to its size there. `directions` are the coordinates to differentiate by.
+    """
+
+    effect: str
+    at: tuple[float, ...]
+    directions: tuple[int, ...]
+    secant: bool = False
+
+
+def expansion_points(
+    effect: Effect,
+    vessel: Vessel,
+    spans: Sequence[TimeSpan],
+    frequencies: Float[np.ndarray, "peak"] | None = None,
+) -> list[ExpansionPoint]:
+    """All points for one effect in what was recorded during these spans of time.
+
+    `frequencies` (Hz) are those at which an effect that swings is looked for.
+    """
+    absent = [0.0] * len(effect.coordinates)
+
+    def at(place: int, value: float) -> tuple[float, ...]:
+        return (*absent[:place], value, *absent[place + 1 :])
+
+    tangents: list[tuple[float, ...]] = []
+    if effect.scanned is not None:
+        place, scanned = effect.scanned
+        size = effect.sizes(vessel)[place]
+        tangents += [at(place, v / size) for v in scanned.scan(vessel, spans, frequencies)]
+    elif effect.leading.tangent:
+        tangents.append(tuple(absent))
+        for place, one in enumerate(effect.coordinates):
+            trials = one.trials if isinstance(one, Coefficient) else ()
+            tangents += [at(place, trial) for trial in trials]
+    amounts = tuple(np.flatnonzero(effect.amounts).tolist())
+    return [
+        *(ExpansionPoint(effect.name, point, amounts) for point in tangents),
+        *(ExpansionPoint(effect.name, at(0, s), (0,), True) for s in effect.leading.secants),
+    ]

@@ -1,21 +1,37 @@
-"""What every fit ends with: an estimate, its covariance, and how much of it is due to the data."""
+"""What every fit ends with: an estimate, its covariance, and how much of it is due to the data.
+
+Fits work on coordinates that are zero where an effect is absent. `parameter_estimates` and
+`parameter_records` give people and files SI units, standard errors and intervals instead.
+"""
 
 import dataclasses
 import enum
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm
 
 from diffsea.errors import UserError
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
-from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.parameters import Parameter, parameter_meaning
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+from diffsea.vessel.tables import Table
 
+
+INTERVAL_LEVEL = 0.9  # probability of the intervals that are reported
+BOUND_SHARE = 0.01  # of the prior mean's distance to a bound: a number nearer than this is at it
+ONE_SIDED_95 = float(norm.ppf(0.95))  # standard errors that one of twenty draws exceeds
 
 Progress = Callable[[str], None]
+ParameterRecord = dict[str, Any]  # value, std, unit
 
 
 class PartialProgress(str):
@@ -34,10 +50,6 @@ class PartialProgress(str):
         out = super().__new__(cls, message)
         out.share, out.stage = share, stage
         return out
-
-
-INTERVAL_LEVEL = 0.9  # probability of the intervals that are reported
-BOUND_SHARE = 0.01  # of the prior mean's distance to a bound: a number nearer than this is at it
 
 
 def no_progress(message: str) -> None:
@@ -112,6 +124,10 @@ class Estimate:
         if not isinstance(self.state, Noise):
             raise UserError("only a fit of the innovation likelihood has noise of a filter")
         return self.state
+
+    def of_vessel(self, parameters: Sequence[Parameter]) -> dict[int, Parameter]:
+        """The fitted ones of the vessel's parameters, by their position among what was free."""
+        return {n: parameters[k] for n, k in enumerate(self.index) if k < len(parameters)}
 
     def filter_run(self, problem: Problem) -> FilterRun:
         """The filter's run along a problem's data at this estimate, calculated once."""
@@ -209,23 +225,91 @@ def parameter_estimates(
     parameters: Sequence[Parameter], fitted: Estimate
 ) -> list[ParameterEstimate]:
     """The fitted ones among the vessel's parameters, in their order."""
-    position = {int(k): n for n, k in enumerate(fitted.index)}
     found = []
-    for number, parameter in enumerate(parameters):
-        if number not in position:
-            continue
-        n, at = position[number], float(fitted.coordinates[number])
-        std = float(fitted.stds[n])
+    for n, parameter in fitted.of_vessel(parameters).items():
+        at, std = float(fitted.coordinates[fitted.index[n]]), float(fitted.stds[n])
         found.append(
             ParameterEstimate(
                 parameter.name,
                 parameter_meaning(parameter.name),
                 parameter.unit,
-                parameter.value,
-                float(parameter.decode(at)),
-                parameter.slope(at) * std,
-                normal_interval(parameter, at, std),
-                float(fitted.shrinkage[n]),
+                start=parameter.value,
+                value=float(parameter.decode(at)),
+                std=parameter.slope(at) * std,
+                interval=normal_interval(parameter, at, std),
+                determined=float(fitted.shrinkage[n]),
             )
         )
     return found
+
+
+def parameter_records(
+    problem: Problem, fitted: Estimate, name: str
+) -> list[dict[str, ParameterRecord]]:
+    """A fitted effect's parameters with standard errors, one dictionary for each instance.
+
+    An instance is the effect itself, or that of one run where each has an environment of its own.
+    Every parameter has `value`, `std` and `unit`, as `parameters_with_errors` says.
+    """
+    layout = problem.layout
+    effect = next(e for e in layout.effects if e.name == name)
+    sizes = np.array(layout.sizes[layout.effects.index(effect)])
+    place = layout.slices()[name]
+    positions = [list(fitted.index).index(k) for k in range(place.start, place.stop)]
+    covariance = fitted.covariance[np.ix_(positions, positions)]
+    out = []
+    for instance, values in enumerate(layout.physical(name, fitted.coordinates)):
+        part = slice(instance * len(sizes), (instance + 1) * len(sizes))
+        own = covariance[part, part] * np.outer(sizes, sizes)
+        out.append(parameters_with_errors(problem.base, effect, values, own))
+    return out
+
+
+def parameters_with_errors(
+    vessel: Vessel,
+    effect: Effect,
+    values: Float[np.ndarray, "coordinate"],
+    covariance: Float[np.ndarray, "coordinate coordinate"],
+) -> dict[str, ParameterRecord]:
+    """Parameters of an effect from its coordinates and their covariance, in SI units.
+
+    Standard errors by linear propagation. What is endless while the effect is absent (a rate
+    limit, a depth) and not told from none has neither value nor error, but the `beyond` that it
+    exceeds with a probability of 95 %.
+    """
+    units = {key: effect.place.unit_on(vessel, unit) for key, unit in effect.units.items()}
+    absent = effect.decode(vessel, jnp.zeros(len(values)))
+    error = ONE_SIDED_95 * math.sqrt(covariance[0, 0])
+    endless = len(values) == 1 and not np.isfinite(list(absent.values())).all()
+    if endless and not values[0] > error:
+        beyond = effect.decode(vessel, jnp.array([max(values[0], 0.0) + error]))
+        return {
+            key: {"value": None, "std": None, "unit": unit, "beyond": float(beyond[key])}
+            for key, unit in units.items()
+        }
+
+    def parameters(at: jax.Array) -> jax.Array:
+        return jnp.stack([jnp.asarray(v) for v in effect.decode(vessel, at).values()])
+
+    at = jnp.asarray(values)
+    J = np.asarray(jax.jacfwd(parameters)(at))
+    std = np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0))
+    numbers = zip(units.items(), np.asarray(parameters(at)), std, strict=True)
+    return {
+        key: {"value": float(value), "std": float(spread), "unit": unit}
+        for (key, unit), value, spread in numbers
+    }
+
+
+def is_known(parameters: Mapping[str, ParameterRecord]) -> bool:
+    """Whether the numbers of a reported effect are known: not those of one that is not seen."""
+    return all(entry["value"] is not None for entry in parameters.values())
+
+
+def effect_table(vessel: Vessel, name: str, parameters: Mapping[str, ParameterRecord]) -> Table:
+    """An `[[effect]]` table for a vessel file: the values, and what the variant acts on.
+
+    Reading it (`vessel.effects.with_effect`) attaches the effect as it was fitted.
+    """
+    values = {key: float(entry["value"]) for key, entry in parameters.items()}
+    return {"name": catalogue_name(name), **values, **EFFECTS[name].place.in_file(vessel)}

@@ -13,8 +13,7 @@ from jaxtyping import Float
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
-from diffsea.identification.effect_records import ParameterRecord, parameter_records
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
@@ -106,7 +105,7 @@ def split_data(
         shapes = [problem_of(runs, least).dataset.shape for runs in (train, held_out)]
         shape = shapes[0].both(shapes[1])
     train_problem, test_problem = (problem_of(runs, shape) for runs in (train, held_out))
-    rows = int(np.asarray(test_problem.dataset.known).any(1).sum())
+    rows = int(test_problem.dataset.recorded_rows.sum())
     if rows < 2 * LEAST_BLOCK:
         raise UserError(
             f"only {rows} rows are held out to judge models on, at least {2 * LEAST_BLOCK} are "
@@ -177,18 +176,14 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     """How much better `fitted` predicts the held-out runs than `nominal`."""
     old = row_deviance(split.test, held_out_coordinates(split, nominal), nominal)
     new = row_deviance(split.test, held_out_coordinates(split, fitted), fitted)
-    known = np.asarray(split.test.dataset.known).any(1)
-    return Gain.of_rows((old - new)[known])
+    return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
 def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     """The gain the other way round: both models fitted to the held-out data, judged on the rest."""
     other = dataclasses.replace(split, train=split.test, test=split.train)
-
-    def again(model: Estimate) -> Estimate:
-        return estimate(other.train, model.free, model.coordinates, model.noise)
-
-    return held_out_gain(other, again(nominal), again(fitted))
+    again = [estimate(other.train, m.free, m.coordinates, m.noise) for m in (nominal, fitted)]
+    return held_out_gain(other, *again)
 
 
 def environment_from(
@@ -212,11 +207,8 @@ def environment_from(
     names = ("current", "wind") if "wind" in vessel.forces else ("current",)
     effects = tuple(EFFECTS[name] for name in names)
     capacity = sum(len(effect.sizes(vessel)) for effect in effects)
-    problem = make_problem(
-        vessel, [cut(recording, float(t[0]), split)], (), effects, capacity=capacity
-    )
+    first, rest = cut(recording, float(t[0]), split), cut(recording, split, float(t[-1]))
+    problem = make_problem(vessel, [first], (), effects, capacity=capacity)
     found = estimate(problem, names)
     there = vessel_in_environment(problem, found.coordinates)
-    said = {name: parameter_records(problem, found, name)[0] for name in names}
-    there = dataclasses.replace(there, name=vessel.name, source=vessel.source)
-    return there, cut(recording, split, float(t[-1])), said
+    return there, rest, {name: parameter_records(problem, found, name)[0] for name in names}

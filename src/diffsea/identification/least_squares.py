@@ -67,7 +67,8 @@ class _TrustRegion(optx.AbstractSearch):
         return self.inner.step(*given)
 
 
-def _solver(tolerance: Scalar, radius: Scalar = 1.0) -> optx.Dogleg:
+def dogleg(tolerance: Scalar, radius: Scalar = 1.0) -> optx.Dogleg:
+    """Powell's dogleg by normal equations, its trust region beginning at `radius`."""
     solver = optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
     return eqx.tree_at(lambda s: s.search, solver, _TrustRegion(radius))
 
@@ -87,7 +88,7 @@ def solve_least_squares(
     """
     found = optx.least_squares(
         with_known_jacobian(function),
-        _solver(tolerance, radius),
+        dogleg(tolerance, radius),
         start,
         args,
         has_aux=True,
@@ -115,7 +116,7 @@ def iterate_least_squares(
     # it: a compiled function that it linearised itself would be split, and compiled once more.
     fn = with_known_jacobian(lambda at, found: found)
     options, tags = {"jac": "fwd"}, frozenset()
-    solver, at = _solver(tolerance), start
+    solver, at = dogleg(tolerance), start
     found = function(start, args)
     structure = jax.eval_shape(lambda: fn(start, found))
     state = solver.init(fn, at, found, options, *structure, tags)
@@ -141,24 +142,16 @@ def with_known_jacobian(
     A solver differentiates the residual in several places; this way an expensive one is traced
     and compiled once.
     """
-    return lambda at, args: _with_jacobian(at, given=(function, args))
 
+    @eqx.filter_custom_jvp
+    def with_jacobian(at: Array, *, args: Any) -> tuple[Array, tuple[Array, Array]]:
+        residual, J = function(at, args)
+        return residual, (residual, J)
 
-@eqx.filter_custom_jvp
-def _with_jacobian(
-    at: Array, *, given: tuple[ResidualAndJacobian, Any]
-) -> tuple[Array, tuple[Array, Array]]:
-    """The residual, and residual and Jacobian once more as what is passed along."""
-    function, args = given
-    residual, J = function(at, args)
-    return residual, (residual, J)
+    @with_jacobian.def_jvp
+    def _(primals: tuple[Array], tangents: tuple[Array], *, args: Any) -> tuple[Any, Any]:
+        residual, J = function(primals[0], args)
+        still = jnp.zeros_like(residual), jnp.zeros_like(J)
+        return (residual, (residual, J)), (J @ tangents[0], still)
 
-
-@_with_jacobian.def_jvp
-def _with_jacobian_jvp(
-    primals: tuple[Array], tangents: tuple[Array], *, given: tuple[ResidualAndJacobian, Any]
-) -> tuple[Any, Any]:
-    function, args = given
-    residual, J = function(primals[0], args)
-    still = jnp.zeros_like(residual), jnp.zeros_like(J)
-    return (residual, (residual, J)), (J @ tangents[0], still)
+    return lambda at, args: with_jacobian(at, args=args)

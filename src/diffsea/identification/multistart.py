@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from diffsea.errors import UserError
+from diffsea.identification.coordinates import expansion_points
 from diffsea.identification.estimates import Estimate, Progress, no_progress
-from diffsea.identification.expansion_points import expansion_points
 from diffsea.identification.objectives.base import AbstractObjective, Starts
 from diffsea.identification.problem import Problem
 
@@ -19,10 +19,6 @@ class Agreement:
     starts: int
     agreeing: int
     rival: float | None  # deviance of the next best optimum above the best; None without one
-
-    def as_dict(self) -> dict:
-        """The record of fit.json."""
-        return dataclasses.asdict(self)
 
     @property
     def sentence(self) -> str:
@@ -41,10 +37,10 @@ def effect_starts(problem: Problem) -> Starts:
     """
     layout, spans = problem.layout, problem.dataset.spans
     rows = [np.zeros(layout.size)]
-    for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        places = [look.at for look in expansion_points(effect, problem.base, spans)]
+    for effect in layout.effects:
+        places = [point.at for point in expansion_points(effect, problem.base, spans)]
         if effect.leading.positive and not effect.leading.secants:
-            places.append((1.0, *(0.0 for _ in sizes[1:])))
+            places.append((1.0, *[0.0] * (len(effect.coordinates) - 1)))
         for place in filter(any, places):
             row = np.zeros(layout.size)
             row[layout.indices((effect.name,))] = np.tile(place, layout.instances(effect))
@@ -72,12 +68,11 @@ def multistart(
     Raises:
         UserError: no start from which the model can be simulated.
     """
-    parameters = objective.parameters
-    spreads = np.array([p.spread for p in parameters])
-    besides = np.zeros((1, len(parameters))) if besides is None else besides
+    spreads = np.array([p.spread for p in objective.parameters])
+    besides = np.zeros((1, len(spreads))) if besides is None else besides
     draws = np.zeros((count - 1, besides.shape[1]))
-    drawn = np.random.default_rng(seed).normal(size=(count, len(parameters))) * spreads
-    draws[:, : len(parameters)] = drawn[1:]
+    drawn = np.random.default_rng(seed).normal(size=(count, len(spreads))) * spreads
+    draws[:, : len(spreads)] = drawn[1:]
     starts = np.concatenate([besides, draws])
     ends, costs = objective.explore(starts, free)
     finite = np.isfinite(costs)

@@ -7,14 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, Dataset, DatasetShape, make_dataset
 from diffsea.identification.filter import kalman
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
-from diffsea.identification.filter.process_noise import Noise
 from diffsea.parameters import Parameter, check_names, hull_prior, named
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -22,6 +22,7 @@ from diffsea.vessel.effects import Effect
 
 
 Coordinates = Float[np.ndarray, "coordinate"]
+Names = tuple[str, ...]  # of parameters, by their symbols, and of effects, as in the catalogue
 FreeIndex = Int[np.ndarray, "free"]  # positions of the free ones among the coordinates
 
 
@@ -45,16 +46,18 @@ class Problem:
         """Prior mean of the coordinates and first guess of the noise."""
         return np.zeros(self.layout.size), Noise.of(self.prior.mean)
 
-    def run_filter(self, coordinates: Coordinates, noise: Noise) -> FilterRun:
-        """The filter's run at some coordinates; `Estimate.filter_run` at an estimate."""
-        return _run_filter(self.base, self.layout, self.dataset, noise, jnp.asarray(coordinates))
+    def run_filter(
+        self, coordinates: Coordinates, noise: Noise, gate: float = kalman.NO_GATE
+    ) -> FilterRun:
+        """The filter's run at some coordinates; `Estimate.filter_run` at an estimate.
+
+        Values further than `gate` standard deviations from what was expected are left out.
+        """
+        at = jnp.asarray(coordinates)
+        return _run_filter(self.base, self.layout, self.dataset, noise, at, gate)
 
 
-@eqx.filter_jit
-def _run_filter(
-    base: Vessel, layout: CoordinateLayout, dataset: Dataset, noise: Noise, coordinates: Array
-) -> FilterRun:
-    return kalman.run_filter(base, layout, dataset, noise, coordinates)
+_run_filter = eqx.filter_jit(kalman.run_filter)
 
 
 def free_by_default(vessel: Vessel) -> tuple[str, ...]:

@@ -107,7 +107,8 @@ def residual_inputs(
     index = np.asarray(index, int)
     matrix = np.zeros((problem.layout.size, problem.width))
     matrix[index, np.arange(len(index))] = 1.0
-    held = np.where(np.abs(matrix).sum(1) > 0, 0.0, coordinates)
+    held = np.array(coordinates, float)
+    held[index] = 0.0
     histories = np.zeros((problem.directions, problem.dataset.t.size, 3))
     if pulses is not None:
         histories[: len(pulses)] = pulses
@@ -217,9 +218,7 @@ def linearise(
     return Linearisation(np.asarray(point.residual), np.asarray(point.jacobian)[:, columns])
 
 
-@eqx.filter_jit
-def _whitened(inputs: ResidualInputs, free: Float[Array, "free"]) -> Float[Array, "value"]:
-    return inputs.innovations(free)
+_whitened = eqx.filter_jit(ResidualInputs.innovations)
 
 
 def innovations_at(

@@ -14,13 +14,13 @@ from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import batched_scan
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.covariance import Noise, gust_propagation
 from diffsea.identification.filter.kalman import filter_rows, propagate, restart, with_impulse
 from diffsea.identification.filter.latency import (
     StateHistory,
     align_to_order_clock,
     shown_measurements,
 )
-from diffsea.identification.filter.process_noise import Noise, gust_propagation
 from diffsea.identification.problem import Problem
 from diffsea.vessel.base import Vessel
 

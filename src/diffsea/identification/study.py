@@ -8,14 +8,17 @@ import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects
-from diffsea.identification.effect_records import (
+from diffsea.identification.estimates import (
+    Estimate,
     ParameterRecord,
+    Progress,
     effect_table,
     is_known,
+    no_progress,
+    parameter_estimates,
     parameter_records,
 )
-from diffsea.identification.estimates import Estimate, Progress, no_progress, parameter_estimates
-from diffsea.identification.filter.process_noise import Noise
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import normalised_rms
 from diffsea.identification.holdout import (
     HEAD_SHARE,
@@ -32,10 +35,10 @@ from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.problem import Problem, default_priors, free_by_default, make_problem
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
-from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
-from diffsea.identification.uncertainty.profile import (
-    Profile,
+from diffsea.identification.uncertainty.identifiability import (
+    Identifiability,
     asymmetric_parameters,
+    identifiability,
     profile_interval,
 )
 from diffsea.parameters import Parameter, check_names
@@ -48,7 +51,17 @@ from diffsea.vessel.effects import Effect, catalogue_name, find_effects
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
 ANCHORS = ("mass", "thrust")
 DETERMINED_SHARE = 0.9  # up to which a manoeuvre is looked for that would tell more
-_INERTIA = ("mass", "I_z")
+INERTIA = ("mass", "I_z")
+# What fixes the common factor of mass, drag and thrust, by whether inertia and actuators are free.
+ANCHORED = {
+    (True, True): "mass and actuators are both free: motion alone fixes mass, drag and thrust only "
+    "up to one common factor, which rests on the priors here",
+    (True, False): "anchored by the thrust: actuators stay as in the vessel file, masses are "
+    "fitted",
+    (False, True): "anchored by the mass: mass and moment of inertia stay as in the vessel file",
+    (False, False): "anchored by mass, moment of inertia and actuators, which stay as in the "
+    "vessel file: motion alone fixes mass, drag and thrust only up to one common factor",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,10 +92,10 @@ class Study:
     estimate: Estimate
     anchor: str  # a sentence
     identifiability: Identifiability
-    agreement: Agreement | None
-    profiles: dict[str, Profile]
-    next: NextManoeuvre | None
-    outliers: dict[str, int]
+    agreement: Agreement | None  # None: a single start
+    profiles: dict[str, tuple[float, float]]  # 90 % intervals, in the parameters' units
+    next: NextManoeuvre | None  # None: the data leave nothing open, or trial numbers were fitted
+    outliers: dict[str, int]  # left out of each motion channel
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -92,10 +105,9 @@ class Study:
         """
         rows = []
         for one in parameter_estimates(self.objective.parameters, self.estimate):
-            profile = self.profiles.get(one.name)
-            if profile is not None:
-                one = dataclasses.replace(one, interval=profile.interval)
-            rows.append(one.as_dict() | {"profiled": profile is not None})
+            interval = self.profiles.get(one.name, one.interval)
+            row = dataclasses.replace(one, interval=interval).as_dict()
+            rows.append(row | {"profiled": one.name in self.profiles})
         return rows
 
     @property
@@ -107,18 +119,14 @@ class Study:
     def effects(self) -> dict[str, list[dict[str, ParameterRecord]]]:
         """Parameters of each effect with standard errors, for each of its per-run instances."""
         problem = self.problem
-        if problem is None:
-            return {}
-        named = problem.layout.effects
-        return {e.name: parameter_records(problem, self.estimate, e.name) for e in named}
+        effects = () if problem is None else problem.layout.effects
+        return {e.name: parameter_records(self.recorded, self.estimate, e.name) for e in effects}
 
     @property
     def effect_tables(self) -> list[dict]:
         """Tables for the vessel file of the effects seen that all recordings share."""
-        if self.problem is None:
-            return []
         return [
-            effect_table(self.problem.base, name, instances[0])
+            effect_table(self.recorded.base, name, instances[0])
             for name, instances in self.effects.items()
             if len(instances) == 1 and is_known(instances[0])
         ]
@@ -137,14 +145,16 @@ class Study:
         return problem
 
     def quality(self, test: Sequence[Trajectory] = ()) -> dict[str, float]:
-        """Root-mean-square normalised misfit of what was fitted, and of runs held out."""
-        problem = self.problem
-        if problem is None:
+        """Root-mean-square normalised misfit of what was fitted (`train`), and of runs held out.
+
+        One at the noise level. The misfit of recordings is that of the filter's innovations.
+        """
+        if self.problem is None:
             numbers = self.objective.residuals(self.estimate.coordinates)
             white = [(one.fitted - one.given) / one.std for one in numbers]
             return {"train": float(np.sqrt(np.mean(np.square(white))))}
-        fitted = with_noise(self.estimate, problem)
-        found = {"train": normalised_rms(fitted.filter_run(problem))}
+        fitted = with_noise(self.estimate, self.problem)
+        found = {"train": normalised_rms(fitted.filter_run(self.problem))}
         if test:
             data = self.split(test)
             coordinates = held_out_coordinates(data, fitted)
@@ -153,21 +163,22 @@ class Study:
 
     def split(self, test: Sequence[Trajectory]) -> Split:
         """What was fitted and runs held out, as problems of one kind."""
-        problem = self.recorded
-        layout = problem.layout
+        train = self.recorded
+        layout = train.layout
         own = layout.per_run and any(e.per_run for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
-        capacity = problem.directions - len(priors)
+        capacity = train.directions - len(priors)
 
         def problem_of(runs: list[Trajectory]) -> Problem:
             return make_problem(
-                problem.base, runs, tuple(priors), layout.effects, layout.per_run, capacity, priors
+                train.base, runs, tuple(priors), layout.effects, layout.per_run, capacity, priors
             )
 
-        heads, tails = cut_recordings(list(test), HEAD_SHARE) if own else ([], list(test))
-        head = problem_of(heads) if own else None
-        kind = HeldOut.AFTER_HEAD if own else HeldOut.RECORDINGS
-        return Split(problem, problem_of(tails), head, (), tuple(tails), kind)
+        if not own:
+            return Split(train, problem_of(list(test)), None, (), tuple(test))
+        heads, tails = cut_recordings(test, HEAD_SHARE)
+        head, rest = problem_of(heads), problem_of(tails)
+        return Split(train, rest, head, (), tuple(tails), HeldOut.AFTER_HEAD)
 
     def held_out(self, test: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Vessel]]:
         """Runs to judge predictions by, and the fitted vessel in the environment of each.
@@ -202,14 +213,14 @@ def identify(
     """Fit a vessel's parameters to recordings or to sheets of trial numbers.
 
     Raises:
-        UserError: an unknown parameter, objective or anchor, or data that do not suit.
+        UserError: an unknown parameter, objective or anchor, data that do not suit, a model that
+            diverges on them, or an effect that they do not show.
     """
     parameters = free_parameters(vessel, settings)
-    names = tuple(p.name for p in parameters)
     objective = _objective(vessel, parameters, data, settings)
-    agreement = None
-    names += tuple(effect.name for effect in effects_to_estimate(vessel, settings.effects))
-    problem = objective.problem
+    problem, agreement = objective.problem, None
+    effects = () if problem is None else problem.layout.effects
+    names = tuple(one.name for one in (*parameters, *effects))
     besides = None if problem is None else effect_starts(problem)
     if settings.starts > 1 or (besides is not None and len(besides) > 1):
         fitted, agreement = multistart(
@@ -235,11 +246,13 @@ def identify(
     if problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE:
         progress("looking for the manoeuvre that would tell most")
         proposal = next_manoeuvre(problem, with_noise(fitted, problem))
+    heavy = any(name in INERTIA for name in names)
+    pushing = any(name.split(".")[0] in vessel.actuators for name in names)
     return Study(
         vessel.name,
         objective,
         fitted,
-        anchor_sentence(vessel, names),
+        ANCHORED[heavy, pushing],
         identifiability(parameters, fitted),
         agreement,
         profiles,
@@ -255,7 +268,7 @@ def free_parameters(vessel: Vessel, settings: FitSettings) -> tuple[Parameter, .
     known = default_priors(vessel) | dict(settings.priors)
     names = settings.free
     if names is None:
-        names = free_by_default(vessel) + (_INERTIA if settings.anchor == "thrust" else ())
+        names = free_by_default(vessel) + (INERTIA if settings.anchor == "thrust" else ())
         names += tuple(n for n, p in settings.priors.items() if p is not None and n not in names)
     check_names(vessel, names)
     free = tuple(known[name] for name in dict.fromkeys(names))
@@ -266,25 +279,6 @@ def free_parameters(vessel: Vessel, settings: FitSettings) -> tuple[Parameter, .
     if not left:
         raise UserError("nothing is free to be estimated; name parameters with --free")
     return left
-
-
-def anchor_sentence(vessel: Vessel, free: Sequence[str]) -> str:
-    """What fixes the common factor of mass, drag and thrust, as a sentence."""
-    heavy = any(name in _INERTIA for name in free)
-    pushing = any(name.split(".")[0] in vessel.actuators for name in free)
-    if heavy and pushing:
-        return (
-            "mass and actuators are both free: motion alone fixes mass, drag and thrust only up to "
-            "one common factor, which rests on the priors here"
-        )
-    if heavy:
-        return "anchored by the thrust: actuators stay as in the vessel file, masses are fitted"
-    if pushing:
-        return "anchored by the mass: mass and moment of inertia stay as in the vessel file"
-    return (
-        "anchored by mass, moment of inertia and actuators, which stay as in the vessel file: "
-        "motion alone fixes mass, drag and thrust only up to one common factor"
-    )
 
 
 def _objective(

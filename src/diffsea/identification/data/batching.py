@@ -46,7 +46,12 @@ def batch_layout(
         least: at least so many steps and batches.
     """
     first, length = np.unique(run, return_index=True, return_counts=True)[1:]
-    count = least[1] or _cheapest_count(length)
+
+    def cost(count: int) -> float:
+        step = 1.0 if count == 1 else SEVERAL_COST + EACH_COST * count
+        return _steps_needed(length, _distribute_runs(length, count)) * step
+
+    count = least[1] or min(range(1, min(len(length), MOST_BATCHES) + 1), key=cost)
     batches = _distribute_runs(length, count)
     steps = max(least[0], _steps_needed(length, batches))
     empty = rows - 1
@@ -59,16 +64,6 @@ def batch_layout(
         table[: len(held), number] = held
         place[held] = np.arange(len(held)) * count + number
     return BatchLayout(table, place)
-
-
-def _cheapest_count(length: np.ndarray) -> int:
-    """How many batches cost least."""
-
-    def cost(count: int) -> float:
-        step = 1.0 if count == 1 else SEVERAL_COST + EACH_COST * count
-        return _steps_needed(length, _distribute_runs(length, count)) * step
-
-    return min(range(1, min(len(length), MOST_BATCHES) + 1), key=cost)
 
 
 def _steps_needed(length: np.ndarray, batches: list[list[int]]) -> int:

@@ -2,7 +2,6 @@
 # A data set is of NumPy where it is made, of JAX within programs.
 """The data set: recordings laid end to end on one clock, ready for a filter to run along."""
 
-import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -14,12 +13,12 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.data.batching import BatchLayout, batch_layout
 from diffsea.identification.data.heel import predicted_heel
-from diffsea.identification.expansion_points import TimeSpan, merge_spans
 from diffsea.scales import time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects.coordinates import TimeSpan
 
 
 SEPARATION = 1e4  # s from run to run on the data set's clock, at least: beyond any delay
@@ -71,7 +70,7 @@ class Dataset(eqx.Module):
     @property
     def recorded_rows(self) -> Bool[np.ndarray, "row"]:
         """Which rows have any measurement; the others fill the data set up."""
-        return np.count_nonzero(np.asarray(self.known), axis=1) > 0
+        return np.asarray(self.known).any(1)
 
     @property
     def rows_of_runs(self) -> list[Int[np.ndarray, "own"]]:
@@ -82,7 +81,7 @@ class Dataset(eqx.Module):
     @property
     def recorded_channels(self) -> Bool[np.ndarray, "6"]:
         """Which motion channels have any measurement."""
-        return np.count_nonzero(np.asarray(self.known), axis=0) > 0
+        return np.asarray(self.known).any(0)
 
     @property
     def spans(self) -> list[TimeSpan]:
@@ -99,6 +98,17 @@ class Dataset(eqx.Module):
         return DatasetShape(self.t.size, self.runs, *self.batches.shape)
 
 
+def merge_spans(spans: Iterable[TimeSpan]) -> list[TimeSpan]:
+    """Spans in the order of time, those that overlap made one."""
+    out: list[TimeSpan] = []
+    for start, end in sorted(spans):
+        if out and start <= out[-1][1]:
+            out[-1] = out[-1][0], max(out[-1][1], end)
+        else:
+            out.append((start, end))
+    return out
+
+
 def make_dataset(
     vessel: Vessel, recordings: Sequence[Trajectory], least: DatasetShape = ANY_SHAPE
 ) -> Dataset:
@@ -113,15 +123,15 @@ def make_dataset(
     """
     time = time_scale(float(vessel.rigid_body.length))
     runs = [_rows_of_run(vessel, recording, k) for k, recording in enumerate(recordings)]
-    apart = max(SEPARATION, *(2 * float(np.ptp(run.t)) for run in runs))
+    apart = max(SEPARATION, *(2 * float(np.ptp(run.columns["t"])) for run in runs))
     for number, run in enumerate(runs, start=1):
-        run.t = run.t + apart * number
-    longest = max(float(np.median(run.dt[:-1])) for run in runs)
-    used = sum(len(run.t) for run in runs)
+        run.columns["t"] = run.columns["t"] + apart * number
+    longest = max(float(np.median(run.columns["dt"][:-1])) for run in runs)
+    used = sum(len(run.columns["t"]) for run in runs)
     spare = max(least.rows, used + PADDING - used % PADDING) - used
     count = max(least.runs, len(runs))
 
-    def lay_out(columns: Iterable[_Column]) -> _Column:
+    def lay_out(columns: Iterable[np.ndarray]) -> np.ndarray:
         """One column of all runs, with spare rows: nothing measured, no time passing."""
         column = np.concatenate(list(columns))
         if column.dtype == bool:
@@ -132,9 +142,9 @@ def make_dataset(
     channels = vessel.channels
     measured = [c for c in channels if all(c in run.executed for run in runs)]
     order_times, order_values = _order_table(runs, channels, used + spare + count)
-    whole = np.concatenate([run.run for run in runs])
+    whole = np.concatenate([run.columns["run"] for run in runs])
     return Dataset(
-        **{name: lay_out(getattr(run, name) for run in runs) for name in _COLUMNS},
+        **{name: lay_out(run.columns[name] for run in runs) for name in runs[0].columns},
         orders={c: lay_out(run.orders[c] for run in runs) for c in channels},
         executed={c: lay_out(run.executed[c] for run in runs) for c in measured},
         order_times=order_times,
@@ -147,23 +157,10 @@ def make_dataset(
     )
 
 
-_Column = np.ndarray
-_COLUMNS = ("t", "run_time", "dt", "measured", "known", "run", "starts", "first", "heel")
+class _RunRows(NamedTuple):
+    """The rows of one run: columns of a `Dataset` by name, orders and actuation by channel."""
 
-
-@dataclasses.dataclass
-class _RunRows:
-    """The rows of one run, fields as in `Dataset`."""
-
-    t: Float[np.ndarray, "row"]
-    run_time: Float[np.ndarray, "row"]
-    dt: Float[np.ndarray, "row"]
-    measured: Float[np.ndarray, "row 6"]
-    known: Bool[np.ndarray, "row 6"]
-    run: Int[np.ndarray, "row"]
-    starts: Bool[np.ndarray, "row"]
-    first: Float[np.ndarray, "row 6"]
-    heel: Float[np.ndarray, "row"]
+    columns: dict[str, np.ndarray]
     orders: dict[str, Float[np.ndarray, "row"]]
     executed: dict[str, Float[np.ndarray, "row"]]
 
@@ -178,7 +175,10 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         )
     time = time_scale(float(vessel.rigid_body.length))
     every = max(1, int(LONGEST_STEP * time / median_interval(t) * (1 + 1e-9)))
-    keep = _rows_to_keep(np.isfinite(motion), every)
+    # One row in so many, and those with a value of a channel that is sampled slowly.
+    given = np.isfinite(motion)
+    slow = (given.sum(0) * every < 1.5 * len(given)) & (every > 1)
+    keep = np.flatnonzero((np.arange(len(given)) % every == 0) | given[:, slow].any(1))
     if len(keep) < LEAST_ROWS:
         raise UserError(
             f"{recording.name}: {t[-1] - t[0]:.3g} s are too short to estimate anything, "
@@ -195,19 +195,22 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
     firsts = [_first_state(t[part == k], motion[part == k]) for k in range(part[-1] + 1)]
     orders, executed = recorded_actuation(vessel, recording)
     executed = over_rows(recording, executed)
-    return _RunRows(
-        t=t - t[0],
-        run_time=t,
-        dt=np.where(np.append(starts[1:], True), 0.0, np.append(steps, 0.0)),
-        measured=np.where(known, motion, 0.0),
-        known=known,
-        run=np.full(len(t), number),
-        starts=starts,
-        first=np.stack(firsts)[part],
-        heel=_means_of_rows(all_times, predicted_heel(recording), keep),
-        orders={c: _means_of_rows(all_times, one, keep) for c, one in orders.items()},
-        executed={c: _means_of_rows(all_times, one, keep) for c, one in executed.items()},
+    columns = {
+        "t": t - t[0],
+        "run_time": t,
+        "dt": np.where(np.append(starts[1:], True), 0.0, np.append(steps, 0.0)),
+        "measured": np.where(known, motion, 0.0),
+        "known": known,
+        "run": np.full(len(t), number),
+        "starts": starts,
+        "first": np.stack(firsts)[part],
+        "heel": _means_of_rows(all_times, predicted_heel(recording), keep),
+    }
+    actuation = (
+        {c: _means_of_rows(all_times, one, keep) for c, one in by_channel.items()}
+        for by_channel in (orders, executed)
     )
+    return _RunRows(columns, *actuation)
 
 
 def _means_of_rows(
@@ -224,14 +227,6 @@ def _means_of_rows(
     total = np.add.reduceat(series * length, keep)
     span = np.add.reduceat(length, keep)
     return np.where(span > 0, total / np.where(span > 0, span, 1.0), series[keep])
-
-
-def _rows_to_keep(known: Bool[np.ndarray, "time 6"], every: int) -> Int[np.ndarray, "row"]:
-    """One row in `every`, and those with a value of a channel that is sampled slowly."""
-    rows = np.zeros(len(known), bool)
-    rows[::every] = True
-    slow = (known.sum(0) * every < 1.5 * len(known)) & (every > 1)
-    return np.flatnonzero(rows | known[:, slow].any(1))
 
 
 def _first_state(
@@ -263,7 +258,8 @@ def _order_table(
     runs: list[_RunRows], channels: tuple[str, ...], length: int
 ) -> tuple[Float[np.ndarray, "order"], dict[str, Float[np.ndarray, "order"]]]:
     """Times (s) and values of all orders, the first one of each run also long before it."""
-    filled = np.concatenate([np.append(r.t[0] - 0.5 * SEPARATION, r.t) for r in runs])
+    times = [run.columns["t"] for run in runs]
+    filled = np.concatenate([np.append(t[0] - 0.5 * SEPARATION, t) for t in times])
     values = {
         c: np.concatenate([np.append(r.orders[c][0], r.orders[c]) for r in runs]) for c in channels
     }

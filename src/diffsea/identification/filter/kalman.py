@@ -1,7 +1,7 @@
 """Innovation-form likelihood: how well a model predicts a recording one sample ahead.
 
 An extended Kalman filter (`run_filter`) runs along the data set; its state is the vessel's six
-numbers and the three accelerations of lasting gusts. `updates` has its `measurement_update`
+numbers and the three accelerations of lasting gusts. `covariance` has its `measurement_update`
 and `time_update`.
 
 Gains and innovation covariances are found once, at the current estimate; the innovations with
@@ -20,6 +20,15 @@ from jaxtyping import Array, Bool, Float
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.batching import batched_scan
 from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.filter.covariance import (
+    GustPropagation,
+    Noise,
+    gust_propagation,
+    matrix_product,
+    matrix_vector,
+    measurement_update,
+    time_update,
+)
 from diffsea.identification.filter.latency import (
     StateHistory,
     align_to_order_clock,
@@ -27,13 +36,6 @@ from diffsea.identification.filter.latency import (
     correct_with_history,
     relative_latencies,
     shown_measurements,
-)
-from diffsea.identification.filter.process_noise import GustPropagation, Noise, gust_propagation
-from diffsea.identification.filter.updates import (
-    matrix_product,
-    matrix_vector,
-    measurement_update,
-    time_update,
 )
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap

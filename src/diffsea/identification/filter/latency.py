@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.identification.data.dataset import Dataset
-from diffsea.identification.filter.updates import matrix_vector
+from diffsea.identification.filter.covariance import matrix_vector
 from diffsea.kinematics import to_earth
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar

@@ -13,9 +13,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.filter.covariance import (
+    Noise,
+    gust_propagation,
+    matrix_vector,
+    measurement_update,
+    time_update,
+)
 from diffsea.identification.filter.kalman import FilterRun
-from diffsea.identification.filter.process_noise import Noise, gust_propagation
-from diffsea.identification.filter.updates import matrix_vector, measurement_update, time_update
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.scales import froude_speed, time_scale
 from diffsea.statistics import robust_scale
@@ -59,23 +64,19 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     gusts = np.array([gust, gust, 2 * gust / length])
     memory = np.full(3, 5 * time)
     slow = gusts / np.sqrt(2 * memory)
-    scales = np.concatenate([gusts, slow, memory, _sensor_scales(dataset, length)])
-    return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 6]))
-
-
-def _sensor_scales(dataset: Dataset, length: float) -> Float[np.ndarray, "6"]:
-    """Standard deviation of second differences over sqrt(6), with a floor."""
     floor = np.array([1e-4 * length, 1e-4 * length, 1e-4, 1e-4, 1e-4, 1e-4])
-    scales = floor.copy()
+    sensors = floor.copy()
     measured, known, run = (np.asarray(a) for a in (dataset.measured, dataset.known, dataset.run))
     for k in range(6):
         series, runs = measured[known[:, k], k], run[known[:, k]]
         if len(series) < 5:
             continue
+        # White noise of unit variance has second differences of variance 6.
         second = np.diff(series, 2)[runs[2:] == runs[:-2]]
         robust = robust_scale(second - np.median(second)) / np.sqrt(6)
-        scales[k] = max(robust, 0.3 * np.std(second) / np.sqrt(6), floor[k])
-    return scales
+        sensors[k] = max(robust, 0.3 * np.std(second) / np.sqrt(6), floor[k])
+    scales = np.concatenate([gusts, slow, memory, sensors])
+    return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 6]))
 
 
 def take_excerpt(run: FilterRun, times: RowTimes) -> tuple[FilterRun, RowTimes]:
@@ -93,8 +94,7 @@ def take_excerpt(run: FilterRun, times: RowTimes) -> tuple[FilterRun, RowTimes]:
     chosen = begin[:, None] + np.arange(length)
     starts = np.asarray(times.starts)[chosen]
     starts[:, 0] = True
-    part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), run)
-    dt = jnp.asarray(np.asarray(times.dt)[chosen])
+    part, dt = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), (run, times.dt))
     return part, RowTimes(dt, jnp.asarray(starts), times.first_variance)
 
 

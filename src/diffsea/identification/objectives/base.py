@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.identification.estimates import Estimate, Progress, no_progress
-from diffsea.identification.problem import Coordinates, Problem
+from diffsea.identification.problem import Coordinates, Names, Problem
 from diffsea.parameters import Parameter
 
 
 Starts = Float[np.ndarray, "start coordinate"]
+Costs = Float[np.ndarray, "start"]  # -2 log posterior, infinite where it is impossible
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,15 +46,12 @@ class AbstractObjective(abc.ABC):
 
     @abc.abstractmethod
     def fit(
-        self,
-        free: tuple[str, ...],
-        start: Coordinates | None = None,
-        progress: Progress = no_progress,
+        self, free: Names, start: Coordinates | None = None, progress: Progress = no_progress
     ) -> Estimate:
         """Fit the free parameters by name, from coordinates `start` or the prior mean."""
 
     @abc.abstractmethod
-    def refit(self, fitted: Estimate, free: tuple[str, ...], start: Coordinates) -> Estimate:
+    def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit again with the noise or weights of an earlier fit."""
 
     @abc.abstractmethod
@@ -61,9 +59,7 @@ class AbstractObjective(abc.ABC):
         """-2 log posterior, without its constant, with the noise or weights of a fit."""
 
     @abc.abstractmethod
-    def explore(
-        self, starts: Starts, free: tuple[str, ...]
-    ) -> tuple[Starts, Float[np.ndarray, "start"]]:
+    def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Where a few steps lead from several starts at once, and the costs there.
 
         Infinite where the steps lead to what cannot be.

@@ -6,19 +6,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
-from diffsea.identification.coordinates import CoordinateLayout, negative_effects
-from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import Estimate, Progress, no_progress
-from diffsea.identification.filter import kalman
-from diffsea.identification.filter.process_noise import Noise
-from diffsea.identification.fit import estimate, posterior_deviance
-from diffsea.identification.objectives.base import AbstractObjective, Starts
-from diffsea.identification.problem import Coordinates, Problem
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.kalman import run_filter
+from diffsea.identification.fit import estimate, filter_at
+from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
+from diffsea.identification.problem import Coordinates, Names, Problem
 from diffsea.identification.residual import ResidualInputs, gauss_newton, residual_inputs
+from diffsea.series import stretches
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.vessel.base import Vessel
 
 
 GATE = 6.0  # standard deviations beyond which a lone sample is an outlier
@@ -38,10 +37,7 @@ class Innovations(AbstractObjective):
         self.outliers = {}
 
     def fit(
-        self,
-        free: tuple[str, ...],
-        start: Coordinates | None = None,
-        progress: Progress = no_progress,
+        self, free: Names, start: Coordinates | None = None, progress: Progress = no_progress
     ) -> Estimate:
         """Fit; where lone samples are impossible under the fit, leave them out and go on."""
         fitted = estimate(self.problem, free, start, progress=progress)
@@ -61,17 +57,15 @@ class Innovations(AbstractObjective):
             )
         return fitted
 
-    def refit(self, fitted: Estimate, free: tuple[str, ...], start: Coordinates) -> Estimate:
+    def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit with the noise of an earlier fit."""
         return estimate(self.problem, free, start, fitted.noise, fixed_noise=True)
 
     def cost(self, coordinates: Coordinates, fitted: Estimate) -> float:
         """-2 log posterior with the noise of a fit."""
-        return posterior_deviance(self.problem, coordinates, fitted.noise)
+        return filter_at(self.problem, coordinates, fitted.noise).deviance
 
-    def explore(
-        self, starts: Starts, free: tuple[str, ...]
-    ) -> tuple[Starts, Float[np.ndarray, "start"]]:
+    def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Gauss-Newton from all starts together, the noise as expected beforehand."""
         problem = self.problem
         _, noise = problem.start()
@@ -81,43 +75,25 @@ class Innovations(AbstractObjective):
         for _ in range(EXPLORING_PASSES):
             ends = _explore_once(inputs, noise, ends)
         ends = np.asarray(ends)
-        costs = [
-            np.inf
-            if negative_effects(problem.layout, end)
-            else posterior_deviance(problem, end, noise)
-            for end in ends
-        ]
-        return ends, np.array(costs)
+        costs = np.full(len(ends), np.inf)
+        for k, end in enumerate(ends):
+            if not negative_effects(problem.layout, end):
+                costs[k] = filter_at(problem, end, noise).deviance
+        return ends, costs
 
     def _lone_outliers(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
         """Samples that a gated filter rejects, unless they are many, in a row or in all."""
-        problem = self.problem
-        used = _used_by_gated_filter(
-            problem.base,
-            problem.layout,
-            problem.dataset,
-            fitted.noise,
-            jnp.asarray(fitted.coordinates),
-        )
-        known = np.asarray(problem.dataset.known)
-        rejected = known & ~np.asarray(used)
+        run = self.problem.run_filter(fitted.coordinates, fitted.noise, GATE)
+        known = np.asarray(self.problem.dataset.known)
+        rejected = known & ~np.asarray(run.gains.used)
         for k in range(6):
             rows = np.flatnonzero(known[:, k])
-            bad = rejected[rows, k]
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
-            for begin, end in zip(edges[::2], edges[1::2], strict=True):
-                if end - begin > LONGEST_OUTLIER:
-                    rejected[rows[begin:end], k] = False
+            for stretch in stretches(rejected[rows, k]):
+                if stretch.stop - stretch.start > LONGEST_OUTLIER:
+                    rejected[rows[stretch], k] = False
             if rejected[:, k].sum() > OUTLIER_SHARE * len(rows):
                 rejected[:, k] = False
         return rejected
-
-
-@eqx.filter_jit
-def _used_by_gated_filter(
-    base: Vessel, layout: CoordinateLayout, dataset: Dataset, noise: Noise, coordinates: Array
-) -> Bool[Array, "row 6"]:
-    return kalman.run_filter(base, layout, dataset, noise, coordinates, GATE).gains.used
 
 
 @eqx.filter_jit
@@ -125,7 +101,7 @@ def _explore_once(inputs: ResidualInputs, noise: Noise, starts: Array) -> Array:
     """One pass from every start: the filter run there, then Gauss-Newton steps."""
 
     def one(start: Array) -> Array:
-        run = kalman.run_filter(inputs.base, inputs.layout, inputs.dataset, noise, start)
+        run = run_filter(inputs.base, inputs.layout, inputs.dataset, noise, start)
         there = eqx.tree_at(lambda i: i.gains, inputs, run.gains)
         width = inputs.selection.shape[1]
         pulses = jnp.zeros(inputs.colouring.owner.size - width)

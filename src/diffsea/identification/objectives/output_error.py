@@ -1,8 +1,13 @@
 """Output error: the parameters that predict recordings best from a first state alone.
 
 No process noise: what gusts do is taken for sensor noise, so estimates are less sure than by
-the innovation likelihood, but they are those that an open-loop simulation needs. Multiple
-shooting keeps it convergent from far away, a soft loss keeps outliers from ruling it.
+the innovation likelihood, but they are those that an open-loop simulation needs. A soft loss keeps
+outliers from ruling it.
+
+A long simulation from poor parameters drifts so far that its misfit says nothing about the way
+back. In multiple shooting (Bock 1983) runs are simulated in windows that start anew, each from a
+state of its own, and keep near the data; what a window's end and the next one's start differ by is
+a misfit too, which is weighed more and more until the windows join.
 
 Levenberg-Marquardt is written out because its normal equations are not dense: a window's data
 move with its own first state only, so that six columns hold the derivatives by all of them. A
@@ -10,11 +15,16 @@ solver that is handed the whole Jacobian needs, with eighty windows, forty times
 """
 
 import dataclasses
+from collections.abc import Sequence
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.identification.coordinates import CoordinateLayout, vessel_at
+from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import (
     Estimate,
     FitOutcome,
@@ -24,16 +34,24 @@ from diffsea.identification.estimates import (
     no_progress,
     posterior_estimate,
 )
-from diffsea.identification.filter.kalman import first_variance
-from diffsea.identification.objectives import shooting
-from diffsea.identification.objectives.base import AbstractObjective, Starts
+from diffsea.identification.filter.kalman import (
+    expected_measurements,
+    filter_rows,
+    first_variance,
+    innovation_of,
+    propagate,
+)
+from diffsea.identification.filter.latency import align_to_order_clock
+from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
-from diffsea.identification.objectives.shooting import ShootingInputs, Shot, shooting_windows
-from diffsea.identification.problem import Coordinates, FreeIndex, Problem
+from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
 from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
+from diffsea.vessel.base import Vessel
 
 
+WINDOW_LIMIT = 80  # the normal equations have six rows for each
+DIVERGED = 1e6  # misfit of a simulation that diverges, in the channel's unit
 WINDOW = 20.0  # of a window, in sqrt(L / g): short against the drift of a poor first guess
 SOFT = 3.0  # standard deviations beyond which a misfit counts less and less
 JOINTS = (1.0, 0.1, 0.01)  # how far windows may be apart, in standard deviations of sensors
@@ -43,6 +61,100 @@ STEP_LIMIT = 40  # of Levenberg-Marquardt in one descent
 DAMPINGS_TRIED = 8  # in one step, each five times the one before
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-9  # over the diagonal of the normal equations
 LEAST_DROP, RELATIVE_DROP = 1e-3, 1e-7  # of the cost, below which a step is the last
+
+
+class ShootingWindows(eqx.Module):
+    """How rows fall into windows, in order along the data set."""
+
+    number: Int[Array, "row"]  # of the row's window
+    begins: Bool[Array, "row"]
+    joins: Int[Array, "join"]  # rows at which a window begins where one of its run ended
+    count: int = eqx.field(static=True)
+
+
+def shooting_windows(dataset: Dataset, seconds: float) -> ShootingWindows:
+    """Windows of about `seconds`; longer where there would be too many."""
+    t, starts = np.asarray(dataset.run_time), np.asarray(dataset.starts)
+    run = np.cumsum(starts) - 1
+    first = t[np.flatnonzero(starts)][run]
+    total = sum(np.ptp(t[run == k]) for k in range(dataset.runs))
+    seconds = max(seconds, total / WINDOW_LIMIT)
+    inside = np.floor((t - first) / seconds + 1e-9).astype(int)
+    spare = ~dataset.recorded_rows & (np.asarray(dataset.dt) == 0)
+    inside[spare] = -1  # they stay in the last window
+    inside = np.where(inside < 0, np.maximum.accumulate(np.where(inside < 0, 0, inside)), inside)
+    begins = starts | (np.diff(inside, prepend=-1) > 0)
+    begins &= np.asarray(dataset.dt) > 0
+    begins[starts] = True
+    number = np.cumsum(begins) - 1
+    parts = number, begins, np.flatnonzero(begins & ~starts)
+    return ShootingWindows(*map(jnp.asarray, parts), int(number[-1]) + 1)
+
+
+class ShootingInputs(eqx.Module):
+    """What the compiled simulation of all windows needs beside coordinates and states."""
+
+    base: Vessel
+    layout: CoordinateLayout = eqx.field(static=True)
+    dataset: Dataset
+    windows: ShootingWindows
+
+
+class Shot(eqx.Module):
+    """Misfits of a simulation: measured less shown, and each window's end at the next's start."""
+
+    misfit: Float[Array, "*slope row 6"]  # zero where nothing was measured
+    end: Float[Array, "*slope join 6"]
+
+
+def simulate_windows(
+    inputs: ShootingInputs,
+    coordinates: Float[Array, "coordinate"],
+    states: Float[Array, "window 6"],
+) -> Shot:
+    """Simulate every window from its first state, without any correction."""
+    vessel, flows = vessel_at(inputs.base, inputs.layout, coordinates)
+    vessel, dataset = align_to_order_clock(vessel, inputs.dataset)
+
+    def body(x: Float[Array, "6"], row_inputs: tuple) -> tuple:
+        row, begin, first = row_inputs
+        end = x
+        x = jnp.where(begin, first, x)
+        expected = expected_measurements(vessel, jnp.concatenate([x, jnp.zeros(3)]), row)
+        return propagate(vessel, x, row, dataset.substeps), (innovation_of(row, expected), end)
+
+    windows = inputs.windows
+    rows = filter_rows(vessel, flows, dataset), windows.begins, states[windows.number]
+    misfit, end = jax.lax.scan(body, jnp.zeros(6), rows)[1]
+    return Shot(jnp.where(jnp.isfinite(misfit), misfit, DIVERGED), end[windows.joins])
+
+
+shoot = eqx.filter_jit(simulate_windows)
+
+
+@eqx.filter_jit
+def shoot_with_slopes(
+    inputs: ShootingInputs,
+    coordinates: Float[Array, "coordinate"],
+    states: Float[Array, "window 6"],
+    directions: Float[Array, "free coordinate"],
+) -> tuple[Shot, Shot]:
+    """The shot and its slopes: along the directions, then by the first state of a window.
+
+    That is the state of the row's own window, and of the earlier one of a join: windows share
+    their six directions of differentiation.
+    """
+    # All directions together, so that the run itself is simulated once.
+    free = directions.shape[0]
+    along = jnp.concatenate([directions, jnp.zeros((6, coordinates.size))])
+    first = jnp.concatenate([jnp.zeros((free, 6)), jnp.eye(6)])
+    first = jnp.broadcast_to(first[:, None, :], (free + 6, *states.shape))
+
+    def derivative(d: Array, f: Array) -> tuple[Shot, Shot]:
+        simulate = lambda *at: simulate_windows(inputs, *at)
+        return jax.jvp(simulate, (coordinates, states), (d, f))
+
+    return jax.vmap(derivative, out_axes=(None, 0))(along, first)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,35 +174,34 @@ class NormalEquations:
 class OutputError(AbstractObjective):
     """The objective: `problem` says what is free, the noise scales of its filter are not used."""
 
-    def __init__(self, problem: Problem, seconds: float | None = None):
-        """Set up; windows of `seconds`, 20 sqrt(L / g) by default."""
+    def __init__(self, problem: Problem):
+        """Set up, with windows of 20 sqrt(L / g)."""
         self._window_seconds = WINDOW * time_scale(float(problem.base.rigid_body.length))
-        seconds = self._window_seconds if seconds is None else seconds
         self.problem: Problem = problem
         self.parameters = problem.layout.parameters
         self.outliers = {}  # the soft loss leaves nothing out
-        self.windows = shooting_windows(problem.dataset, seconds)
-        self._inputs = ShootingInputs.of(problem, self.windows)
-        self._joined = self.windows.number[self.windows.joins]  # windows that follow another
+        self.windows = shooting_windows(problem.dataset, self._window_seconds)
+        self._inputs = ShootingInputs(problem.base, problem.layout, problem.dataset, self.windows)
+        self._number, self._begins = (
+            np.asarray(self.windows.number),
+            np.asarray(self.windows.begins),
+        )
+        self._joined = self._number[self.windows.joins]  # windows that follow another
         # A first state is known from the filter and what was measured, and otherwise hardly.
         self._broad = np.sqrt(np.asarray(first_variance(problem.base)))
-        starts = np.asarray(problem.dataset.starts)
-        self._firsts = self.windows.number[np.flatnonzero(starts)]
+        self._firsts = self._number[np.asarray(problem.dataset.starts)]
 
     def start(self, coordinates: Coordinates | None = None) -> ShootingState:
         """Where a fit begins: first states as the filter finds them, scales as expected."""
         first, noise = self.problem.start()
         coordinates = first if coordinates is None else np.array(coordinates, float)
         run = self.problem.run_filter(coordinates, noise)
-        states = np.asarray(run.state)[self.windows.begins]
+        states = np.asarray(run.state)[self._begins]
         sigma = np.exp(np.asarray(noise.sensor))
         return ShootingState(coordinates, states, states.copy(), sigma, sigma)
 
     def fit(
-        self,
-        free: tuple[str, ...],
-        start: Coordinates | None = None,
-        progress: Progress = no_progress,
+        self, free: Names, start: Coordinates | None = None, progress: Progress = no_progress
     ) -> Estimate:
         """Fit the free parameters by name, from `start`."""
         index = np.array(self.problem.layout.indices(free), int)
@@ -104,21 +215,20 @@ class OutputError(AbstractObjective):
                 old, state = state.sigma, self._with_new_scales(state, joint)
                 if np.all(np.abs(np.log(state.sigma / old)) < SETTLED_SCALE):
                     break
-        return dataclasses.replace(
-            self._with_covariance(free, state, index, outcome), path=tuple(path)
-        )
+        return self._with_covariance(free, state, index, outcome, path)
 
-    def refit(self, fitted: Estimate, free: tuple[str, ...], start: Coordinates) -> Estimate:
+    def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit with the scales of an earlier fit, from its first states."""
         index = np.array(self.problem.layout.indices(free), int)
-        state = dataclasses.replace(_state_of(fitted), coordinates=np.array(start, float))
+        assert isinstance(fitted.state, ShootingState)
+        state = dataclasses.replace(fitted.state, coordinates=np.array(start, float))
         state, _, outcome = self._descend(state, index)
         return self._with_covariance(free, state, index, outcome)
 
     def cost(self, coordinates: Coordinates, fitted: Estimate) -> float:
         """-2 log posterior with the scales of a fit, first states following to first order."""
-        state = dataclasses.replace(_state_of(fitted), coordinates=fitted.coordinates)
-        index = fitted.index
+        assert isinstance(fitted.state, ShootingState)
+        state, index = fitted.state, fitted.index
         equations = self.normal_equations(state, index)
         A, n = equations.matrix, len(index)
         step = np.zeros(len(A))
@@ -126,21 +236,19 @@ class OutputError(AbstractObjective):
         step[n:] = -np.linalg.solve(A[n:, n:], A[n:, :n] @ step[:n])
         return self.state_cost(self.state_after(state, index, step))
 
-    def explore(
-        self, starts: Starts, free: tuple[str, ...]
-    ) -> tuple[Starts, Float[np.ndarray, "start"]]:
+    def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """As the innovation likelihood does, whose basin is wider."""
         return Innovations(self.problem).explore(starts, free)
 
-    def window_gaps(self, state: ShootingState) -> Float[np.ndarray, "join 6"]:
+    def window_gaps(self, state: ShootingState, shot: Shot) -> Float[np.ndarray, "join 6"]:
         """What the windows' ends and the next ones' first states differ by, in units of both."""
-        return np.asarray(self._shot(state).end) - state.states[self._joined]
+        return np.asarray(shot.end) - state.states[self._joined]
 
     def state_cost(self, state: ShootingState) -> float:
         """-2 log posterior of parameters and first states, the soft loss for a likelihood."""
-        shot = self._shot(state)
+        shot = self.shot(state)
         white = np.asarray(shot.misfit) / state.sigma
-        gap = (np.asarray(shot.end) - state.states[self._joined]) / state.joint
+        gap = self.window_gaps(state, shot) / state.joint
         away = (state.states - state.guess)[self._firsts] / self._broad
         layout = self.problem.layout
         prior = np.asarray(layout.strains(state.coordinates, layout.spreads()))
@@ -160,21 +268,21 @@ class OutputError(AbstractObjective):
 
     def normal_equations(self, state: ShootingState, index: FreeIndex) -> NormalEquations:
         """Normal equations of the free parameters and of all first states."""
-        directions = jnp.eye(len(state.coordinates))[index]
-        shot, slopes = shooting.shoot_with_slopes(
-            self._inputs, jnp.asarray(state.coordinates), jnp.asarray(state.states), directions
-        )
+        coordinates, states = jnp.asarray(state.coordinates), jnp.asarray(state.states)
+        directions = jnp.eye(len(coordinates))[index]
+        shot, slopes = shoot_with_slopes(self._inputs, coordinates, states, directions)
         white = np.asarray(shot.misfit) / state.sigma
         root = np.sqrt(soft_weight(white))
         r, scale = root * white, root / state.sigma
-        P = np.moveaxis(np.asarray(slopes.by_parameter.misfit), 0, -1) * scale[..., None]
-        S = np.moveaxis(np.asarray(slopes.by_state.misfit), 0, -1) * scale[..., None] * state.sigma
         n, size = len(index), len(index) + 6 * self.windows.count
+        by_misfit, by_end = np.asarray(slopes.misfit), np.asarray(slopes.end) / state.joint
+        P = np.moveaxis(by_misfit[:n], 0, -1) * scale[..., None]
+        S = np.moveaxis(by_misfit[n:], 0, -1) * scale[..., None] * state.sigma
         A, g = np.zeros((size, size)), np.zeros(size)
         flat = P.reshape(-1, n)
         A[:n, :n] = flat.T @ flat
         g[:n] = flat.T @ r.ravel()
-        edges = np.flatnonzero(self.windows.begins)
+        edges = np.flatnonzero(self._begins)
         mixed = np.add.reduceat(np.einsum("rci,rck->rik", P, S), edges)
         own = np.add.reduceat(np.einsum("rck,rcl->rkl", S, S), edges)
         score = np.add.reduceat(np.einsum("rck,rc->rk", S, r), edges)
@@ -183,13 +291,12 @@ class OutputError(AbstractObjective):
             A[:n, at], A[at, :n] = mixed[w], mixed[w].T
             A[at, at], g[at] = own[w], score[w]
         # What windows are apart.
-        gap = (np.asarray(shot.end) - state.states[self._joined]) / state.joint
-        by_parameter = np.asarray(slopes.by_parameter.end) / state.joint
-        by_state = np.asarray(slopes.by_state.end) / state.joint * state.sigma[:, None, None]
+        gap = self.window_gaps(state, shot) / state.joint
+        by_state = by_end[n:] * state.sigma[:, None, None]
         own_state = -np.diag(state.sigma / state.joint)
         for j, w in enumerate(self._joined):
             columns = np.r_[0:n, n + 6 * (w - 1) : n + 6 * (w + 1)]
-            J = np.hstack([by_parameter[:, j].T, by_state[:, j].T, own_state])
+            J = np.hstack([by_end[:n, j].T, by_state[:, j].T, own_state])
             A[np.ix_(columns, columns)] += J.T @ J
             g[columns] += J.T @ gap[j]
         # The priors of parameters and of each run's first state.
@@ -203,13 +310,14 @@ class OutputError(AbstractObjective):
             g[at] += weight * (state.states[w] - state.guess[w]) / self._broad
         return NormalEquations(A, g, P, S, r)
 
-    def _shot(self, state: ShootingState) -> Shot:
+    def shot(self, state: ShootingState) -> Shot:
+        """Misfits and ends of the windows, simulated from their first states."""
         coordinates, states = jnp.asarray(state.coordinates), jnp.asarray(state.states)
-        return shooting.shoot(self._inputs, coordinates, states)
+        return shoot(self._inputs, coordinates, states)
 
     def _with_new_scales(self, state: ShootingState, joint: float) -> ShootingState:
         """Scales from the misfits themselves."""
-        misfit = np.asarray(self._shot(state).misfit)
+        misfit = np.asarray(self.shot(state).misfit)
         known = np.asarray(self.problem.dataset.known)
         sigma = state.sigma.copy()
         for k in np.flatnonzero(known.any(0)):
@@ -243,14 +351,19 @@ class OutputError(AbstractObjective):
         return state, cost, FitOutcome.STEP_LIMIT
 
     def _with_covariance(
-        self, free: tuple[str, ...], state: ShootingState, index: FreeIndex, outcome: FitOutcome
+        self,
+        free: Names,
+        state: ShootingState,
+        index: FreeIndex,
+        outcome: FitOutcome,
+        path: Sequence[float] = (),
     ) -> Estimate:
         """The estimate, its states eliminated, its misfits as correlated in time as they are."""
         equations = self.normal_equations(state, index)
         A, P, S = equations.matrix, equations.by_parameter, equations.by_state
         n, spreads = len(index), self.problem.layout.local_spreads(state.coordinates)
         shares = np.linalg.solve(A[n:, n:], A[n:, :n]).reshape(-1, 6, n)
-        E = P - np.einsum("rck,rki->rci", S, shares[self.windows.number])
+        E = P - np.einsum("rck,rki->rci", S, shares[self._number])
         prior = np.diag(1 / spreads[index] ** 2)
         information = A[:n, :n] - A[:n, n:] @ shares.reshape(-1, n) - prior
         dataset = self.problem.dataset
@@ -270,14 +383,9 @@ class OutputError(AbstractObjective):
             information,
             score_variance,
             state,
-            outcome=outcome,
+            path,
+            outcome,
         )
-
-
-def _state_of(fitted: Estimate) -> ShootingState:
-    if not isinstance(fitted.state, ShootingState):
-        raise TypeError("the estimate is no fit of output error")
-    return fitted.state
 
 
 def _bulk_scale(values: Float[np.ndarray, "value"]) -> float:

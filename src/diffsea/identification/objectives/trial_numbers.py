@@ -51,8 +51,8 @@ from diffsea.identification.least_squares import (
     solve_least_squares,
     value_and_jacobian,
 )
-from diffsea.identification.objectives.base import AbstractObjective, NumberResidual, Starts
-from diffsea.identification.problem import Coordinates
+from diffsea.identification.objectives.base import AbstractObjective, Costs, NumberResidual, Starts
+from diffsea.identification.problem import Coordinates, Names
 from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
@@ -63,9 +63,8 @@ from diffsea.vessel.effects import Effect
 RELATIVE_STD = 0.03  # of a number that states none: a guess at the scatter of repeated trials
 _ORDERS = ("angle", "heading", "speed", "thrust", "seconds", "step")
 _KEYS = (*_ORDERS, "manoeuvre", "side", "executes", "numbers")
-_DEGREE = math.pi / 180
-_UNITS = {"m": 1.0, "s": 1.0, "rad": 1.0, "rad/s": 1.0, "m/s": 1.0}
-_UNITS |= {"deg": _DEGREE, "deg/s": _DEGREE}
+_UNITS = dict.fromkeys(("m", "s", "rad", "rad/s", "m/s"), 1.0)
+_UNITS |= dict.fromkeys(("deg", "deg/s"), math.pi / 180)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,9 +124,9 @@ def _read_trial(
     side = entry.get("side", "starboard")
     if side not in ("starboard", "port"):
         raise UserError(f"{where}: side = {side!r} is neither starboard nor port")
-    orders = {key: _finite_number(entry[key], f"{where}: {key}") for key in _ORDERS if key in entry}
-    for key in ("angle", "heading"):
-        orders |= {key: math.radians(orders[key])} if key in orders else {}
+    given = [key for key in _ORDERS if key in entry]
+    orders = {key: _finite_number(entry[key], f"{where}: {key}") for key in given}
+    orders |= {key: math.radians(orders[key]) for key in ("angle", "heading") if key in orders}
     # Enough rudder executions for the overshoots that are asked for.
     overshoots = [int(n.rsplit("_", 1)[1]) for n in entry["numbers"] if n.startswith("overshoot_")]
     executes = int(entry.get("executes", max([2, *(k + 1 for k in overshoots)])))
@@ -173,8 +172,7 @@ def _finite_number(given: object, where: str) -> float:
 
 STEP_LIMIT = 60  # of a fit
 _EXPLORING_STEPS = 30  # of Gauss-Newton from each of several starts
-_EXPLORING_TOLERANCE = 1e-4  # of a step, in units of the coordinates, from several starts
-_TOLERANCE = 1e-6  # likewise, at the end of a fit
+_TOLERANCE = 1e-6  # of a step, in units of the coordinates, at the end of a fit
 _EFFECT_SPREAD = 3.0  # prior of an effect's coordinates, in its own sizes
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
 
@@ -213,11 +211,11 @@ class TrialInputs(eqx.Module):
         found: dict[int, Array] = {}
         for (kind, trials), orders in zip(self.kinds, self.orders, strict=True):
 
-            def run_one(order: dict[str, Array], kind: TrialPlan = kind) -> Numbers:
+            def measure_trial(order: dict[str, Array], kind: TrialPlan = kind) -> Numbers:
                 plan = dataclasses.replace(kind, **order)
                 return planning.trial_numbers(plan, planning.run_plan(vessel, plan))
 
-            table = jax.vmap(run_one)(orders)
+            table = jax.vmap(measure_trial)(orders)
             for place, trial in enumerate(trials):
                 for name in self.names[trial]:
                     if name not in table:
@@ -243,25 +241,23 @@ class TrialNumbers(AbstractObjective):
         trials: Sequence[MeasuredTrial],
         effects: Sequence[Effect] = (),
     ):
-        self.parameters = tuple(parameters)
+        self.parameters, self.effects = tuple(parameters), tuple(effects)
         self.problem, self.outliers = None, {}
         self.trials = tuple(trials)
-        self.effects = tuple(effects)
         self.sizes = {effect.name: effect.sizes(vessel) for effect in effects}
-        owners = [p.name for p in parameters]
-        owners += [name for name, own in self.sizes.items() for _ in own]
-        self.owners = tuple(owners)  # of each coordinate
-        added = len(owners) - len(self.parameters)
-        self.spreads = np.array([*(p.spread for p in parameters), *[_EFFECT_SPREAD] * added])
+        added = [name for name, own in self.sizes.items() for _ in own]
+        self.owners = (*(p.name for p in parameters), *added)  # of each coordinate
+        self.spreads = np.array([p.spread for p in parameters] + [_EFFECT_SPREAD] * len(added))
         places = file_parameters(vessel)
-        kinds = [_kind_of(trial.plan) for trial in trials]
-        members = {k: tuple(n for n, one in enumerate(kinds) if one == k) for k in kinds}
-        orders = [
-            jax.tree.map(
-                lambda *v: jnp.asarray(v, float), *(_orders_of(trials[n].plan) for n in rows)
-            )
-            for rows in members.values()
+        varied = [_varied_orders(trial.plan) for trial in trials]
+        # What decides the compiled program: everything of a plan but the orders' numbers.
+        kinds = [
+            dataclasses.replace(trial.plan, nominal_speed=0.0, **dict.fromkeys(own, 0.0))
+            for trial, own in zip(trials, varied, strict=True)
         ]
+        members = {k: tuple(n for n, one in enumerate(kinds) if one == k) for k in kinds}
+        stack = lambda *values: jnp.asarray(values, float)
+        orders = [jax.tree.map(stack, *(varied[n] for n in rows)) for rows in members.values()]
         self._inputs = TrialInputs(
             jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel),
             jnp.concatenate([jnp.asarray(one.values, float) for one in trials]),
@@ -290,10 +286,7 @@ class TrialNumbers(AbstractObjective):
         return np.asarray(white), np.asarray(J)
 
     def fit(
-        self,
-        free: tuple[str, ...],
-        start: Coordinates | None = None,
-        progress: Progress = no_progress,
+        self, free: Names, start: Coordinates | None = None, progress: Progress = no_progress
     ) -> Estimate:
         """Fit the free parameters and effects by name, from `start`."""
         coordinates = np.zeros(len(self.owners)) if start is None else np.array(start, float)
@@ -313,19 +306,11 @@ class TrialNumbers(AbstractObjective):
         if outcome is FitOutcome.CONVERGED and is_at_bound(self.parameters, coordinates, index):
             outcome = FitOutcome.BOUNDED
         own = self.misfits_and_jacobian(coordinates)[1][:, index]
-        information = own.T @ own
         return posterior_estimate(
-            free,
-            coordinates,
-            path[-1],
-            index,
-            self.spreads,
-            information,
-            path=path,
-            outcome=outcome,
+            free, coordinates, path[-1], index, self.spreads, own.T @ own, None, None, path, outcome
         )
 
-    def refit(self, fitted: Estimate, free: tuple[str, ...], start: Coordinates) -> Estimate:
+    def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit again; the numbers' uncertainties are given, so that nothing is kept."""
         return self.fit(free, start)
 
@@ -334,9 +319,7 @@ class TrialNumbers(AbstractObjective):
         white = self.misfits_and_jacobian(coordinates)[0]
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
 
-    def explore(
-        self, starts: Starts, free: tuple[str, ...]
-    ) -> tuple[Starts, Float[np.ndarray, "start"]]:
+    def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Where a few steps of all parameters lead from several starts at once, and the cost."""
         ends = np.asarray(_improve_all(jnp.asarray(starts), self._inputs))
         return ends, np.array([self.cost(end) for end in ends])
@@ -350,22 +333,7 @@ class TrialNumbers(AbstractObjective):
         ]
 
 
-def _kind_of(plan: TrialPlan) -> TrialPlan:
-    """What of a plan decides the compiled program: everything but the orders' numbers."""
-    speed, throttle = (None if one is None else 0.0 for one in (plan.speed, plan.throttle))
-    return dataclasses.replace(
-        plan,
-        angle=0.0,
-        heading=0.0,
-        side=1.0,
-        seconds=0.0,
-        speed=speed,
-        throttle=throttle,
-        nominal_speed=0.0,
-    )
-
-
-def _orders_of(plan: TrialPlan) -> dict[str, float]:
+def _varied_orders(plan: TrialPlan) -> dict[str, float]:
     """The numbers of a plan that may differ between trials of one kind."""
     names = ("angle", "heading", "side", "seconds", "speed", "throttle")
     return {name: getattr(plan, name) for name in names if getattr(plan, name) is not None}
@@ -402,8 +370,5 @@ def _improve_all(
         spreads = inputs.spreads
         return jnp.concatenate([white, at / spreads]), jnp.concatenate([J, jnp.diag(1 / spreads)])
 
-    def improve(at: Array) -> Array:
-        steps, tolerance = _EXPLORING_STEPS, _EXPLORING_TOLERANCE
-        return solve_least_squares(residual, at, inputs, steps, tolerance).at
-
+    improve = lambda at: solve_least_squares(residual, at, inputs, _EXPLORING_STEPS).at
     return jax.vmap(improve)(starts)

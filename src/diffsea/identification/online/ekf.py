@@ -26,9 +26,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffsea.errors import UserError
+from diffsea.identification.filter.covariance import Noise, gust_propagation, matrix_product
 from diffsea.identification.filter.kalman import first_variance
-from diffsea.identification.filter.process_noise import Noise, gust_propagation
-from diffsea.identification.filter.updates import matrix_product
 from diffsea.identification.online.estimator import (
     AbstractBelief,
     AbstractEstimator,

@@ -23,8 +23,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
-from diffsea.identification.filter.process_noise import Noise
 from diffsea.identification.online import trust
 from diffsea.identification.online.ekf import kalman_filter
 from diffsea.identification.online.estimator import (

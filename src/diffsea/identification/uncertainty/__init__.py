@@ -4,5 +4,4 @@ from diffsea.identification.uncertainty.design import NextManoeuvre as NextManoe
 from diffsea.identification.uncertainty.design import next_manoeuvre as next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import Identifiability as Identifiability
 from diffsea.identification.uncertainty.identifiability import identifiability as identifiability
-from diffsea.identification.uncertainty.profile import Profile as Profile
-from diffsea.identification.uncertainty.profile import profile_interval as profile_interval
+from diffsea.identification.uncertainty.identifiability import profile_interval as profile_interval

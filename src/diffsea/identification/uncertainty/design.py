@@ -77,10 +77,9 @@ def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre:
     found; the gain is 1/2 log det(I + C J), C the covariance now and J the information of the
     manoeuvre (D-optimality, Goodwin and Payne 1977).
     """
-    names = [p.name for p in problem.layout.parameters]
-    chosen = [n for n, k in enumerate(fitted.index) if k < len(names)]
+    fitted_parameters = fitted.of_vessel(problem.layout.parameters)
+    free, chosen = tuple(p.name for p in fitted_parameters.values()), list(fitted_parameters)
     covariance = fitted.covariance[np.ix_(chosen, chosen)]
-    free = tuple(names[fitted.index[n]] for n in chosen)
     vessel = vessel_in_environment(problem, first_run_coordinates(problem, fitted.coordinates))
     measured = problem.dataset.recorded_channels
     gains, after = {}, {}
@@ -101,10 +100,9 @@ def manoeuvre_information(
     problem: Problem, run: Trajectory, at: Estimate, free: tuple[str, ...]
 ) -> Float[np.ndarray, "free free"]:
     """Information of a recording on the free parameters, nothing else being estimated."""
-    parameters = problem.layout.parameters
-    names = tuple(p.name for p in parameters)
-    one = make_problem(problem.base, [run], names, priors={p.name: p for p in parameters})
-    coordinates = np.asarray(at.coordinates)[: len(parameters)]
+    priors = {p.name: p for p in problem.layout.parameters}
+    one = make_problem(problem.base, [run], tuple(priors), priors=priors)
+    coordinates = np.asarray(at.coordinates)[: len(priors)]
     gains = one.run_filter(coordinates, at.noise).gains
     J = linearise(one, gains, coordinates, one.layout.indices(free)).jacobian
     J = J[: one.dataset.measured.size]
@@ -120,15 +118,13 @@ def simulate_manoeuvre(
     """
     seconds = SECONDS * time_scale(float(vessel.rigid_body.length))
     t, orders = manoeuvre_orders(vessel, schedule, seconds)
-    first = np.where(t == t[0], 0.0, np.nan)
-    ordered = Trajectory(
-        t, *(first,) * 6, commanded=orders, executed={}, extra={}, valid=np.ones(len(t), bool)
+    first, valid = np.where(t == t[0], 0.0, np.nan), np.ones(len(t), bool)
+    run = replay(
+        vessel, Trajectory(t, *(first,) * 6, commanded=orders, executed={}, extra={}, valid=valid)
     )
-    run = replay(vessel, ordered)
-    if measured is None:
-        return run
-    missing = [c for c, known in zip(MOTION_CHANNELS, measured, strict=True) if not known]
-    return dataclasses.replace(run, **{c: np.full(len(t), np.nan) for c in missing})
+    known = np.ones(6, bool) if measured is None else measured
+    missing = np.array(MOTION_CHANNELS)[~known]
+    return dataclasses.replace(run, **dict.fromkeys(missing, np.full(len(t), np.nan)))
 
 
 def manoeuvre_orders(
