@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
-from diffsea.identification.estimates import Estimate
 from diffsea.identification.coordinates import ExpansionPoint
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.kalman import Gains
 from diffsea.identification.problem import Problem
 from diffsea.identification.residual import innovations_at, linearise
