@@ -241,7 +241,10 @@ def _check_keys(table: dict[str, Any], known: Sequence[str], where: str) -> None
 
 
 def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
-    """The checked keyword arguments of `Mapping` that stand under [file]."""
+    """The checked keyword arguments of `Mapping` that stand under [file].
+
+    Raises `UserError`, beginning with `where`, for a value of another type or out of range.
+    """
     settings = dict(settings)
     step = settings.get("time_step")
     if step is not None:
@@ -300,6 +303,10 @@ def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path:
 
 
 def _column(channel: str, entry: object, path: Path) -> Column:
+    """The column that stands for a channel under [columns]: its name, or a table.
+
+    Raises `UserError` for an unknown channel, key or unit, or a unit of another dimension.
+    """
     where = f"{path}: [columns] {channel}"
     if not (is_channel(channel) or channel in _GEODETIC):
         known = (*CHANNEL_DIMENSIONS, *_GEODETIC, "cmd_<actuator>", "exec_<actuator>")

@@ -251,6 +251,7 @@ def _assemble(
 
 
 def _check_clock(time: Samples, lines: Int[np.ndarray, "time"], place: str) -> None:
+    """Raises `UserError` for times (s) that are missing or run backwards, with their lines."""
     missing = np.flatnonzero(np.isnan(time))
     if missing.size:
         raise UserError(

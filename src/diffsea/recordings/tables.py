@@ -66,6 +66,7 @@ def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) 
 
 
 def _check_file(path: Path) -> None:
+    """Raises `UserError` for a folder, a file that is missing, unreadable or empty, or no text."""
     if path.is_dir():
         raise UserError(f"{path} is a folder; name a CSV or Parquet file in it")
     if not path.exists():
@@ -88,7 +89,7 @@ def _check_file(path: Path) -> None:
 def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     """Column names, and how many lines stand before the first row of numbers.
 
-    Where the file names its columns, the line that holds most of the wanted names is
+    Raises `UserError` for text in another encoding and for a wanted name that stands twice. Where the file names its columns, the line that holds most of the wanted names is
     taken: units often stand on a line of their own, before or after.
     """
     if mapping.columns is not None:

@@ -19,7 +19,8 @@ from diffsea.recordings.auditing.channels import (
     drop_frozen,
     rounding_findings,
 )
-from diffsea.recordings.auditing.finding import KINDS, Finding, wrong_sign
+from diffsea.recordings.auditing.edits import Affine
+from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
 from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import (
     disagreement_findings,
@@ -116,10 +117,6 @@ def _sway_sign(
     if other is None or other.deviance > velocity.deviance + _OUTWARDS:
         return motion, velocity, []
     gained = max(velocity.deviance - other.deviance, 0.0)
-    text = (
-        "v is positive to port, not to starboard: with the opposite sign position and velocity "
-        "agree better (value: drop of the deviance), and the vessel drifts outwards in turns (or "
-        "x, y and heading are those of an east-north-up frame)"
-    )
     std = 2 * float(np.sqrt(gained))
-    return turned, other, [wrong_sign(("v",), text, gained, std, kind="axes")]
+    fault = finding_of("sway-to-port", ("v",), gained, std, {}, Affine(("v",), -1.0))
+    return turned, other, [fault]

@@ -128,7 +128,10 @@ def _rounded_stamps(t: Samples) -> list[Finding]:
 
 
 def _irregular_steps(steps: Float[np.ndarray, "step"], usual: float) -> list[Finding]:
-    """Jitter: many intervals that are neither the usual one nor gaps."""
+    """Jitter: many intervals that are neither the usual one nor gaps.
+
+    `steps` and the `usual` one are in s; the size is the standard deviation of those below a gap.
+    """
     short = steps[steps < _CLOCK_GAP * usual]
     off = np.abs(short / usual - 1) > _IRREGULAR
     if np.mean(off) < _IRREGULAR_SHARE or np.sum(off) < 3:
@@ -140,7 +143,11 @@ def _irregular_steps(steps: Float[np.ndarray, "step"], usual: float) -> list[Fin
 
 
 def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
-    """Stretches in which a channel that is otherwise measured has no sample, and single samples."""
+    """Stretches in which a channel that is otherwise measured has no sample, and single samples.
+
+    A stretch counts above five of the channel's own intervals, three of the file's, which is
+    `usual` (s), and 1 s; single samples where more than a twentieth of them are lost.
+    """
     longest: dict[str, tuple[float, float]] = {}
     lost: dict[str, int] = {}
     for channel, series in run.motion.items():
@@ -172,7 +179,11 @@ def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
 
 
 def rounding_findings(trajectory: Trajectory) -> list[Finding]:
-    """Channels that are multiples of one step, coarse against how they move and jitter."""
+    """Channels that are multiples of one step, coarse against how they move and jitter.
+
+    The size of a finding is the step, in the channel's SI unit. Steps that do no harm to anything
+    later, such as 2 cm of a position or 0.004 rad of heading, are let pass.
+    """
     found = []
     for channel, series in trajectory.counted().motion.items():
         series = series[np.isfinite(series)]
@@ -231,6 +242,7 @@ def bridge_outliers(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Findin
 
 
 def _wild_samples(series: Samples, known: Bool[np.ndarray, "time"]) -> Bool[np.ndarray, "time"]:
+    """Which samples are wild, as `bridge_outliers` has it; none among few known ones."""
     if np.sum(known) < _FEWEST_SAMPLES:
         return np.zeros(series.shape, dtype=bool)
     departure = np.abs(series - np.median(_neighbourhoods(series, 4), axis=1))
@@ -256,6 +268,7 @@ def _wild_samples(series: Samples, known: Bool[np.ndarray, "time"]) -> Bool[np.n
 
 
 def _neighbourhoods(series: Samples, half: int) -> Float[np.ndarray, "time neighbour"]:
+    """Each sample with `half` ones either side; the first and the last are repeated."""
     padded = np.pad(series, half, mode="edge")
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
 

@@ -31,7 +31,10 @@ class Edit(abc.ABC):
 
 
 class ChannelEdit(Edit):
-    """A change of some channels, row by row, that leaves the rows themselves alone."""
+    """A change of some channels, row by row, that leaves the rows themselves alone.
+
+    The audit applies it to the motion alone, a repair to the whole recording.
+    """
 
     @abc.abstractmethod
     def new_series(self, old: Channels) -> Channels:

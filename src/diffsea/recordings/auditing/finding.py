@@ -60,6 +60,7 @@ class Finding:
 
 _TEXT = importlib.resources.files("diffsea.recordings.auditing") / "findings.toml"
 _CATALOGUE = tomllib.loads(_TEXT.read_text(encoding="utf-8"))
+CAUSES: dict[str, str] = _CATALOGUE.pop("causes")  # names of causes in messages
 
 
 def finding_of(

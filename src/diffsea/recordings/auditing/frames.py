@@ -210,7 +210,12 @@ def _scaled_misfit(moved: _Windowed, predicted: _Windowed) -> tuple[float, float
 def _least_changed(
     motion: MeasuredMotion, readings: list[LabelReading], start: np.ndarray, end: np.ndarray
 ) -> LabelReading:
-    """The first reading, of the labels as they are, or the least changed of the far better ones."""
+    """The first reading, of the labels as they are, or the least changed of the far better ones.
+
+    Another one must leave at most a quarter of the squared displacement that the labels leave
+    even with an offset of heading and a current, and at most a fifth of all. `start` and `end` are
+    the rows of the windows in which displacements are compared.
+    """
     moved = motion.place[end] - motion.place[start]
     path = integrate(motion.t, motion.earth_velocity)
     predicted, seconds = path[end] - path[start], motion.t[end] - motion.t[start]
@@ -298,7 +303,10 @@ def _rate_fit(motion: MeasuredMotion) -> tuple[float, float, float]:
 
 
 def _yaw_rate_labels(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
-    """Sign and unit of yaw rate against heading."""
+    """Sign and unit of yaw rate against heading, where the two are clearly correlated.
+
+    The size of either finding is heading per integrated yaw rate, negative for a wrong sign.
+    """
     correlation, ratio, error = _rate_fit(motion)
     if abs(correlation) < _CORRELATED:
         return motion, []

@@ -24,7 +24,7 @@ from diffsea.recordings.auditing.causes import (
     Parameters,
 )
 from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift
-from diffsea.recordings.auditing.finding import Finding, finding_of
+from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
 from diffsea.series import integrate
 from diffsea.trajectory import Samples
@@ -49,22 +49,6 @@ _SMALLEST_LATENCY = 0.1  # s; delays nearer to each other than this are one
 _LARGE_ANGLE = np.radians(45.0)  # from which on axes are turned rather than a heading offset
 _SENSOR_OF = ("x", "u", "psi", "r")  # one channel of each separate sensor
 _DELAYS = {"p_delay": ("x", "y"), "nu_delay": ("u", "v"), "psi_delay": ("psi",)}
-_AS_CAUSE = {
-    "gain": "a scale",
-    "angle": "a heading offset",
-    "water": "a velocity through the water",
-    "lever": "a lever arm",
-    "p_delay": "a late position",
-    "nu_delay": "a late velocity",
-    "psi_delay": "position and velocity late together",
-    "p_rate": "a drifting clock of the position",
-    "nu_rate": "a drifting clock of the velocity",
-    "psi_rate": "a drifting clock of the heading",
-    "iron": "a heading error periodic in heading",
-    "bias": "a yaw-rate bias",
-    "delay": "a late channel",
-    "rate": "a drifting clock",
-}
 
 
 def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicComparison | None:
@@ -284,7 +268,7 @@ def _rival_text(found: Explanation, cause: str) -> str:
     rivals = found.alternatives.get(cause, ())
     if not rivals:
         return ""
-    return "this run cannot tell it from " + " or ".join(_AS_CAUSE[rival] for rival in rivals)
+    return "this run cannot tell it from " + " or ".join(CAUSES[rival] for rival in rivals)
 
 
 def _latencies(heading: Explanation | None, velocity: Explanation | None) -> list[Finding]:

@@ -171,6 +171,7 @@ def _hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
 
 
 def _stage(finding: Finding) -> int:
+    """When it is repaired: stamps and labels before sensors, actuators after motion."""
     if any(name.startswith(("cmd_", "exec_")) for name in finding.channels):
         return _ACTUATORS if finding.edits else _HARMLESS
     if finding.channels == ("t",) and finding.kind == "unit":

@@ -289,7 +289,11 @@ def _thruster_pair(
 def _one_reversed_thruster(
     motion: MeasuredMotion, names: tuple[str, str], both: _Actuation, yaw: LaggedResponse
 ) -> list[Finding]:
-    """One of two thrusters reversed: the sum then turns and the difference speeds up."""
+    """One of two thrusters reversed: the sum then turns and the difference speeds up.
+
+    Both are regressed at once, which needs thrusts that are not nearly proportional, and must
+    explain a fifth more of the yaw rate's variance than their difference alone, `yaw`.
+    """
     still = np.min(np.ptp(both, axis=1)) <= 0 or not motion.has("u")
     if still or abs(np.corrcoef(both)[0, 1]) > 0.9:
         return []
@@ -304,7 +308,11 @@ def _one_reversed_thruster(
 
 
 def zigzag_findings(motion: MeasuredMotion, channel: str, angle: Samples) -> list[Finding]:
-    """A zig-zag whose rudder angle (rad) goes with the heading instead of against it."""
+    """A zig-zag whose rudder angle (rad) goes with the heading instead of against it.
+
+    In a zig-zag the rudder is reversed at heading deviations of one size; the
+    size of the finding is their mean (rad).
+    """
     at = _reversals(angle)
     at = at[motion.known["psi"][at]]
     if not motion.has("psi") or at.size < 4:
@@ -332,7 +340,10 @@ def _reversals(angle: Samples) -> Int[np.ndarray, "reversal"]:
 
 
 def _dead_rudder(motion: MeasuredMotion, channel: str, angle: Samples) -> list[Finding]:
-    """A rudder that is put over again and again under way and explains nothing."""
+    """A rudder that is put over again and again under way and explains nothing.
+
+    The size is the share of the yaw rate's variance that it explains behind any first-order lag.
+    """
     if not motion.has("u") or np.ptp(angle) < _BUSY_RUDDER or _reversals(angle).size < 4:
         return []
     speed = np.abs(motion.values["u"])
