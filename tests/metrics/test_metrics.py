@@ -16,7 +16,6 @@ from tests.paths import DATA
 from diffsea import Trajectory, UserError, recording_metrics
 from diffsea.metrics import (
     RECORDED_TRIALS,
-    crossing_time,
     curve,
     find_orders,
     first_crossing,
@@ -30,6 +29,7 @@ from diffsea.metrics import (
     value_at,
     zigzag_metrics,
 )
+from diffsea.metrics.crossings import value_or_nan
 from diffsea.metrics.orders import as_thrust, steering_angle
 
 
@@ -63,6 +63,11 @@ def turning(t, radius=50.0, rate=0.05, drift=0.1, psi0=0.3, side=1, execute=7.3)
     u = jnp.full_like(t, speed * math.cos(drift))
     v = jnp.full_like(t, -side * speed * math.sin(drift))
     return trajectory(t, x, y, psi, u, v, jnp.where(on, side * rate, 0.0))
+
+
+def crossing_time(c, level, direction=0, **bounds):
+    """When the curve first passes a level (s), NaN where it does not."""
+    return value_or_nan(*first_crossing(c, level, direction, **bounds))
 
 
 def with_event(t, time):

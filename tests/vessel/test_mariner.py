@@ -158,9 +158,7 @@ def test_the_mariner_fails_the_tactical_diameter(side):
     diameters = []
     for degrees in (15, 20, 35):
         numbers = {k: float(x) for k, x in turned(side * degrees).items()}
-        verdicts = imo_verdicts(
-            numbers, LENGTH, SPEED, turning_criteria, math.radians(degrees), hard_over=True
-        )
+        verdicts = imo_verdicts(numbers, LENGTH, SPEED, turning_criteria)  # as if hard over
         diameter = verdicts["tactical_diameter"]
         assert (diameter["limit"], diameter["unit"]) == (5.0, "L")
         assert diameter["verdict"] == "fail"

@@ -5,10 +5,7 @@ was ordered in a recording, `recorded` which trial it is. The room imports nothi
 trajectories and rotations: not vessels, nor recordings.
 """
 
-from diffsea.metrics.crossings import Crossing as Crossing
 from diffsea.metrics.crossings import Curve as Curve
-from diffsea.metrics.crossings import Extremum as Extremum
-from diffsea.metrics.crossings import crossing_time as crossing_time
 from diffsea.metrics.crossings import curve as curve
 from diffsea.metrics.crossings import first_crossing as first_crossing
 from diffsea.metrics.crossings import highest as highest
@@ -18,7 +15,6 @@ from diffsea.metrics.imo import imo_verdicts as imo_verdicts
 from diffsea.metrics.manoeuvres import stopping_metrics as stopping_metrics
 from diffsea.metrics.manoeuvres import turning_metrics as turning_metrics
 from diffsea.metrics.manoeuvres import zigzag_metrics as zigzag_metrics
-from diffsea.metrics.orders import Orders as Orders
 from diffsea.metrics.orders import find_orders as find_orders
 from diffsea.metrics.preparation import prepare_recording as prepare_recording
 from diffsea.metrics.recorded import RECORDED_TRIALS as RECORDED_TRIALS

@@ -91,7 +91,8 @@ def interval_at(t: Float[Array, "time"], time: Scalar) -> Int[Array, ""]:
 def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
     """Interpolated value at a time (s), differentiable in it; held before and after."""
     time = jnp.clip(time, curve.t[0], curve.t[-1])
-    piece = _piece(curve, interval_at(curve.t, time))
+    i = interval_at(curve.t, time)
+    piece = _pieces(curve, i, i + 1)
     return _hermite(piece, (time - piece.t) / piece.step)
 
 
@@ -107,27 +108,28 @@ def first_crossing(
     two samples cancel out and are not seen.
     """
     fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
-    pieces = _pieces(fixed)
-    left, right = (_position(pieces, time) for time in bounds)
-    low, high = (_exact(pieces, s) - jax.lax.stop_gradient(level) for s in (left, right))
+    pieces = _pieces(fixed, *_ALL)
+    ends, excesses = [], []
+    for time in bounds:
+        # From 0 to 1 in each interval; an empty one is before or after.
+        inside = jnp.clip((time - pieces.t) / pieces.step, 0.0, 1.0)
+        s = jnp.where(pieces.proper, inside, jnp.where(time > pieces.t, 1.0, 0.0))
+        # The cubic rounds at s = 1: neighbours would disagree there and both miss the level.
+        inner = jnp.where(s == 1, pieces.end, _hermite(pieces, s))
+        ends.append(s)
+        excesses.append(jnp.where(s == 0, pieces.start, inner) - jax.lax.stop_gradient(level))
+    (left, right), (low, high) = ends, excesses
     upwards = (low < 0) & (high >= 0)
     downwards = (low > 0) & (high <= 0)
     hits = {1: upwards, -1: downwards, 0: upwards | downwards}[direction] & (right > left)
     i = jnp.argmax(hits)
     found = hits[i]
-    piece = _piece(curve, i)
+    piece = _pieces(curve, i, i + 1)
     s = _bisected_newton(jax.lax.stop_gradient((piece, level)), left[i], right[i])
     # An empty interval is crossed only when rounding differs between its two rows.
     s = jnp.where(piece.proper, s, 0.0)
     s = s - _implicit(_hermite(piece, s) - level, _hermite_rate(piece, s), found)
     return Crossing(jnp.where(found, piece.t + s * piece.step, fixed.t[-1]), found)
-
-
-def crossing_time(
-    curve: Curve, level: Scalar, direction: int = 0, after: Scalar = -jnp.inf
-) -> Float[Array, ""]:
-    """`first_crossing` as a time (s), NaN with derivative zero where there is none."""
-    return value_or_nan(*first_crossing(curve, level, direction, after))
 
 
 def highest(
@@ -141,7 +143,7 @@ def highest(
     """
     fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
     upright = Curve(fixed.t, fixed.value * sense, fixed.rate * sense)
-    pieces = _pieces(upright)
+    pieces = _pieces(upright, *_ALL)
     s = _maximum(pieces)
     time = pieces.t + s * pieces.step
     # The margin is for a turning point on a sample, which rounding may put in neither.
@@ -150,9 +152,10 @@ def highest(
     height = jnp.where(usable, _hermite(pieces, jnp.where(usable, s, 0.0)), -jnp.inf)
     i = jnp.argmax(height)
     found = usable[i] & (height[i] >= value_at(upright, bounds[1]))
-    piece = _piece(curve, i)
+    piece = _pieces(curve, i, i + 1)
     s = jnp.where(found, s[i], 0.0)
-    s = s - _implicit(_hermite_rate(piece, s), _hermite_curvature(piece, s), found)
+    _, _, c2, c3 = _cubic(piece)
+    s = s - _implicit(_hermite_rate(piece, s), 2 * c2 + s * 6 * c3, found)
     return Extremum(piece.t + s * piece.step, _hermite(piece, s), found)
 
 
@@ -202,36 +205,15 @@ class _Piece(NamedTuple):
     proper: Array
 
 
-def _pieces(curve: Curve) -> _Piece:
-    return _pieces_between(
-        (curve.t[:-1], curve.value[:-1], curve.rate[:-1]),
-        (curve.t[1:], curve.value[1:], curve.rate[1:]),
-    )
+def _pieces(curve: Curve, first: Int[Array, ""] | slice, after: Int[Array, ""] | slice) -> _Piece:
+    """From one sample to another, or between as many as two slices choose."""
+    proper = curve.t[after] > curve.t[first]
+    step = jnp.where(proper, curve.t[after] - curve.t[first], 1.0)
+    slopes = curve.rate[first] * step, curve.rate[after] * step
+    return _Piece(curve.t[first], step, curve.value[first], curve.value[after], *slopes, proper)
 
 
-def _piece(curve: Curve, i: Int[Array, ""]) -> _Piece:
-    return _pieces_between(
-        (curve.t[i], curve.value[i], curve.rate[i]),
-        (curve.t[i + 1], curve.value[i + 1], curve.rate[i + 1]),
-    )
-
-
-def _position(p: _Piece, time: Scalar) -> Array:
-    """Where a time lies in each interval, from 0 to 1; an empty one is before or after."""
-    inside = jnp.clip((time - p.t) / p.step, 0.0, 1.0)
-    return jnp.where(p.proper, inside, jnp.where(time > p.t, 1.0, 0.0))
-
-
-def _exact(p: _Piece, s: Array) -> Array:
-    # The cubic rounds at s = 1: neighbours would disagree there and both miss the level.
-    return jnp.where(s == 0, p.start, jnp.where(s == 1, p.end, _hermite(p, s)))
-
-
-def _pieces_between(left: tuple[Array, ...], right: tuple[Array, ...]) -> _Piece:
-    (t0, value0, rate0), (t1, value1, rate1) = left, right
-    proper = t1 > t0
-    step = jnp.where(proper, t1 - t0, 1.0)
-    return _Piece(t0, step, value0, value1, rate0 * step, rate1 * step, proper)
+_ALL = slice(None, -1), slice(1, None)  # every interval of a curve
 
 
 def _cubic(p: _Piece) -> tuple[Array, Array, Array, Array]:
@@ -248,11 +230,6 @@ def _hermite(p: _Piece, s: Array) -> Array:
 def _hermite_rate(p: _Piece, s: Array) -> Array:
     _, c1, c2, c3 = _cubic(p)
     return c1 + s * (2 * c2 + s * 3 * c3)
-
-
-def _hermite_curvature(p: _Piece, s: Array) -> Array:
-    _, _, c2, c3 = _cubic(p)
-    return 2 * c2 + s * 6 * c3
 
 
 def _implicit(residual: Array, slope: Array, found: Array) -> Array:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.trajectory import Samples, Trajectory
+from diffsea.trajectory import Trajectory
 
 
-LAP = 2 * math.pi
+_LAP = 2 * math.pi
 _LEAST_EXTRA = 0.05  # of a lap beyond the first: fewer pairs of headings have no mean
 _PAIRS = 72  # of moments a lap apart: one each 5 deg of two laps
 
@@ -30,7 +30,7 @@ class Drift(NamedTuple):
     @property
     def direction(self) -> float:
         """Where it drifts to, rad clockwise from north, 0 to 2 pi."""
-        return math.atan2(self.east, self.north) % LAP
+        return math.atan2(self.east, self.north) % _LAP
 
 
 def circle_drift(run: Trajectory, start: float) -> Drift:
@@ -47,15 +47,19 @@ def circle_drift(run: Trajectory, start: float) -> Drift:
     """
     run = run.counted()
     run = run.rows(run.t >= start)
-    at, turned = _turn_of_heading(run)
-    laps = turned[-1] / LAP if len(turned) else 0.0
+    known = np.isfinite(run.psi)
+    at, turned = run.t[known], np.unwrap(run.psi[known])
+    if len(turned):  # the angle turned by then, which never falls
+        turned = turned - turned[0]
+        turned = np.maximum.accumulate(math.copysign(1.0, turned[-1]) * turned)
+    laps = turned[-1] / _LAP if len(turned) else 0.0
     if laps < 1 + _LEAST_EXTRA or not (run.has("x") and run.has("y")):
         raise UserError(
             f"{run.name}: a drift needs positions and more than {1 + _LEAST_EXTRA:.2f} laps after "
             f"t = {start:g} s, and there are {laps:.2f}; record the circle for longer"
         )
-    first = np.linspace(0.0, turned[-1] - LAP, _PAIRS)
-    before, after = (np.interp(turn, turned, at) for turn in (first, first + LAP))
+    first = np.linspace(0.0, turned[-1] - _LAP, _PAIRS)
+    before, after = (np.interp(turn, turned, at) for turn in (first, first + _LAP))
     ways = []
     for position in (run.x, run.y):
         known = np.isfinite(position)
@@ -65,13 +69,3 @@ def circle_drift(run: Trajectory, start: float) -> Drift:
     mean = velocity.mean(0)
     scatter = float(np.sqrt(np.mean(np.sum((velocity - mean) ** 2, axis=-1))))
     return Drift(float(mean[0]), float(mean[1]), scatter, float(laps))
-
-
-def _turn_of_heading(run: Trajectory) -> tuple[Samples, Samples]:
-    """Times (s) of known headings and the angle (rad) turned by then, which never falls."""
-    known = np.isfinite(run.psi)
-    t, psi = run.t[known], run.psi[known]
-    if len(psi) < 2:
-        return t, np.zeros(len(psi))
-    turned = np.unwrap(psi) - psi[0]
-    return t, np.maximum.accumulate(math.copysign(1.0, turned[-1]) * turned)

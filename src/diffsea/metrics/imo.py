@@ -22,32 +22,30 @@ class TrialConditions:
 
     length: float  # L, m
     speed: float  # V, m/s, of the approach
-    angle: float | None  # rad, ordered; None where it is not known
-    heading: float | None  # rad, at which a zig-zag was reversed
-    hard_over: bool  # whether the angle is the largest there is
+    angle: float  # rad, the size of what was ordered; NaN where it is not known
+    heading: float  # rad, the size of the change at which a zig-zag was reversed, or NaN
+
+    @property
+    def hard_over(self) -> bool:
+        """Whether the angle is about 35 deg or more, as it is taken to be where it is not known.
+
+        Beyond 90 deg the equivalent angle of thrusters means turning on the spot.
+        """
+        return math.isnan(self.angle) or HARD_OVER - _SAME_ANGLE < self.angle < math.pi / 2
 
     def has_angle(self, degrees: float) -> bool:
         """Whether the angle ordered is so many degrees."""
-        return self.angle is not None and _same_angle(self.angle, degrees)
+        return abs(self.angle - math.radians(degrees)) <= _SAME_ANGLE
 
     def is_zigzag(self, degrees: float) -> bool:
         """Whether angle and heading are both so many degrees."""
-        heading = self.heading
-        return self.has_angle(degrees) and heading is not None and _same_angle(heading, degrees)
-
-
-def _same_angle(angle: float, degrees: float) -> bool:
-    return abs(angle - math.radians(degrees)) <= _SAME_ANGLE
+        same_heading = abs(self.heading - math.radians(degrees)) <= _SAME_ANGLE
+        return self.has_angle(degrees) and same_heading
 
 
 # By name of the number: the limit (rad, or ship lengths) and the section of MSC.137(76).
 Limits = dict[str, tuple[float, str]]
 Criteria = Callable[[TrialConditions], Limits]
-
-
-def no_criteria(trial: TrialConditions) -> Limits:
-    """Limits of a trial that the standards do not know."""
-    return {}
 
 
 def turning_criteria(trial: TrialConditions) -> Limits:
@@ -91,10 +89,9 @@ def imo_verdicts(
     metrics: Mapping[str, float],
     length: float,
     speed: float,
-    criteria: Criteria,
+    criteria: Criteria | None,
     angle: float | None = None,
     heading: float | None = None,
-    hard_over: bool | None = None,
 ) -> dict[str, dict[str, float | str]]:
     """Value, limit, unit and verdict of every criterion that applies to a trial.
 
@@ -102,23 +99,19 @@ def imo_verdicts(
         metrics: the numbers of the trial, in SI units.
         length: L (m), of the full-scale ship where the run is a model's.
         speed: V (m/s), of the approach, likewise.
-        criteria: those of the trial's kind, such as `zigzag_criteria`.
+        criteria: those of the trial's kind, such as `zigzag_criteria`; None where the standards
+            do not know it.
         angle: rudder angle ordered (rad), of either sign.
         heading: change of heading (rad) at which a zig-zag was reversed.
-        hard_over: whether the angle is the largest there is, by default whether it is about 35 deg
-            or more; beyond 90 deg the equivalent angle of thrusters means turning on the spot.
 
     Returns:
         By name of the number; angles in rad, distances in ship lengths. Criteria that do not
         apply, or whose number is missing, are left out.
     """
-    angle = None if angle is None else abs(angle)
-    heading = None if heading is None else abs(heading)
-    if hard_over is None:
-        hard_over = angle is None or HARD_OVER - _SAME_ANGLE < angle < math.pi / 2
-    limits = criteria(TrialConditions(length, speed, angle, heading, hard_over))
+    angle, heading = (math.nan if size is None else abs(size) for size in (angle, heading))
+    trial = TrialConditions(length, speed, angle, heading)
     verdicts = {}
-    for name, (limit, section) in limits.items():
+    for name, (limit, section) in criteria(trial).items() if criteria else ():
         if not math.isfinite(metrics.get(name, math.nan)):
             continue
         is_angle = name.startswith("overshoot")

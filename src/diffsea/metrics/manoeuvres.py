@@ -67,11 +67,7 @@ def fitted_radius(
 
 
 def turning_metrics(
-    trajectory: Trajectory,
-    execute_time: Scalar,
-    side: Scalar,
-    psi0: Scalar | None = None,
-    approach_seconds: Scalar = APPROACH_SECONDS,
+    trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None = None
 ) -> dict[str, Float[Array, ""]]:
     """Turning circle after one order that is held to the end of the record.
 
@@ -92,9 +88,11 @@ def turning_metrics(
     quarters = jnp.array([0.5, 1.0, 1.5]) * math.pi
     crossings = jax.vmap(lambda angle: first_crossing(turn, angle, +1, after=start))(quarters)
     to_90, to_180, to_270 = map(Crossing, crossings.time, crossings.found)
-    foremost = highest(run.along, 1.0, after=start, before=_time_or_forever(to_180))
-    outermost = highest(run.across, 1.0, after=start, before=_time_or_forever(to_270))
-    approach = _approach_speed(run, start, approach_seconds)
+    until_180 = jnp.where(to_180.found, to_180.time, jnp.inf)
+    until_270 = jnp.where(to_270.found, to_270.time, jnp.inf)
+    foremost = highest(run.along, 1.0, after=start, before=until_180)
+    outermost = highest(run.across, 1.0, after=start, before=until_270)
+    approach = _approach_speed(run, start)
     steady = _steady_turn(run)
     return {
         "advance": value_or_nan(value_at(run.along, to_90.time), to_90.found),
@@ -118,7 +116,6 @@ def zigzag_metrics(
     switch_times: Float[Array, "switch"],
     psi0: Scalar | None = None,
     side: Scalar = 1.0,
-    approach_seconds: Scalar = APPROACH_SECONDS,
 ) -> dict[str, Float[Array, ""]]:
     """Zig-zag with its orders at the switch times.
 
@@ -146,25 +143,31 @@ def zigzag_metrics(
     under_order = ~happened[1] | (value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN)
     turned = Crossing(turned.time, turned.found & under_order)
     back = first_crossing(run.heading, 0.0, -1, after=first)
+    starts = times[1:]
+    ends = jnp.append(jnp.where(happened[2:], times[2:], jnp.inf), jnp.inf)
+    senses = jnp.where(jnp.arange(starts.shape[0]) % 2 == 0, 1.0, -1.0)
+    peaks = jax.vmap(highest, (None, 0, 0, 0))(run.heading, senses, starts, ends)
+    at_reversal = jax.vmap(value_at, (None, 0))(run.heading, starts)
+    found = peaks.found & happened[1:]
+    beyond = value_or_nan(senses * (peaks.value - at_reversal), found)
+    checked = value_or_nan(peaks.time - starts, found)
     period = jnp.full((), jnp.nan)
     if times.shape[0] >= 4:
         period = value_or_nan(times[3] - times[1], happened[1] & happened[3])
     return {
-        **_overshoots(run, times, happened),
+        **{f"overshoot_{k + 1}": angle for k, angle in enumerate(beyond)},
+        **{f"time_to_check_yaw_{k + 1}": time for k, time in enumerate(checked)},
         "initial_turning_distance": value_or_nan(value_at(run.along, turned.time), turned.found),
         "initial_turning_time": value_or_nan(turned.time - start, turned.found),
         "reach_time": value_or_nan(back.time - start, back.found & happened[1]),
         "period": period,
         "peak_yaw_rate": _peak_yaw_rate(with_corners(run.yaw, times), start),
-        "approach_speed": _approach_speed(run, start, approach_seconds),
+        "approach_speed": _approach_speed(run, start),
     }
 
 
 def stopping_metrics(
-    trajectory: Trajectory,
-    execute_time: Scalar,
-    psi0: Scalar | None = None,
-    approach_seconds: Scalar = APPROACH_SECONDS,
+    trajectory: Trajectory, execute_time: Scalar, psi0: Scalar | None = None
 ) -> dict[str, Float[Array, ""]]:
     """Stopping trial: from the order until the surge velocity passes zero.
 
@@ -183,7 +186,7 @@ def stopping_metrics(
         "lateral_deviation": value_or_nan(value_at(run.across, stop.time), stop.found),
         "stopping_time": value_or_nan(stop.time - execute_time, stop.found),
         "heading_change": value_or_nan(value_at(run.heading, stop.time), stop.found),
-        "approach_speed": _approach_speed(run, execute_time, approach_seconds),
+        "approach_speed": _approach_speed(run, execute_time),
     }
 
 
@@ -217,27 +220,23 @@ def _refer_to_execute(
     along, across = to_body(x - x0, y - y0, psi0)
     ahead, abeam = to_body(north, east, psi0)
     surge, sway = Curve(t, u, slopes(t, u)), Curve(t, v, slopes(t, v))
+    # Distance travelled by trapezoids with their end correction. Its slopes are not differences of
+    # the speed: those smear its kink where the vessel stops.
+    speed = _magnitude(u, v)
+    growth = u * surge.rate + v * sway.rate
+    slope = jnp.where(speed > 0, growth / _one_unless_positive(speed), 0.0)
+    step = jnp.diff(t)
+    part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
     return _TrialFrame(
         heading=Curve(t, side * (psi - psi0), side * r),
         along=Curve(t, along, ahead),
         across=Curve(t, side * across, side * abeam),
         surge=surge,
         sway=sway,
-        path=_cumulative_distance(surge, sway),
+        path=jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)]),
         yaw=Curve(t, side * r, side * slopes(t, r)),
         counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
     )
-
-
-def _cumulative_distance(surge: Curve, sway: Curve) -> Float[Array, "time"]:
-    """Distance travelled (m) by each sample: trapezoids with their end correction."""
-    speed = _magnitude(surge.value, sway.value)
-    # Not differences of the speed: those smear its kink where the vessel stops.
-    growth = surge.value * surge.rate + sway.value * sway.rate
-    slope = jnp.where(speed > 0, growth / _one_unless_positive(speed), 0.0)
-    step = jnp.diff(surge.t)
-    part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
-    return jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)])
 
 
 def _speed_at(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
@@ -258,9 +257,9 @@ def _magnitude(u: Array, v: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(_one_unless_positive(square)), 0.0)
 
 
-def _approach_speed(run: _TrialFrame, execute_time: Scalar, seconds: Scalar) -> Float[Array, ""]:
-    """Mean speed (m/s) over the last seconds before the execute, fewer if not recorded."""
-    begin = jnp.maximum(execute_time - seconds, run.surge.t[0])
+def _approach_speed(run: _TrialFrame, execute_time: Scalar) -> Float[Array, ""]:
+    """Mean speed (m/s) over the last 10 s before the execute, fewer if not recorded."""
+    begin = jnp.maximum(execute_time - APPROACH_SECONDS, run.surge.t[0])
     duration = execute_time - begin
     distance = _distance_travelled(run, execute_time) - _distance_travelled(run, begin)
     mean = distance / _one_unless_positive(duration)
@@ -293,26 +292,5 @@ def _steady_turn(run: _TrialFrame) -> dict[str, Float[Array, ""]]:
     }
 
 
-def _overshoots(
-    run: _TrialFrame, times: Float[Array, "switch"], happened: Bool[Array, "switch"]
-) -> dict[str, Float[Array, ""]]:
-    starts = times[1:]
-    ends = jnp.append(jnp.where(happened[2:], times[2:], jnp.inf), jnp.inf)
-    senses = jnp.where(jnp.arange(starts.shape[0]) % 2 == 0, 1.0, -1.0)
-    peaks = jax.vmap(highest, (None, 0, 0, 0))(run.heading, senses, starts, ends)
-    at_reversal = jax.vmap(value_at, (None, 0))(run.heading, starts)
-    found = peaks.found & happened[1:]
-    beyond = value_or_nan(senses * (peaks.value - at_reversal), found)
-    checked = value_or_nan(peaks.time - starts, found)
-    return {
-        **{f"overshoot_{k + 1}": angle for k, angle in enumerate(beyond)},
-        **{f"time_to_check_yaw_{k + 1}": time for k, time in enumerate(checked)},
-    }
-
-
 def _one_unless_positive(value: Scalar | Array) -> Array:
     return jnp.where(value > 0, value, 1.0)
-
-
-def _time_or_forever(crossing: Crossing) -> Float[Array, ""]:
-    return jnp.where(crossing.found, crossing.time, jnp.inf)

@@ -94,7 +94,9 @@ def steering_angle(trajectory: Trajectory) -> tuple[Samples, SteeringSource] | N
     """Steering angle (rad) in every row and the channels it is from; none if not recorded.
 
     Commands come before executed values. A channel with "rudder" in its name is taken
-    first, then a pair named port / starboard or left / right, then an azimuth angle.
+    first, then a pair named port / starboard or left / right, then an azimuth angle. Of a pair,
+    whose thrusts are in one unit, it is the equivalent angle, positive to starboard, with the sum
+    in its denominator kept above a twentieth of the largest thrust.
     """
     for kind, group in (("commanded", trajectory.commanded), ("executed", trajectory.executed)):
         channels = _held_channels(group)
@@ -104,24 +106,16 @@ def steering_angle(trajectory: Trajectory) -> tuple[Samples, SteeringSource] | N
             for side in (_PORT, _STARBOARD)
         )
         if not rudders and port and starboard:
-            angle = equivalent_angle(channels[port], channels[starboard])
+            left, right = channels[port], channels[starboard]
+            # Turning on the spot has no equivalent: only its side and order of magnitude are right.
+            least = 0.05 * max(np.max(np.abs(left)), np.max(np.abs(right)), 1e-12)
+            angle = HARD_OVER * (left - right) / np.maximum(np.abs(left + right), least)
             return angle, SteeringSource(kind, (port, starboard), pair=True)
         angles = rudders or [name for name in channels if name.lower().endswith(".angle")]
         if angles:
             angle = np.mean([channels[n] for n in angles], axis=0)
             return angle, SteeringSource(kind, tuple(angles))
     return None
-
-
-def equivalent_angle(port: Samples, starboard: Samples) -> Samples:
-    """Rudder-equivalent angle (rad, positive to starboard) of two thrusts in one unit.
-
-    The sum in the denominator is kept above a twentieth of the largest thrust: turning on
-    the spot has no equivalent and only its side and order of magnitude are right.
-    """
-    largest = max(np.max(np.abs(port)), np.max(np.abs(starboard)), 1e-12)
-    total = np.maximum(np.abs(port + starboard), 0.05 * largest)
-    return HARD_OVER * (port - starboard) / total
 
 
 def as_thrust(trajectory: Trajectory, units: Mapping[str, str]) -> Trajectory:
@@ -287,46 +281,38 @@ def _order_time(t: Samples, angle: Samples, arrived: int) -> float:
 def find_plateaus(angle: Samples, count: int, breaks: tuple[int, ...] = ()) -> list[Plateau]:
     """Every stretch of at least `count` rows in which the angle (rad) stays, zero included.
 
-    No plateau goes across one of the `breaks`, rows that follow a hole of the recording.
+    A plateau goes on after a short flicker, but not across one of the `breaks`, rows that follow a
+    hole of the recording.
     """
     noise = noise_scale(angle)
+
+    def band(level: float) -> float:
+        """How far (rad) from its level a held angle may be."""
+        return max(_PLATEAU_BAND * abs(level), 4 * noise, _NARROWEST_BAND)
+
     found: list[Plateau] = []
     for start, end in itertools.pairwise([0, *breaks, len(angle)]):
-        if end - start > count:
-            found += _plateaus_between(angle, start, end, count, noise)
-    return found
-
-
-def _band_about(level: float, noise: float) -> float:
-    """How far (rad) from its level a held angle may be."""
-    return max(_PLATEAU_BAND * abs(level), 4 * noise, _NARROWEST_BAND)
-
-
-def _plateaus_between(
-    angle: Samples, start: int, end: int, count: int, noise: float
-) -> list[Plateau]:
-    """Plateaus in the rows from `start` to before `end`; one goes on after a short flicker."""
-    calm = ndimage.median_filter(angle[start:end], _OUTLIER_ROWS, mode="nearest")
-    high = ndimage.maximum_filter1d(calm, count, mode="nearest")
-    low = ndimage.minimum_filter1d(calm, count, mode="nearest")
-    middle = _PLATEAU_BAND * np.abs(high + low) / 2
-    widest = 2 * np.maximum(np.maximum(middle, 4 * noise), _NARROWEST_BAND)
-    found: list[Plateau] = []
-    for rows in stretches(high - low <= widest):
-        first = start + max(rows.start - count // 2, 0)
-        last = start + min(rows.stop - 1 + count // 2, len(calm) - 1)
-        level = float(np.median(angle[first : last + 1]))
-        off = np.abs(calm[first - start : last + 1 - start] - level)
-        on = np.flatnonzero(off <= _band_about(level, noise))
-        first, last = int(first + on[0]), int(first + on[-1])
-        if on.size < max(_INSIDE_SHARE * (last - first + 1), 0.5 * count):
+        if end - start <= count:
             continue
-        old = found[-1] if found else None
-        if old and first - old.last <= count:
-            if abs(level - old.level) <= _band_about(old.level, noise):
+        calm = ndimage.median_filter(angle[start:end], _OUTLIER_ROWS, mode="nearest")
+        high = ndimage.maximum_filter1d(calm, count, mode="nearest")
+        low = ndimage.minimum_filter1d(calm, count, mode="nearest")
+        middle = _PLATEAU_BAND * np.abs(high + low) / 2
+        widest = 2 * np.maximum(np.maximum(middle, 4 * noise), _NARROWEST_BAND)
+        for rows in stretches(high - low <= widest):
+            first = start + max(rows.start - count // 2, 0)
+            last = start + min(rows.stop - 1 + count // 2, len(calm) - 1)
+            level = float(np.median(angle[first : last + 1]))
+            off = np.abs(calm[first - start : last + 1 - start] - level)
+            on = np.flatnonzero(off <= band(level))
+            first, last = int(first + on[0]), int(first + on[-1])
+            if on.size < max(_INSIDE_SHARE * (last - first + 1), 0.5 * count):
+                continue
+            old = found[-1] if found and found[-1].first >= start else None
+            if old and first - old.last <= count and abs(level - old.level) <= band(old.level):
                 first = found.pop().first
                 level = float(np.median(angle[first : last + 1]))
-        found.append(Plateau(first, last, level))
+            found.append(Plateau(first, last, level))
     return found
 
 
@@ -354,18 +340,17 @@ def alternating_chains(plateaus: list[Plateau], t: Samples, least: float) -> lis
     for before, plateau in zip([None, *plateaus[:-1]], plateaus, strict=True):
         if abs(plateau.level) < least:
             continue
-        if before and chains and chains[-1][-1] is before and _reverses(before, plateau, t):
+        follows = False
+        if before and chains and chains[-1][-1] is before and before.side != plateau.side:
+            sizes = abs(before.level), abs(plateau.level)
+            longer = max(before.seconds(t), plateau.seconds(t))
+            alike = abs(sizes[0] - sizes[1]) <= _UNLIKE * max(sizes)
+            follows = alike and t[plateau.first] - t[before.last] <= longer
+        if follows:
             chains[-1].append(plateau)
         else:
             chains.append([plateau])
     return chains
-
-
-def _reverses(before: Plateau, after: Plateau, t: Samples) -> bool:
-    sizes = abs(before.level), abs(after.level)
-    alike = abs(sizes[0] - sizes[1]) <= _UNLIKE * max(sizes)
-    longer = max(before.seconds(t), after.seconds(t))
-    return before.level * after.level < 0 and alike and t[after.first] - t[before.last] <= longer
 
 
 def last_row_before_move(

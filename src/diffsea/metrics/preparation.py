@@ -48,14 +48,28 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
     """
     run = _measured_rows(trajectory)
     t, motion = run.t, dict(run.motion)
-    notes: list[str] = []
+    steps: list[Derivation] = []
+
+    def note(text: str) -> None:
+        steps.append(Derivation("derived", text))
+
     if not _has_values(motion["psi"]):
-        notes.append("heading was not recorded: it is the integral of the yaw rate")
-        motion["psi"] = _integrated_heading(t, motion, notes)
-    smoothing = _smooth_noise(t, motion)
-    derived = len(notes)
+        note("heading was not recorded: it is the integral of the yaw rate")
+        turned = integrate(t, motion["r"])
+        motion["psi"] = turned + 0.0
+        # Of the start that velocities and positions agree on best.
+        if _has_values(motion["x"]) and _has_values(motion["y"]):
+            over_ground = _time_derivative(t, motion["x"]) + 1j * _time_derivative(t, motion["y"])
+            body = np.ones(len(t), complex)
+            if _has_values(motion["u"]) and _has_values(motion["v"]):
+                body = motion["u"] + 1j * motion["v"]
+            else:
+                note("its start is the course: drift is neglected")
+            start = np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned))))
+            motion["psi"] = turned + float(start)
+    steps += _smooth_noise(t, motion)
     if not _has_values(motion["r"]):
-        notes.append("yaw rate was not recorded: it is the derivative of the heading")
+        note("yaw rate was not recorded: it is the derivative of the heading")
         motion["r"] = _time_derivative(t, motion["psi"])
     missing = [name for name in ("u", "v") if not _has_values(motion[name])]
     if missing:
@@ -64,12 +78,11 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
         if _has_values(motion["x"]) and _has_values(motion["y"]):
             north, east = _time_derivative(t, motion["x"]), _time_derivative(t, motion["y"])
             velocity = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
-            notes.append(f"{what} not recorded: derived from the positions")
+            note(f"{what} not recorded: derived from the positions")
         else:
-            notes.append(f"{what} not recorded, nor positions to derive them from")
+            note(f"{what} not recorded, nor positions to derive them from")
         motion |= {name: np.asarray(velocity[name]) for name in missing}
-    steps = [Derivation("derived", note) for note in notes]
-    return dataclasses.replace(run, **motion), [*steps[:derived], *smoothing, *steps[derived:]]
+    return dataclasses.replace(run, **motion), steps
 
 
 def _measured_rows(trajectory: Trajectory) -> Trajectory:
@@ -96,20 +109,6 @@ def _measured_rows(trajectory: Trajectory) -> Trajectory:
 
 def _has_values(values: Samples) -> bool:
     return bool(np.isfinite(values).any())
-
-
-def _integrated_heading(t: Samples, motion: dict[str, Samples], notes: list[str]) -> Samples:
-    """Heading (rad) from the yaw rate, of the start that velocities and positions agree on best."""
-    turned = integrate(t, motion["r"])
-    if not (_has_values(motion["x"]) and _has_values(motion["y"])):
-        return turned + 0.0
-    over_ground = _time_derivative(t, motion["x"]) + 1j * _time_derivative(t, motion["y"])
-    body = np.ones(len(t), complex)
-    if _has_values(motion["u"]) and _has_values(motion["v"]):
-        body = motion["u"] + 1j * motion["v"]
-    else:
-        notes.append("its start is the course: drift is neglected")
-    return turned + float(np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned)))))
 
 
 def _smooth_noise(t: Samples, motion: dict[str, Samples]) -> list[Derivation]:

@@ -18,7 +18,6 @@ from diffsea.metrics.imo import (
     SHORTEST_SHIP,
     Criteria,
     imo_verdicts,
-    no_criteria,
     stopping_criteria,
     turning_criteria,
     zigzag_criteria,
@@ -38,7 +37,7 @@ from diffsea.metrics.orders import (
     stop_order,
 )
 from diffsea.metrics.preparation import prepare_recording
-from diffsea.trajectory import MOTION_CHANNELS, ReadReport, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
 _STEADY_HEADING = math.radians(2)  # the heading may wander by this in the approach
@@ -90,7 +89,7 @@ class RecordedTrial:
     recognise: Callable[[Trajectory, Orders], bool]
     read: Callable[[Trajectory, Orders, list[str]], dict[str, Any]]
     steered: bool = False
-    criteria: Criteria = no_criteria
+    criteria: Criteria | None = None
     segment: str | None = None
 
 
@@ -137,8 +136,9 @@ def recording_metrics(
             f"{orders.source}); map a rudder, or a port and a starboard thruster"
         )
     result = {"manoeuvre": trial.name, **trial.read(run, orders, notes)}
-    notes += [f"{name} is missing: {why}" for name, why in _missing_numbers(result, run)]
-    result = {name: value for name, value in result.items() if _is_known(value)}
+    unknown = [n for n, v in result.items() if isinstance(v, float) and not math.isfinite(v)]
+    notes += [f"{name} is missing: {why}" for name, why in _missing_numbers(unknown, run)]
+    result = {name: value for name, value in result.items() if name not in unknown}
     if length is None:
         notes.append("the length is not known: no value over L and no IMO verdict")
         return {**result, "imo": {}, "notes": notes}
@@ -160,14 +160,9 @@ def over_length(numbers: dict[str, Any], length: float) -> dict[str, float]:
     return {f"{name}_over_L": numbers[name] / length for name in LENGTHS if name in numbers}
 
 
-def _is_known(value: object) -> bool:
-    return not isinstance(value, float) or math.isfinite(value)
-
-
-def _missing_numbers(result: dict[str, Any], run: Trajectory) -> list[tuple[str, str]]:
+def _missing_numbers(unknown: list[str], run: Trajectory) -> list[tuple[str, str]]:
     """Numbers that the recording does not contain, and why."""
-    unknown = [name for name, value in result.items() if not _is_known(value)]
-    if not np.isfinite(run.x).any() or not np.isfinite(run.y).any():
+    if not (run.has("x") and run.has("y")):
         distances = [name for name in unknown if name in LENGTHS]
         return [(", ".join(distances), "positions were not recorded")] if distances else []
     return [(name, _WHY_MISSING[name]) for name in unknown if name in _WHY_MISSING]
@@ -180,24 +175,21 @@ def recognise_trial(run: Trajectory, orders: Orders) -> RecordedTrial:
     """The first of `RECORDED_TRIALS` that a prepared run is, by the orders and by its motion.
 
     Orders count where they fill much of the record, or hardly anything else was ordered, and the
-    vessel was under way before them.
+    vessel was under way before them: a turn on the spot is no trial.
     """
     steered = False
     if orders.times:
-        share = (orders.end - orders.times[0]) / (run.t[-1] - run.t[0])
+        start = orders.times[0]
+        share = (orders.end - start) / (run.t[-1] - run.t[0])
         alone = share > _RECORD_SHARE or neutral_share(run, orders) > _NEUTRAL_SHARE
-        steered = bool(alone) and _is_under_way(run, orders.times[0])
+        speed = np.hypot(run.u, run.v)
+        under_way = True
+        if np.isfinite(speed).any():
+            after = np.quantile(speed[run.t >= start], 0.95)
+            under_way = bool(np.interp(start, run.t, speed) >= 0.5 * after)
+        steered = bool(alone) and under_way
     trials = RECORDED_TRIALS.values()
     return next(t for t in trials if (steered or not t.steered) and t.recognise(run, orders))
-
-
-def _is_under_way(run: Trajectory, start: float) -> bool:
-    """Whether the vessel moved at the order, at `start` s; a turn on the spot is no trial."""
-    speed = np.hypot(run.u, run.v)
-    if not np.isfinite(speed).any():
-        return True
-    after = np.quantile(speed[run.t >= start], 0.95)
-    return bool(np.interp(start, run.t, speed) >= 0.5 * after)
 
 
 def _is_turning_circle(run: Trajectory, orders: Orders) -> bool:
@@ -227,14 +219,6 @@ def _is_stopping(run: Trajectory, orders: Orders) -> bool:
         return False
     at_order = np.interp(start, run.t, run.u)
     return bool(at_order > 0.8 * np.max(run.u) and np.min(run.u[run.t >= start]) <= 0)
-
-
-def _is_straight(run: Trajectory, orders: Orders) -> bool:
-    return bool(np.ptp(run.psi) < _STRAIGHT)
-
-
-def _is_any_run(run: Trajectory, orders: Orders) -> bool:
-    return True
 
 
 # Reading its numbers
@@ -310,8 +294,10 @@ RECORDED_TRIALS = {
         ),
         RecordedTrial("pull-out", _is_pull_out, _read_turning, steered=True),
         RecordedTrial("stopping", _is_stopping, _read_stopping, criteria=stopping_criteria),
-        RecordedTrial("straight", _is_straight, _read_any_run),
-        RecordedTrial("unknown", _is_any_run, _read_any_run),  # the last: every run is one
+        RecordedTrial(
+            "straight", lambda run, orders: bool(np.ptp(run.psi) < _STRAIGHT), _read_any_run
+        ),
+        RecordedTrial("unknown", lambda run, orders: True, _read_any_run),  # the last: any run
     )
 }
 
@@ -319,21 +305,11 @@ RECORDED_TRIALS = {
 def _padded_run(run: Trajectory, end: float) -> Trajectory:
     """The motion until the end, in a power of two of rows: few lengths, few compilations."""
     spare = (0, (1 << (len(run.t) - 1).bit_length()) - len(run.t))
-    motion = {
-        name: jnp.asarray(np.pad(getattr(run, name), spare)) for name in ("t", *MOTION_CHANNELS)
-    }
-    return dataclasses.replace(
-        run,
-        **motion,
-        commanded={},
-        executed={},
-        extra={},
-        valid=jnp.asarray(np.pad(run.t <= end, spare)),
-        outcome=jnp.asarray(run.outcome),
-        name="",
-        provenance=(),
-        read=ReadReport(),
+    t, *motion = (
+        jnp.asarray(np.pad(getattr(run, name), spare)) for name in ("t", *MOTION_CHANNELS)
     )
+    valid, outcome = jnp.asarray(np.pad(run.t <= end, spare)), jnp.asarray(run.outcome)
+    return Trajectory(t, *motion, commanded={}, executed={}, extra={}, valid=valid, outcome=outcome)
 
 
 def _original_heading(run: Trajectory, start: float, notes: list[str]) -> float:

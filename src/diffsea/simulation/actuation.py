@@ -115,11 +115,6 @@ def recorded_heel(recording: Trajectory) -> Samples:
     return _row_means(interpolate_missing(run.t, run.extra["phi"]))  # it is held over a row
 
 
-def constant_response(executed: Float[Array, "step"]) -> Response:
-    """Of executed values, each held over its step."""
-    return Response(executed, executed, executed, executed)
-
-
 def servo_path(
     servo: Servo,
     orders: Float[Array, "step"],
@@ -138,7 +133,7 @@ def servo_path(
     """
     if servo.direct:
         executed = jnp.asarray(jax.vmap(servo.target)(orders))
-        return constant_response(executed), executed
+        return Response(executed, executed, executed, executed), executed
 
     def body(
         executed: Float[Array, "..."], step: tuple

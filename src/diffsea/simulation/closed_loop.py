@@ -13,7 +13,6 @@ from diffsea.simulation.integrate import (
     advance,
     begin,
     history_lengths,
-    trajectory_of,
 )
 from diffsea.simulation.switching import Tree, executed_now, is_plausible, select
 from diffsea.trajectory import Outcome, Trajectory
@@ -91,7 +90,10 @@ def run_controlled(
     _, memory, _, diverged = carry
     outcome = jnp.where(controller.is_finished(memory), Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(diverged, Outcome.DIVERGED, outcome)
-    return ClosedLoop(trajectory_of(*rows, outcome=outcome), memories)
+    t, state, commanded, executed, valid = rows
+    orders = {"commanded": commanded, "executed": executed, "extra": {}}
+    run = Trajectory(t, *jax.tree.leaves(state), **orders, valid=valid, outcome=outcome)
+    return ClosedLoop(run, memories)
 
 
 def _as_floats(tree: Tree) -> Tree:

@@ -6,9 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.trajectory import Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.servo import OrderHistory, Response
@@ -61,7 +59,10 @@ def advance(
     t: Scalar,
     dt: Scalar,
 ) -> SimulationState:
-    """The motion `dt` s later, with `orders` holding from `t`."""
+    """The motion `dt` s later, with `orders` (in each channel's unit) holding from `t` s.
+
+    Of fourth order in `dt`, of third where a servo's response jumps within the step.
+    """
     histories = {c: h.push(t, orders[c]) for c, h in motion.histories.items()}
     responses = {
         c: servo.respond(motion.executed[c], histories[c], t, dt)
@@ -131,16 +132,3 @@ def rk4_looped(
         return (here, jax.tree.map(lambda s, d: s + weight * dt * d, end, slope)), None
 
     return jax.lax.scan(stage, (start, start), (nodes, _NODES, _LEADS, _WEIGHTS))[0][1]
-
-
-def trajectory_of(
-    t: Float[Array, "time"],
-    state: State,
-    commanded: dict[str, Float[Array, "time"]],
-    executed: dict[str, Float[Array, "time"]],
-    valid: Bool[Array, "time"],
-    outcome: Int[Array, ""],
-) -> Trajectory:
-    """The trajectory of a run whose rows were stacked by a scan."""
-    motion = (state.x, state.y, state.psi, state.u, state.v, state.r)
-    return Trajectory(t, *motion, commanded, executed, {}, valid, outcome)

@@ -20,7 +20,6 @@ from diffsea.metrics.preparation import prepare_recording
 from diffsea.scales import plausible_motion, time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import (
-    constant_response,
     over_rows,
     recorded_actuation,
     recorded_heel,
@@ -56,13 +55,6 @@ class _Steps(eqx.Module):
     order_values: dict[str, Float[Array, "order"]]
 
 
-class _Actuation(eqx.Module):
-    """What every channel executes in every step."""
-
-    response: dict[str, Response]
-    now: dict[str, Float[Array, "step"]]  # from the start of the step on
-
-
 class _ReplayInputs(NamedTuple):
     """A recording made ready to be replayed through a vessel."""
 
@@ -71,7 +63,8 @@ class _ReplayInputs(NamedTuple):
     executed: dict[str, Samples]  # of the channels taken as measured
     steps: _Steps
     rows: Int[np.ndarray, "time"]  # the first step of each row
-    actuation: _Actuation
+    response: dict[str, Response]  # of every channel in every step
+    now: dict[str, Float[Array, "step"]]  # what it executes from the start of the step on
     motion: dict[str, Samples]  # as the sensors' errors leave it
     notes: tuple[str, ...]
 
@@ -95,17 +88,24 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
         UserError: the recording lacks a channel's orders, or a state to start from.
     """
     inputs = _replay_inputs(vessel, recording, measured_actuation)
-    states = _integrate(vessel, inputs.states_at(0), inputs.steps, inputs.actuation)
+    states = _integrate(vessel, inputs.states_at(0), inputs.steps, inputs.response)
     true = {c: np.asarray(getattr(states, c))[inputs.rows] for c in MOTION_CHANNELS}
     length = float(vessel.rigid_body.length)
     finite = all(np.isfinite(values).all() for values in true.values())
     plausible = finite and np.all(plausible_motion(length, true["u"], true["v"], true["r"]))
-    now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.actuation.now.items()}
-    t = inputs.run.t
-    shown = _as_sensors_show(vessel.sensors, t, true)
+    now = {c: np.asarray(now)[inputs.rows] for c, now in inputs.now.items()}
+    sensors, t = vessel.sensors, inputs.run.t  # which show that motion late and with errors
+    lags = sensors.lags(t)
+    late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
+    north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
     return Trajectory(
         t,
-        *(shown[c] for c in MOTION_CHANNELS),
+        x=late["x"] + np.asarray(north),
+        y=late["y"] + np.asarray(east),
+        psi=late["psi"] + _compass_error(sensors, late["psi"]),
+        u=late["u"],
+        v=late["v"],
+        r=late["r"] + float(sensors.gyro_bias),
         commanded=inputs.orders,
         executed=now | inputs.executed,
         extra={},
@@ -150,7 +150,13 @@ def horizon_errors(
         return {}
     inputs = _replay_inputs(vessel, recording, measured_actuation)
     rows, motion = inputs.rows, inputs.motion
-    begin, end = _horizon_rows(t, horizons, spacing)
+    # Rows at which predictions start, and those at which each is compared, -1 for none.
+    near = max(0.05, 0.5 * median_interval(t)) * (1 + 1e-9)
+    begin = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - min(horizons) + 1e-9, spacing)))
+    wanted = t[begin][:, None] + np.asarray(horizons)
+    after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
+    end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    end = np.where(np.abs(t[end] - wanted) <= near, end, -1)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     length = _LENGTH_MULTIPLE * math.ceil((ends.max() + 1) / _LENGTH_MULTIPLE)
     states = _integrate_from_each(
@@ -159,7 +165,7 @@ def horizon_errors(
         jnp.asarray(rows[begin]),
         jnp.asarray(ends),
         inputs.steps,
-        inputs.actuation,
+        inputs.response,
         length,
     )
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
@@ -167,10 +173,10 @@ def horizon_errors(
     for k, horizon in enumerate(horizons):
         counted = end[:, k] >= 0
         at = end[counted, k]
-        reached = {c: np.asarray(getattr(states, c))[counted, k] for c in MOTION_CHANNELS}
-        misses = {
-            c: np.where(known[c][at], reached[c] - motion[c][at], np.nan) for c in MOTION_CHANNELS
-        }
+        misses = {}
+        for c in MOTION_CHANNELS:
+            reached = np.asarray(getattr(states, c))[counted, k]
+            misses[c] = np.where(known[c][at], reached - motion[c][at], np.nan)
         errors[float(horizon)] = {**_rms_errors(misses), "starts": int(counted.sum())}
     return errors
 
@@ -192,8 +198,8 @@ def _replay_inputs(
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
     steps, rows = _integration_steps(vessel, run, orders, over_rows(run, executed))
     motion, derived = _true_motion(vessel.sensors, run)
-    actuation = _actuate(vessel, steps)
-    return _ReplayInputs(run, orders, executed, steps, rows, actuation, motion, (*notes, *derived))
+    made_of = run, orders, executed, steps, rows, *_actuate(vessel, steps)
+    return _ReplayInputs(*made_of, motion, (*notes, *derived))
 
 
 def _integration_steps(
@@ -228,29 +234,31 @@ def _integration_steps(
 
 
 @eqx.filter_jit
-def _actuate(vessel: Vessel, steps: _Steps) -> _Actuation:
-    """The response of every channel, which does not depend on the motion."""
+def _actuate(
+    vessel: Vessel, steps: _Steps
+) -> tuple[dict[str, Response], dict[str, Float[Array, "step"]]]:
+    """Response and executed values of every channel, which do not depend on the motion."""
     response, now = {}, {}
     for channel, servo in vessel.servos.items():
         if channel in steps.executed:
-            now[channel] = steps.executed[channel]
-            response[channel] = constant_response(now[channel])
+            done = now[channel] = steps.executed[channel]
+            response[channel] = Response(done, done, done, done)
         else:
             history = OrderHistory(steps.order_times, steps.order_values[channel])
             orders = steps.orders[channel]
             response[channel], now[channel] = servo_path(servo, orders, steps.t, steps.dt, history)
-    return _Actuation(response, now)
+    return response, now
 
 
 @eqx.filter_jit
-def _integrate(vessel: Vessel, first: State, steps: _Steps, actuation: _Actuation) -> State:
+def _integrate(vessel: Vessel, first: State, steps: _Steps, response: dict[str, Response]) -> State:
     """The state at the start of every step."""
 
     def body(state: State, step: tuple) -> tuple[State, State]:
         t, dt, response, heel = step
         return rk4(vessel, state, response, with_heel(vessel.environment, heel), t, dt), state
 
-    scanned = (steps.t, steps.dt, actuation.response, steps.heel)
+    scanned = (steps.t, steps.dt, response, steps.heel)
     return jax.lax.scan(body, first, scanned)[1]
 
 
@@ -261,11 +269,11 @@ def _integrate_from_each(
     begin: Int[Array, "start"],
     ends: Int[Array, "start horizon"],
     steps: _Steps,
-    actuation: _Actuation,
+    response: dict[str, Response],
     length: int,
 ) -> State:
     """The states so many steps after each of several starts."""
-    whole = (steps.t, steps.dt, actuation.response, steps.heel)
+    whole = (steps.t, steps.dt, response, steps.heel)
 
     def one(state: State, begin: Int[Array, ""], ends: Int[Array, "horizon"]) -> State:
         def body(state: State, k: Int[Array, ""]) -> tuple[State, State]:
@@ -277,18 +285,6 @@ def _integrate_from_each(
         return jax.tree.map(lambda leaf: leaf[ends], states)
 
     return jax.vmap(one)(first, begin, ends)
-
-
-def _horizon_rows(
-    t: Samples, horizons: Sequence[float], spacing: float
-) -> tuple[Int[np.ndarray, "start"], Int[np.ndarray, "start horizon"]]:
-    """Rows at which predictions start, and those at which each is compared, -1 for none."""
-    near = max(0.05, 0.5 * median_interval(t)) * (1 + 1e-9)
-    begin = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - min(horizons) + 1e-9, spacing)))
-    wanted = t[begin][:, None] + np.asarray(horizons)
-    after = np.searchsorted(t, wanted).clip(1, len(t) - 1)
-    end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
-    return begin, np.where(np.abs(t[end] - wanted) <= near, end, -1)
 
 
 def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
@@ -306,17 +302,14 @@ def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
 
 def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
     """Motion in every row as the sensors' errors leave it, and notes on what was derived."""
-    unmeasured = [c for c in MOTION_CHANNELS if not run.has(c)]
-    derivable = [c for c in unmeasured if c not in ("x", "y")]
-    whole, notes = run, ()
-    if derivable:
-        whole, derivations = prepare_recording(run)
-        notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
+    derived = [c for c in ("psi", "u", "v", "r") if not run.has(c)]
+    whole, derivations = prepare_recording(run) if derived else (run, [])
+    notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
     shown = {}
     for channel in MOTION_CHANNELS:
-        source = whole if channel in derivable else run
-        values = np.asarray(getattr(source, channel))
-        if channel in unmeasured and channel not in derivable:
+        source = whole if channel in derived else run
+        values = np.asarray(source.motion[channel])
+        if channel in "xy" and not run.has(channel):
             values = np.zeros_like(run.t)
         finite = np.isfinite(values)
         if not finite.any():
@@ -336,19 +329,6 @@ def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples],
         "y": shown["y"] - np.asarray(east),
         "r": shown["r"] - float(sensors.gyro_bias),
     }, notes
-
-
-def _as_sensors_show(sensors: Sensors, t: Samples, true: dict[str, Samples]) -> dict[str, Samples]:
-    """What the sensors show at the times (s) of true motion."""
-    lags = sensors.lags(t)
-    late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in true}
-    north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
-    return late | {
-        "psi": late["psi"] + _compass_error(sensors, late["psi"]),
-        "x": late["x"] + np.asarray(north),
-        "y": late["y"] + np.asarray(east),
-        "r": late["r"] + float(sensors.gyro_bias),
-    }
 
 
 def _compass_error(sensors: Sensors, psi: Samples) -> Samples:

@@ -25,7 +25,6 @@ from diffsea.simulation.integrate import (
     advance,
     begin,
     history_lengths,
-    trajectory_of,
 )
 from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.switching import Row, executed_now, is_plausible, run_stages, select
@@ -151,6 +150,9 @@ def run_trial(
         governor: speed law that goes on after the execute; without one the throttle then stays.
 
     Divergence, a time limit or an unsteady approach is told by the trajectory's `outcome`.
+
+    Raises:
+        ValueError: neither a speed nor a throttle for an approach.
     """
     environment = vessel.environment if environment is None else environment
     allocation = ControlAllocation(vessel)
@@ -195,9 +197,9 @@ def run_trial(
     outcome = jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(steady, outcome, Outcome.APPROACH_UNSTEADY)
     outcome = jnp.where(diverged | (steady & carry.diverged), Outcome.DIVERGED, outcome)
-    trajectory = trajectory_of(
-        rows.t, rows.state, rows.commanded, rows.executed, rows.accepted, outcome
-    )
+    orders = {"commanded": rows.commanded, "executed": rows.executed, "extra": {}}
+    motion = jax.tree.leaves(rows.state)
+    trajectory = Trajectory(rows.t, *motion, **orders, valid=rows.accepted, outcome=outcome)
     switches = jnp.where(steady, carry.switch_times, jnp.nan)
     return Trial(trajectory, execute, switches, rows.stage)
 

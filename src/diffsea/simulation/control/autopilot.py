@@ -10,7 +10,7 @@ Anything with `init`, `step` and `is_finished` is a controller and runs in `simu
 """
 
 import abc
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -32,16 +32,12 @@ Index = Int[Array, ""]
 Waypoints = Float[Array, "waypoint 2"]  # m, north and east
 
 
-class _Law(eqx.Module, Generic[Memory]):
-    """What remembers something from one step to the next."""
+class AbstractController(eqx.Module, Generic[Memory]):
+    """Orders from the state, at the controller's own period."""
 
     @abc.abstractmethod
     def init(self) -> Memory:
         """Memory at the start."""
-
-
-class AbstractController(_Law[Memory]):
-    """Orders from the state, at the controller's own period."""
 
     @abc.abstractmethod
     def step(
@@ -52,6 +48,17 @@ class AbstractController(_Law[Memory]):
     @abc.abstractmethod
     def is_finished(self, memory: Memory) -> Bool[Array, ""]:
         """Whether the task is done: the run ends there."""
+
+
+class _Law(eqx.Module, Generic[Memory]):
+    """What remembers something from one step to the next: one number, zero at the start.
+
+    A law that remembers something else says so by its own `init`.
+    """
+
+    def init(self) -> Any:
+        """Memory at the start."""
+        return jnp.zeros(())
 
 
 # Speed
@@ -65,15 +72,12 @@ class AbstractSpeedLaw(_Law[Memory]):
         """Next memory, and the throttle to order now."""
 
 
-class FixedThrottle(AbstractSpeedLaw[tuple]):
+class FixedThrottle(AbstractSpeedLaw[Scalar]):
     """No speed controller: one throttle, whatever the speed."""
 
     throttle: Scalar
 
-    def init(self) -> tuple:
-        return ()
-
-    def step(self, memory: tuple, state: State, dt: Scalar) -> tuple[tuple, Scalar]:
+    def step(self, memory: Scalar, state: State, dt: Scalar) -> tuple[Scalar, Scalar]:
         return memory, self.throttle
 
 
@@ -89,9 +93,6 @@ class SpeedHold(AbstractSpeedLaw[Scalar]):
     gain: Scalar = 4.0
     integral_gain: Scalar = 1.0
     largest: Scalar = jnp.inf  # throttle
-
-    def init(self) -> Scalar:
-        return jnp.zeros(())
 
     def step(self, memory: Scalar, state: State, dt: Scalar) -> tuple[Scalar, Scalar]:
         slow = 1.0 - state.u / jnp.maximum(self.speed, 1e-6)
@@ -132,9 +133,6 @@ class HeadingHold(AbstractHeadingLaw[Scalar]):
     rate_gain: Scalar = 3.0
     integral_gain: Scalar = 0.1
     largest_angle: Scalar = 0.6  # rad
-
-    def init(self) -> Scalar:
-        return jnp.zeros(())
 
     def step(
         self, memory: Scalar, state: State, heading: Scalar, dt: Scalar
@@ -194,15 +192,12 @@ class AbstractGuidance(_Law[Memory]):
         return jnp.zeros((), bool)
 
 
-class Course(AbstractGuidance[tuple]):
+class Course(AbstractGuidance[Scalar]):
     """One heading for ever."""
 
     heading: Scalar = 0.0  # rad
 
-    def init(self) -> tuple:
-        return ()
-
-    def step(self, memory: tuple, state: State, dt: Scalar) -> tuple[tuple, Scalar]:
+    def step(self, memory: Scalar, state: State, dt: Scalar) -> tuple[Scalar, Scalar]:
         return memory, self.heading
 
 

@@ -85,8 +85,8 @@ def steering_model(
         speed: m/s.
 
     Returns:
-        Both by automatic differentiation of the vessel's equations, with actuators that answer
-        at once.
+        State matrix and input column of d(v, r)/dt (m/s^2, rad/s^2) by automatic differentiation;
+        actuators answer at once here.
     """
     throttle, straight = throttle_for(vessel, speed), jnp.asarray(speed, float)
 
@@ -130,10 +130,7 @@ class TrackKeeper(AbstractController[tuple]):
 
 
 def track_keeper(
-    vessel: Vessel,
-    speed: float,
-    waypoints: Float[Array, "waypoint 2"],
-    period: float,
+    vessel: Vessel, speed: float, waypoints: Float[Array, "waypoint 2"], period: float
 ) -> TrackKeeper:
     """A track keeper that suits a vessel at `speed` m/s and steers every `period` s.
 
