@@ -107,6 +107,8 @@ def segment_command(args: argparse.Namespace) -> None:
 
 
 def _segments_text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> str:
+    """The segments of one recording for a person: a table in deg and s, then notes."""
+
     def finite(value: float, form: str) -> str:
         return format(value, form) if math.isfinite(value) else ""
 

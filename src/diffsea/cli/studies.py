@@ -74,7 +74,11 @@ def sensitivity_command(args: argparse.Namespace) -> None:
 
 
 def axis(text: str, form: str = "NAME=FROM:TO:COUNT") -> tuple[str, tuple[Any, ...]]:
-    """A parameter and its values: from, to and, where the form has it, how many."""
+    """A parameter and its values: from, to and, where the form has it, how many.
+
+    Raises:
+        ArgumentTypeError: another form, a number that is not finite, or a count below one.
+    """
     name, equals, values = text.partition("=")
     bounds = values.split(":")
     if not (name and equals and len(bounds) == len(form.split(":"))):
@@ -106,6 +110,7 @@ def _designs(args: argparse.Namespace) -> "Designs":
 
 
 def _by_name(axes: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The axes by parameter; one that is given twice is bad usage."""
     names = [name for name, _ in axes]
     for name in names:
         if names.count(name) > 1:

@@ -66,18 +66,17 @@ def sensitivities(
     at = {name: float(values[places[name][0]]) for name in names}
     shared = tuple((name, places[name]) for name in names)
     vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    start = jnp.asarray(list(at.values()))
+    groups = -(-len(names) // _TANGENTS)
+    directions = np.eye(groups * _TANGENTS, len(names)).reshape(groups, _TANGENTS, len(names))
     found, columns = {}, []
-    for first in range(0, len(names), _TANGENTS):
-        tangents = np.zeros((_TANGENTS, len(names)))
-        chosen = np.arange(first, min(first + _TANGENTS, len(names)))
-        tangents[chosen - first, chosen] = 1.0
-        start = jnp.asarray(list(at.values()))
-        found, slopes = _numbers_and_slopes(vessel, start, jnp.asarray(tangents), (plan, shared))
-        columns.append({k: np.asarray(s)[: chosen.size] for k, s in slopes.items()})
+    for tangents in directions:
+        found, slopes = _numbers_and_slopes(vessel, start, jnp.asarray(tangents), plan, shared)
+        columns.append(slopes)
     numbers = {name: float(value) for name, value in found.items() if np.isfinite(value)}
     derivatives = {}
     for number in numbers:
-        slopes = np.concatenate([column[number] for column in columns])
+        slopes = np.concatenate([column[number] for column in columns])[: len(names)]
         derivatives[number] = {name: float(d) for name, d in zip(names, slopes, strict=True)}
     return TrialSensitivities(numbers, at, derivatives)
 
@@ -100,10 +99,10 @@ def _numbers_and_slopes(
     vessel: Vessel,
     at: Float[Array, "parameter"],
     tangents: Float[Array, "tangent parameter"],
-    trial: tuple[TrialPlan, Places],
+    plan: TrialPlan,
+    places: Places,
 ) -> tuple[Numbers, dict[str, Float[Array, "tangent"]]]:
     """The numbers, and how each changes along every tangent."""
-    plan, places = trial
 
     def numbers(values: Float[Array, "parameter"]) -> Numbers:
         chosen = {name: values[k] for k, (name, _) in enumerate(places)}

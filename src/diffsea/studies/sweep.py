@@ -68,7 +68,11 @@ class _DesignResults(NamedTuple):
 
 
 def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
-    """All combinations of evenly spaced values: from, to and how many, by name."""
+    """All combinations of evenly spaced values: from, to and how many, by name (SI units).
+
+    Raises:
+        UserError: more than a million designs.
+    """
     _check_count(math.prod(count for *_, count in axes.values()))
     lines = [np.linspace(start, stop, count) for start, stop, count in axes.values()]
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
@@ -76,7 +80,15 @@ def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
 
 
 def sample(axes: Mapping[str, tuple[float, float]], count: int, seed: int = 0) -> Designs:
-    """A Latin hypercube: `count` random designs that cover every axis evenly."""
+    """A Latin hypercube (McKay, Beckman and Conover 1979): designs that cover every axis evenly.
+
+    Arguments:
+        axes: from and to by name, SI units.
+        count: how many designs.
+
+    Raises:
+        UserError: more than a million designs.
+    """
     _check_count(count)
     low, high = np.array(list(axes.values()), float).T
     cube = scipy.stats.qmc.LatinHypercube(len(axes), rng=np.random.default_rng(seed))
@@ -178,7 +190,7 @@ def _run_designs(
     def run_batch(batch: np.ndarray) -> tuple[_DesignResults, float]:
         padded = np.pad(batch, ((0, size - len(batch)), (0, 0)), mode="edge")
         began = time.perf_counter()
-        found = _batched_trial(arrays, jnp.asarray(padded), (plan, places))
+        found = _batched_trial(arrays, jnp.asarray(padded), plan, places)
         found = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(batch)], found)
         return found, time.perf_counter() - began
 
@@ -202,9 +214,9 @@ def _run_designs(
 
 @eqx.filter_jit
 def _batched_trial(
-    vessel: Vessel, values: Float[Array, "design name"], trial: tuple[TrialPlan, Places]
+    vessel: Vessel, values: Float[Array, "design name"], plan: TrialPlan, places: Places
 ) -> _DesignResults:
-    plan, places = trial
+    """Numbers and outcome of the trial of every design; each leaf has the designs first."""
 
     def run_one(row: Float[Array, "name"]) -> _DesignResults:
         chosen: dict[str, Scalar] = {name: row[k] for k, (name, _) in enumerate(places)}
