@@ -28,7 +28,10 @@ class Force(eqx.Module):
 
     @classmethod
     def of_thrust(cls, thrust: Scalar, x: Scalar, y: Scalar, angle: Scalar) -> "Force":
-        """A thrust (N) that acts at (x, y) m, `angle` rad clockwise from ahead."""
+        """A thrust (N) that acts at (x, y) m, `angle` rad clockwise from ahead.
+
+        x is forward of amidships, y to starboard of the centreline.
+        """
         X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
         return cls(X, Y, x * Y - y * X)
 

@@ -97,7 +97,10 @@ class Servo(eqx.Module):
         return 1 / self.rate_limit + (0.0 if self.slowness is None else self.slowness)
 
     def target(self, order: Scalar) -> Scalar:
-        """What the channel settles to under a constant order."""
+        """What the channel settles to under a constant order, both in the channel's unit.
+
+        Bias, dead band and limits act in this order; play is left out.
+        """
         value = order if self.bias is None else order + self.bias
         if self.deadband is not None:
             # Without a width it is the value, at zero too.

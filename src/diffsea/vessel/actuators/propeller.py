@@ -71,12 +71,14 @@ class Propeller(AbstractPropulsor):
         return bollard * n * jnp.abs(n) + k1 * jnp.abs(n) * V + k2 * V * jnp.abs(V)
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
+        """Thrust (N) of the executed shaft speed (rev/s), after deduction and losses."""
         (n,) = (executed[channel] for channel in self.servos)
         square = self._coefficient_times_square(n, self._advance(water))
         thrust = (1 - self.thrust_deduction) * (self.water_density * self.diameter**4 * square)
         return Force.of_thrust(thrust * self.losses.factor(water), self.x, self.y, 0.0)
 
     def jet(self, executed: dict[str, Scalar], water: State) -> Jet:
+        """The slipstream, without loading where the shaft does not turn ahead."""
         (n,) = (executed[channel] for channel in self.servos)
         advance = self._advance(water)
         square = jnp.where(n > 0, self._coefficient_times_square(n, advance), 0.0)
@@ -105,7 +107,7 @@ class Propeller(AbstractPropulsor):
 
 
 class ScrewSideForce(AbstractDependentForce):
-    """Side force and moment of a single screw, in proportion to its own force.
+    """Side force (N) and yaw moment (N m) of a single screw, in proportion to its own force.
 
     `Y = Y_a |X_P|`, `N = N_a L |X_P|`, with other coefficients ahead and astern, where a
     right-handed screw moves the stern to port (Brix 1993, section 1.3).

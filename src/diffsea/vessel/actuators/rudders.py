@@ -79,7 +79,10 @@ class Rudder(AbstractActuator):
         return Force(X, (1 + self.a_H) * side, N)
 
     def _inflow(self, water: State, jets: dict[str, Jet]) -> tuple[Scalar, Scalar]:
-        """Velocity of the water at the rudder, u_R aft and v_R across (m/s)."""
+        """Velocity of the water at the rudder, u_R aft and v_R across (m/s).
+
+        Behind a propeller eta of the span lies in its slipstream, the rest in its inflow.
+        """
         crossing = drift_speed(water) - self.l_R * water.r
         gamma = jnp.where(crossing < 0, self.gamma_R_port, self.gamma_R_starboard)
         if self.propeller is None:

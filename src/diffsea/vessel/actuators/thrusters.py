@@ -72,6 +72,11 @@ class FixedThruster(AbstractPropulsor):
 
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "FixedThruster":
+        """As of its base.
+
+        With a curve, limits are speeds (rev/s); stated as forces (N) they hold for the thrust at
+        rest.
+        """
         where, curve = f"[[thruster]] {name!r}", None
         places, limits, speeds = ("x", "y", "angle"), _FORCES, ("min_speed", "max_speed")
         known = ("name", *Servo.KEYS, *Losses.KEYS, *places, "curve", *_FORCES)
@@ -81,7 +86,6 @@ class FixedThruster(AbstractPropulsor):
             if not isinstance(given, dict) or set(given) != {"c", "d"}:
                 raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
             curve = needed(given, "c", where), positive(given, "d", where)
-            # Limits of speed (rev/s) that make the limits of force at rest.
             forces = numbers(table, _FORCES, where).items()
             at_rest = {
                 key.replace("force", "speed"): math.copysign(math.sqrt(abs(F) / curve[1]), F)
@@ -137,6 +141,7 @@ class AzimuthThruster(AbstractPropulsor):
 
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "AzimuthThruster":
+        """As of its base; the angle has stages of its own and the delay of the force."""
         where = f"[[azimuth_thruster]] {name!r}"
         stages = {"upper": "max_angle", "lower": "min_angle"}
         stages |= {"time_constant": "angle_time_constant", "rate_limit": "angle_rate_limit"}

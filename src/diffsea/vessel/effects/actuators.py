@@ -93,6 +93,10 @@ def change_servos(
     return eqx.tree_at(lambda v: v.actuators, vessel, parts)
 
 
+# A response that is late by several rows is nothing like the derivative for one that is not.
+_late_size = functools.partial(Size, positive=True, secants=(0.3, 1.0, 3.0))
+
+
 @dataclasses.dataclass(frozen=True)
 class Stage:
     """An effect that is a stage of a servo: how a size of it changes the servo.
@@ -112,9 +116,8 @@ class Stage:
     law: str
     phrase: str
     confusables: tuple[str, ...]
-    kind_of_size: Callable[..., Size] = functools.partial(Size, positive=True)
+    kind_of_size: Callable[..., Size] = _late_size
     kinds: tuple[Kind, ...] = KINDS
-    in_orders: bool = False  # its coordinate counts orders, and cannot be more than the largest
     limited: bool = False  # only where limits are stated
     state: Callable[[Servo, Scalar], Servo] | None = None
     inverse: Callable[[Vessel, Sequence[str], Scalar], Scalar] | None = None
@@ -144,7 +147,9 @@ class Stage:
             return self.size(largest(vessel), vessel_time(vessel))
 
         def bounds(vessel: Vessel) -> Bound:
-            end = float(largest(vessel)) if self.in_orders else math.inf
+            # A coordinate that counts orders cannot be more than the largest.
+            counts_orders = self.unit == "{}" and self.inverse is None
+            end = float(largest(vessel)) if counts_orders else math.inf
             return -end, end
 
         def is_possible(vessel: Vessel) -> bool:
@@ -248,10 +253,6 @@ def _limit(vessel: Vessel, channels: Sequence[str], size: Scalar) -> Scalar:
     return largest_order(vessel, channels) / (1 + size)
 
 
-# A response that is late by several rows is nothing like the derivative for one that is not.
-_SECANTS = (0.3, 1.0, 3.0)
-_late_size = functools.partial(Size, positive=True, secants=_SECANTS)
-
 STAGES = (
     Stage(
         "thrust-lag",
@@ -262,7 +263,6 @@ STAGES = (
         law="dn/dt = (order - n) / time_constant, exact for orders that hold between samples",
         phrase="a lag with a time constant of {time_constant} in {actuators}",
         confusables=("thrust-delay", "rate-limit", "backlash", "sensor-latency", "clock-drift"),
-        kind_of_size=_late_size,
     ),
     Stage(
         "thrust-delay",
@@ -273,7 +273,6 @@ STAGES = (
         law="an order takes effect `delay` later",
         phrase="a dead time of {delay} between order and action",
         confusables=("thrust-lag", "clock-drift", "sensor-latency", "rate-limit"),
-        kind_of_size=_late_size,
     ),
     Stage(
         "rate-limit",
@@ -284,7 +283,6 @@ STAGES = (
         law="|dn/dt| <= rate_limit; the coordinate is its inverse, zero for none",
         phrase="a slew limit of {rate_limit} in {actuators}",
         confusables=("thrust-lag", "thrust-delay", "backlash"),
-        kind_of_size=_late_size,
         state=_with_rate_limit,
         inverse=_rate_limit,
         coordinate_unit="s per ({})",
@@ -298,7 +296,7 @@ STAGES = (
         law="no action for |order| < width, order - width sign(order) beyond",
         phrase="a dead band of {width} in {actuators}",
         confusables=("backlash", "thrust-loss-with-speed", "drag-change"),
-        in_orders=True,
+        kind_of_size=functools.partial(Size, positive=True),
     ),
     Stage(
         "backlash",
@@ -309,8 +307,6 @@ STAGES = (
         law="play operator: the actuator stays while the order is within `width` of it",
         phrase="a play of {width} in {actuators}",
         confusables=("deadband", "thrust-lag", "rate-limit"),
-        kind_of_size=_late_size,
-        in_orders=True,
     ),
     Stage(
         "thrust-saturation",
@@ -341,7 +337,6 @@ STAGES = (
         kind_of_size=Size,
         # A fault of one side is as likely as one of all.
         kinds=(*KINDS, *SIDES),
-        in_orders=True,
     ),
 )
 

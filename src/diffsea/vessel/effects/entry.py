@@ -137,7 +137,10 @@ class Effect:
         return None
 
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
-        """Size of each coordinate that would be noticeable on this vessel, in SI units."""
+        """Size of each coordinate that would be noticeable on this vessel, in SI units.
+
+        A fit moves multiples of these: they are the unit of its coordinates.
+        """
         return tuple(value_on(one.size, vessel) for one in self.coordinates)
 
     def bounds(self, vessel: Vessel) -> tuple[Bound, ...]:
@@ -180,7 +183,10 @@ def catalogue_name(effect: str) -> str:
 
 
 def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
-    """A vessel, or a part of one, with something added to one of its numbers."""
+    """A vessel, or a part of one, with something added to one of its numbers.
+
+    `where` picks the number from the part; `by` is in its unit.
+    """
     return eqx.tree_at(where, part, replace_fn=lambda value: value + by)
 
 

@@ -42,9 +42,6 @@ def _components(unit: str, size: OfVessel, of: str = "") -> tuple[Size, Size]:
     return Size(f"{of}north", unit, size), Size(f"{of}east", unit, size)
 
 
-# -- uniform flows -----------------------------------------------------------------------
-
-
 def _flow_parametrisation(turn: float, note: str) -> Parametrisation:
     """Speed and direction of a flow whose coordinates are its components north and east.
 
@@ -129,6 +126,7 @@ def _coefficients_at(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
 
 
 def _wind_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    """Components (m/s), what is added to C_N, logarithms of the factors on C_X and C_Y."""
     usual = superstructure(vessel)
     ratios = (numbers.get(key, getattr(usual, key)) / getattr(usual, key) for key in ("C_X", "C_Y"))
     added = float(numbers.get("C_N", usual.C_N) - usual.C_N)
@@ -159,9 +157,6 @@ def wind_and_coefficients(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """
     changed = dataclasses.replace(superstructure(vessel), **_coefficients_at(vessel, at))
     return wind.apply(with_force(vessel, "wind", changed), at[:2])
-
-
-# -- waves -------------------------------------------------------------------------------
 
 
 def _base_frequency(vessel: Vessel) -> Scalar:
@@ -224,10 +219,8 @@ def wave_force(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "wave-force", train)
 
 
-# -- shallow water -----------------------------------------------------------------------
-
-
 def _shallowness(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    """-log(1 - T / h) of the depth h (m) that a file states; zero, deep, for none."""
     depth = numbers.get("depth", 0.0)
     return (-float(np.log1p(-float(vessel.rigid_body.draught) / depth)) if depth else 0.0,)
 

@@ -45,9 +45,6 @@ def _one_by_one(
     return [make("", units), *(make(f":{key}", {key: unit}) for key, unit in units.items())]
 
 
-# -- damping -----------------------------------------------------------------------------
-
-
 def _with_derivatives(vessel: Vessel, force: str, values: dict[str, Scalar]) -> Vessel:
     """Derivatives added to a force of that name, in the scaling of the hull's own."""
     before = getattr(vessel.forces.get(force), "derivatives", {})
@@ -121,11 +118,11 @@ def _sway_yaw_coupling(variant: str, units: dict[str, str]) -> Effect:
         confusables=("speed-dependent-damping", "crossflow-drag", "munk-moment"),
         possible=lambda vessel: _lacks(vessel, *units),
     )
-    def coupling(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    def sway_yaw_coupling(vessel: Vessel, at: CoordinateValues) -> Vessel:
         """Y_r r and N_v v in the scaling of the hull's own derivatives (SNAME 1950)."""
         return _with_derivatives(vessel, "sway-yaw-coupling", dict(zip(units, at, strict=True)))
 
-    return coupling
+    return sway_yaw_coupling
 
 
 def _speed_dependent_damping(variant: str, units: dict[str, str]) -> Effect:
@@ -176,9 +173,6 @@ def crossflow_drag(vessel: Vessel, cd: CoordinateValues) -> Vessel:
 def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Damping of the hull times (1 + factor) from `time` on the run's clock."""
     return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
-
-
-# -- inertia -----------------------------------------------------------------------------
 
 
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
@@ -254,9 +248,6 @@ def mass_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return eqx.tree_at(
         lambda v: (v.rigid_body.payload, v.rigid_body.payload_time), vessel, (payload, at[1])
     )
-
-
-# -- roll --------------------------------------------------------------------------------
 
 
 def _roll_coupling(variant: str, units: dict[str, str]) -> Effect:

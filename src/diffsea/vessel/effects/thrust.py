@@ -158,11 +158,13 @@ def _has_plain_rudders(vessel: Vessel) -> bool:
 
 
 def _interaction_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
+    """a_H, x_H (m) and gamma_R of a_H, a_H x_H / L and 1 - gamma_R."""
     x_H = at[1] * vessel.rigid_body.length / jnp.where(jnp.abs(at[0]) > 1e-9, at[0], 1.0)
     return {"a_H": at[0], "x_H": x_H, "gamma_R": 1 - at[2]}
 
 
 def _interaction_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    """The inverse; an x_H that is not stated is that of the first rudder."""
     a_H, length = numbers.get("a_H", 0.0), float(vessel.rigid_body.length)
     own = next((float(part.x_H) for part in _of_kind(vessel, Rudder).values()), 0.0)
     return a_H, a_H * numbers.get("x_H", own) / length, 1 - numbers.get("gamma_R", 1.0)
