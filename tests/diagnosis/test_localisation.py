@@ -30,12 +30,10 @@ def problem():
 
 
 def test_a_window_is_in_the_regime_that_half_of_it_lies_in(problem):
-    texts = [bins[0].regime for binning in regimes(problem) for bins in binning.bins]
+    texts = [one.regime for _, one in regimes(problem).bins]
     speeds = [text for text in texts if text.startswith("speed")]
     turning = [text for text in texts if text.startswith("yaw rate")][-1]
-    begin = [bins[0].start for bins in time_windows(problem).bins][0]
-    first = {bins.run: bins.start for bins in time_windows(problem).bins[0]}
-    assert begin == first[0]
+    first = {one.run: one.start for k, one in time_windows(problem).bins if k == 0}
 
     def within(run: int, start: float, end: float, among: list[str]) -> str | None:
         window = Bin(run, first[run] + start, first[run] + end, "")
@@ -49,13 +47,12 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in(problem):
 def test_windows_are_eighths_of_each_run(problem):
     windows = time_windows(problem)
     run, recorded = np.asarray(problem.dataset.run), problem.dataset.recorded_rows
-    for column, bins in enumerate(windows.bins):
-        assert [one.run for one in bins] == [0, 1]
-        for one in bins:
-            own = windows.members[:, column] & (run == one.run)
-            t = np.asarray(problem.dataset.run_time)[own]
-            assert (t.min(), t.max()) == (one.start, one.end)
-            assert own.sum() == pytest.approx((run == one.run)[recorded].sum() / 8, abs=1)
+    assert [(k, one.run) for k, one in windows.bins] == [(k, n) for k in range(8) for n in (0, 1)]
+    for column, one in windows.bins:
+        own = windows.members[:, column] & (run == one.run)
+        t = np.asarray(problem.dataset.run_time)[own]
+        assert (t.min(), t.max()) == (one.start, one.end)
+        assert own.sum() == pytest.approx((run == one.run)[recorded].sum() / 8, abs=1)
 
 
 def test_an_unnamed_force_is_asked_for_on_halves_of_the_data_alone():

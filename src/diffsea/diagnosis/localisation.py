@@ -65,20 +65,19 @@ class Binning(NamedTuple):
     """
 
     members: Bool[np.ndarray, "row column"]  # whether the row belongs to the bins of the column
-    bins: list[list[Bin]]
+    bins: list[tuple[int, Bin]]  # each with its column, in the order of these
 
 
 def time_windows(problem: Problem) -> Binning:
     """Windows of as many recorded rows in each run, the k-th of every run in column k."""
     t = np.asarray(problem.dataset.run_time)
-    members = np.zeros((len(t), WINDOWS), bool)
-    bins: list[list[Bin]] = [[] for _ in range(WINDOWS)]
+    members, bins = np.zeros((len(t), WINDOWS), bool), list[tuple[int, Bin]]()
     for number, rows in enumerate(problem.dataset.rows_of_runs):
         for k, window in enumerate(np.array_split(rows, WINDOWS)):
             if len(window):
                 members[window, k] = True
-                bins[k].append(Bin(number, float(t[window[0]]), float(t[window[-1]])))
-    return Binning(members, bins)
+                bins.append((k, Bin(number, float(t[window[0]]), float(t[window[-1]]))))
+    return Binning(members, sorted(bins, key=lambda pair: pair[0]))
 
 
 class Quantity(NamedTuple):
@@ -141,12 +140,12 @@ def regime_classes(problem: Problem) -> list[RegimeClasses]:
     return out
 
 
-def regimes(problem: Problem) -> list[Binning]:
-    """Bins of all classes over all runs."""
-    return [
-        Binning(classes.members(problem), [[Bin(regime=text)] for text in classes.texts])
-        for classes in regime_classes(problem)
-    ]
+def regimes(problem: Problem) -> Binning:
+    """Classes of all quantities over all runs, a column each."""
+    classes, none = regime_classes(problem), np.zeros((problem.dataset.run.size, 0), bool)
+    members = np.concatenate([none, *(one.members(problem) for one in classes)], axis=1)
+    texts = [text for one in classes for text in one.texts]
+    return Binning(members, [(k, Bin(regime=text)) for k, text in enumerate(texts)])
 
 
 def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None:
@@ -154,11 +153,8 @@ def regime_within(problem: Problem, window: Bin, among: list[str]) -> str | None
     t, run = np.asarray(problem.dataset.run_time), np.asarray(problem.dataset.run)
     inside = (run == window.run) & (window.start <= t) & (t <= window.end)
     rows = problem.dataset.recorded_rows & inside
-    share = {
-        bins[0].regime: binning.members[rows, k].mean()
-        for binning in regimes(problem)
-        for k, bins in enumerate(binning.bins)
-    }
+    members, bins = regimes(problem)
+    share = {one.regime: members[rows, k].mean() for k, one in bins}
     return next((regime for regime in among if share[regime] >= MAJORITY), None)
 
 
@@ -181,20 +177,20 @@ def locate_forces(
     columns of all.
     """
     problem = model.problem
-    binnings = [time_windows(problem), *regimes(problem)]
-    members = np.concatenate([binning.members for binning in binnings], axis=1)
+    windows, by_regime = time_windows(problem), regimes(problem)
+    members = np.concatenate([windows.members, by_regime.members], axis=1)
+    bins = [*windows.bins, *((WINDOWS + k, one) for k, one in by_regime.bins)]
     J = model.by_pulses(unit_pulses(members).reshape(-1, len(members), 3))
     run = np.concatenate(
         [np.repeat(np.asarray(problem.dataset.run), 6), np.full(problem.layout.size, -1)]
     )
     places: list[tuple[int, Bin]] = []
     columns: list[np.ndarray] = []
-    for number, bins in enumerate(bins for binning in binnings for bins in binning.bins):
-        for one in bins:
-            for degree in range(3):
-                column = J[:, 3 * number + degree]
-                columns.append(column if one.run is None else column * (run == one.run))
-                places.append((degree, one))
+    for k, one in bins:
+        for degree in range(3):
+            column = J[:, 3 * k + degree]
+            columns.append(column if one.run is None else column * (run == one.run))
+            places.append((degree, one))
     efficient: Columns = projection.efficient(np.stack(columns, axis=1))
     mass = np.diag(np.asarray(problem.base.mass_matrix()))
     cells = tuple(
