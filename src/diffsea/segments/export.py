@@ -29,7 +29,8 @@ def cut_out(run: Trajectory, segment: Segment, interval: float | None = None) ->
     Nothing is filled in: executed actuation that was not measured is not written. Every step
     is added to the provenance.
 
-    Raises `UserError` where too few samples are left.
+    Raises:
+        UserError: too few samples are left.
     """
     piece = cut(run, segment.start, segment.end)
     note = f"time counted from the onset, t = {segment.onset:.10g} s of {run.name}"
@@ -57,7 +58,8 @@ def export(
     the `steps` that led from the source to it, and the `checks` given for its number in
     `found`. Numbers of segments count from one.
 
-    Raises `UserError` for a suffix that no recording has, or a folder that cannot be written.
+    Raises:
+        UserError: no recording has this suffix, or the folder cannot be written.
     """
     if suffix not in (".csv", ".parquet"):
         raise UserError(f"segments are written as .csv or .parquet, not {suffix}")

@@ -40,8 +40,9 @@ def quarter_turn_window(t: Samples, r: Samples) -> float:
     At least ten time steps, at most a fifth of the recording.
     """
     step = median_interval(t)
-    rates = np.abs(_moving_average(ndimage.median_filter(r, 5, mode="nearest"), 5))
-    fastest = max(float(np.quantile(rates, _FASTEST)), 1e-12)
+    rates = ndimage.median_filter(r, 5, mode="nearest")
+    rates = ndimage.uniform_filter1d(rates, 5, mode="nearest")
+    fastest = max(float(np.quantile(np.abs(rates), _FASTEST)), 1e-12)
     return float(np.clip(math.pi / 2 / fastest, 10 * step, max((t[-1] - t[0]) / 5, 10 * step)))
 
 
@@ -77,16 +78,13 @@ def turning_rows(t: Samples, r: Samples, settings: SegmentSettings) -> Bool[np.n
     """Where yaw rate, averaged over a part of the window, is that of turning."""
     count = max(1, round(settings.averaging * settings.seconds / median_interval(t)))
     noise = noise_scale(r) / math.sqrt(count)
-    return np.abs(_moving_average(r, count)) > max(turning_rate(settings), _SIGNIFICANT * noise)
+    average = ndimage.uniform_filter1d(r, count, mode="nearest")
+    return np.abs(average) > max(turning_rate(settings), _SIGNIFICANT * noise)
 
 
 def turning_rate(settings: SegmentSettings) -> float:
     """Yaw rate (rad/s) above which a vessel of this window is turning."""
     return settings.turning_share * math.pi / 2 / settings.seconds
-
-
-def _moving_average(values: Samples, count: int) -> Samples:
-    return ndimage.uniform_filter1d(values, count, mode="nearest")
 
 
 def find_turns(signals: Signals, settings: SegmentSettings, trials: list[Span]) -> list[Span]:

@@ -34,23 +34,37 @@ _SLACK = 0.1  # of the largest thrust: below it a pair of thrusters does not ste
 class Signals:
     """Signals of one recording on its own clock, without rows that do not count.
 
-    `known` is false where heading is missing; `breaks` are the rows after a hole.
-    `drive` is the executed push, about one at its largest, `throttle` the ordered one; `steer`
-    and `drive` are None where no such channel was recorded, `commanded` where no order was.
+    Attributes:
+        run: the rows that count, as plain arrays.
+        t: s, strictly increasing.
+        psi: rad, unwrapped.
+        r: rad/s.
+        speed: m/s over ground, None where neither velocity nor position was recorded.
+        ahead: whether the vessel goes ahead; true where that is not known.
+        commanded: ordered steering (rad), None where no order was recorded.
+        steer: executed steering (rad), None where no such channel was recorded.
+        drive: executed push, about one at its largest, None as `steer`.
+        throttle: the same of the orders.
+        working: whether anything pushes noticeably.
+        origin: of `steer` and `drive`: `MEASURED`, `RECONSTRUCTED`, `ORDERED` or `NOTHING`.
+        steering_channels: those that `steer` is made of.
+        known: false where heading is missing.
+        breaks: the rows after a hole in the recording.
+        notes: what stands for a signal that was not recorded, in words.
     """
 
     run: Trajectory
-    t: Samples  # s
-    psi: Samples  # rad
-    r: Samples  # rad/s
-    speed: Samples | None  # m/s over ground
-    ahead: Bool[np.ndarray, "time"]  # whether the vessel goes ahead, as far as is known
-    commanded: Samples | None  # rad
-    steer: Samples | None  # rad, executed
+    t: Samples
+    psi: Samples
+    r: Samples
+    speed: Samples | None
+    ahead: Bool[np.ndarray, "time"]
+    commanded: Samples | None
+    steer: Samples | None
     drive: Samples | None
-    throttle: Samples | None  # the same of the orders
-    working: Bool[np.ndarray, "time"]  # whether anything pushes
-    origin: str  # of `steer` and `drive`
+    throttle: Samples | None
+    working: Bool[np.ndarray, "time"]
+    origin: str
     steering_channels: tuple[str, ...]
     known: Bool[np.ndarray, "time"]
     breaks: tuple[int, ...]
@@ -82,7 +96,8 @@ def signals_of(run: Trajectory, vessel: Vessel | None = None) -> Signals:
     A vessel says which thrusters are to port, what its thrust curves are, and how its servos
     answer. Without one, channels are told apart by their names.
 
-    Raises `UserError` where there is neither heading nor yaw rate, or hardly a row.
+    Raises:
+        UserError: there is neither heading nor yaw rate, or fewer than twenty rows.
     """
     run = run.counted()
     run = run.rows(strictly_later(run.t))

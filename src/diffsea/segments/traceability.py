@@ -32,7 +32,13 @@ _MISSING_SHARE = 0.01  # of an actuator's samples may be missing
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """One check of a segment: numbers by name in SI units, the verdict, and why."""
+    """One check of a segment.
+
+    Attributes:
+        numbers: by name, in SI units and rad.
+        verdict: `SOUND`, `DOUBTFUL` or `UNCHECKED`.
+        why: what the verdict rests on, in words.
+    """
 
     name: str
     numbers: dict[str, float]
@@ -50,6 +56,9 @@ def traceability(
 
     `actuation`, `yaw-rate`, `time-step`, and `duty-cycle of <channel>` for every actuator
     channel. A vessel gives the limits of actuators and reconstructs executed ones.
+
+    Raises:
+        UserError: the recording has neither heading nor yaw rate, or hardly a row.
     """
     return checks_of(signals_of(run, vessel), segment, vessel, settings)
 

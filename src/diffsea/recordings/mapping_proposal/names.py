@@ -117,11 +117,9 @@ def _known_unit(text: str) -> str:
     text = text.strip()
     if text == "-":  # said of numbers without a unit, and of units that nobody looked up
         return ""
-    exact = {"Nm": "?", "N m": "?", "N·m": "?", "kN": "kN", "NM": "nmi", "V": "?", "A": "?"}
+    exact = {unit: unit for unit in UNITS} | {"Nm": "?", "NM": "nmi", "V": "?", "A": "?"}
     if text in exact:
         return exact[text]
-    if text in UNITS:
-        return text
     return UNIT_WORDS.get(re.sub(r"\s*/\s*", "/", text.lower()), "?" if text else "")
 
 

@@ -145,20 +145,23 @@ def explain_displacements(
     return rest[:half] + 1j * rest[half:], penalty, float(solution[0])
 
 
+@dataclasses.dataclass(frozen=True)
 class _DisplacementModels:
     """The second pass: hypotheses as models of the same displacements."""
 
-    def __init__(
-        self,
-        windows: ColumnWindows,
-        prior: HypothesisPrior,
-        clock: TimeColumn,
-        place: tuple[str, str] | None,
-    ):
-        self.windows, self.prior, self.clock, self.place = windows, prior, clock, place
-        tick = max(clock.units, key=lambda unit: clock.units[unit])
-        self.second = 1.0 if clock.column is None else 1.0 / UNITS[tick][1]  # raw time
-        self._fits: dict[tuple, tuple[ColumnHypothesis, tuple[float, float], float]] = {}
+    windows: ColumnWindows
+    prior: HypothesisPrior
+    clock: TimeColumn
+    place: tuple[str, str] | None
+    _fits: dict[tuple, tuple[ColumnHypothesis, tuple[float, float], float]] = dataclasses.field(
+        default_factory=dict
+    )
+
+    @property
+    def second(self) -> float:
+        """One second in the file's likeliest unit of time."""
+        tick = max(self.clock.units, key=lambda unit: self.clock.units[unit])
+        return 1.0 if self.clock.column is None else 1.0 / UNITS[tick][1]
 
     def score(self, sets: list[ColumnSet]) -> list[ScoredHypothesis]:
         """Hypotheses of the column sets with all evidence in their log odds."""
