@@ -30,7 +30,6 @@ from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
 from diffsea.identification.least_squares import with_known_jacobian
 from diffsea.identification.objectives import output_error
-from diffsea.identification.objectives import output_error as objective
 from diffsea.identification.problem import Problem, make_problem
 
 
@@ -54,7 +53,7 @@ def free_run(data: Data) -> Outcome:
     """`OutputError` as the library offers it: windows, soft loss, estimated scales, priors."""
     problem = problem_of(data)
     with Counter() as counter:
-        fit = objective.OutputError(problem)
+        fit = output_error.OutputError(problem)
         fitted = fit.fit(NAMES)
     assert isinstance(fitted.state, ShootingState)
     firsts = fit.windows.number[np.flatnonzero(np.asarray(problem.dataset.starts))]

@@ -3,7 +3,6 @@
 
 import dataclasses
 import math
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from tests.paths import ORACLE
 from diffsea import EFFECTS, Parameter, Trajectory, UserError
 from diffsea.identification import study
 from diffsea.identification.coordinates import negative_effects, vessel_at
-from diffsea.identification.estimates import FitOutcome, parameter_estimates
+from diffsea.identification.estimates import FitOutcome, parameter_estimates, posterior_estimate
 from diffsea.identification.filter.covariance import Noise, gust_propagation, measurement_update
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
@@ -314,12 +313,21 @@ def test_an_entry_of_all_coefficients_stands_for_its_parts(document):
     assert [effect.name for effect in chosen] == ["wind", "thrust-lag:propulsion"]
 
 
-def test_an_effect_that_comes_out_impossible_is_told(document, recordings, monkeypatch):
-    settings = FitSettings(free=HULL, effects=("thrust-lag",))
-    found = SimpleNamespace(deviance=0.0, coordinates=np.append(np.zeros(len(HULL)), -0.5))
-    monkeypatch.setattr(study, "multistart", lambda *given: (found, None))
+def test_an_estimate_that_comes_out_impossible_is_told(document, recordings):
+    lag = EFFECTS["thrust-lag:propulsion"]
+    problem = make_problem(build(document), recordings, HULL, (lag,), capacity=1)
+    names, index = (*HULL, lag.name), np.arange(len(HULL) + 1)
+    spreads = problem.layout.spreads()
+
+    def found(amount: float, deviance: float):
+        at = np.append(np.zeros(len(HULL)), amount)
+        return posterior_estimate(names, at, deviance, index, spreads, np.eye(len(index)))
+
+    study.require_possible(problem, found(0.5, 0.0))
     with pytest.raises(UserError, match="do not show thrust-lag:propulsion.*--effects"):
-        study.identify(build(document), recordings, settings)
+        study.require_possible(problem, found(-0.5, 0.0))
+    with pytest.raises(UserError, match="diverges on these data"):
+        study.require_possible(problem, found(0.5, math.inf))
 
 
 def test_starts_of_effects_are_their_sizes_and_times(document, recordings):

@@ -213,8 +213,8 @@ def identify(
     """Fit a vessel's parameters to recordings or to sheets of trial numbers.
 
     Raises:
-        UserError: an unknown parameter, objective or anchor, data that do not suit, a model that
-            diverges on them, or an effect that they do not show.
+        UserError: an unknown parameter, objective or anchor, data that do not suit, or what
+            `require_possible` refuses.
     """
     parameters = free_parameters(vessel, settings)
     objective = _objective(vessel, parameters, data, settings)
@@ -228,16 +228,7 @@ def identify(
         )
     else:
         fitted = objective.fit(names, progress=progress)
-    if not np.isfinite(fitted.deviance):
-        raise UserError(
-            "the model diverges on these data and no step of the fit mends it; check units and "
-            "signs with `diffsea audit`, or start nearer (vessel file, --priors)"
-        )
-    if problem is not None and (absent := negative_effects(problem.layout, fitted.coordinates)):
-        raise UserError(
-            f"the data do not show {' or '.join(absent)}: the best fit makes it negative, which it "
-            "cannot be; leave it out of --effects"
-        )
+    require_possible(problem, fitted)
     wanted = settings.profiles
     if wanted is None:
         wanted = asymmetric_parameters(objective, fitted)
@@ -259,6 +250,24 @@ def identify(
         proposal,
         objective.outliers,
     )
+
+
+def require_possible(problem: Problem | None, fitted: Estimate) -> None:
+    """Refuse an estimate that no vessel can have; `problem` is None for trial numbers.
+
+    Raises:
+        UserError: the model diverges there, or an effect that cannot be negative is.
+    """
+    if not np.isfinite(fitted.deviance):
+        raise UserError(
+            "the model diverges on these data and no step of the fit mends it; check units and "
+            "signs with `diffsea audit`, or start nearer (vessel file, --priors)"
+        )
+    if problem is not None and (absent := negative_effects(problem.layout, fitted.coordinates)):
+        raise UserError(
+            f"the data do not show {' or '.join(absent)}: the best fit makes it negative, which it "
+            "cannot be; leave it out of --effects"
+        )
 
 
 def free_parameters(vessel: Vessel, settings: FitSettings) -> tuple[Parameter, ...]:
