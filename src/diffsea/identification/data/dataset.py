@@ -70,7 +70,7 @@ class Dataset(eqx.Module):
     @property
     def recorded_rows(self) -> Bool[np.ndarray, "row"]:
         """Which rows have any measurement; the others fill the data set up."""
-        return np.asarray(self.known).any(1)
+        return np.count_nonzero(np.asarray(self.known), axis=1) > 0
 
     @property
     def rows_of_runs(self) -> list[Int[np.ndarray, "own"]]:
@@ -81,7 +81,7 @@ class Dataset(eqx.Module):
     @property
     def recorded_channels(self) -> Bool[np.ndarray, "6"]:
         """Which motion channels have any measurement."""
-        return np.asarray(self.known).any(0)
+        return np.count_nonzero(np.asarray(self.known), axis=0) > 0
 
     @property
     def spans(self) -> list[TimeSpan]:

@@ -87,8 +87,8 @@ def shooting_windows(dataset: Dataset, seconds: float) -> ShootingWindows:
     begins &= np.asarray(dataset.dt) > 0
     begins[starts] = True
     number = np.cumsum(begins) - 1
-    parts = number, begins, np.flatnonzero(begins & ~starts)
-    return ShootingWindows(*map(jnp.asarray, parts), int(number[-1]) + 1)
+    joins = jnp.asarray(np.flatnonzero(begins & ~starts))
+    return ShootingWindows(jnp.asarray(number), jnp.asarray(begins), joins, int(number[-1]) + 1)
 
 
 class ShootingInputs(eqx.Module):
