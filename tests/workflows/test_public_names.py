@@ -1,5 +1,6 @@
 """The public names: documented, loaded when used, and what loading them sets up."""
 
+import importlib.util
 import json
 import os
 import re
@@ -31,6 +32,24 @@ def test_documented_names_are_the_public_names():
     table = page[page.index("## Names") : page.index("## JAX's set-up")]
     assert sorted(re.findall(r"`(\w+)`", table)) == sorted(PUBLIC.__all__)
     assert 30 <= len(PUBLIC.__all__) <= 60
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_a_page_imports_is_there(page):
+    text = page.read_text()
+    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        for module, names in re.findall(
+            r"^from (diffsea\S*) import ([\w, ]+)$", block, re.MULTILINE
+        ):
+            if f"src/{module.replace('.', '/')}.py" in text:
+                continue  # a module that the page adds
+            found = importlib.import_module(module)
+            for name in names.split(","):
+                name = name.split(" as ")[0].strip()
+                assert hasattr(found, name) or importlib.util.find_spec(f"{module}.{name}"), name
 
 
 def test_every_name_loads_and_completes():

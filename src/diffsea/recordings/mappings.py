@@ -1,7 +1,8 @@
 """Channels of recordings, their units, and how the columns of a foreign file become them.
 
 A recording has the native channels `t`, `x`, `y`, `psi`, `u`, `v`, `r`, `cmd_...` and
-`exec_...` of actuators, and wind and roll, in SI units, radians and NED axes. A mapping is a TOML file, one per data set, so that nobody edits data in order to read it:
+`exec_...` of actuators, and wind and roll, in SI units, radians and NED axes. A mapping is a TOML
+file, one per data set, so that nobody edits data in order to read it:
 
     format = 1
     [file]

@@ -89,8 +89,9 @@ def _check_file(path: Path) -> None:
 def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     """Column names, and how many lines stand before the first row of numbers.
 
-    Raises `UserError` for text in another encoding and for a wanted name that stands twice. Where the file names its columns, the line that holds most of the wanted names is
-    taken: units often stand on a line of their own, before or after.
+    Raises `UserError` for text in another encoding and for a wanted name that stands twice. Where
+    the file names its columns, the line that holds most of the wanted names is taken: units often
+    stand on a line of their own, before or after.
     """
     if mapping.columns is not None:
         return list(mapping.columns), mapping.header_lines or 0
