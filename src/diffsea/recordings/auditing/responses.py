@@ -12,6 +12,7 @@ deal and explains nothing is dead.
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,7 +20,7 @@ from jaxtyping import Float, Int
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, finding_of, wrong_sign
 from diffsea.recordings.motion import MeasuredMotion
-from diffsea.trajectory import Samples, Series, Trajectory
+from diffsea.trajectory import Samples, Trajectory
 
 
 _PORT = ("port", "left")
@@ -162,7 +163,9 @@ def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Fi
     return found
 
 
-def _on_motion_clock(trajectory: Trajectory, motion: MeasuredMotion, series: Series) -> Samples:
+def _on_motion_clock(
+    trajectory: Trajectory, motion: MeasuredMotion, series: Float[Any, "row"]
+) -> Samples:
     """The actuation at the motion's instants, held; what came before the first is the first."""
     counted = np.asarray(trajectory.valid, dtype=bool)
     values = np.asarray(series, dtype=float)
