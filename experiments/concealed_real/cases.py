@@ -1,0 +1,307 @@
+"""The cases: detection limits frozen, sizes and places drawn from them by seed.
+
+    python -m experiments.concealed_real.cases [--count 240] [--seed 20261]
+
+`limits.json` is what the diagnosis of the unchanged runs says of every set, frozen by `run` before
+anything injected is run; `cases.json` is drawn from it here. Neither is replaced once it is there.
+Imports nothing of the tool.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from experiments.concealed_real.injections import DROPPED, INJECTIONS, Features, Injection
+from experiments.concealed_real.material import (
+    Document,
+    Material,
+    Runs,
+    Settings,
+    parts_of,
+    step_of,
+)
+
+import numpy as np
+
+
+HERE = Path(__file__).resolve().parent
+LIMITS, CASES = HERE / "limits.json", HERE / "cases.json"
+SMALLEST, LARGEST = 1.0, 30.0  # sizes in detection limits
+COUNT, SEED = 240, 20261
+SUBSET, SUBSET_SECONDS = 20, 900.0
+SMOOTH = 0.2  # of its range: how far a continuous actuation moves within a row
+KINDS = {"thruster": "thruster", "propeller": "propeller", "rudder": "rudder"}
+
+Case = dict[str, Any]  # id, set, injection, settings, limit, limits
+
+
+# What is known of a set
+
+
+def features(material: Material) -> Features:
+    """Columns, actuators and scatter of a set, for drawing without its recordings."""
+    runs = material.runs
+    columns = sorted(set.intersection(*(set(run) for run in runs.values())))
+    of = {c: np.concatenate([run[c].to_numpy() for run in runs.values()]) for c in columns}
+    largest = {c: float(np.nanmax(np.abs(values))) for c, values in of.items()}
+    moves = [c for c in columns if c.startswith(("cmd_", "exec_"))]
+    return {
+        "columns": columns,
+        "step": min(step_of(run) for run in runs.values()),
+        "shortest": min(float(run["t"].iloc[-1] - run["t"].iloc[0]) for run in runs.values()),
+        "largest": largest,
+        "scatter": {c: _scatter(runs, c) for c in columns if c != "t"},
+        "smooth": [c for c in moves if _is_smooth(runs, c)],
+        **_actuators(material.document, moves),
+    }
+
+
+def _actuators(document: Document, columns: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Kind and side of the actuator of every column of actuation."""
+    kinds: dict[str, str] = {}
+    sides: dict[str, float] = {}
+    parts = {part["name"]: (kind, part) for kind, part in parts_of(document)}
+    for column in columns:
+        name, _, channel = column.split("_", 1)[1].partition(".")
+        if name in parts:
+            kind, part = parts[name]
+            usual = "angle" if channel == "angle" else "azimuth"
+            kinds[column] = KINDS.get(kind, usual)
+            sides[column] = float(np.sign(part.get("y", 0.0)))
+    return {"kinds": kinds, "sides": sides}
+
+
+def _scatter(runs: Runs, column: str) -> float:
+    """White scatter of a channel from row to row, from its second differences."""
+    bends = np.concatenate([np.diff(run[column].to_numpy(), 2) for run in runs.values()])
+    bends = np.abs(bends[np.isfinite(bends) & (bends != 0)])
+    return float(np.median(bends) / 0.6745 / math.sqrt(6)) if bends.size else 0.0
+
+
+def _is_smooth(runs: Runs, column: str) -> bool:
+    """Whether an actuation moves continuously: never far within a row."""
+    widest = max(float(np.ptp(run[column].to_numpy())) for run in runs.values())
+    jump = max(float(np.max(np.abs(np.diff(run[column].to_numpy())))) for run in runs.values())
+    return 0 < jump < SMOOTH * widest
+
+
+# Limits
+
+
+def limit_of(frozen: dict[str, Any], injection: Injection, settings: Settings) -> float | None:
+    """The size of one detection limit, in the unit of the injection's size.
+
+    None where the diagnosis of the unchanged runs states none: the effect was found in them, or
+    no plausible size would have shown.
+    """
+    known = frozen["features"]
+    for effect, parameter in injection.scales:
+        if effect == "scatter":
+            return known["scatter"].get(parameter) or None
+        if effect == "row":
+            return known["step"]
+        stated = [
+            one["limit"]
+            for one in frozen["limits"]
+            if one["name"] == effect
+            and one["parameter"] == parameter
+            and one["limit"]
+            and _acts_on(one, settings)
+        ]
+        if stated:
+            return min(stated) / _unit_of(injection, effect, settings, known)
+    return None
+
+
+def _acts_on(limit: dict[str, Any], settings: Settings) -> bool:
+    """Whether a limit is one of the channels and actuators of the settings."""
+    if "channels" in limit and set(limit["channels"]) != set(settings.get("channels", ())):
+        return False
+    acting = {c.split("_", 1)[1] for c in settings.get("columns", ()) if "_" in c}
+    return "actuators" not in limit or not acting or acting <= set(limit["actuators"])
+
+
+def _unit_of(injection: Injection, effect: str, settings: Settings, known: Features) -> float:
+    """By what a limit of another effect is divided where it stands in for the injection's own.
+
+    A dead band or a bias of some share of the largest order for an exponent or a scale that is off
+    by three times that or that share.
+    """
+    if injection is INJECTIONS["power-law"] and effect == "deadband":
+        return settings["full"] / 3.0
+    if injection is INJECTIONS["feedback-scale"] and effect == "actuator-bias":
+        return max(known["largest"][c] for c in settings["columns"])
+    return 1.0
+
+
+# Drawing
+
+
+def possible(frozen: dict[str, Any], key: str) -> list[tuple[Settings, float | None]]:
+    """Places of an injection in a set, each with the size of one detection limit (None: no size).
+
+    A place where even one limit is more than is possible is left out.
+    """
+    injection, known = INJECTIONS[key], frozen["features"]
+    found = []
+    for place in injection.places(known):
+        limit = limit_of(frozen, injection, place)
+        sized = bool(injection.scales)
+        if sized and (limit is None or limit > injection.most(known, place)):
+            continue
+        found.append((place, limit if sized else None))
+    return found
+
+
+def draw(rng: np.random.Generator, frozen: dict[str, Any], key: str) -> dict[str, Any]:
+    """Settings of one injection: a place, a size log-uniform in limits, and what else it needs."""
+    injection, known = INJECTIONS[key], frozen["features"]
+    places = possible(frozen, key)
+    place, limit = places[int(rng.integers(len(places)))]
+    settings = dict(place) | injection.extra(rng, known)
+    if limit is None:
+        return {"settings": settings, "limit": None, "limits": None}
+    most = min(LARGEST, injection.most(known, place) / limit)
+    multiple = float(np.exp(rng.uniform(math.log(SMALLEST), math.log(most))))
+    settings["size"] = multiple * limit
+    if injection.in_rows:
+        settings["rows"] = max(1, round(settings["size"] / known["step"]))
+        settings["size"] = settings["rows"] * known["step"]
+    return {"settings": settings, "limit": limit, "limits": settings["size"] / limit}
+
+
+def dropped_terms(frozen: dict[str, Any], key: str) -> float | None:
+    """Size in limits (three standard errors) of the terms that `DROPPED[key]` takes out.
+
+    None where the set's fit does not have them, or they are below one limit.
+    """
+    dropped, hull = DROPPED[key], frozen["document"]["hull"]
+    if dropped.rudder:
+        has = any(dict(dropped.rudder).keys() & rudder for rudder in frozen["document"].get(
+            "rudder", ()))  # fmt: skip
+        stated = [abs(r.get("a_H", 0.0)) for r in frozen["document"].get("rudder", ())]
+        return _in_limits(max(stated), 0.1) if has else None
+    fitted = {one["name"]: one for one in frozen["parameters"]}
+    sizes = [
+        _in_limits(abs(fitted[term]["value"]), fitted[term]["std"])
+        for term in dropped.terms
+        if term in hull and term in fitted and fitted[term]["std"]
+    ]
+    largest = max(sizes, default=0.0)
+    return largest if largest >= SMALLEST else None
+
+
+def _in_limits(value: float, std: float) -> float:
+    return value / (3.0 * std)
+
+
+def draw_cases(frozen: dict[str, dict], count: int, seed: int) -> list[Case]:
+    """So many cases, balanced over sets and kinds; any first part of them is balanced, too.
+
+    Each set's kinds come in an order of its own, all once before any twice; a dropped term, which
+    has one size, comes once.
+    """
+    rng = np.random.default_rng(seed)
+    queues = {name: _queue(rng, one, count) for name, one in sorted(frozen.items())}
+    cases: list[Case] = []
+    while len(cases) < count and any(queues.values()):
+        for name in rng.permutation([n for n, queue in queues.items() if queue]):
+            key = queues[name].pop(0)
+            drawn = (
+                {"settings": {}, "limit": None, "limits": dropped_terms(frozen[name], key)}
+                if key in DROPPED
+                else draw(rng, frozen[name], key)
+            )
+            cases.append({"set": str(name), "injection": key, **drawn})
+    numbered = enumerate(cases[:count])
+    return [{"id": f"{k:03d}-{case['set']}-{case['injection']}", **case} for k, case in numbered]
+
+
+def _queue(rng: np.random.Generator, frozen: dict[str, Any], count: int) -> list[str]:
+    """Kinds of injection for one set, in the order in which they are drawn."""
+    kinds = [key for key in INJECTIONS if possible(frozen, key)]
+    terms = [key for key in DROPPED if dropped_terms(frozen, key) is not None]
+    queue = [str(key) for key in rng.permutation([*kinds, *terms])]
+    while kinds and len(queue) < count:
+        queue += [str(key) for key in rng.permutation(kinds)]
+    return queue
+
+
+def subset(
+    cases: list[Case], seconds: dict[str, float], count: int = SUBSET,
+    budget: float = SUBSET_SECONDS,
+) -> list[Case]:  # fmt: skip
+    """So many cases that take together about `budget` s, from as many sets as that allows.
+
+    Arguments:
+        seconds: of the diagnosis of each set's unchanged runs.
+    """
+    left = {name: [c for c in cases if c["set"] == name] for name in seconds}
+    quick = sorted(left, key=lambda name: seconds[name])
+    chosen: list[Case] = []
+    spent = 0.0
+    while len(chosen) < count and any(left.values()):
+        for name in (n for n in quick if left[n]):
+            fits = spent + seconds[name] <= budget * (len(chosen) + 1) / count
+            if len(chosen) < count and (fits or name == next(n for n in quick if left[n])):
+                chosen.append(left[name].pop(0))
+                spent += seconds[name]
+    return sorted(chosen, key=lambda case: case["id"])
+
+
+def truth(case: Case) -> dict[str, Any]:
+    """What a case is: names that are right, its numbers, its onset, and what it acts on."""
+    key, settings = case["injection"], case["settings"]
+    if key in DROPPED:
+        return {"names": DROPPED[key].names, "numbers": {}, "onset": None, "audit": (),
+                "acts_on": [], "may_be_silent": False, "outside": False}  # fmt: skip
+    injection = INJECTIONS[key]
+    acts_on = settings.get("channels") or [
+        c.split("_", 1)[1] for c in settings.get("columns", ()) if "_" in c
+    ]
+    stepped = key in ("thrust-step", "heading-step", "gyro-step")
+    return {
+        "names": injection.names,
+        "numbers": injection.numbers(settings),
+        "onset": settings["time"] if stepped else None,
+        "audit": injection.audit,
+        "acts_on": acts_on,
+        "may_be_silent": injection.may_be_silent,
+        "outside": not injection.names,
+    }
+
+
+# Files
+
+
+def read(path: Path) -> Any:
+    """A frozen file; ends with a message where it is not there yet."""
+    if not path.exists():
+        raise SystemExit(f"{path.name} is missing: run `python -m experiments.concealed_real.run`")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def freeze(path: Path, content: Any) -> None:
+    """Write a file once; ends with a message where it is there and says something else."""
+    text = json.dumps(content, indent=1) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise SystemExit(f"{path} is frozen; delete it to begin anew, with all results")
+    path.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--seed", type=int, default=SEED)
+    args = parser.parse_args()
+    drawn = draw_cases(read(LIMITS), args.count, args.seed)
+    freeze(CASES, {"seed": args.seed, "cases": drawn})
+    print(f"{len(drawn)} cases in {CASES}")
+
+
+if __name__ == "__main__":
+    main()
