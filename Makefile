@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup demo test quick lint experiments clean
+.PHONY: setup demo test quick lint experiments proof clean
 
 setup: $(BIN)/.installed
 
@@ -33,6 +33,11 @@ quick: setup
 
 experiments: setup
 	$(BIN)/python -m experiments.every
+
+# The proof on real recordings, which lie in ../shared/data: hours; goes on where it was stopped.
+proof: setup
+	$(BIN)/python -m experiments.concealed_real.run
+	$(BIN)/python -m experiments.concealed_real.score
 
 clean:
 	rm -rf $(VENV) out

@@ -18,6 +18,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 OUT = ROOT / "out" / "experiments"
 FEW = ("--out", "out/concealed/few")
+BASIN = ("--out", "out/concealed_real/few")
 
 # Where not a plain `run`: what it needs first, or a part of what takes hours.
 COMMANDS = {
@@ -34,6 +35,10 @@ COMMANDS = {
         ["experiments.concealed.generate", "--set", "scored", "--subset", "8", *FEW],
         ["experiments.concealed.run", "--set", "scored", *FEW],
         ["experiments.concealed.score", "--set", "scored", *FEW],
+    ],
+    "concealed_real": [
+        ["experiments.concealed_real.run", "--injected", "--subset", "4", "--sets", "kcs", *BASIN],
+        ["experiments.concealed_real.score", *BASIN],
     ],
 }
 

@@ -1,91 +1,28 @@
 """The cases: detection limits frozen, sizes and places drawn from them by seed.
 
-    python -m experiments.concealed_real.cases [--count 240] [--seed 20261]
-
 `limits.json` is what the diagnosis of the unchanged runs says of every set, frozen by `run` before
-anything injected is run; `cases.json` is drawn from it here. Neither is replaced once it is there.
+anything injected is run; `cases.json` is drawn from it then. Neither is replaced once it is there.
 Imports nothing of the tool.
 """
 
-import argparse
 import json
 import math
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from experiments.concealed_real.injections import DROPPED, INJECTIONS, Features, Injection
-from experiments.concealed_real.material import (
-    Document,
-    Material,
-    Runs,
-    Settings,
-    parts_of,
-    step_of,
-)
+from experiments.concealed_real.features import Features
+from experiments.concealed_real.injections import DROPPED, INJECTIONS, Injection
+from experiments.concealed_real.material import Settings
 
 import numpy as np
 
 
-HERE = Path(__file__).resolve().parent
-LIMITS, CASES = HERE / "limits.json", HERE / "cases.json"
+LIMITS, CASES = "limits.json", "cases.json"  # in the folder of the results
 SMALLEST, LARGEST = 1.0, 30.0  # sizes in detection limits
 COUNT, SEED = 240, 20261
 SUBSET, SUBSET_SECONDS = 20, 900.0
-SMOOTH = 0.2  # of its range: how far a continuous actuation moves within a row
-KINDS = {"thruster": "thruster", "propeller": "propeller", "rudder": "rudder"}
 
 Case = dict[str, Any]  # id, set, injection, settings, limit, limits
-
-
-# What is known of a set
-
-
-def features(material: Material) -> Features:
-    """Columns, actuators and scatter of a set, for drawing without its recordings."""
-    runs = material.runs
-    columns = sorted(set.intersection(*(set(run) for run in runs.values())))
-    of = {c: np.concatenate([run[c].to_numpy() for run in runs.values()]) for c in columns}
-    largest = {c: float(np.nanmax(np.abs(values))) for c, values in of.items()}
-    moves = [c for c in columns if c.startswith(("cmd_", "exec_"))]
-    return {
-        "columns": columns,
-        "step": min(step_of(run) for run in runs.values()),
-        "shortest": min(float(run["t"].iloc[-1] - run["t"].iloc[0]) for run in runs.values()),
-        "largest": largest,
-        "scatter": {c: _scatter(runs, c) for c in columns if c != "t"},
-        "smooth": [c for c in moves if _is_smooth(runs, c)],
-        **_actuators(material.document, moves),
-    }
-
-
-def _actuators(document: Document, columns: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Kind and side of the actuator of every column of actuation."""
-    kinds: dict[str, str] = {}
-    sides: dict[str, float] = {}
-    parts = {part["name"]: (kind, part) for kind, part in parts_of(document)}
-    for column in columns:
-        name, _, channel = column.split("_", 1)[1].partition(".")
-        if name in parts:
-            kind, part = parts[name]
-            usual = "angle" if channel == "angle" else "azimuth"
-            kinds[column] = KINDS.get(kind, usual)
-            sides[column] = float(np.sign(part.get("y", 0.0)))
-    return {"kinds": kinds, "sides": sides}
-
-
-def _scatter(runs: Runs, column: str) -> float:
-    """White scatter of a channel from row to row, from its second differences."""
-    bends = np.concatenate([np.diff(run[column].to_numpy(), 2) for run in runs.values()])
-    bends = np.abs(bends[np.isfinite(bends) & (bends != 0)])
-    return float(np.median(bends) / 0.6745 / math.sqrt(6)) if bends.size else 0.0
-
-
-def _is_smooth(runs: Runs, column: str) -> bool:
-    """Whether an actuation moves continuously: never far within a row."""
-    widest = max(float(np.ptp(run[column].to_numpy())) for run in runs.values())
-    jump = max(float(np.max(np.abs(np.diff(run[column].to_numpy())))) for run in runs.values())
-    return 0 < jump < SMOOTH * widest
 
 
 # Limits
@@ -290,18 +227,3 @@ def freeze(path: Path, content: Any) -> None:
     if path.exists() and path.read_text(encoding="utf-8") != text:
         raise SystemExit(f"{path} is frozen; delete it to begin anew, with all results")
     path.write_text(text, encoding="utf-8")
-
-
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--count", type=int, default=COUNT)
-    parser.add_argument("--seed", type=int, default=SEED)
-    args = parser.parse_args()
-    drawn = draw_cases(read(LIMITS), args.count, args.seed)
-    freeze(CASES, {"seed": args.seed, "cases": drawn})
-    print(f"{len(drawn)} cases in {CASES}")
-
-
-if __name__ == "__main__":
-    main()

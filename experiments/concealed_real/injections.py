@@ -1,7 +1,7 @@
 """Everything that is injected: how, where it is possible, what its size is, what it may be called.
 
 A *setting* says one injection completely and is what a case keeps. `features` are what is known of
-a set without its recordings (see `cases`): columns, kinds and sides of actuators, detection limits.
+a set without its recordings: its columns, kinds and sides of its actuators.
 Imports nothing of the tool.
 """
 
@@ -13,12 +13,12 @@ from typing import Any
 
 from experiments.concealed_real import order_injections as order
 from experiments.concealed_real import sensor_injections as sensor
+from experiments.concealed_real.features import Features
 from experiments.concealed_real.material import Document, Material, Run, Settings
 
 import numpy as np
 
 
-Features = dict[str, Any]
 Change = Callable[[Run, Settings], Run]
 Places = Callable[[Features], list[Settings]]
 Extra = Callable[[np.random.Generator, Features], Settings]
@@ -72,9 +72,13 @@ def has(*columns: str, **setting: Any) -> Places:
 
 
 def _columns(features: Features, *kinds: str, prefix: str = "cmd_") -> list[str]:
-    """Columns of actuation of some kinds: thruster, propeller, azimuth, rudder, angle."""
-    of = features["kinds"]
-    return [c for c in features["columns"] if c.startswith(prefix) and of.get(c) in kinds]
+    """Columns of actuation of some kinds: thruster, propeller, azimuth, rudder, angle.
+
+    Without orders whose execution was measured: those are not what moved the vessel.
+    """
+    of, there = features["kinds"], set(features["columns"])
+    hidden = {f"cmd_{c.removeprefix('exec_')}" for c in there if c.startswith("exec_")}
+    return [c for c in sorted(there - hidden) if c.startswith(prefix) and of.get(c) in kinds]
 
 
 def groups(*kinds: str, only: str = "columns") -> Places:
