@@ -13,6 +13,7 @@ import numpy as np
 
 
 SMOOTH = 0.2  # of its range: how far a continuous actuation moves within a row
+MOVING = 0.05  # of its largest value: the range of an actuation that is used
 KINDS = {"thruster": "thruster", "propeller": "propeller", "rudder": "rudder"}
 
 Features = dict[str, Any]
@@ -31,6 +32,7 @@ def features(material: Material) -> Features:
         "shortest": min(float(run["t"].iloc[-1] - run["t"].iloc[0]) for run in runs.values()),
         "largest": largest,
         "scatter": {c: _scatter(runs, c) for c in columns if c != "t"},
+        "moving": [c for c in moves if np.ptp(of[c]) > MOVING * largest[c]],
         "smooth": [c for c in moves if _is_smooth(runs, c)],
         **_actuators(material.document, moves),
     }

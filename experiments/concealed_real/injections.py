@@ -81,42 +81,46 @@ def _columns(features: Features, *kinds: str, prefix: str = "cmd_") -> list[str]
     return [c for c in sorted(there - hidden) if c.startswith(prefix) and of.get(c) in kinds]
 
 
-def groups(*kinds: str, only: str = "columns") -> Places:
+def groups(*kinds: str, only: str = "columns", needs: str = "t") -> Places:
     """Possible for all columns that push, and for all that steer, of the kinds.
 
     Arguments:
-        only: the feature that lists the columns of which these are taken.
+        only: the feature that must list all of them, such as `moving`.
+        needs: a channel that must be measured besides.
     """
     pushing = [k for k in kinds if k not in ("rudder", "angle")]
     steering = [k for k in kinds if k in ("rudder", "angle")]
 
     def places(features: Features) -> list[Settings]:
+        if needs not in features["columns"]:
+            return []
         found = [_columns(features, *some) for some in (pushing, steering)]
         return [{"columns": c} for c in found if c and set(c) <= set(features[only])]
 
     return places
 
 
-def each(*kinds: str, prefix: str = "cmd_") -> Places:
-    """Possible for every column of the kinds alone."""
-    return lambda features: [{"columns": [c]} for c in _columns(features, *kinds, prefix=prefix)]
+def each(*kinds: str, prefix: str = "cmd_", only: str = "columns") -> Places:
+    """Possible for every column of the kinds alone that a feature lists."""
+    return lambda features: [
+        {"columns": [c]} for c in _columns(features, *kinds, prefix=prefix) if c in features[only]
+    ]
 
 
 def twins(features: Features) -> list[Settings]:
-    """Possible where two thrusters stand on the two sides."""
+    """Possible where two thrusters stand on the two sides, and turning is measured."""
     sides = {c: features["sides"][c] for c in _columns(features, "thruster")}
-    port = [c for c, side in sides.items() if side < 0]
-    starboard = [c for c, side in sides.items() if side > 0]
-    both = len(port) == len(starboard) == 1
-    return [{"columns": [*port, *starboard], "sides": sides}] if both else []
+    two = sorted(sides.values()) == [-1.0, 1.0]
+    turning = {"psi", "r"} & set(features["columns"])
+    return [{"columns": sorted(sides), "sides": sides}] if two and turning else []
 
 
 def full_thrust(features: Features) -> list[Settings]:
     """Possible for all thrusters; `full` is their largest order, N."""
     columns = _columns(features, "thruster")
-    return [{"columns": columns, "full": max(features["largest"][c] for c in columns)}] * bool(
-        columns
-    )
+    if not columns:
+        return []
+    return [{"columns": columns, "full": max(features["largest"][c] for c in columns)}]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -219,7 +223,7 @@ INJECTIONS: dict[str, Injection] = {
     # actuators: the order replaced by its preimage
     "late-orders": Injection(("thrust-delay", "actuator-response"), order.late_orders,
         order.prompt_orders, (("thrust-delay", "delay"), ("actuator-response", "delay")),
-        groups(*_ALL), _as("delay"), in_rows=True),
+        groups(*_ALL, only="moving"), _as("delay"), in_rows=True),
     "lagging-orders": Injection(("thrust-lag", "actuator-response"), order.lagging_orders,
         order.followed_orders, (("thrust-lag", "time_constant"),
         ("actuator-response", "time_constant")), groups(*_ALL, only="smooth"),
@@ -228,7 +232,8 @@ INJECTIONS: dict[str, Injection] = {
         (("deadband", "width"), ("thrust-curve", "deadband")), groups(*_PUSHING, "rudder"),
         _as("width"), most=_half_of_full),
     "play": Injection(("backlash",), order.play, order.played, (("backlash", "width"),),
-        groups(*_PUSHING, "propeller", "rudder"), _as("width"), most=_half_of_full),
+        groups(*_PUSHING, "propeller", "rudder", only="moving"), _as("width"),
+        most=_half_of_full),
     "order-bias": Injection(("actuator-bias",), order.order_bias, order.without_order_bias,
         _BIAS, each(*_ALL), signed_as("bias"), _either_side, most=_half_of_full),
     "asymmetry": Injection(("thrust-asymmetry",), order.asymmetry, order.without_asymmetry,
@@ -241,11 +246,11 @@ INJECTIONS: dict[str, Injection] = {
         lambda s: {"exponent": 1 + s["size"]}, most=lambda f, s: 1.5),
     "loss-with-speed": Injection(("thrust-loss-with-speed",),
         order.scaled_by(order.gain_of_speed), order.scaled_by(order.gain_of_speed, 1.0),
-        (("thrust-loss-with-speed", "slope"),), groups(*_PUSHING), _as("slope"),
+        (("thrust-loss-with-speed", "slope"),), groups(*_PUSHING, needs="u"), _as("slope"),
         most=_half_lost("u")),
     "loss-in-turns": Injection(("thrust-loss-in-turns",),
         order.scaled_by(order.gain_of_turning), order.scaled_by(order.gain_of_turning, 1.0),
-        (("thrust-loss-in-turns", "slope"),), groups(*_PUSHING), _as("slope"),
+        (("thrust-loss-in-turns", "slope"),), groups(*_PUSHING, needs="r"), _as("slope"),
         most=_half_lost("r")),
     # steps in mid-run
     "thrust-step": Injection(("thrust-change",), order.scaled_by(order.gain_of_change),
@@ -266,8 +271,9 @@ INJECTIONS: dict[str, Injection] = {
         each(*_ALL, prefix="exec_"), lambda s: {"scale": 1 + sensor.signed(s)}, _either_side,
         ("feedback-error",), most=lambda f, s: 0.5),
     "late-feedback": Injection(("feedback-error",), order.late_feedback, order.late_orders,
-        (("feedback-error", "delay"), ("thrust-delay", "delay")), each(*_ALL, prefix="exec_"),
-        _as("delay"), audit=("feedback-error",), in_rows=True),
+        (("feedback-error", "delay"), ("thrust-delay", "delay")),
+        each(*_ALL, prefix="exec_", only="moving"), _as("delay"), audit=("feedback-error",),
+        in_rows=True),
     # what no entry describes
     "swinging-compass": Injection(apply=sensor.swinging_compass, undo=sensor.steady_compass,
         scales=(("heading-offset", "angle"),), places=has("psi"), extra=_period,

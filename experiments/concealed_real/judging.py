@@ -13,6 +13,7 @@ from experiments.concealed_real.retellings import CIRCULAR, RETELLINGS, differen
 
 
 Z90 = 1.6449
+SAME_SIZE = 3.0  # standard errors
 ONSET_SHARE = 0.05  # of the shortest run: how near an onset must be
 HORIZONS = ("5", "20", "60")  # s
 
@@ -24,7 +25,8 @@ class Outcome:
     Arguments:
         kind: `effect`, `step` of a sensor, `outside` the catalogue, `harmless`, or `label`.
         named: a right name is given.
-        besides: a right name is given that the unchanged runs do not give.
+        besides: a right name is given that the unchanged runs do not give, or not there, or with
+            another size.
         wrong: names that are neither right nor given by the unchanged runs.
         audited: the audit finds a kind that is right, in more places than unchanged.
         where: of the entries with a right name one acts on what is true; None without such.
@@ -71,13 +73,15 @@ def judge(line: Line, unchanged: Line) -> Outcome:
     true, said = cases.truth(case), names(line)
     before = names(unchanged)
     entries = [effect for effect in line["effects"] if effect["name"] in true["names"]]
-    numbers = [_numbers(effect, true["numbers"]) for effect in entries]
+    # Sizes of what was there before add up with what was injected: those are not compared.
+    fresh = [effect for effect in entries if effect["name"] not in before]
+    numbers = [_numbers(effect, true["numbers"]) for effect in fresh]
     best = min(numbers, key=lambda one: sum(one[1].values()), default=({}, {}))
     return Outcome(
         case["id"], case["set"], case["injection"], kind_of(case["injection"]), case["limits"],
         line["verdict"], tuple(said),
         named=bool(entries),
-        besides=any(name in true["names"] and name not in before for name in said),
+        besides=any(not _is_among(effect, unchanged["effects"]) for effect in entries),
         wrong=tuple(n for n in said if n not in true["names"] and n not in before),
         audited=any(
             _count(line["audit"], kind) > _count(unchanged["audit"], kind)
@@ -90,6 +94,16 @@ def judge(line: Line, unchanged: Line) -> Outcome:
         free=_free(line),
         seconds=line["seconds"],
     )  # fmt: skip
+
+
+def _is_among(effect: dict[str, Any], others: list[dict[str, Any]]) -> bool:
+    """Whether the unchanged runs give an effect, too: by name, place, and size within its error."""
+    for other in others:
+        alike = other["name"] == effect["name"] and set(acted_on(other)) == set(acted_on(effect))
+        far = max(difference(effect, other).values(), default=0.0)
+        if alike and min(far, max(difference(other, effect).values(), default=0.0)) <= SAME_SIZE:
+            return True
+    return False
 
 
 def _count(audit: list[dict[str, Any]], kind: str) -> int:

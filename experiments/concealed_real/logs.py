@@ -82,19 +82,21 @@ def kingfisher(folder: Path) -> Runs:
     """
     given, odometry = (pd.read_csv(folder / f"surge_{name}.csv") for name in ("cmd", "odom"))
     t = odometry["t"].to_numpy()
-    speed = np.hypot(odometry["odom_vx"], odometry["odom_vy"]).to_numpy()
+    speed = np.asarray(np.hypot(odometry["odom_vx"], odometry["odom_vy"]))
+    stamps, port, starboard = given[["t", "cmd_left", "cmd_right"]].to_numpy().T
     runs: Runs = {}
-    for (_, first), (_, last) in zip(given[:-1].iterrows(), given[1:].iterrows(), strict=True):
-        order, seconds = first["cmd_left"], last["t"] - first["t"]
-        both = {first["cmd_left"], first["cmd_right"], last["cmd_left"], last["cmd_right"]}
-        if len(both) > 1 or order <= 0 or seconds < SHORTEST_STEP:
+    for k in range(len(stamps) - 1):
+        begin, end, order = stamps[k], stamps[k + 1], port[k]
+        steady = order == starboard[k] == port[k + 1] == starboard[k + 1]
+        if not steady or order <= 0 or end - begin < SHORTEST_STEP:
             continue
-        end = min(last["t"] + STEP_TAIL, first["t"] + LONGEST_STEP)
-        rows = (t >= first["t"] - STEP_LEAD) & (t < end)
+        last = min(end + STEP_TAIL, begin + LONGEST_STEP)
+        rows = (t >= begin - STEP_LEAD) & (t < last)
         now = t[rows]
-        on = AHEAD * order * ((now >= first["t"]) & (now < last["t"]))
-        name = f"step_{100 * order:03.0f}_{first['t']:.0f}.csv"
-        runs[name] = pd.DataFrame({"t": now, "u": speed[rows], "cmd_port": on, "cmd_starboard": on})
+        on = AHEAD * order * ((now >= begin) & (now < end))
+        runs[f"step_{100 * order:03.0f}_{begin:.0f}.csv"] = pd.DataFrame(
+            {"t": now, "u": speed[rows], "cmd_port": on, "cmd_starboard": on}
+        )
     return runs
 
 

@@ -162,12 +162,16 @@ def mirrored_document(document: Document) -> Document:
 
 
 def _mirrored_term(name: str, value: Any) -> Any:
-    """A derivative in the mirror: X is even and Y and N are odd in v and r together."""
+    """A derivative in the mirror.
+
+    X is even in v and r together. Y and N are odd: a modulus (Y_vv of |v| v) makes them so, and
+    only what depends on u alone, or on nothing, changes its sign.
+    """
     force, _, monomial = name.partition("_")
     if force not in ("X", "Y", "N") or monomial.endswith("dot"):
         return value
-    odd = (monomial.count("v") + monomial.count("r") + monomial.count("p")) % 2 == 1
-    keeps = odd if force in ("Y", "N") else not odd
+    lateral = sum(monomial.count(letter) for letter in "vrp")
+    keeps = lateral % 2 == 0 if force == "X" else lateral > 0
     return value if keeps else -value
 
 

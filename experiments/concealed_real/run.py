@@ -173,7 +173,7 @@ def work(part: str, jobs: list[Job], args: argparse.Namespace, revision: str) ->
     anew = other if args.redo else set()
     left = [(key, make) for key, make in jobs if key not in done or key in anew]
     for number, (key, make) in enumerate(left, 1):
-        line = {"id": key, "revision": revision} | make()
+        line = {"id": key, **make()} | {"id": key, "revision": revision}
         results.append(part, line, args.out)
         said = ", ".join(results.names(line)) or "nothing"
         print(f"{part} {number} of {len(left)}: {key}: {line['seconds']:.0f} s, {line['verdict']}, "
@@ -200,7 +200,7 @@ def freeze(names: list[str], folder: Path) -> None:
 
 def main() -> None:
     """Command line."""
-    args = _parser().parse_args()
+    args = options().parse_args()
     if not sets.available():
         sys.exit("the real data under ../shared/data are absent; nothing was done")
     names = args.sets or [n for n, one in sets.SETS.items() if one.develop or not args.develop]
@@ -221,7 +221,8 @@ def main() -> None:
         work("injected", injected_jobs(names, args.subset, args.out), args, revision)
 
 
-def _parser() -> argparse.ArgumentParser:
+def options() -> argparse.ArgumentParser:
+    """The command line."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     for part in ("told", "facts", "injected"):
         parser.add_argument(f"--{part}", action="store_true", help="this part, not all")

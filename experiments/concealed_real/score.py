@@ -218,11 +218,11 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
     return scored, "\n\n".join(pages) + "\n"
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--out", type=Path, default=results.FOLDER, help="folder of the results")
-    args = parser.parse_args()
+    args = parser.parse_args(argv)
     scored, pages = score(args.out)
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "scores.json").write_text(json.dumps(scored, indent=1) + "\n", encoding="utf-8")

@@ -7,6 +7,7 @@ Each is exact by kinematics. Settings are numbers in SI units: `size` with `side
 from experiments.concealed_real.material import MOTION, Run, Series, Settings, replaced, step_of
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
@@ -193,9 +194,7 @@ def without_coloured_noise(run: Run, settings: Settings) -> Run:
 
 def smoothed(run: Run, settings: Settings) -> Run:
     """u and v as means over `rows` rows, an odd number, without delay."""
-    means = {
-        c: run[c].rolling(int(settings["rows"]), center=True, min_periods=1).mean().to_numpy()
-        for c in ("u", "v")
-        if c in run
-    }
-    return replaced(run, means)
+    there = [c for c in ("u", "v") if c in run]
+    rows = int(settings["rows"])
+    means = pd.DataFrame(run[there].rolling(rows, center=True, min_periods=1).mean())
+    return replaced(run, {c: means[c].to_numpy() for c in there})

@@ -56,9 +56,10 @@ class RealSet:
 
     def _part(self, name: str, run: Run) -> Run:
         first, last = self.spans.get(name, (0.0, math.inf))
-        t = run["t"].to_numpy() - run["t"].iloc[0]
-        part = run[(t >= first) & (t <= last)].reset_index(drop=True)
-        return part.assign(t=part["t"] - part["t"].iloc[0])
+        t = run["t"].to_numpy() - run["t"].to_numpy()[0]
+        chosen = np.flatnonzero((t >= first) & (t <= last))
+        part = run.iloc[chosen].reset_index(drop=True)
+        return part.assign(t=t[chosen] - t[chosen[0]])
 
 
 def document_of(vessel: str) -> Document:

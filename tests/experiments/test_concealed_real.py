@@ -6,7 +6,19 @@ import copy
 import json
 import math
 
-from experiments.concealed_real import cases, facts, features, injections, retellings, sets
+from experiments.concealed_real import (
+    cases,
+    facts,
+    features,
+    injections,
+    judging,
+    results,
+    retellings,
+    run,
+    score,
+    sensor_injections,
+    sets,
+)
 from experiments.concealed_real.injections import DROPPED, INJECTIONS, injected, undone
 from experiments.concealed_real.material import MOTION, Material
 
@@ -38,13 +50,16 @@ def test_generator_imports_nothing_of_the_tool():
     for name in GENERATOR:
         tree = ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
         for node in ast.walk(tree):
-            found = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            found += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            if isinstance(node, ast.Import):
+                found = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                found = [f"{node.module}.{alias.name}" for alias in node.names]
+            else:
+                continue
             for module in found:
                 assert module.split(".")[0] not in ("diffsea", "jax", "importlib", "tests"), name
                 if module.startswith("experiments"):
-                    parts = [a.name for a in node.names] if module.count(".") == 1 else []
-                    assert {module.rsplit(".", 1)[-1], *parts} <= {*GENERATOR, "concealed_real"}
+                    assert module.split(".")[2] in GENERATOR, module
 
 
 # A noise-free simulated run so injected is the simulated run with that effect
@@ -73,8 +88,9 @@ def steps():
 def ramps():
     """Orders that move a little in every row."""
     t = np.arange(ROWS) * STEP
-    return pd.DataFrame({"t": t, "cmd_port": 90 + 60 * np.sin(0.7 * t),
-                         "cmd_starboard": 80 - 50 * np.sin(0.5 * t)})  # fmt: skip
+    moved = np.maximum(t - 1.0, 0.0)
+    return pd.DataFrame({"t": t, "cmd_port": 90 + 60 * np.sin(0.7 * moved),
+                         "cmd_starboard": 80 - 50 * np.sin(0.5 * moved)})  # fmt: skip
 
 
 ORDERS = {"columns": COLUMNS}
@@ -134,11 +150,17 @@ def test_a_sensor_injection_is_the_simulated_effect(plain, key):
     settings, values = SENSOR_CASES[key]
     name = INJECTIONS[key].names[0]
     effect = simulated(direct(USV), steps(), {name: values})
-    # Velocities have kinks where orders step, which a spline between rows rounds off.
-    kinks = 0.05 if key.startswith(("late", "clock")) else 1e-9
     seen = apart(effect, plain)
     assert seen > 1e-4
-    assert apart(INJECTIONS[key].apply(plain, settings), effect) < kinks * seen
+    # Velocities have kinks where orders step, which a spline between rows rounds off.
+    between_rows = key.startswith(("late", "clock"))
+    assert apart(INJECTIONS[key].apply(plain, settings), effect) < (0.1 * seen if between_rows
+                                                                    else 1e-9)  # fmt: skip
+    if between_rows:
+        smooth = simulated(direct(USV), ramps())
+        effect = simulated(direct(USV), ramps(), {name: values})
+        told = INJECTIONS[key].apply(smooth, settings)
+        assert apart(told, effect) < 0.02 * apart(smooth, effect)
 
 
 def test_an_injected_current_is_the_simulated_current(plain):
@@ -176,7 +198,7 @@ def test_so_does_one_whose_orders_move_all_the_time(key, settings, values):
     effect = simulated(direct(USV), told, {INJECTIONS[key].names[0]: values})
     # Within a row the preimage holds and what it stands for does not.
     without = apart(simulated(direct(USV), told), before)
-    assert apart(effect, before) < 0.05 * without
+    assert apart(effect, before) < 0.1 * without
 
 
 # Undoing an injection gives the recording back
@@ -197,12 +219,24 @@ def some_settings(rng, key, known):
     return found
 
 
+def came_back(key, known, before, told, back):
+    """All of a run but what was lost at its ends, and rows that splines cannot give back."""
+    between_rows = key.startswith("late") or key == "clock-drift"
+    for column in before:
+        a, b, changed = (run[column].to_numpy()[10:-10] for run in (before, back, told))
+        rows = np.isfinite(b)
+        assert rows.mean() > 0.5, (key, column)
+        # What scatters from row to row does not come back whole from between rows.
+        moved = np.nanquantile(np.abs(a - changed), 0.95)
+        loose = 0.05 * moved + 3 * known["scatter"].get(column, 0.0) if between_rows else 0.0
+        close = 1e-9 * max(known["largest"][column], 1.0)
+        assert np.quantile(np.abs(a - b)[rows], 0.95) <= loose + close, (key, column)
+
+
 @real
 @pytest.mark.parametrize("name", list(sets.SETS))
 def test_undoing_an_injection_gives_the_recording_back(name):
-    whole = sets.SETS[name].load()
-    first = next(iter(whole.train))
-    material = Material(whole.document, {first: whole.train[first]}, {})
+    material = sets.SETS[name].load()
     known, rng, tried = features.features(material), np.random.default_rng(1), set()
     for key, injection in INJECTIONS.items():
         if injection.undo is None:
@@ -210,30 +244,19 @@ def test_undoing_an_injection_gives_the_recording_back(name):
         for settings in some_settings(rng, key, known):
             tried.add(key)
             told = injected(material, key, settings)
-            changed = material.train[first].compare(told.train[first])
-            assert len(changed), key
-            back = undone(told, key, settings).train[first]
-            before = material.train[first]
-            for column in before:
-                a, b = (run[column].to_numpy()[10:-10] for run in (before, back))
-                known_rows = np.isfinite(b)
-                assert known_rows.mean() > 0.5, (key, column)
-                # Between rows by splines: what scatters from row to row does not come back whole.
-                scatter = known["scatter"].get(column, 0.0)
-                loose = 6 * scatter if key == "clock-drift" else 0.0
-                close = 1e-9 * max(known["largest"][column], 1.0)
-                off = np.abs(a - b)[known_rows]
-                assert np.quantile(off, 0.95) <= loose + close, (key, column)
-    assert {"thinned", "smoothed", "quantised", "dropouts"}.isdisjoint(tried)
-    assert "exchange" in tried or len(COLUMNS) and not injections.twins(known)
+            back = undone(told, key, settings)
+            assert any(len(run.compare(told.runs[n])) for n, run in material.runs.items()), key
+            first = list(material.train)[0]
+            came_back(key, known, *(each.train[first] for each in (material, told, back)))
+    assert len(tried) >= (5 if name == "kingfisher" else 12)
 
 
 def test_latencies_of_whole_rows_come_back_exactly(plain):
     late = {"size": 3 * STEP, "columns": ["x", "y"]}
     there = INJECTIONS["late-positions"].apply(plain, late)
-    assert np.allclose(there["x"].to_numpy()[3:], plain["x"].to_numpy()[:-3], atol=1e-12)
-    back = INJECTIONS["late-positions"].undo(there, late)
-    assert np.allclose(back["x"].to_numpy()[:-3], plain["x"].to_numpy()[:-3], atol=1e-12)
+    assert np.allclose(there["x"].to_numpy()[3:], plain["x"].to_numpy()[:-3], atol=1e-9)
+    back = sensor_injections.early_channels(there, late)
+    assert np.allclose(back["x"].to_numpy()[:-4], plain["x"].to_numpy()[:-4], atol=1e-9)
 
 
 def test_dropped_terms_are_gone_and_nothing_else():
@@ -406,3 +429,148 @@ def test_checks_see_names_sizes_and_audits():
     assert facts.unnamed(("wind",)).holds(line)
     welcome = facts.within("", ("wind",), "speed", 0.0, 1.0, welcome=True)
     assert welcome.holds(line) is None
+
+
+# Results and scores
+
+
+def line(case_id="a", revision="1", **more):
+    """A line of results, of a diagnosis that names nothing."""
+    empty = {"effects": [], "audit": [], "where": [], "verdict": "consistent", "seconds": 10.0,
+             "fit": {"nominal": {"train": 1.0, "test": 1.1}}}  # fmt: skip
+    return {"id": case_id, "revision": revision} | empty | more
+
+
+def effect(name, std=0.1, **values):
+    """An entry of `effects`."""
+    parameters = {key: {"value": value, "std": std} for key, value in values.items()}
+    return {"name": name, "parameters": parameters}
+
+
+def as_case(injection, limits=9.0, **settings):
+    """A case of one set."""
+    case = {"id": f"a-{injection}", "set": "hsva", "injection": injection, "limit": 1.0}
+    return case | {"settings": {"size": 0.3, **settings}, "limits": limits}
+
+
+def judged(injection, *effects, before=(), audit=(), limits=9.0, **settings):
+    """A case with what was said, beside unchanged runs that give `before`."""
+    said = line(case=as_case(injection, limits, **settings), effects=list(effects),
+                audit=list(audit), verdict="explained")  # fmt: skip
+    unchanged = line(effects=[one if isinstance(one, dict) else effect(one) for one in before],
+                     frozen={"features": {"shortest": 100.0}, "document": {}})  # fmt: skip
+    return judging.judge(said, unchanged)
+
+
+def test_results_grow_and_a_line_that_was_cut_off_is_left_out(tmp_path):
+    results.append("facts", line("one", seconds=1.23456789), tmp_path)
+    with results.path_of("facts", tmp_path).open("a") as file:
+        file.write('{"id": "two", "rev')
+    results.append("facts", line("three", value=math.inf), tmp_path)
+    results.append("facts", line("one", seconds=2.0), tmp_path)
+    found = results.read("facts", tmp_path)
+    assert list(found) == ["one", "three"]
+    assert found["one"]["seconds"] == 2.0 and found["three"]["value"] is None
+
+
+def test_work_goes_on_where_it_stopped_and_keeps_revisions_apart(tmp_path):
+    args = lambda *given: run.options().parse_args([*given, "--out", str(tmp_path)])
+    made = []
+
+    def job(key):
+        return key, lambda: made.append(key) or line(verdict="consistent")
+
+    jobs = [job("a"), job("b")]
+    run.work("facts", jobs[:1], args(), "1")
+    run.work("facts", jobs, args(), "1")
+    assert made == ["a", "b"]
+    with pytest.raises(SystemExit, match="--redo"):
+        run.work("facts", jobs, args(), "2")
+    run.work("facts", jobs, args("--any-revision"), "2")
+    assert made == ["a", "b"]
+    run.work("facts", jobs, args("--redo"), "2")
+    assert made == ["a", "b", "a", "b"]
+    assert {one["revision"] for one in results.read("facts", tmp_path).values()} == {"2"}
+
+
+def test_names_of_the_unchanged_runs_do_not_count():
+    flow = effect("current", speed=0.31, direction=3.1)
+    right = judged("current", flow, effect("wind", speed=2.0), before=("wind",), angle=-3.1)
+    assert right.named and right.besides and not right.wrong
+    assert right.covered == {"speed": True, "direction": True}
+    assert right.errors["speed"] == pytest.approx(0.01 / 0.3)
+    assert right.errors["direction"] == pytest.approx(2 * math.pi - 6.2)
+    known = judged("current", flow, before=(flow,), angle=-3.1)
+    assert known.named and not known.besides and not known.wrong and not known.errors
+    other = judged(
+        "current", flow, before=(effect("current", speed=0.9, direction=1.0),), angle=3.1
+    )
+    assert other.besides
+    late = effect("sensor-latency", delay=0.3) | {"channels": ["psi"]}
+    early = effect("sensor-latency", delay=0.3) | {"channels": ["x", "y"]}
+    place = {"channels": ["psi"], "columns": ["psi"]}
+    assert judged("late-heading", late, early, before=(early,), **place).besides
+    assert not judged("late-heading", late, before=(late,), **place).besides
+    wrong = judged("current", effect("wind", speed=2.0), angle=1.0)
+    assert wrong.wrong == ("wind",) and not wrong.named
+
+
+def test_place_onset_and_audit_are_judged():
+    bias = {"columns": ["cmd_rudder"], "side": 1.0}
+    for actuator, hit in (("rudder", True), ("propeller", False)):
+        said = effect("actuator-bias", bias=0.3) | {"actuators": [actuator]}
+        assert judged("order-bias", said, **bias).where is hit
+    step = {"columns": ["cmd_port"], "side": -1.0, "time": 50.0}
+    for time, hit in ((54.0, True), (56.0, False)):
+        one = judged("thrust-step", effect("thrust-change", time=time, factor=-0.3), **step)
+        assert one.onset is hit and one.errors == {"factor": 0.0}
+    swap = judged("exchange", audit=[{"kind": "swapped-actuators"}], columns=["a", "b"])
+    assert swap.kind == "label" and swap.audited and not swap.wrong
+
+
+def test_what_no_entry_describes_must_stay_without_a_name():
+    shaken = {"columns": ["cmd_rudder"], "time": 9.0}
+    quiet = [judged("restless-order", **shaken), judged("thinned", rows=2)]
+    loud = judged("restless-order", effect("wave-force", bias=1.0), **shaken)
+    assert [one.kind for one in quiet] == ["outside", "harmless"]
+    found = score.rates([*quiet, loud])
+    kept = found["outside the catalogue: without a name"]
+    assert (kept["hits"], kept["n"]) == (1, 2) and found["harmless: no name"]["hits"] == 1
+    assert found["named"]["n"] == 0
+
+
+def test_a_retelling_is_the_same_or_is_not():
+    frozen_ = {"features": {"shortest": 1.0}, "document": {"hull": {}}}
+    was = line("hsva", effects=[effect("current", speed=0.3, direction=1.0)], frozen=frozen_)
+    turned = effect("current", speed=0.305, direction=1.0 + retellings.TURN)
+    same = judging.compare(line("hsva:turned", set="hsva", effects=[turned]), was)
+    assert same.holds and same.apart == pytest.approx(0.05) and same.misfit == 0.0
+    unturned = line("hsva:turned", set="hsva", effects=was["effects"])
+    assert not judging.compare(unturned, was).holds
+    worse = line("hsva:moved", set="hsva", effects=was["effects"],
+                 fit={"nominal": {"train": 1.02, "test": 1.1}})  # fmt: skip
+    assert judging.compare(worse, was).misfit == pytest.approx(0.02)
+    other = judging.compare(line("hsva:moved", set="hsva"), was)
+    assert other.missing == ("current",) and not other.same_names and not other.holds
+
+
+def test_all_tables_are_written(tmp_path):
+    frozen_ = {"features": {"shortest": 100.0}, "document": {"hull": {}}}
+    free = {"nominal": {"5": {"position": 1.0}, "20": {"position": 3.0}, "60": {"position": 9.0}},
+            "diagnosed": {"5": {"position": 0.5}, "20": {"position": 4.0},
+                          "60": {"position": 9.0}}}  # fmt: skip
+    results.append("unchanged", line("hsva", set="hsva", frozen=frozen_, free=free), tmp_path)
+    results.append("told", line("hsva:moved", set="hsva"), tmp_path)
+    results.append("facts", line("hsva-unchanged", vessel={}), tmp_path)
+    large, small = (as_case("gyro-bias", size, side=1.0) for size in (9.0, 1.5))
+    named = [effect("gyro-bias", bias=0.35)]
+    results.append("injected", line("c", case=large, free=free, effects=named), tmp_path)
+    failed = line("d", verdict="failed", error="crashed", case=small)
+    results.append("injected", failed, tmp_path)
+    score.main(["--out", str(tmp_path)])
+    found = json.loads((tmp_path / "scores.json").read_text())
+    assert found["power"][0]["named"]["hits"] == 0 and found["power"][3]["named"]["hits"] == 1
+    assert found["free"]["5"]["median"] == 0.5 and found["free"]["20"]["worse"]["hits"] == 1
+    pages = (tmp_path / "scores.md").read_text()
+    assert "| failed | 50 % (9 to 91), 1/2 |" in pages and "hsva:moved" in pages
+    assert found["facts that hold"]["hits"] == 1 and found["told otherwise, the same"]["hits"] == 1
