@@ -48,15 +48,23 @@ def within(
     what: str, names: Sequence[str], parameter: str, low: float, high: float,
     acting: Sequence[str] = ("",), welcome: bool = False,
 ) -> Check:  # fmt: skip
-    """An effect of one of the names is given, and every size of it lies in an interval."""
+    """An effect of one of the names is given, and every size of it lies in an interval.
+
+    Signs count where the interval is below zero.
+    """
 
     def holds(line: Line) -> bool | None:
         found = sizes(line, names, parameter, acting)
         if not found:
             return None if welcome else False
-        return all(low <= abs(value) <= high for value in found)
+        return all(low <= (value if low < 0 else abs(value)) <= high for value in found)
 
     return Check(what, holds, welcome)
+
+
+def any_of(what: str, *checks: Check) -> Check:
+    """One of several checks holds."""
+    return Check(what, lambda line: any(check.holds(line) for check in checks))
 
 
 def unnamed(names: Sequence[str]) -> Check:
@@ -74,11 +82,8 @@ def named(names: Sequence[str]) -> Check:
 
 
 def something_left() -> Check:
-    """The diagnosis says that the model lacks something."""
-    return Check(
-        "something is missing", lambda line: line["verdict"] in ("unexplained", "explained",
-                                                                 "ambiguous")
-    )  # fmt: skip
+    """The diagnosis says that the model lacks something for which it has no name."""
+    return Check("something is left", lambda line: line["verdict"] == "unexplained")
 
 
 def audited(

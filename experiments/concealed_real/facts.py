@@ -11,6 +11,7 @@ from experiments.concealed_real import measured, sets
 from experiments.concealed_real.checks import (
     Check,
     Line,
+    any_of,
     audited,
     named,
     not_audited,
@@ -85,7 +86,8 @@ _ESSO = ("random_06-Aug-2020_16_24_25_4", "random_06-Aug-2020_16_24_25_5",
          "turn_14-Sep-2020_14_16_04", "zigzag_31-Jul-2020_13_04_24", "zigzag_31-Jul-2020_13_22_52",
          "zigzag_31-Jul-2020_13_42_53", "zigzag_31-Jul-2020_14_03_39")  # fmt: skip
 _TOLERANCE = 0.03  # s, of a latency by an audit of one run
-_EXCHANGED = tuple(f"fixed_00000{n}" for n in (220, 223, 224, 226, 228, 230, 232))
+# The labels are exchanged in all runs; two are nearly straight, and one turns hardly.
+_BOATS = tuple(f"fixed_00000{n}" for n in (218, 220, 221, 223, 224, 226, 228, 230, 232, 235))
 
 
 def _vtec_others() -> list[str]:
@@ -102,8 +104,13 @@ FACTS: dict[str, Fact] = {
                ("u", "v")),
     )),
     "kingfisher": Fact(sets.SETS["kingfisher"].load, (
-        within("dead band 0.1 to 0.2 of full", ("thrust-curve",), "deadband", 2.0, 4.0),
-        within("no gain above 0.7", ("thrust-curve", "thrust-saturation"), "limit", 17.0, 23.0),
+        any_of("dead band 0.1 to 0.2 of full",
+               within("", ("thrust-curve",), "deadband", 2.0, 4.0),
+               within("", ("deadband",), "width", 2.0, 4.0)),
+        # 20 N of thrust, or orders that count no further than 0.7 of full, 14 N.
+        any_of("no gain above 0.7",
+               within("", ("thrust-curve",), "limit", 17.0, 23.0),
+               within("", ("thrust-saturation",), "limit", 12.0, 16.0)),
         within("dead time 1.0 to 1.25 s", _DELAY, "delay", 1.0, 1.25),
         Check("thrust within 20 % of the bollard curve ahead", measured.thrust_is_measured),
     )),
@@ -114,7 +121,7 @@ FACTS: dict[str, Fact] = {
     ), audit_only=True),
     "vtec": Fact(sets.SETS["vtec"].load, (
         unnamed(WEATHER),
-        within("starboard near 0.78 of port", ("thrust-asymmetry",), "ratio", 0.06, 0.18,
+        within("starboard near 0.78 of port", ("thrust-asymmetry",), "ratio", -0.18, -0.06,
                welcome=True),
         within("orders late by about 0.1 s", _DELAY, "delay", 0.05, 0.2, welcome=True),
     )),
@@ -142,7 +149,7 @@ FACTS: dict[str, Fact] = {
         Check("speeds within 25 %, in the median", measured.wind_speed_is_measured),
     )),
     "blueboat-audit": Fact(lambda: everything(sets.blueboat(AS_PUBLISHED), "blueboat"), (
-        audited("swapped-actuators", _EXCHANGED),
+        audited("swapped-actuators", _BOATS, at_least=7),
     ), audit_only=True),
 }  # fmt: skip
 
