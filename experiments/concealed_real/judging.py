@@ -28,6 +28,7 @@ class Outcome:
         besides: a right name is given that the unchanged runs do not give, or not there, or with
             another size.
         wrong: names that are neither right nor given by the unchanged runs.
+        lost: names that the unchanged runs give and this one does not.
         audited: the audit finds a kind that is right, in more places than unchanged.
         where: of the entries with a right name one acts on what is true; None without such.
         onset: likewise for the time of a step.
@@ -45,6 +46,7 @@ class Outcome:
     named: bool
     besides: bool
     wrong: tuple[str, ...]
+    lost: tuple[str, ...]
     audited: bool
     where: bool | None
     onset: bool | None
@@ -83,6 +85,7 @@ def judge(line: Line, unchanged: Line) -> Outcome:
         named=bool(entries),
         besides=any(not _is_among(effect, unchanged["effects"]) for effect in entries),
         wrong=tuple(n for n in said if n not in true["names"] and n not in before),
+        lost=tuple(n for n in before if n not in said),
         audited=any(
             _count(line["audit"], kind) > _count(unchanged["audit"], kind)
             for kind in true["audit"]

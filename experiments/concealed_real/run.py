@@ -32,7 +32,9 @@ ROOT = Path(__file__).resolve().parents[2]
 WORK = ROOT / "out" / "concealed_real"  # recordings as injected: never committed
 KEPT_OF_VESSEL = ("thruster", "effect")
 
-Job = tuple[str, Callable[[], Line]]  # id, and what makes its line
+CHUNK = 40  # cases that are ordered by their set, so that compiled programs are used again
+
+Job = tuple[str, str, Callable[[], Line]]  # id, its set, and what makes its line
 
 
 # One diagnosis
@@ -124,7 +126,7 @@ def told_jobs(names: list[str]) -> list[Job]:
     """Every retelling that is possible of the sets."""
     possible = {name: list(retellings.retold(sets.SETS[name].load())) for name in names}
     return [
-        (f"{name}:{key}", lambda name=name, key=key: told_line(name, key) | {"set": name})
+        (f"{name}:{key}", name, lambda name=name, key=key: told_line(name, key) | {"set": name})
         for name in names
         for key in possible[name]
     ]
@@ -134,7 +136,7 @@ def fact_jobs(names: list[str]) -> list[Job]:
     """The facts of the sets."""
     wanted = {name.partition("-")[0] for name in names}
     return [
-        (key, lambda key=key: fact_line(key))
+        (key, key.partition("-")[0], lambda key=key: fact_line(key))
         for key in facts.FACTS
         if key.partition("-")[0] in wanted
     ]
@@ -142,7 +144,7 @@ def fact_jobs(names: list[str]) -> list[Job]:
 
 def unchanged_jobs(names: list[str]) -> list[Job]:
     """The sets as they are."""
-    return [(name, lambda name=name: unchanged_line(name) | {"set": name}) for name in names]
+    return [(name, name, lambda name=name: unchanged_line(name) | {"set": name}) for name in names]
 
 
 def injected_jobs(names: list[str], subset: int | None, folder: Path) -> list[Job]:
@@ -152,10 +154,13 @@ def injected_jobs(names: list[str], subset: int | None, folder: Path) -> list[Jo
     if subset is not None:
         seconds = {name: frozen[name]["seconds"] for name in names if name in frozen}
         chosen = cases.subset(chosen, seconds, subset)
+    chunks = [chosen[k : k + CHUNK] for k in range(0, len(chosen), CHUNK)]
     return [
-        (case["id"], lambda case=case: injected_line(case, frozen[case["set"]]) | {"case": case})
-        for case in chosen
-    ]
+        (case["id"], case["set"],
+         lambda case=case: injected_line(case, frozen[case["set"]]) | {"case": case})
+        for chunk in chunks
+        for case in sorted(chunk, key=lambda case: case["set"])
+    ]  # fmt: skip
 
 
 # Working through
@@ -171,13 +176,24 @@ def work(part: str, jobs: list[Job], args: argparse.Namespace, revision: str) ->
             "tool: --redo makes them anew, --any-revision keeps them"
         )
     anew = other if args.redo else set()
-    left = [(key, make) for key, make in jobs if key not in done or key in anew]
-    for number, (key, make) in enumerate(left, 1):
+    left = [job for job in jobs if job[0] not in done or job[0] in anew]
+    before = None
+    for number, (key, of_set, make) in enumerate(left, 1):
+        if of_set != before:
+            _forget_programs()
+            before = of_set
         line = {"id": key, **make()} | {"id": key, "revision": revision}
         results.append(part, line, args.out)
         said = ", ".join(results.names(line)) or "nothing"
         print(f"{part} {number} of {len(left)}: {key}: {line['seconds']:.0f} s, {line['verdict']}, "
               f"named {said}", file=sys.stderr, flush=True)  # fmt: skip
+
+
+def _forget_programs() -> None:
+    """Let go of the compiled programs of another set, which take much memory."""
+    import jax  # once diffsea has set it up
+
+    jax.clear_caches()
 
 
 def freeze(names: list[str], folder: Path) -> None:

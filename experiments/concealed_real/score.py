@@ -39,6 +39,9 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, Rate]:
         "named, or found by the audit": share(o.besides or o.audited for o in effects),
         "wrong names": share(bool(o.wrong) for o in outcomes),
         "wrong names, effects": share(bool(o.wrong) for o in effects),
+        "names of the unchanged runs lost": share(
+            bool(o.lost) for o in outcomes if o.verdict != "failed"
+        ),
         "outside the catalogue: without a name": share(not o.wrong for o in of("outside")),
         "steps of a sensor: no wrong name": share(not o.wrong for o in of("step")),
         "steps of a sensor: named or found by the audit": share(

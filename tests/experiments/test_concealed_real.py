@@ -28,6 +28,8 @@ import pytest
 from tests.oracle import sensors, simulator
 from tests.paths import DATA, ORACLE, ROOT
 
+import diffsea
+
 
 FOLDER = ROOT / "experiments" / "concealed_real"
 GENERATOR = (
@@ -288,6 +290,23 @@ def test_a_mirrored_vessel_moves_as_the_mirrored_run():
         assert back.document == document and apart(back.train["a.csv"], run) < 1e-12
 
 
+@real
+def test_a_mirrored_ferry_with_azimuth_thrusters_moves_as_its_mirror(tmp_path):
+    whole = sets.SETS["milliampere-orders"].load()
+    short = whole.train["maneuvering1.csv"].iloc[:400].reset_index(drop=True)
+    # The receiver gives no yaw rate: the run is replayed from the one of its headings.
+    short = short.assign(r=np.gradient(short["psi"], short["t"]))
+    material = Material(whole.document, {"a.csv": short}, {})
+    moved = []
+    for name, told in (("plain", material), ("mirror", retellings.mirrored(material))):
+        vessel, (path,), _ = told.write(tmp_path / name)
+        run_ = diffsea.read_recording(path)
+        moved.append(sets.table_of(diffsea.replay(diffsea.read_vessel(vessel).vessel, run_)))
+    mirror = retellings.mirrored(Material(whole.document, {"a.csv": moved[0]}, {})).train["a.csv"]
+    assert apart(moved[1], mirror) < 1e-8
+    assert apart(moved[0], mirror) > 0.1
+
+
 def ship_orders():
     """Rudder to both sides at constant revolutions."""
     t = np.arange(ROWS) * STEP
@@ -478,7 +497,7 @@ def test_work_goes_on_where_it_stopped_and_keeps_revisions_apart(tmp_path):
     made = []
 
     def job(key):
-        return key, lambda: made.append(key) or line(verdict="consistent")
+        return key, "kcs", lambda: made.append(key) or line(verdict="consistent")
 
     jobs = [job("a"), job("b")]
     run.work("facts", jobs[:1], args(), "1")
@@ -511,6 +530,7 @@ def test_names_of_the_unchanged_runs_do_not_count():
     place = {"channels": ["psi"], "columns": ["psi"]}
     assert judged("late-heading", late, early, before=(early,), **place).besides
     assert not judged("late-heading", late, before=(late,), **place).besides
+    assert judged("current", flow, before=("wind",), angle=-3.1).lost == ("wind",)
     wrong = judged("current", effect("wind", speed=2.0), angle=1.0)
     assert wrong.wrong == ("wind",) and not wrong.named
 
