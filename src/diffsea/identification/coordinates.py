@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from diffsea.parameters import Parameter, replace
 from diffsea.types import Environment
@@ -89,8 +89,8 @@ class CoordinateLayout:
 
     def _tails(
         self,
-    ) -> tuple[Bool[np.ndarray, "coordinate coordinate"], Float[np.ndarray, "coordinate"]]:
-        """Which coordinates lie in one tail, and how heavy it is (infinite: a normal prior)."""
+    ) -> tuple[Float[np.ndarray, "coordinate coordinate"], Float[np.ndarray, "coordinate"]]:
+        """Ones where coordinates share a tail, and how heavy it is (infinite: a normal prior)."""
         together = np.zeros((self.size, self.size))
         heavy = np.full(self.size, np.inf)
         for effect in self.effects:

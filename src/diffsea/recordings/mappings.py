@@ -37,6 +37,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.trajectory import Samples, Series, Trajectory
@@ -108,7 +109,7 @@ def native_channels(run: Trajectory) -> dict[str, Samples]:
 def with_channels(run: Trajectory, channels: dict[str, Samples], **fields: Any) -> Trajectory:
     """The run with other series for channels of these native names, and with other `fields`."""
 
-    def changed(old: dict[str, Series], prefix: str = "") -> dict[str, Series]:
+    def changed(old: dict[str, Series], prefix: str = "") -> dict[str, Float[Any, "new"]]:
         return {name: channels.get(prefix + name, series) for name, series in old.items()}
 
     return dataclasses.replace(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Complex, Float
+from jaxtyping import Float, Inexact
 
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
@@ -35,7 +35,8 @@ _WINDOWS_OF_ALL = 240  # of all files together: bounds the time that a proposal 
 _FINEST = 1e-6  # what rounding leaves at least of a relation's variance
 
 Windowed = Float[np.ndarray, "window"]
-ComplexWindowed = Complex[np.ndarray, "window"]
+# North and i times east; of real numbers where all is to the north.
+ComplexWindowed = Inexact[np.ndarray, "window"]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,7 +28,7 @@ from diffsea.vessel.base import Vessel
 
 
 Memory = TypeVar("Memory")
-Index = Int[Array, ""]
+Index = Int[Array, ""] | int
 Waypoints = Float[Array, "waypoint 2"]  # m, north and east
 
 

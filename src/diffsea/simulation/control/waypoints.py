@@ -13,7 +13,7 @@ from typing import Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, ArrayLike, Bool
 
 from diffsea.errors import UserError
 from diffsea.kinematics import wrap
@@ -156,7 +156,7 @@ class DynamicPD(AbstractController[Pursued]):
 
 
 def dynamic_pd(
-    vessel: Vessel, waypoints: Waypoints, smoothing: float = 0.0, **gains: Scalar
+    vessel: Vessel, waypoints: ArrayLike, smoothing: float = 0.0, **gains: Scalar
 ) -> DynamicPD:
     """The law of `DynamicPD` for the pair of fixed thrusters of a vessel.
 
@@ -251,7 +251,7 @@ class WaypointLogic(AbstractController[Index]):
 
 
 def waypoint_logic(
-    vessel: Vessel, waypoints: Waypoints, tolerance: Scalar = 2.5, **fields: Scalar
+    vessel: Vessel, waypoints: ArrayLike, tolerance: Scalar = 2.5, **fields: Scalar
 ) -> WaypointLogic:
     """The logic for a vessel with one azimuth thruster, whose limits are full thrust and angle.
 
