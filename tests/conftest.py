@@ -1,13 +1,23 @@
-"""Settings of the test run: those of the command line, so that compiled programs are shared."""
+"""Settings of the test run: those of the command line, and stricter.
+
+Shape annotations are checked while tests run, dtypes are promoted strictly, and warnings are
+errors (`pyproject.toml`).
+"""
 
 import pytest
+from jaxtyping import install_import_hook
 
 from diffsea.runtime import prepare_jax
 
 
 prepare_jax()  # before jax is imported, or its XLA flags would come too late
+install_import_hook("diffsea", "tests.shapes.check_shapes")
 
 import jax  # isort: skip
+import tests.shapes  # noqa: F401  isort: skip  the hook finds it by name
+
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -218,7 +218,16 @@ def test_what_is_shown_depends_on_the_present_as_its_derivative_says(lag, off):
     z = jnp.array([3.0, 1.0, 0.7, 1.1, -0.2, 0.15, 0.01, -0.02, 0.005])
     response = {c: Response(40.0 * k, *[40.0 * k] * 3) for k, c in enumerate(boat.channels)}
     nothing, never = jnp.zeros(6), jnp.array(False)
-    row = FilterRow(Environment(), 0.2, 0.0, nothing, jnp.zeros(6, bool), never, nothing, response)
+    row = FilterRow(
+        Environment(),
+        jnp.array(0.2),
+        jnp.array(0.0),
+        nothing,
+        jnp.zeros(6, bool),
+        never,
+        nothing,
+        response,
+    )
     found = measurement_jacobian(boat, z, row)
     nudge = lambda k, by: np.asarray(expected_measurements(boat, z.at[k].add(by), row))
     step = 1e-5

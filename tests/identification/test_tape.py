@@ -11,6 +11,7 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Trajectory, UserError
+from diffsea.identification.filter.covariance import GustPropagation
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
 from diffsea.identification.fit import estimate, filter_at
@@ -162,9 +163,11 @@ def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, ru
 
 @pytest.mark.parametrize("long", [600, 1030, 2000])
 def test_noise_is_estimated_from_recorded_rows_alone(long):
-    empty = np.zeros((2048, 6))
-    used = np.where(np.arange(2048)[:, None] < long, 1.0, empty)
-    run = FilterRun(Gains(empty, empty, used, empty), *[empty] * 9)
+    used = np.repeat(np.arange(2048)[:, None] < long, 6, axis=1)
+    six, three = np.zeros((2048, 6)), np.zeros((2048, 3))
+    square, wide = np.zeros((2048, 6, 6)), np.zeros((2048, 6, 9))
+    gains = Gains(wide.transpose(0, 2, 1), square, used, GustPropagation(three, three))
+    run = FilterRun(gains, six, six, six, six, square, wide, three, three, six)
     clock = RowTimes(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
     chosen = np.asarray(take_excerpt(run, clock)[1].dt)
     assert chosen.max() < long

@@ -338,7 +338,9 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     return min(tests, key=lambda test: (test.holds, test.p_value))
 
 
-def _columns_of_parts(problem: Problem, J: Columns, count: int) -> Columns:
+def _columns_of_parts(
+    problem: Problem, J: Columns, count: int
+) -> Float[np.ndarray, "value part_column"]:
     """An effect's columns in each of `count` parts of every run, without those of the prior."""
     parts = []
     for rows in problem.dataset.rows_of_runs:

@@ -157,7 +157,9 @@ def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> 
 
 
 def _null_distribution(
-    projection: Projection, candidates: list[Columns], unnamed: Columns
+    projection: Projection,
+    candidates: list[Float[np.ndarray, "value _"]],
+    unnamed: Float[np.ndarray, "value unnamed"],
 ) -> NullDistribution:
     """The joint null of candidates and unnamed forces, columns without information left out."""
     informative = [E[:, projection.is_informative(E)] for E in candidates]
