@@ -263,9 +263,10 @@ def test_an_order_at_the_end_of_a_step_is_the_next_ones(stage, early):
 def test_a_lag_keeps_its_accuracy_in_single_precision():
     # 20 s against a step of 0.05 s.
     history = OrderHistory(jnp.zeros(1, jnp.float32), jnp.ones(1, jnp.float32))
-    response = Servo(time_constant=jnp.float32(20)).respond(
-        jnp.float32(0.2), history, jnp.float32(1), jnp.float32(0.05)
-    )
+    with jax.numpy_dtype_promotion("standard"):  # the session's own constants have 64 bits
+        response = Servo(time_constant=jnp.float32(20)).respond(
+            jnp.float32(0.2), history, jnp.float32(1), jnp.float32(0.05)
+        )
     exact = 1 - 0.8 * np.exp(-np.array([0, 0.025, 0.05]) / 20)
     found = [float(node) for node in (response.start, response.middle, response.end)]
     np.testing.assert_allclose(found, exact, atol=2e-6)
