@@ -130,7 +130,9 @@ def speed_change_numbers(trial: Trial, share: float, upwards: bool, time_name: s
     square = north**2 + east**2
     return {
         "final_speed": final,
-        "distance": jnp.sqrt(jnp.where(square > 0, square, 1.0)) * (square > 0),
+        "distance": jnp.where(
+            square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0 * square
+        ),
         time_name: value_or_nan(reached.time - start, reached.found),
     }
 

@@ -116,10 +116,11 @@ class _StageRun(eqx.Module):
         `-g / (dg/dt)`, which is zero but carries the derivative of the event's time; the
         landing step is then differentiated exactly, and the next one returns to the grid.
         """
-        limit = jnp.minimum(self.seconds, (carry.grid + 1) * self.step)
+        done = carry.grid.astype(float)
+        limit = jnp.minimum(self.seconds, (done + 1) * self.step)
         dt = jnp.where(carry.mode == _NORMAL, self.start + limit - carry.t, carry.planned)
         finished = (carry.stage >= self.stages.count) | carry.diverged
-        finished = finished | ((carry.mode == _NORMAL) & (carry.grid * self.step >= self.seconds))
+        finished = finished | ((carry.mode == _NORMAL) & (done * self.step >= self.seconds))
         motion = self.motion_after(carry, dt)
         g = self.end_function(carry, motion, carry.t + dt)
         wild = ~is_plausible(self.vessel, motion.state)
@@ -130,7 +131,7 @@ class _StageRun(eqx.Module):
         landing = active & (carry.mode == _LAND)
         stepping = active & (carry.mode == _NORMAL) & ~crossing
         accepted = stepping | landing
-        stage = carry.stage + landing
+        stage = carry.stage + landing.astype(int)
         t = jnp.where(accepted, carry.t + dt, carry.t)
         # The governor acts on the grid, as a digital one does; events come between its samples.
         governing, throttle = self.governor.step(carry.governing, motion.state, self.step)
@@ -139,7 +140,7 @@ class _StageRun(eqx.Module):
             t=t,
             stage=stage,
             began=jnp.where(landing, t, carry.began),
-            grid=carry.grid + stepping,
+            grid=carry.grid + stepping.astype(int),
             mode=jnp.where(crossing, _PROBE, jnp.where(probing, _LAND, _NORMAL)),
             planned=jnp.where(
                 crossing, span, jnp.where(probing, dt - g / carry.slope, carry.planned)

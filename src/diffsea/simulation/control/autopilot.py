@@ -216,7 +216,7 @@ class Pursuit(AbstractGuidance[Index]):
 
     def step(self, memory: Index, state: State, dt: Scalar) -> tuple[Index, Scalar]:
         north, east = offset_to(self.waypoints, memory, state)
-        memory = memory + (jnp.hypot(north, east) < self.radius)
+        memory = memory + (jnp.hypot(north, east) < self.radius).astype(int)
         return memory, bearing(*offset_to(self.waypoints, memory, state))
 
     def is_finished(self, memory: Index) -> Bool[Array, ""]:
@@ -266,7 +266,7 @@ class LineOfSight(AbstractGuidance[tuple[Index, Scalar]]):
         before = self.leg(number, state)
         left = before.length - before.along
         over = (left <= 0) | (jnp.hypot(left, before.cross) < self.radius)
-        number = number + (over & (number < self.waypoints.shape[0] - 1))
+        number = number + (over & (number < self.waypoints.shape[0] - 1)).astype(int)
         leg = self.leg(number, state)
         reach = leg.cross + self.integral_gain * integral
         growth = self.lookahead * leg.cross / (self.lookahead**2 + reach**2)
