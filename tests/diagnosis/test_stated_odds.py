@@ -34,7 +34,11 @@ def fitted(problem, X: np.ndarray, y: np.ndarray, free: tuple[str, ...]):
     some, coordinates = X[:, index], np.zeros(problem.layout.size)
     for _ in range(30):  # a normal prior of the same slope, again and again
         precision = some.T @ some + np.diag(1 / layout.local_spreads(coordinates)[index] ** 2)
-        coordinates[index] = np.linalg.solve(precision, some.T @ y)
+        better = np.linalg.solve(precision, some.T @ y)
+        moved = np.abs(better - coordinates[index]).max()
+        coordinates[index] = better
+        if moved < 1e-6:
+            break
     strains = np.asarray(layout.strains(coordinates, layout.spreads()))
     deviance = ((y - X @ coordinates) ** 2).sum() + (strains**2).sum()
     return posterior_estimate(
