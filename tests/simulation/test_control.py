@@ -100,7 +100,7 @@ def test_line_of_sight_steers_for_a_point_ahead_on_the_leg():
     law = LineOfSight(jnp.array([[0.0, 0.0], [100.0, 100.0]]), lookahead=10.0, radius=2.0)
     # 5 m to starboard of a course of 45 deg.
     at = state_of(x=50 - 5 / np.sqrt(2), y=50 + 5 / np.sqrt(2))
-    leg = law.leg(0, at)
+    leg = law.leg(law.init()[0], at)
     assert float(leg.cross) == pytest.approx(5.0)
     assert float(leg.along) == pytest.approx(np.hypot(50, 50))
     _, wanted = law.step(law.init(), at, 0.1)

@@ -119,8 +119,9 @@ def test_a_thruster_abaft_the_mass_centre_turns_the_other_way(vessel):
     document = read_vessel("pytheas").document
     (table,) = document["azimuth_thruster"]
     aft = build(document | {"azimuth_thruster": [table | {"x": -0.4}]})
-    _, ahead_orders = waypoint_logic(vessel, [[0.0, 20.0]]).step(0, still(0.8), 0.0, 0.05)
-    _, aft_orders = waypoint_logic(aft, [[0.0, 20.0]]).step(0, still(0.8), 0.0, 0.05)
+    ahead_logic, aft_logic = (waypoint_logic(one, [[0.0, 20.0]]) for one in (vessel, aft))
+    _, ahead_orders = ahead_logic.step(ahead_logic.init(), still(0.8), 0.0, 0.05)
+    _, aft_orders = aft_logic.step(aft_logic.init(), still(0.8), 0.0, 0.05)
     assert float(ahead_orders["thruster.angle"]) > 0.5
     assert float(aft_orders["thruster.angle"]) == -float(ahead_orders["thruster.angle"])
     track = jax.jit(lambda: run(aft, [[0.0, 20.0]]))()

@@ -28,7 +28,7 @@ from diffsea.vessel.base import Vessel
 
 
 Memory = TypeVar("Memory")
-Index = Int[Array, ""] | int
+Index = Int[Array, ""]
 Waypoints = Float[Array, "waypoint 2"]  # m, north and east
 
 
