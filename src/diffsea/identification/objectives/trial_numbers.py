@@ -183,7 +183,7 @@ class TrialInputs(eqx.Module):
     vessel: Vessel
     values: Float[Array, "number"]
     stds: Float[Array, "number"]
-    orders: list[dict[str, Float[Array, "trial"]]]  # of each kind of trial
+    orders: list[dict[str, Float[Array, "_"]]]  # of each kind of trial, one to each
     spreads: Float[Array, "coordinate"]
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     places: tuple[tuple[str, ...], ...] = eqx.field(static=True)  # where each parameter stands
