@@ -824,7 +824,8 @@ def test_recordings_are_seeded_and_conceal_the_truth(tmp_path):
     R.main([str(tmp_path / "c"), *options, "--seed", "5"])
     files = sorted(p.name for p in (tmp_path / "a").iterdir())
     assert files == ["spin.csv", "zigzag-fast.csv"] and truth.exists()
-    a, b, c = (list(csv.DictReader((tmp_path / d / "zigzag-fast.csv").open())) for d in "abc")
+    texts = [(tmp_path / d / "zigzag-fast.csv").read_text() for d in "abc"]
+    a, b, c = (list(csv.DictReader(text.splitlines())) for text in texts)
     assert list(a[0]) == ["t", "x", "y", "psi", "u", "v", "r", "cmd_port", "cmd_starboard"]
     assert len(a) == 61 and [row["psi"] for row in a] == [row["psi"] for row in b]
     assert b[0]["x"] == b[1]["x"] == "" != b[2]["x"] and a[0]["x"] != ""
@@ -887,7 +888,7 @@ def rows_of(folder, vessel, effect=()):
     options = ["--vessel", str(HERE / f"{vessel}.toml"), "--seed", "3", "--seconds", "20"]
     options += ["--runs", "random-steps", "speed-steps"]
     R.main([str(folder), *options, *(["--effect", *effect] if effect else [])])
-    return [list(csv.DictReader(path.open())) for path in sorted(folder.iterdir())]
+    return [list(csv.DictReader(p.read_text().splitlines())) for p in sorted(folder.iterdir())]
 
 
 @pytest.mark.slow
