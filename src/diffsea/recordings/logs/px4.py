@@ -60,8 +60,8 @@ def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]
     """The messages of these names, all if None, and a note where the file is damaged."""
     import pyulog
 
-    with unreadable(path, "a PX4 log (ULog)"):
-        log = pyulog.ULog(str(path), names)
+    with unreadable(path, "a PX4 log (ULog)"), path.open("rb") as file:
+        log = pyulog.ULog(file, names)
         if not log.message_formats:
             raise ValueError("it ends before its definitions")
     if log.file_corruption:
