@@ -210,7 +210,7 @@ def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
     problem, result = fitted
     run = result.filter_run(problem)
     dataset = problem.dataset
-    times = RowTimes(dataset.dt, dataset.starts, first_variance(problem.base))
+    times = RowTimes(dataset.dt, dataset.starts, dataset.run, first_variance(problem.base))
     white, variance = rerun_linearised(run, times, result.noise)
     np.testing.assert_allclose(white, run.white, atol=1e-9)
     np.testing.assert_allclose(variance, run.variance, rtol=1e-9)

@@ -161,14 +161,29 @@ def test_a_run_of_less_than_ten_of_the_vessels_own_steps_is_refused(document, ru
         make_problem(build(document), [thin], ("X_u",))
 
 
-@pytest.mark.parametrize("long", [600, 1030, 2000])
-def test_noise_is_estimated_from_recorded_rows_alone(long):
-    used = np.repeat(np.arange(2048)[:, None] < long, 6, axis=1)
-    six, three = np.zeros((2048, 6)), np.zeros((2048, 3))
-    square, wide = np.zeros((2048, 6, 6)), np.zeros((2048, 6, 9))
+def excerpt_times(lengths: dict[int, int], rows: int) -> dict[int, set[float]]:
+    """Intervals of the excerpt's rows that count, by run; every row has an interval of its own."""
+    run = np.concatenate([np.full(length, number) for number, length in lengths.items()])
+    dt = np.concatenate([1e5 * number + np.arange(n) for number, n in lengths.items()])
+    run, dt = (np.pad(part, (0, rows - len(part)), mode="edge") for part in (run, dt))
+    used = np.repeat(np.arange(rows)[:, None] < sum(lengths.values()), 6, axis=1)
+    six, three = np.zeros((rows, 6)), np.zeros((rows, 3))
+    square, wide = np.zeros((rows, 6, 6)), np.zeros((rows, 6, 9))
     gains = Gains(wide.transpose(0, 2, 1), square, used, GustPropagation(three, three))
-    run = FilterRun(gains, six, six, six, six, square, wide, three, three, six)
-    clock = RowTimes(np.arange(2048.0), np.zeros(2048, bool), np.ones(6))
-    chosen = np.asarray(take_excerpt(run, clock)[1].dt)
-    assert chosen.max() < long
-    assert len(np.unique(chosen)) == chosen.size == 128 * min(8, long // 128)
+    filtered = FilterRun(gains, six, six, six, six, square, wide, three, three, six)
+    part, clock = take_excerpt(
+        filtered, RowTimes(dt, np.zeros(rows, bool), run.astype(int), np.ones(6))
+    )
+    counted = np.asarray(part.gains.used).any(-1)
+    chosen, found = np.asarray(clock.dt)[counted], np.asarray(clock.run)[counted]
+    assert len(np.unique(chosen)) == chosen.size
+    return {number: set(chosen[found == number]) for number in lengths}
+
+
+@pytest.mark.parametrize("lengths", [(600,), (1500, 300), (9000, 3000, 500)])
+def test_noise_is_estimated_from_rows_of_every_run_in_any_order(lengths):
+    runs = dict(enumerate(lengths, start=1))
+    found = excerpt_times(runs, 16384)
+    assert all(found.values())
+    assert all(max(times) - 1e5 * number < runs[number] for number, times in found.items())
+    assert excerpt_times(dict(reversed(runs.items())), 16384) == found

@@ -4,6 +4,7 @@ One round runs the filter at the current estimate, re-estimates the noise, and i
 parameters by Gauss-Newton steps with the gains held fixed. A few rounds converge.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -33,6 +34,8 @@ FIRST_NOISE_STEPS = 15  # and in the first one
 STEP_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a Gauss-Newton step, tried one after the other
 LEAST_GAIN = 0.05  # of -2 log posterior, below which a round is the last: no error shows it
 RELATIVE_GAIN = 1e-6  # likewise, of its value: rounding of a long recording's sum
+RESTARTS = 2  # of a fit that stalled
+RESTART_DISTANCE = 2.0  # standard errors that it starts from its end
 STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard error away
 
 
@@ -83,15 +86,15 @@ def estimate(
     coordinates = coordinates if start is None else np.array(start, float)
     noise, steps = (first, FIRST_NOISE_STEPS) if noise is None else (noise, NOISE_STEPS)
     index = np.array(problem.layout.indices(free), int)
-    times = RowTimes(problem.dataset.dt, problem.dataset.starts, first_variance(problem.base))
+    data = problem.dataset
+    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     path, outcome = [now.deviance], FitOutcome.STEP_LIMIT
     refused = np.zeros(len(index))
     for number in range(rounds):
-        last = now.deviance
+        last, taken = now.deviance, steps
         if not fixed_noise:
             better = refine_noise(now.run, times, now.noise, problem.prior, steps)
-            steps = NOISE_STEPS
             there = filter_at(problem, now.coordinates, better)
             now = there if there.better_than(now) else now
         before, target = now.coordinates, now.coordinates.copy()
@@ -108,12 +111,41 @@ def estimate(
         message = f"round {number + 1}: -2 log posterior {now.deviance:.1f}"
         progress(PartialProgress(message, (number + 1) / rounds))
         gained = last - now.deviance
-        if abs(gained) < LEAST_GAIN + RELATIVE_GAIN * abs(now.deviance):
+        settled = abs(gained) < LEAST_GAIN + RELATIVE_GAIN * abs(now.deviance)
+        if settled and (fixed_noise or taken > NOISE_STEPS):
             outcome = FitOutcome.CONVERGED
             break
+        # Noise creeps along flat directions: a fit is at its end where many steps gain nothing.
+        steps = FIRST_NOISE_STEPS if settled else NOISE_STEPS
     else:
         progress(f"not at its end after {rounds} rounds: the last one gained {gained:.1f}")
     return _with_covariance(problem, free, now, index, path, outcome, refused)
+
+
+def estimate_surely(
+    problem: Problem,
+    free: tuple[str, ...],
+    start: Coordinates | None = None,
+    noise: Noise | None = None,
+    progress: Progress = no_progress,
+) -> Estimate:
+    """`estimate`; where the optimiser stalled, again from elsewhere until two fits end alike.
+
+    What is compared with other fits must have ended, or the odds count how far the search came.
+    """
+    best, rng = estimate(problem, free, start, noise, progress=progress), np.random.default_rng(0)
+    for _ in range(RESTARTS):
+        if best.outcome in (FitOutcome.CONVERGED, FitOutcome.BOUNDED):
+            break
+        progress("a fit stalled; once more from elsewhere")
+        elsewhere = best.coordinates.copy()
+        elsewhere[best.index] += RESTART_DISTANCE * best.stds * rng.standard_normal(len(best.index))
+        other = estimate(problem, free, elsewhere, best.noise, progress=progress)
+        is_same = abs(other.deviance - best.deviance) < STALLED_GAIN
+        best = min(best, other, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
+        if is_same:
+            return dataclasses.replace(best, outcome=FitOutcome.CONVERGED)
+    return best
 
 
 def _with_covariance(

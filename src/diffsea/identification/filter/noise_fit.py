@@ -10,7 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
+from scipy.stats import chi2
 
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter.covariance import (
@@ -23,16 +24,18 @@ from diffsea.identification.filter.covariance import (
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.scales import froude_speed, time_scale
-from diffsea.statistics import robust_scale
 from diffsea.vessel.base import Vessel
 
 
-EXCERPT_ROWS = 1024  # from which noise is estimated: a fiftieth of each scale is its error
-BLOCK_ROWS = 128  # of the excerpt that follow one another
+EXCERPT_ROWS = 8192  # from which noise is estimated: a hundredth of each scale is its error
+BLOCK_ROWS = 1024  # of the excerpt that follow one another
 LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is not noise
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 HALVINGS = 4  # of a step that makes the likelihood worse
-ENOUGH_GAIN = 1.0  # of -2 log posterior: after less, nothing more is sought before a fit goes on
+FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
+# All scales from those that are free: positions err alike to the north and to the east.
+ISOTROPIC = np.insert(np.eye(14), 10, np.eye(14)[9], axis=0)
+ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
 
 
 class RowTimes(eqx.Module):
@@ -40,6 +43,7 @@ class RowTimes(eqx.Module):
 
     dt: Float[Array, "*block row"]  # s
     starts: Bool[Array, "*block row"]
+    run: Int[Array, "*block row"]
     first_variance: Float[Array, "6"]
 
 
@@ -64,38 +68,85 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     gusts = np.array([gust, gust, 2 * gust / length])
     memory = np.full(3, 5 * time)
     slow = gusts / np.sqrt(2 * memory)
-    floor = np.array([1e-4 * length, 1e-4 * length, 1e-4, 1e-4, 1e-4, 1e-4])
-    sensors = floor.copy()
-    measured, known, run = (np.asarray(a) for a in (dataset.measured, dataset.known, dataset.run))
-    for k in range(6):
-        series, runs = measured[known[:, k], k], run[known[:, k]]
-        if len(series) < 5:
-            continue
-        # White noise of unit variance has second differences of variance 6.
-        second = np.diff(series, 2)[runs[2:] == runs[:-2]]
-        robust = robust_scale(second - np.median(second)) / np.sqrt(6)
-        sensors[k] = max(robust, 0.3 * np.std(second) / np.sqrt(6), floor[k])
-    scales = np.concatenate([gusts, slow, memory, sensors])
+    scales = np.concatenate([gusts, slow, memory, _sensor_scales(dataset, length)])
     return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 6]))
 
 
-def take_excerpt(run: FilterRun, times: RowTimes) -> tuple[FilterRun, RowTimes]:
-    """Blocks of rows spread evenly over a long run, each begun like a run of its own.
+def _sensor_scales(dataset: Dataset, length: float) -> Float[np.ndarray, "6"]:
+    """Standard deviation of second differences over sqrt(6), with a floor.
 
-    A run that is no longer than the blocks together is one block.
+    That of positions is one number for both axes, by the length of their differences: it must not
+    depend on which way north lies.
+    """
+    floor = np.array([1e-4 * length, 1e-4 * length, 1e-4, 1e-4, 1e-4, 1e-4])
+    measured, known, run = (np.asarray(a) for a in (dataset.measured, dataset.known, dataset.run))
+    squares = [_second_differences(measured[:, k], known[:, k], run) ** 2 for k in range(6)]
+    scales = np.maximum([_scale_of_squares(own, 1) for own in squares], floor)
+    fixes = known[:, 0] & known[:, 1]
+    north, east = (_second_differences(measured[:, k], fixes, run) for k in (0, 1))
+    if len(north):
+        scales[:2] = max(_scale_of_squares(north**2 + east**2, 2), floor[0])
+    else:
+        scales[:2] = scales[:2].max()
+    return scales
+
+
+def _second_differences(
+    values: Float[np.ndarray, "row"], known: Bool[np.ndarray, "row"], run: Int[np.ndarray, "row"]
+) -> Float[np.ndarray, "difference"]:
+    """Second differences of the known values within each run, less their median."""
+    run = run[known]
+    if len(run) < FEWEST_VALUES:
+        return np.zeros(0)
+    second = np.diff(values[known], 2)[run[2:] == run[:-2]]
+    return second - np.median(second) if len(second) else second
+
+
+def _scale_of_squares(squares: Float[np.ndarray, "difference"], axes: int) -> float:
+    """Standard deviation of a value on each of so many axes, from squared second differences.
+
+    Robust, by their median, but not less than three tenths of the plain one.
+    """
+    if not len(squares):
+        return 0.0
+    robust = np.median(squares) / float(chi2.median(axes))
+    return float(np.sqrt(max(robust, 0.09 * np.mean(squares) / axes) / 6))
+
+
+def take_excerpt(run: FilterRun, times: RowTimes) -> tuple[FilterRun, RowTimes]:
+    """Blocks of rows spread evenly over each of long runs, each begun like a run of its own.
+
+    Runs that together are no longer than the excerpt are one block. Where blocks lie depends on
+    nothing but the run itself, so that the order of runs does not matter.
     """
     begin, length = np.zeros(1, int), len(times.dt)
+    recorded = np.asarray(run.gains.used).any(1)  # spare rows at the end of a data set are not
+    number = np.where(recorded, np.asarray(times.run), -1)
     if length > EXCERPT_ROWS:
-        # Spare rows at the end of a data set say nothing.
-        rows = 1 + int(np.flatnonzero(np.asarray(run.gains.used).any(1)).max(initial=0))
-        blocks = int(np.clip(rows // BLOCK_ROWS, 1, EXCERPT_ROWS // BLOCK_ROWS))
-        begin = np.linspace(0, max(0, rows - BLOCK_ROWS), blocks).astype(int)
         length = BLOCK_ROWS
-    chosen = begin[:, None] + np.arange(length)
+        begin = _block_starts(number, min(EXCERPT_ROWS, np.count_nonzero(recorded)))
+    chosen = np.minimum(begin[:, None] + np.arange(length), len(recorded) - 1)
     starts = np.asarray(times.starts)[chosen]
     starts[:, 0] = True
-    part, dt = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), (run, times.dt))
-    return part, RowTimes(dt, jnp.asarray(starts), times.first_variance)
+    part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), run)
+    if len(begin) > 1:
+        own = np.asarray(times.run)[chosen] == np.asarray(times.run)[chosen[:, :1]]
+        used = part.gains.used & own[..., None]
+        part = eqx.tree_at(lambda p: p.gains.used, part, used)
+    dt = jnp.asarray(np.asarray(times.dt)[chosen])
+    chosen_runs = jnp.asarray(np.asarray(times.run)[chosen])
+    return part, RowTimes(dt, jnp.asarray(starts), chosen_runs, times.first_variance)
+
+
+def _block_starts(run: Int[np.ndarray, "row"], rows: int) -> Int[np.ndarray, "block"]:
+    """First rows of blocks that hold so many rows of all runs together; negative runs are none."""
+    begin = []
+    for number in np.unique(run[run >= 0]):
+        own = np.flatnonzero(run == number)
+        first, last = own[0], max(own[0], own[-1] + 1 - BLOCK_ROWS)
+        count = max(1, round(rows / BLOCK_ROWS * len(own) / np.count_nonzero(run >= 0)))
+        begin.append(np.linspace(first, last, count).astype(int))
+    return np.concatenate(begin)
 
 
 def rerun_linearised(
@@ -132,11 +183,12 @@ def _terms(
 ) -> tuple[Float[Array, "value"], Float[Array, "value"]]:
     """Whitened innovations of all blocks, and the logarithms of their variances."""
 
-    def block(part: FilterRun, dt: Array, starts: Array) -> tuple[Array, Array]:
-        return rerun_linearised(part, RowTimes(dt, starts, times.first_variance), Noise.of(log))
+    def block(part: FilterRun, dt: Array, starts: Array, own: Array) -> tuple[Array, Array]:
+        clock = RowTimes(dt, starts, own, times.first_variance)
+        return rerun_linearised(part, clock, Noise.of(log))
 
     # One step of a compiled loop costs nearly as much for one block as for all.
-    white, variance = jax.vmap(block)(run, times.dt, times.starts)
+    white, variance = jax.vmap(block)(run, times.dt, times.starts, times.run)
     return white.ravel(), jnp.log(variance).ravel()
 
 
@@ -182,7 +234,9 @@ def refine_noise(
     log, lowest = np.asarray(noise.scales), prior.mean - LARGEST_FALL
     for _ in range(steps):
         value, gradient, curvature = map(np.asarray, _score(run, times, jnp.asarray(log), prior))
-        step = -np.linalg.solve(curvature, gradient)
+        step = -ISOTROPIC @ np.linalg.solve(
+            ISOTROPIC.T @ curvature @ ISOTROPIC, ISOTROPIC.T @ gradient
+        )
         step = np.maximum(np.clip(step, -LARGEST_STEP, LARGEST_STEP), lowest - log)
         for _ in range(HALVINGS):
             there = float(_deviance(run, times, jnp.asarray(log + step), prior))

@@ -1,0 +1,103 @@
+"""The same runs told otherwise give the same fit: turned, in another order, moved, later."""
+
+import dataclasses
+
+from experiments.concealed_real import retellings, sets
+
+import numpy as np
+import pytest
+from tests.oracle.simulator import load
+from tests.paths import ORACLE, ROOT
+from tests.runs import random_steps
+
+from diffsea import Trajectory, read_recording, read_vessel
+from diffsea.identification.fit import estimate, estimate_surely, normalised_rms
+from diffsea.identification.problem import make_problem
+from diffsea.vessel.files import build
+
+
+FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
+
+
+def turned(run: Trajectory, angle: float) -> Trajectory:
+    x, y = np.asarray(run.x), np.asarray(run.y)
+    cos, sin = np.cos(angle), np.sin(angle)
+    return dataclasses.replace(
+        run, x=cos * x - sin * y, y=sin * x + cos * y, psi=np.asarray(run.psi) + angle
+    )
+
+
+TELLINGS = {
+    "turned": lambda runs: [turned(run, 0.7) for run in runs],
+    "in another order": lambda runs: runs[::-1],
+    "moved": lambda runs: [dataclasses.replace(r, x=r.x + 500.0, y=r.y - 300.0) for r in runs],
+    "later": lambda runs: [dataclasses.replace(run, t=run.t + 900.0) for run in runs],
+}
+
+
+@pytest.fixture(scope="module")
+def boat():
+    return build(load(str(ORACLE / "usv.toml")))
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Trajectory]:
+    """Runs of different lengths, with noise that is coarser to the north than to the east."""
+    document, rng = load(str(ORACLE / "usv.toml")), np.random.default_rng(3)
+    found = [
+        random_steps(document, seed, seconds, 0.25) for seed, seconds in ((4, 60.0), (5, 90.0))
+    ]
+    return [
+        dataclasses.replace(
+            run,
+            x=run.x + 0.05 * rng.normal(size=run.x.shape),
+            y=run.y + 0.02 * rng.normal(size=run.y.shape),
+        )
+        for run in found
+    ]
+
+
+def fitted(boat, runs):
+    problem = make_problem(boat, runs, FREE)
+    found = estimate(problem, FREE)
+    return found, normalised_rms(found.filter_run(problem))
+
+
+@pytest.fixture(scope="module")
+def told(boat, runs):
+    return fitted(boat, runs)
+
+
+@pytest.mark.parametrize("telling", TELLINGS)
+def test_a_fit_ends_where_it_did(boat, runs, told, telling):
+    (before, misfit), (after, same) = told, fitted(boat, TELLINGS[telling](runs))
+    assert same == pytest.approx(misfit, rel=0.01)
+    assert np.abs((after.coordinates - before.coordinates) / before.stds).max() < 0.1
+
+
+def test_a_fit_from_afar_ends_at_the_same_optimum(boat, runs):
+    problem = make_problem(boat, runs, FREE)
+    sure = estimate_surely(problem, FREE)
+    far = sure.coordinates.copy()
+    far[sure.index] += 1.0
+    again = estimate_surely(problem, FREE, far)
+    assert again.deviance == pytest.approx(sure.deviance, abs=1.0)
+
+
+@pytest.mark.slow
+def test_a_real_set_told_otherwise_is_fitted_the_same(tmp_path):
+    data = ROOT.parent / "shared" / "data" / "kcs_marin"
+    if not data.exists():
+        pytest.skip(f"no recordings of the KCS in {data}")
+    material = sets.SETS["kcs"].load()
+    misfits = {}
+    for name, one in {"as recorded": material, **retellings.retold(material)}.items():
+        if name not in ("as recorded", "turned", "reordered"):
+            continue
+        vessel, train, _ = one.write(tmp_path / name)
+        problem = make_problem(read_vessel(vessel).vessel, [read_recording(run) for run in train])
+        found = estimate_surely(problem, tuple(p.name for p in problem.layout.parameters))
+        misfits[name] = normalised_rms(found.filter_run(problem))
+    assert len(misfits) == 3
+    for misfit in misfits.values():
+        assert misfit == pytest.approx(misfits["as recorded"], rel=0.01)
