@@ -42,6 +42,30 @@ def block_sums(scores: Float[np.ndarray, "row score"], length: int) -> Float[np.
     return padded.reshape(-1, length, scores.shape[1]).sum(1)
 
 
+def moving_block_draws(
+    values: Float[np.ndarray, "row"],
+    run: Int[np.ndarray, "row"],
+    length: int,
+    draws: int,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "draw"]:
+    """Means of values resampled in blocks of `length` that follow one another in one run.
+
+    The moving-block bootstrap of Kunsch (1989): what depends on its neighbours stays beside them.
+    A run shorter than a block is a block.
+    """
+    sums, counts = [], []
+    for number in np.unique(run):
+        own = values[run == number]
+        size = min(length, len(own))
+        total = np.concatenate([[0.0], np.cumsum(own)])
+        sums.append(total[size:] - total[:-size])
+        counts.append(np.full(len(own) - size + 1, size))
+    blocks = max(1, math.ceil(len(values) / length))
+    chosen = rng.integers(sum(map(len, sums)), size=(draws, blocks))
+    return np.concatenate(sums)[chosen].sum(1) / np.concatenate(counts)[chosen].sum(1)
+
+
 def robust_regression(
     columns: Float[np.ndarray, "p series time"],
     target: Float[np.ndarray, "series time"],

@@ -17,7 +17,8 @@ from jaxtyping import Float
 from diffsea.diagnosis.score import Constancy, constancy_test
 from diffsea.diagnosis.screening import Candidate, Screening, short_list
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import estimate, estimate_surely
+from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Gain, Split, held_out_gain
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
@@ -29,6 +30,7 @@ NEAR_BEST = 60.0  # of the best evidence at fixed noise, within which a hypothes
 NEAR_BEST_SHARE = 0.6  # of the best evidence, where that is more
 FULL_REFITS = 4  # at most, and those that the evidence does not tell from the best
 STALLED_SHARE = 0.8  # of the gain that the linear model promises: less is a stalled refit
+SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begins again
 LARGEST_STEP = 3.0  # prior sizes that a one-step estimate may start a refit at
 
 
@@ -47,6 +49,14 @@ class Hypothesis:
     instances: int = 1  # sets of coordinates: one for each run, for an environment of its own
     inflation: float = 1.0  # variance of its own scores over the information, at least one
     exchanged: Gain | None = None  # on the training data, with the held-out ones to train on
+    motion: MotionChange | None = (
+        None  # of free predictions; None where it was not fitted to its end
+    )
+
+    @property
+    def predicts_motion(self) -> bool:
+        """Whether free predictions of held-out runs get no worse with it, beyond chance."""
+        return self.motion is None or not self.motion.is_worse
 
     @property
     def is_judged(self) -> bool:
@@ -75,7 +85,9 @@ class Hypothesis:
 
         Then they may leave it open; against it speaks a lack of evidence, or their loss.
         """
-        if self.gain is None or not self.is_judged or not self.has_one_size:
+        if self.gain is None or not (self.is_judged and self.has_one_size):
+            return False
+        if not self.predicts_motion:
             return False
         return self.evidence(self.inflation) > needed and (self.gain.open or self.gain.clear)
 
@@ -131,15 +143,19 @@ def rank_hypotheses(tried: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candidate) -> Hypothesis:
-    """Refit from the current estimate at its noise; from the prior, too, where that stalls.
+    """Refit from the current estimate at its noise; where that stalls, from elsewhere.
 
-    Effects accepted before start from their estimate in either case.
+    Elsewhere is the prior of the vessel's parameters, and a small size of the effect, from which
+    it and the parameters can move together. Effects accepted before start from their estimate.
     """
     name = candidate.point.effect
+    place = problem.layout.indices((name,))
     warm = np.array(current.coordinates, float)
-    warm[problem.layout.indices((name,))] = first_guess(candidate)
-    prior = warm.copy()
+    warm[place] = first_guess(candidate)
+    prior, small = warm.copy(), warm.copy()
     prior[: len(problem.layout.parameters)] = 0.0
+    amounts = np.tile(EFFECTS[name].amounts, problem.layout.instances(EFFECTS[name]))
+    small[place] = np.where(amounts, SMALL_SHARE * warm[place], warm[place])
 
     def refit(start: np.ndarray) -> Estimate:
         free = (*current.free, name)
@@ -150,8 +166,10 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     better, promised = refit(warm), candidate.score.statistic * candidate.score.inflation
     # Also where it diverged: its deviance is no number then.
-    if not current.deviance - better.deviance >= STALLED_SHARE * promised:
-        better = min(better, refit(prior), key=cost)
+    for start in (prior, small):
+        if current.deviance - better.deviance >= STALLED_SHARE * promised:
+            break
+        better = min(better, refit(start), key=cost)
     return make_hypothesis(problem, current, better, candidate)
 
 
@@ -167,13 +185,14 @@ def refit_fully(
     """
     problem, free = data.train, (*current.free, one.effect)
     start = start_beside(problem, current, one) if start is None else start
-    fitted = estimate(problem, free, start, current.noise)
+    fitted = estimate_surely(problem, free, start, current.noise)
     full = make_hypothesis(problem, current, fitted, one.candidate)
     full = dataclasses.replace(full, gain=held_out_gain(data, current, fitted))
     if not np.isfinite(full.deviance_drop):
         return full
     test = constancy_test(problem, fitted, one.effect, full.deviance_drop)
-    return dataclasses.replace(full, constancy=test)
+    motion = motion_change(data, current, fitted) if full.is_judged else None
+    return dataclasses.replace(full, constancy=test, motion=motion)
 
 
 def start_beside(
@@ -268,7 +287,7 @@ def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> boo
     size = effect.sizes(problem.base)[place]
     times = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
     is_near = abs(value - candidate.point.at[place]) < candidate.reach
-    return is_near and scanned.lies_within(value * size, times.min(), times.max())
+    return is_near and scanned.lies_within(value * size, times)
 
 
 def recorded_instances(problem: Problem, effect: Effect) -> list[int]:
@@ -293,7 +312,7 @@ def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Esti
     free = tuple(name for name in current.free if name not in names)
     start = np.array(current.coordinates, float)
     start[problem.layout.indices(tuple(names))] = 0.0
-    return estimate(problem, free, start, current.noise)
+    return estimate_surely(problem, free, start, current.noise)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -362,7 +381,9 @@ def decide(
         if behind > EVIDENCE:
             return None
         gain = one.gain
-        if gain is None or not one.has_one_size or one.evidence(inflation) <= short_list.needed:
+        if gain is None or not (one.has_one_size and one.predicts_motion):
+            continue
+        if one.deviance_drop <= 0 or one.evidence(inflation) <= short_list.needed:
             continue
         if gain.open and exchanged_gain is not None:
             # Not part of its support: the training data speak in the evidence already, and the

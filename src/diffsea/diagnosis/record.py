@@ -86,9 +86,10 @@ def summary(
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),
         "fit": {
-            "nominal": _misfits(diagnosis, diagnosis.nominal),
-            "diagnosed": _misfits(diagnosis, final),
+            "nominal": _misfits(diagnosis, diagnosis.nominal) | _free(horizons, "nominal"),
+            "diagnosed": _misfits(diagnosis, final) | _free(horizons, "diagnosed"),
         },
+        "insufficient": [str(one) for one in diagnosis.shortfalls],
         "parameters": [one.as_dict() for one in fitted],
         "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),
         "screening": [
@@ -275,6 +276,12 @@ def _misfits(diagnosis: Diagnosis, fitted: Estimate) -> dict[str, float]:
     }
 
 
+def _free(horizons: list[Record] | None, model: str) -> Record:
+    """Root-mean-square errors of a model's free predictions by horizon (s) and quantity."""
+    found = {f"{row['seconds']:g}": row[model] for row in horizons or [] if row[model]}
+    return {"free": found} if found else {}
+
+
 def _candidates(diagnosis: Diagnosis) -> list[Record]:
     """What became of every candidate against the nominal model, best first."""
     problem, screening = diagnosis.split.train, diagnosis.nominal_screening
@@ -298,6 +305,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Record]:
             row["parameters"] = parameter_records(problem, one.estimate, name)[0]
             reason = _reason(one, inflation, diagnosis.short_list.needed)
             row |= _gain(one) | {"status": "rejected", "reason": reason}
+            row["predicts_motion"] = one.predicts_motion
         if name in diagnosis.names:
             row |= {"status": "accepted", "reason": "evidence and held-out data both speak for it"}
         elif catalogue_name(name) in rivals:
@@ -318,6 +326,8 @@ def _reason(one: Hypothesis, inflation: float, needed: float) -> str:
         return "it does not predict held-out data better"
     if one.constancy is not None and not one.constancy.holds:
         return "its size is not the same in all the data"
+    if not one.predicts_motion:
+        return "it explains single steps, but the motion is predicted worse with it"
     return "another explains more"
 
 

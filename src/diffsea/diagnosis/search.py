@@ -22,10 +22,11 @@ from diffsea.diagnosis.hypotheses import (
 )
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
+from diffsea.diagnosis.sufficiency import Shortfall, shortfalls
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, Progress, no_progress
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import estimate_surely
 from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.runtime import one_blas_thread
@@ -65,12 +66,13 @@ class Search:
 class Diagnosis(Search):
     """Everything found: the end of the search, the verdict, and what is left."""
 
-    verdict: str  # "consistent", "explained", "ambiguous" or "unexplained"
+    verdict: str  # "consistent", "explained", "ambiguous", "unexplained" or "insufficient"
     split: Split
     location: Screening  # unnamed forces in the nominal model, measured by the final noise
     unexplained_p_value: float  # family-wise, of what no accepted effect explains
     unexplained: UnexplainedForce | None = None  # a model of what is left, if significant
     bootstrap: Bootstrap = NO_BOOTSTRAP
+    shortfalls: tuple[Shortfall, ...] = ()  # why the data do not tell, where nothing is missing
 
 
 @one_blas_thread
@@ -110,7 +112,7 @@ def diagnose(
 
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")
-    nominal = estimate(data.train, free, progress=progress)
+    nominal = estimate_surely(data.train, free, progress=progress)
     progress("screening the catalogue")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
@@ -128,7 +130,10 @@ def explain(
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
     left = unexplained_p_value(kept, final, null)
-    verdict = verdict_on(final.effects, left)
+    verdict, short = verdict_on(final.effects, left), ()
+    if verdict == "consistent":
+        short = shortfalls(data, final.final)
+        verdict = "insufficient" if short else verdict
     unexplained, location = None, final.nominal_screening
     if verdict == "unexplained":
         progress("modelling what is left")
@@ -144,6 +149,7 @@ def explain(
         unexplained_p_value=left,
         unexplained=unexplained,
         bootstrap=null,
+        shortfalls=short,
     )
 
 

@@ -155,10 +155,14 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
 
 def held_out_vessels(split: Split, fitted: Estimate) -> list[Vessel]:
     """The fitted vessel in the environment of each held-out run; all its numbers are floats."""
-    coordinates = jnp.asarray(held_out_coordinates(split, fitted))
-    vessel, flow = vessel_at(split.test.base, split.test.layout, coordinates)
-    vessel, runs = jax.tree.map(float, vessel), range(len(split.held_out))
-    flows = [jax.tree.map(lambda leaf, k=k: float(leaf[k]), flow) for k in runs]
+    found = vessels_in_runs(split.test, held_out_coordinates(split, fitted), len(split.held_out))
+    return [jax.tree.map(float, vessel) for vessel in found]
+
+
+def vessels_in_runs(problem: Problem, coordinates: Coordinates, runs: int) -> list[Vessel]:
+    """The vessel at some coordinates in the environment of each of the problem's first runs."""
+    vessel, flow = vessel_at(problem.base, problem.layout, jnp.asarray(coordinates))
+    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(runs)]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 
 

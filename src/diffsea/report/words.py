@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+from diffsea.diagnosis.sufficiency import Shortfall
 from diffsea.identification.holdout import HeldOut
 from diffsea.report.quantities import (
     duration,
@@ -153,12 +154,15 @@ def verdict_sentence(summary: Record) -> str:
             "The model agrees with the recordings: they show nothing that is missing from it "
             "beyond the values of its parameters."
         )
-    if not effects:
+    if not effects and summary["verdict"] != "insufficient":
         where = "".join(f", strongest in {place}" for place in strongest_places(summary, 1))
         return (
             "The recordings show something that the model leaves out and that no effect known here "
             f"describes{where}."
         )
+    if summary["verdict"] == "insufficient":
+        why = enumeration([Shortfall(one).sentence for one in summary["insufficient"]])
+        return f"The recordings do not tell whether the model lacks anything: {why}."
     what = enumeration([group_phrase(group).rstrip(",") for group in effect_groups(effects)])
     names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
     if summary["verdict"] == "unexplained":
@@ -261,6 +265,18 @@ def strongest_places(summary: Record, count: int = 3) -> list[str]:
     return lines[:count]
 
 
+def single_step_sentence(summary: Record) -> str:
+    """Names that were refused because free predictions of the motion get worse with them."""
+    refused = [row for row in summary.get("candidates", []) if row.get("predicts_motion") is False]
+    names = list(dict.fromkeys(as_words(row["name"]) for row in refused))
+    if not names:
+        return ""
+    verb = "explains" if len(names) == 1 else "explain"
+    return (
+        f"{capital(enumeration(names))} {verb} single steps, but not the motion: no name is given."
+    )
+
+
 def parameter_lines(effect: Record) -> list[str]:
     """`speed 0.301 +- 0.004 m/s` for each parameter of an effect.
 
@@ -328,11 +344,11 @@ def verdict_text(summary: Record) -> str:
         "where": strongest_places(summary),
         "what": what,
         "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
-        "left": [remainder_sentence(summary)],
+        "left": [remainder_sentence(summary), single_step_sentence(summary)],
         "data": audit,
         "next": [following],
     }
-    head = [verdict_sentence(summary), prediction_sentence(summary)]
+    head = [prediction_sentence(summary), verdict_sentence(summary)]
     lines = [line for text in head for line in textwrap.wrap(text, LINE_WIDTH)] + [""]
     wrapper = textwrap.TextWrapper(LINE_WIDTH, subsequent_indent=" " * LABEL_WIDTH)
     for label, texts in items.items():

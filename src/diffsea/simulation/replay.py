@@ -144,6 +144,25 @@ def horizon_errors(
     For each horizon (s) that the recording is long enough for: the names of `replay_errors`,
     root mean square over the starts, and `starts`, how many there were.
     """
+    misses = prediction_misses(vessel, recording, horizons, spacing, measured_actuation)
+    return {
+        horizon: {**_rms_errors(found), "starts": len(found["x"])}
+        for horizon, found in misses.items()
+    }
+
+
+def prediction_misses(
+    vessel: Vessel,
+    recording: Trajectory,
+    horizons: Sequence[float] = HORIZONS,
+    spacing: float = 10.0,
+    measured_actuation: bool = True,
+) -> dict[float, dict[str, Float[np.ndarray, "start"]]]:
+    """Predicted less measured motion so many seconds after each of many starts.
+
+    For each horizon (s) that the recording is long enough for, by motion channel, in SI units
+    (headings not wrapped); NaN where a channel was not measured.
+    """
     t = recording.counted().t
     horizons = [h for h in horizons if t[0] + h <= t[-1]]
     if not horizons:
@@ -169,7 +188,7 @@ def horizon_errors(
         length,
     )
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
-    errors = {}
+    found = {}
     for k, horizon in enumerate(horizons):
         counted = end[:, k] >= 0
         at = end[counted, k]
@@ -177,8 +196,8 @@ def horizon_errors(
         for c in MOTION_CHANNELS:
             reached = np.asarray(getattr(states, c))[counted, k]
             misses[c] = np.where(known[c][at], reached - motion[c][at], np.nan)
-        errors[float(horizon)] = {**_rms_errors(misses), "starts": int(counted.sum())}
-    return errors
+        found[float(horizon)] = misses
+    return found
 
 
 def with_heel(environment: Environment, heel: Scalar) -> Environment:

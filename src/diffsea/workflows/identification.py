@@ -133,7 +133,7 @@ class DiagnosisResult(Tabulated):
 
     @property
     def verdict(self) -> str:
-        """`consistent`, `explained`, `ambiguous` or `unexplained`."""
+        """`consistent`, `explained`, `ambiguous`, `unexplained` or `insufficient`."""
         return self.record["verdict"]
 
     def headline(self) -> str:

@@ -120,12 +120,13 @@ def take_excerpt(run: FilterRun, times: RowTimes) -> tuple[FilterRun, RowTimes]:
     nothing but the run itself, so that the order of runs does not matter.
     """
     begin, length = np.zeros(1, int), len(times.dt)
-    recorded = np.asarray(run.gains.used).any(1)  # spare rows at the end of a data set are not
+    # Spare rows at the end of a data set are not recorded.
+    recorded = np.count_nonzero(np.asarray(run.gains.used), axis=1) > 0
     number = np.where(recorded, np.asarray(times.run), -1)
     if length > EXCERPT_ROWS:
         length = BLOCK_ROWS
-        begin = _block_starts(number, min(EXCERPT_ROWS, np.count_nonzero(recorded)))
-    chosen = np.minimum(begin[:, None] + np.arange(length), len(recorded) - 1)
+        begin = _block_starts(number, min(EXCERPT_ROWS, int(np.sum(recorded))))
+    chosen = np.minimum(begin[:, None] + np.arange(length), len(times.dt) - 1)
     starts = np.asarray(times.starts)[chosen]
     starts[:, 0] = True
     part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), run)

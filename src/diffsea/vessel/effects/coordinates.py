@@ -24,6 +24,7 @@ ANY: Bound = (-math.inf, math.inf)
 ALL_LOST_AT_MOST: Bound = (-1.0, math.inf)  # of a share that is added
 PRIOR_SPREAD = 3.0  # prior scale in noticeable sizes: what is noticeable is a cautious guess
 ONSET_SHARES = 12  # of the recorded time, between which a change is tried
+SHARE_BESIDE_CHANGE = 0.05  # of the rows, before and after: less than between two onsets tried
 
 OfVessel = float | Callable[[Vessel], Scalar]  # a number, or one that depends on the vessel
 Frequencies = Float[np.ndarray, "peak"] | None  # Hz; None where there is no spectrum
@@ -130,9 +131,13 @@ class Onset(Coordinate):
         """The median distance of neighbours, in noticeable sizes; zero for a single one."""
         return float(np.median(np.diff(np.sort(tried)))) if len(tried) > 1 else 0.0
 
-    def lies_within(self, value: float, first: float, last: float) -> bool:
-        """Whether something changes between the first and the last row (s)."""
-        return bool(first < value < last)
+    def lies_within(self, value: float, times: Float[np.ndarray, "row"]) -> bool:
+        """Whether something changes amid the recorded times (s).
+
+        A change with hardly anything before it, or after it, is a wrong parameter and no change.
+        """
+        share = float(np.mean(times < value))
+        return SHARE_BESIDE_CHANGE < share < 1.0 - SHARE_BESIDE_CHANGE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +157,7 @@ class Frequency(Coordinate):
         """The resolution (Hz) of a spectrum of the longest run, in noticeable sizes."""
         return resolution / size
 
-    def lies_within(self, value: float, first: float, last: float) -> bool:
+    def lies_within(self, value: float, times: Float[np.ndarray, "row"]) -> bool:
         """Any frequency shows at any time."""
         return True
 

@@ -234,7 +234,11 @@ def _payload_refusal(vessel: Vessel, numbers: dict[str, float]) -> str:
         "mass",
         "kg",
         lambda vessel: 0.1 * float(vessel.rigid_body.mass),
-        lambda vessel: (-float(vessel.rigid_body.mass), math.inf),
+        # Less than half of itself is another vessel, and more than twice itself sinks it.
+        lambda vessel: (
+            -0.5 * float(vessel.rigid_body.mass),
+            float(vessel.rigid_body.mass),
+        ),
     ),
     Onset(),
     phrase="a mass that is {mass:size} {mass:larger|smaller} from {time:size} on",

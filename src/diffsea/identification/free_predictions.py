@@ -1,0 +1,229 @@
+"""Whether a model predicts the motion better than another, free of corrections on the way.
+
+A normalised innovation says how well a model predicts one sample; gusts and sensor noise that a fit
+may choose can flatter it. A free prediction starts in a recorded state and knows nothing but the
+orders, or the measured actuation, of what follows: noise cannot help there.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import t
+
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.filter.covariance import Noise, gust_propagation
+from diffsea.identification.holdout import Split, held_out_coordinates, vessels_in_runs
+from diffsea.identification.problem import Problem
+from diffsea.kinematics import wrap
+from diffsea.simulation.replay import prediction_misses
+from diffsea.statistics import moving_block_draws
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+
+
+HORIZONS = (20.0, 60.0)  # s ahead, at which predictions must not get worse
+SPACING = 5.0  # s from start to start
+DRAWS = 500  # of the bootstrap
+BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
+PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
+LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionChange:
+    """How free predictions of held-out runs change from one model to another.
+
+    Attributes:
+        ratio: by horizon (s), mean square error of the second over that of the first.
+        worse: by horizon (s), bootstrap probability that the second is the worse one.
+        is_told: by horizon (s), whether the blocks are enough, and alike enough, to say.
+    """
+
+    ratio: dict[float, float]
+    worse: dict[float, float]
+    is_told: dict[float, bool]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether predictions get worse beyond chance at any horizon."""
+        return any(
+            self.is_told[horizon] and share > BEYOND_CHANCE for horizon, share in self.worse.items()
+        )
+
+
+def motion_change(split: Split, before: Estimate, after: Estimate, seed: int = 0) -> MotionChange:
+    """Compare free predictions of the held-out runs by two models.
+
+    The loss of a prediction is the mean of its squared misses of position and heading (of the
+    speeds where neither was measured), each over its mean square by the model `before`. Losses of
+    both are resampled in blocks as long as the horizon: predictions that overlap go together.
+    """
+    rng = np.random.default_rng(seed)
+    ratio, worse, told = {}, {}, {}
+    for horizon, (old, new, run) in relative_losses(split, before, after).items():
+        length = max(1, int(np.ceil(horizon / SPACING)))
+        gain = np.clip(old, None, LARGEST_RATIO) - np.clip(new, None, LARGEST_RATIO)
+        drawn = moving_block_draws(gain, run, length, DRAWS, rng)
+        ratio[horizon] = float(new.mean() / old.mean())
+        worse[horizon] = float(np.mean(drawn < 0))
+        # Few blocks scatter less among themselves than they err: Student's t of their means.
+        blocks = [part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)]
+        error = np.std(blocks, ddof=1) / np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
+        limit = float(t.ppf(BEYOND_CHANCE, max(len(blocks) - 1, 1)))
+        told[horizon] = abs(float(np.mean(blocks))) > limit * error
+    return MotionChange(ratio, worse, told)
+
+
+def _blocks(values: Float[np.ndarray, "start"], length: int) -> list[np.ndarray]:
+    """Values in whole blocks that follow one another; a run shorter than one is a block."""
+    return np.array_split(values, max(1, len(values) // length))
+
+
+class PredictionLosses(NamedTuple):
+    """Losses of predictions by two models, and the number of each start's run."""
+
+    before: Float[np.ndarray, "start"]
+    after: Float[np.ndarray, "start"]
+    run: Int[np.ndarray, "start"]
+
+
+def relative_losses(
+    split: Split, before: Estimate, after: Estimate
+) -> dict[float, PredictionLosses]:
+    """PredictionLosses by horizon (s), relative to the mean squares of the first model.
+
+    Infinite where a model diverges. Horizons longer than every run are absent.
+    """
+    squares: dict[float, tuple[list[np.ndarray], ...]] = {}
+    vessels = [
+        vessels_in_runs(split.test, held_out_coordinates(split, model), len(split.held_out))
+        for model in (before, after)
+    ]
+    for number, run in enumerate(split.held_out):
+        own, other = (_squared_misses(some[number], run) for some in vessels)
+        for horizon, misses in own.items():
+            columns = misses, other[horizon], np.full(len(misses), number)
+            for column, kept in zip(
+                columns, squares.setdefault(horizon, ([], [], [])), strict=True
+            ):
+                kept.append(column)
+    found = {}
+    for horizon, columns in squares.items():
+        old, new, run = (np.concatenate(column) for column in columns)
+        usual = [
+            np.mean(one[np.isfinite(one)]) if np.isfinite(one).any() else np.nan for one in old.T
+        ]
+        counted = [k for k in (0, 1) if np.isfinite(usual[k])] or [
+            k for k in (2, 3, 4) if np.isfinite(usual[k])
+        ]
+        rows = np.isfinite(old[:, counted]).all(1)
+        if counted and rows.any():
+            scale = np.array(usual)[counted]
+            first, second = (
+                np.nan_to_num((one[rows][:, counted] / scale).mean(1), nan=np.inf)
+                for one in (old, new)
+            )
+            found[horizon] = PredictionLosses(first, second, run[rows])
+    return found
+
+
+def _squared_misses(
+    vessel: Vessel, run: Trajectory
+) -> dict[float, Float[np.ndarray, "start quantity"]]:
+    """Squared misses of position, heading, u, v and r by horizon; NaN where not measured."""
+    vessel = jax.tree.map(jnp.asarray, vessel)
+    found = {}
+    for horizon, misses in prediction_misses(vessel, run, HORIZONS, SPACING).items():
+        position = misses["x"] ** 2 + misses["y"] ** 2
+        heading = np.asarray(wrap(misses["psi"])) ** 2
+        speeds = [misses[name] ** 2 for name in ("u", "v", "r")]
+        found[horizon] = np.stack([position, heading, *speeds], axis=1)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionMisfit:
+    """Free predictions of held-out runs beside what noise explains, so many seconds ahead.
+
+    Attributes:
+        ratio: mean square miss of position and heading over the expected one, by horizon (s).
+        blocks: predictions that share nothing, by horizon (s).
+    """
+
+    ratio: dict[float, float]
+    blocks: dict[float, int]
+
+
+def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
+    """Mean square misses of free predictions over what gusts and sensor noise explain.
+
+    Gusts count as far as they are plausible for the vessel's size (two standard deviations of
+    their prior): what a fit has called a gust for want of a better model explains nothing.
+    """
+    coordinates = held_out_coordinates(split, fitted)
+    vessels = vessels_in_runs(split.test, coordinates, len(split.held_out))
+    squares: dict[float, list[np.ndarray]] = {}
+    for run, vessel in zip(split.held_out, vessels, strict=True):
+        for horizon, misses in _squared_misses(vessel, run).items():
+            squares.setdefault(horizon, []).append(misses[:, :2])
+    prior, own = split.test.prior, np.asarray(fitted.noise.scales)
+    gusts = np.minimum(own[:6], prior.mean[:6] + PLAUSIBLE_GUSTS * prior.spread[:6])
+    noise = Noise.of(np.concatenate([gusts, own[6:]]))
+    ratio, blocks = {}, {}
+    for horizon, found in squares.items():
+        expected = expected_squares(split.test, coordinates, noise, horizon)
+        measured = np.nanmean(np.concatenate(found), axis=0)
+        ratios = (measured / expected)[np.isfinite(measured)]
+        if len(ratios):
+            ratio[horizon] = float(ratios.mean())
+            spans = [float(run.t[-1] - run.t[0]) for run in split.held_out]
+            blocks[horizon] = sum(int(span // horizon) for span in spans)
+    return MotionMisfit(ratio, blocks)
+
+
+def expected_squares(
+    problem: Problem, coordinates: Float[np.ndarray, "coordinate"], noise: Noise, horizon: float
+) -> Float[np.ndarray, "2"]:
+    """Mean squares of position (m^2) and heading (rad^2) missed by `horizon` s of free prediction.
+
+    The covariance that gusts add along the linearised motion from a state measured by its sensors,
+    seen by them once more at the end; mean over starts along the data.
+    """
+    run = problem.run_filter(coordinates, noise)
+    F, data = np.asarray(run.F), problem.dataset
+    gusts, Q = (jax.tree.map(np.asarray, part) for part in gust_propagation(noise, data.dt))
+    half = np.einsum("ri,ij->rij", gusts.half, np.eye(3))
+    A = np.zeros((len(F), 9, 9))
+    A[:, :6, :6] = F
+    A[:, :6, 6:] = F[:, :, 3:] @ half
+    A[:, 3:6, 6:] += half
+    A[:, 6:, 6:] = np.einsum("ri,ij->rij", gusts.decay, np.eye(3))
+    starts, ends = _spans_of_rows(problem, horizon)
+    sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
+    P = np.tile(np.diag(np.concatenate([sensor, slow])), (len(starts), 1, 1))
+    for step in range(int((ends - starts).max(initial=0))):
+        going = starts + step < ends
+        rows = (starts + step)[going]
+        P[going] = A[rows] @ P[going] @ A[rows].mT + Q[rows]
+    variance = np.diagonal(P, axis1=1, axis2=2) + np.append(sensor, np.zeros(3))
+    return np.array([variance[:, :2].sum(1).mean(), variance[:, 2].mean()])
+
+
+def _spans_of_rows(
+    problem: Problem, horizon: float
+) -> tuple[Int[np.ndarray, "start"], Int[np.ndarray, "start"]]:
+    """First rows and last rows of stretches of `horizon` s within runs, every `SPACING` s."""
+    times, run = np.asarray(problem.dataset.run_time), np.asarray(problem.dataset.run)
+    starts, ends = [], []
+    recorded = problem.dataset.recorded_rows
+    for number in np.unique(run[recorded]):
+        rows = np.flatnonzero((run == number) & recorded)
+        first, last = float(times[rows[0]]), float(times[rows[-1]])
+        wanted = np.arange(first, last - horizon, SPACING)
+        starts.append(rows[np.searchsorted(times[rows], wanted)])
+        ends.append(rows[np.searchsorted(times[rows], wanted + horizon).clip(max=len(rows) - 1)])
+    return np.concatenate(starts), np.concatenate(ends)

@@ -1,0 +1,83 @@
+"""Free predictions of held-out runs: which of two models misses less, and what noise explains."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
+
+from diffsea.diagnosis.sufficiency import Shortfall, shortfalls
+from diffsea.identification.fit import estimate
+from diffsea.identification.free_predictions import motion_change, motion_misfit
+from diffsea.identification.holdout import split_data
+from diffsea.identification.problem import make_problem
+from diffsea.statistics import moving_block_draws
+from diffsea.vessel.files import build
+
+
+FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
+
+
+@pytest.fixture(scope="module")
+def data():
+    """A run that is fitted and a long one held out, of the file's own vessel."""
+    document = load(str(ORACLE / "usv.toml"))
+    boat = build(document)
+    train, test = (random_steps(document, seed, 200.0, 0.5) for seed in (11, 12))
+
+    def problem_of(recordings, least):
+        return make_problem(boat, recordings, FREE, least=least)
+
+    return split_data(problem_of, [train], [test], per_run=False)
+
+
+@pytest.fixture(scope="module")
+def right(data):
+    return estimate(data.train, FREE)
+
+
+@pytest.fixture(scope="module")
+def wrong(right):
+    """The same with a turning damping that is far off."""
+    coordinates = right.coordinates.copy()
+    coordinates[3:5] -= 0.7
+    return dataclasses.replace(right, coordinates=coordinates)
+
+
+def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right, wrong):
+    assert motion_change(data, right, wrong).is_worse
+    change = motion_change(data, wrong, right)
+    assert not change.is_worse and max(change.ratio.values()) < 0.5
+    same = motion_change(data, right, right)
+    assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
+
+
+def test_few_predictions_tell_nothing(data, right, wrong):
+    change = motion_change(data, right, wrong)
+    assert not dataclasses.replace(change, is_told=dict.fromkeys(change.worse, False)).is_worse
+
+
+def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(data, right, wrong):
+    assert all(0.1 < ratio < 4.0 for ratio in motion_misfit(data, right).ratio.values())
+    assert max(motion_misfit(data, wrong).ratio.values()) > 4.0
+    assert shortfalls(data, right) == ()
+    assert Shortfall.MOTION in shortfalls(data, wrong)
+
+
+def test_a_model_that_the_data_do_not_determine_is_not_in_agreement_with_them(data, right):
+    vague = dataclasses.replace(right, shrinkage=np.array([0.9, 0.1, 0.1, 0.1, 0.9]))
+    assert shortfalls(data, vague) == (Shortfall.PARAMETERS,)
+
+
+def test_block_bootstrap_has_the_error_of_a_mean_of_dependent_values():
+    rng = np.random.default_rng(1)
+    run = np.repeat([0, 1], 400)
+    spread = []
+    for _ in range(40):
+        values = np.convolve(rng.normal(size=809), np.ones(10) / np.sqrt(10), "valid")
+        spread.append(moving_block_draws(values, run, 40, 200, rng).std())
+    exact = np.sqrt(10 / 800)  # ten values count as one
+    assert np.mean(spread) == pytest.approx(exact, rel=0.2)
+    assert exact > 2.5 / np.sqrt(800)  # as independent ones it would be a third of that
