@@ -179,6 +179,7 @@ def _by_effect(single: list[Outcome]) -> dict:
 
 def power(single: list[Outcome]) -> list[dict]:
     """By size in detection limits: named rightly, offered, and anything noticed at all."""
+    unnoticed = ("consistent", "insufficient", "failed")
     rows = []
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         part = [o for o in single if low <= o.limits[0] < high]
@@ -186,7 +187,7 @@ def power(single: list[Outcome]) -> list[dict]:
             "from": low, "to": high,
             "right": share(o.right for o in part),
             "offered": share(o.true[0] in o.offered for o in part),
-            "noticed": share(o.verdict not in ("consistent", "failed") for o in part),
+            "noticed": share(o.verdict not in unnoticed for o in part),
         })  # fmt: skip
     return rows
 

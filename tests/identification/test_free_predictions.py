@@ -13,6 +13,7 @@ from diffsea.identification.fit import estimate
 from diffsea.identification.free_predictions import motion_change, motion_misfit
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.recordings.conditioning import cut
 from diffsea.statistics import moving_block_draws
 from diffsea.vessel.files import build
 
@@ -54,9 +55,21 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
 
 
-def test_few_predictions_tell_nothing(data, right, wrong):
-    change = motion_change(data, right, wrong)
-    assert not dataclasses.replace(change, is_told=dict.fromkeys(change.worse, False)).is_worse
+def test_one_block_tells_nothing_however_bad(data, right, wrong):
+    (run,) = data.held_out
+    short = dataclasses.replace(data, held_out=(cut(run, float(run.t[0]), float(run.t[0]) + 30.0),))
+    change = motion_change(short, right, wrong)
+    assert set(change.ratio) == {20.0} and change.ratio[20.0] > 2.0
+    assert not change.is_worse
+
+
+def test_what_was_not_measured_is_not_missed(data, right, wrong):
+    """Without positions the headings tell."""
+    (run,) = data.held_out
+    nothing = np.full(run.t.shape, np.nan)
+    turning = dataclasses.replace(data, held_out=(dataclasses.replace(run, x=nothing, y=nothing),))
+    assert motion_change(turning, right, wrong).is_worse
+    assert motion_misfit(turning, wrong).ratio[60.0] > 4.0
 
 
 def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(data, right, wrong):

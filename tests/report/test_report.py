@@ -44,7 +44,7 @@ NASTY = 'zig<zag> & "20".csv'
 SECTIONS = (
     "verdict", "where", "what", "held-out", "next", "unseen", "parameters", "data", "provenance",
 )  # fmt: skip
-VERDICTS = ("consistent", "explained", "ambiguous", "unexplained")
+VERDICTS = ("consistent", "explained", "ambiguous", "unexplained", "insufficient")
 
 
 def usv(current: float = 0.0) -> Vessel:
@@ -152,6 +152,7 @@ def summary_of(verdict: str) -> dict:
     return {
         "format": 1,
         "verdict": verdict,
+        "insufficient": ["parameters", "motion"] if verdict == "insufficient" else [],
         "audit": audit if verdict != "consistent" else [],
         "where": where if verdict != "consistent" else [],
         "effects": effects if found else [unexplained] if verdict == "unexplained" else [],
@@ -473,7 +474,7 @@ def test_errors_on_the_page_are_those_of_the_models():
     # The water carries the vessel 0.3 m/s that the nominal model does not know of.
     assert rows[20.0]["nominal"]["position"] > 4 and rows[20.0]["diagnosed"]["position"] < 1
     old, new = (rows[20.0][model]["position"] for model in ("nominal", "diagnosed"))
-    told = f"off by {significant(new, 2)} m instead of {significant(old, 2)} m"
+    told = f"off by {significant(new, 2)} m with what was found, instead of {significant(old, 2)} m"
     assert told in Reader(page_of("explained")).text("verdict")
     assert told in " ".join(verdict_text(summary).split())
 
@@ -553,8 +554,7 @@ def test_verdict_text_of_each_verdict():
     assert "no effect known here describes, strongest in sway" in unexplained
     consistent = verdict_text(summary_of("consistent"))
     assert "The model agrees with the recordings" in consistent
-    poor = summary_of("insufficient") | {"insufficient": ["parameters", "motion"]}
-    told = " ".join(verdict_text(poor).split())
+    told = " ".join(verdict_text(summary_of("insufficient")).split())
     assert "do not tell whether the model lacks anything: most parameters are not" in told
     assert "free predictions go further astray" in told
     assert "what" not in consistent.split("\n\n")[-1].split()

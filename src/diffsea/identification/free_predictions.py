@@ -94,7 +94,7 @@ class PredictionLosses(NamedTuple):
 def relative_losses(
     split: Split, before: Estimate, after: Estimate
 ) -> dict[float, PredictionLosses]:
-    """PredictionLosses by horizon (s), relative to the mean squares of the first model.
+    """Losses by horizon (s), relative to the mean squares of the first model.
 
     Infinite where a model diverges. Horizons longer than every run are absent.
     """
@@ -176,10 +176,11 @@ def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     ratio, blocks = {}, {}
     for horizon, found in squares.items():
         expected = expected_squares(split.test, coordinates, noise, horizon)
-        measured = np.nanmean(np.concatenate(found), axis=0)
-        ratios = (measured / expected)[np.isfinite(measured)]
-        if len(ratios):
-            ratio[horizon] = float(ratios.mean())
+        columns = np.concatenate(found).T
+        measured = [k for k, column in enumerate(columns) if not np.isnan(column).all()]
+        if measured and np.isfinite(expected).all():
+            ratios = [float(np.nanmean(columns[k])) / expected[k] for k in measured]
+            ratio[horizon] = float(np.mean(ratios))
             spans = [float(run.t[-1] - run.t[0]) for run in split.held_out]
             blocks[horizon] = sum(int(span // horizon) for span in spans)
     return MotionMisfit(ratio, blocks)
@@ -191,7 +192,7 @@ def expected_squares(
     """Mean squares of position (m^2) and heading (rad^2) missed by `horizon` s of free prediction.
 
     The covariance that gusts add along the linearised motion from a state measured by its sensors,
-    seen by them once more at the end; mean over starts along the data.
+    seen by them once more at the end; mean over starts along the data, NaN where there is none.
     """
     run = problem.run_filter(coordinates, noise)
     F, data = np.asarray(run.F), problem.dataset
@@ -203,6 +204,8 @@ def expected_squares(
     A[:, 3:6, 6:] += half
     A[:, 6:, 6:] = np.einsum("ri,ij->rij", gusts.decay, np.eye(3))
     starts, ends = _spans_of_rows(problem, horizon)
+    if not len(starts):
+        return np.full(2, np.nan)
     sensor, slow = np.exp(2 * np.asarray(noise.sensor)), np.exp(2 * np.asarray(noise.slow))
     P = np.tile(np.diag(np.concatenate([sensor, slow])), (len(starts), 1, 1))
     for step in range(int((ends - starts).max(initial=0))):

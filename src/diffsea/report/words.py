@@ -198,8 +198,8 @@ def prediction_sentence(summary: Record) -> str:
     if before == after or abs(new - old) < 0.02 * old:
         return f"{what} off by {after} with or without it."
     if new > old:
-        return f"{what} then off by {after}, which is worse than {before} without it."
-    return f"{what} then off by {after} instead of {before}."
+        return f"{what} off by {after} with what was found, worse than {before} without it."
+    return f"{what} off by {after} with what was found, instead of {before}."
 
 
 def remainder_sentence(summary: Record) -> str:
