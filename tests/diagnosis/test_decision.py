@@ -12,6 +12,7 @@ from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
 from diffsea.diagnosis.search import Search, unexplained_p_value, verdict_on
+from diffsea.identification.free_predictions import MotionChange
 from diffsea.identification.holdout import Gain
 
 
@@ -48,6 +49,16 @@ def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not
     assert listed(best, second, weak, doubtful).pair_candidates() == [second, best]
     assert listed(doubtful, best, second).pair_candidates() == []
     assert listed().pair_candidates() == []
+
+
+def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
+    best, near = judged("wind", 60.0), judged("current", 57.0)
+    assert decide(listed(best, near), None) is best
+    harm = MotionChange({20.0: 2.0}, {20.0: 1.0}, {20.0: True})
+    worse = dataclasses.replace(best, motion=harm)
+    assert decide(listed(worse, near), None) is near and not worse.still_stands(NEEDED)
+    chance = dataclasses.replace(best, motion=dataclasses.replace(harm, worse={20.0: 0.9}))
+    assert decide(listed(chance, near), None) is chance
 
 
 def exchanged(total: float, std: float):

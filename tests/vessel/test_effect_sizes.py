@@ -69,3 +69,18 @@ def test_a_size_far_out_in_the_tail_hardly_counts(layout):
     x = np.zeros(layout.size)
     x[layout.slices()["gyro-bias"]] = 100 * PRIOR_SPREAD
     assert cost(layout, x) < 35  # of 10 000 of a normal one
+
+
+@pytest.mark.parametrize(
+    ("time", "within"), [(0.5, False), (3.0, False), (6.0, True), (97.0, False)]
+)
+def test_a_change_has_data_before_and_after_it(time, within):
+    effect = EFFECTS["drag-change"]
+    assert effect.scanned is not None
+    assert effect.scanned[1].lies_within(time, np.linspace(0.0, 100.0, 1001)) == within
+
+
+def test_a_vessel_loses_at_most_half_of_its_mass_and_gains_at_most_itself():
+    vessel = build(load(ORACLE / "usv.toml"))
+    mass = float(vessel.rigid_body.mass)
+    assert EFFECTS["mass-change"].bounds(vessel)[0] == (-0.5 * mass, mass)

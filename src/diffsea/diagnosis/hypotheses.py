@@ -383,7 +383,7 @@ def decide(
         gain = one.gain
         if gain is None or not (one.has_one_size and one.predicts_motion):
             continue
-        if one.deviance_drop <= 0 or one.evidence(inflation) <= short_list.needed:
+        if one.evidence(inflation) <= short_list.needed:
             continue
         if gain.open and exchanged_gain is not None:
             # Not part of its support: the training data speak in the evidence already, and the
