@@ -1,16 +1,20 @@
 """Free predictions of held-out runs: which of two models misses less, and what noise explains."""
 
+import copy
 import dataclasses
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from tests.diagnosis.small import still_run
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea.diagnosis.sufficiency import Shortfall, shortfalls
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import estimate
-from diffsea.identification.free_predictions import motion_change, motion_misfit
+from diffsea.identification.free_predictions import expected_squares, motion_change, motion_misfit
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.recordings.conditioning import cut
@@ -76,7 +80,26 @@ def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(
     assert all(0.1 < ratio < 4.0 for ratio in motion_misfit(data, right).ratio.values())
     assert max(motion_misfit(data, wrong).ratio.values()) > 4.0
     assert shortfalls(data, right) == ()
-    assert Shortfall.MOTION in shortfalls(data, wrong)
+    assert shortfalls(data, wrong) == (Shortfall.MISFIT, Shortfall.MOTION)
+
+
+def test_what_gusts_explain_is_the_integral_of_their_spectrum():
+    """Surge of a craft at rest, linearly damped: one linear system of x, u and gust (Van Loan)."""
+    document = copy.deepcopy(load(str(ORACLE / "usv.toml")))
+    document["hull"] |= {"X_u": -30.0}
+    boat, horizon = build(document), 20.0
+    inertia = float(boat.rigid_body.mass) - float(boat.added_mass.X_udot)
+    problem = make_problem(boat, [still_run(boat, 120.0)], ("X_u",))
+    white, lasting, memory, none = 0.02, 0.01, 8.0, 1e-9
+    scales = [white, none, none, lasting, none, none, memory, 8.0, 8.0, *[1e-6] * 6]
+    found = expected_squares(problem, np.zeros(1), Noise.of(np.log(scales)), horizon)
+    A = np.array([[0, 1, 0], [0, -30.0 / inertia, 1], [0, 0, -1 / memory]])
+    noise = np.diag([0.0, white**2, 2 * lasting**2 / memory])
+    whole = expm(horizon * np.block([[-A, noise], [np.zeros((3, 3)), A.T]]))
+    F = whole[3:, 3:].T
+    P = F @ whole[:3, 3:] + F @ np.diag([0.0, 0.0, lasting**2]) @ F.T
+    assert found[0] == pytest.approx(P[0, 0], rel=0.02)
+    assert found[1] < 1e-9
 
 
 def test_a_model_that_the_data_do_not_determine_is_not_in_agreement_with_them(data, right):

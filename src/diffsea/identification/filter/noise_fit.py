@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from diffsea.identification.data.dataset import Dataset
@@ -33,8 +35,8 @@ LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 HALVINGS = 4  # of a step that makes the likelihood worse
 FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
-# All scales from those that are free: positions err alike to the north and to the east.
-ISOTROPIC = np.insert(np.eye(14), 10, np.eye(14)[9], axis=0)
+TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
+ISOTROPIC = np.insert(np.eye(14), TIED, np.eye(14)[TIED - 1], axis=0)  # all from those that move
 ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
 
 
@@ -229,16 +231,17 @@ def refine_noise(
 ) -> Noise:
     """Fisher scoring on the scales from `noise`, halving a step that makes it worse.
 
-    From an excerpt of the run.
+    From an excerpt of the run. A step minimises the quadratic model within its bounds: one that is
+    cut off at them afterwards may lead nowhere.
     """
     run, times = take_excerpt(run, times)
     log, lowest = np.asarray(noise.scales), prior.mean - LARGEST_FALL
     for _ in range(steps):
         value, gradient, curvature = map(np.asarray, _score(run, times, jnp.asarray(log), prior))
-        step = -ISOTROPIC @ np.linalg.solve(
-            ISOTROPIC.T @ curvature @ ISOTROPIC, ISOTROPIC.T @ gradient
-        )
-        step = np.maximum(np.clip(step, -LARGEST_STEP, LARGEST_STEP), lowest - log)
+        root = np.linalg.cholesky(ISOTROPIC.T @ curvature @ ISOTROPIC)
+        least = np.clip(np.delete(lowest - log, TIED), -LARGEST_STEP, -np.finfo(float).tiny)
+        target = -solve_triangular(root, ISOTROPIC.T @ gradient, lower=True)
+        step = ISOTROPIC @ lsq_linear(root.T, target, (least, LARGEST_STEP), method="bvls").x
         for _ in range(HALVINGS):
             there = float(_deviance(run, times, jnp.asarray(log + step), prior))
             if there <= value:
