@@ -164,3 +164,18 @@ def test_what_was_left_before_a_name_was_withdrawn_counts():
     fitted = judged("wind", 60.0).estimate
     kept, final = (Search(fitted, one, fitted, one) for one in (before, after))
     assert unexplained_p_value(kept, final, NO_BOOTSTRAP) == pytest.approx(0.02, rel=0.1)
+
+
+def test_of_a_whole_and_its_part_the_part_is_named_unless_the_whole_explains_more():
+    whole, part = judged("actuator-response:steering", 63.0), judged("thrust-delay:steering", 60.0)
+    assert decide(listed(whole, part), None) is part
+    assert AcceptedEffect(part, listed(whole, part)).rivals == ()
+    assert AcceptedEffect(part, listed(whole, part)).lead == part.evidence(1.0) + CLEAR_GAIN.total
+    unsteady = dataclasses.replace(part, constancy=UNSTEADY)
+    assert decide(listed(whole, unsteady), None) is whole
+    assert AcceptedEffect(whole, listed(whole, part)).rivals == ()
+    more = judged("actuator-response:steering", 90.0)
+    assert decide(listed(more, part), None) is more
+    elsewhere = judged("thrust-delay:propulsion", 60.0)
+    assert decide(listed(whole, elsewhere), None) is whole
+    assert AcceptedEffect(whole, listed(whole, elsewhere)).rivals == ("thrust-delay",)

@@ -21,6 +21,7 @@ drag-change           derivative damping and cross-flow drag x (1 + factor) from
 mass-change           mass more at amidships from `time`, the velocity unbroken
 thrust-change         forces of thrusters and propellers x (1 + factor) from `time`
 thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
+actuator-response     thrust-delay, thrust-lag, rate-limit, as far as its keys are given
 rate-limit, thrust-saturation: the lower of effect and channel holds
 thrust-asymmetry      port (y < 0) x (1 - ratio), starboard x (1 + ratio), after the clip
 thruster-misalignment angle added to every thruster
@@ -72,6 +73,7 @@ CHANNEL_EFFECTS = {
     "rate-limit": ("rate_limit", "rate_limit", "least"),
     "thrust-saturation": ("limit", "limit", "least"),
 }
+RESPONSE = {"delay": "thrust-delay", "time_constant": "thrust-lag", "rate_limit": "rate-limit"}
 # Effects on the force of fixed thrusters: parameter and key.
 THRUST_EFFECTS = {
     "thruster-misalignment": ("angle", "angle"),
@@ -171,6 +173,9 @@ def change_actuators(data: dict[str, list[dict]], name: str, values: dict) -> No
                 actuator[key] = (own or 0.0) + values[parameter]
             else:
                 actuator[key] = min(own or math.inf, values[parameter])
+    elif name == "actuator-response":
+        for parameter in RESPONSE.keys() & values.keys():
+            change_actuators(data, RESPONSE[parameter], values)
     elif name in THRUST_EFFECTS:
         parameter, key = THRUST_EFFECTS[name]
         for t in data["thruster"]:

@@ -855,6 +855,7 @@ CATALOGUE = {
     "thrust-lag": ["time_constant=0.8"],
     "thrust-delay": ["delay=0.6"],
     "rate-limit": ["rate_limit=30"],
+    "actuator-response": ["delay=0.6", "time_constant=0.8"],
     "deadband": ["width=12"],
     "backlash": ["width=12"],
     "thrust-saturation": ["limit=50", "actuators=port"],

@@ -105,6 +105,8 @@ CASES = [
     ("twin", "thrust-delay", {"delay": 0.47}),
     ("twin", "rate-limit", {"rate_limit": 110.0}),
     ("ship", "rate-limit", {"rate_limit": 0.07, "actuators": ["rudder"]}),
+    ("twin", "actuator-response", {"delay": 0.47, "time_constant": 0.9}),
+    ("ship", "actuator-response", {"delay": 1.3, "rate_limit": 0.07, "actuators": ["rudder"]}),
     ("twin", "deadband", {"width": 18.0}),
     ("twin", "backlash", {"width": 14.0}),
     ("ship", "backlash", {"width": 0.08, "actuators": ["rudder"]}),

@@ -21,7 +21,7 @@ from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Gain, Split, held_out_gain
 from diffsea.identification.problem import Problem
-from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
 
 
 EVIDENCE = 10.0  # twice the log of odds of 150 to 1
@@ -67,6 +67,16 @@ class Hypothesis:
     def has_one_size(self) -> bool:
         """Whether it was fitted to its end and has one size in all the data."""
         return self.constancy is not None and self.constancy.holds
+
+    def is_part_of(self, other: "Hypothesis") -> bool:
+        """Whether the other is this with something more, on the same channels."""
+        own, whole = EFFECTS[self.effect], EFFECTS[other.effect]
+        return catalogue_name(own.name) in whole.parts and own.place == whole.place
+
+    def is_akin_to(self, other: "Hypothesis") -> bool:
+        """Whether it has the other's name, or one of the two is part of the other."""
+        is_same = catalogue_name(self.effect) == catalogue_name(other.effect)
+        return is_same or self.is_part_of(other) or other.is_part_of(self)
 
     @property
     def size(self) -> int:
@@ -223,8 +233,9 @@ def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
     out[:, list(point.directions)] = step
     if point.secant:
         out[:, 0] = point.at[0]
-    if EFFECTS[point.effect].leading.positive:
-        out[:, 0] = np.maximum(out[:, 0], 0.1)
+    for place, one in enumerate(EFFECTS[point.effect].coordinates):
+        if isinstance(one, Size) and one.positive:
+            out[:, place] = np.maximum(out[:, place], 0.1)
     return out.ravel()
 
 
@@ -271,9 +282,11 @@ def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> boo
     values = fitted.coordinates[places]
     order = [list(fitted.index).index(k) for k in places.ravel()]
     stds = np.sqrt(np.diag(np.linalg.inv(fitted.precision))[order]).reshape(places.shape)
-    if effect.leading.positive:
-        amounts = values[:, 0]
-        least = -TOLERANCE * stds[:, 0] if len(amounts) > 1 else 0.0
+    for place, one in enumerate(effect.coordinates):
+        if not (isinstance(one, Size) and one.positive):
+            continue
+        amounts = values[:, place]
+        least = -TOLERANCE * stds[:, place] if len(amounts) > 1 else 0.0
         if not ((amounts > least).all() and (amounts > 0).any()):
             return False
     least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
@@ -334,6 +347,19 @@ class ShortList:
         return [one for one in self.hypotheses if one.is_judged]
 
     @property
+    def simplest_first(self) -> list[Hypothesis]:
+        """The judged ones, what is part of one and supported nearly as well before it."""
+        ordered = dict[str, Hypothesis]()
+        for one in self.judged:
+            enough = one.support(self.inflation) - EVIDENCE
+            parts = [other for other in self.judged if other.is_part_of(one)]
+            near = [other for other in parts if other.support(self.inflation) > enough]
+            ordered |= {
+                other.effect: other for other in (*near, one) if other.effect not in ordered
+            }
+        return list(ordered.values())
+
+    @property
     def inflation(self) -> float:
         """How many dependent values count as one, by the best judged hypothesis."""
         return self.judged[0].inflation if self.judged else 1.0
@@ -371,12 +397,13 @@ def decide(
 ) -> Hypothesis | None:
     """The best hypothesis for which evidence and held-out data both speak.
 
-    It is the one that all data support most, or one that they support nearly as well. Where
-    held-out data leave one open, they and the training data change places: `exchanged_gain` says
+    It is the one that all data support most, or one that they support nearly as well; of two of
+    which one is part of the other, the part if it is supported nearly as well. Where held-out data
+    leave one open, they and the training data change places: `exchanged_gain` says
     what comes of it, None where they cannot.
     """
     inflation = short_list.inflation
-    for one in short_list.judged:
+    for one in short_list.simplest_first:
         behind = short_list.judged[0].support(inflation) - one.support(inflation)
         if behind > EVIDENCE:
             return None
@@ -445,9 +472,10 @@ class AcceptedEffect:
         """Catalogue names that the same data support nearly as well, the best first."""
         best, names = self.hypothesis, dict[str, None]()
         for other in self.short_list.judged:
-            if best.support(best.inflation) - other.support(best.inflation) < EVIDENCE:
+            is_near = best.support(best.inflation) - other.support(best.inflation) < EVIDENCE
+            if is_near and not other.is_akin_to(best):
                 names[catalogue_name(other.effect)] = None
-        return tuple(name for name in names if name != catalogue_name(best.effect))
+        return tuple(names)
 
     @property
     def lead(self) -> float:
@@ -456,6 +484,6 @@ class AcceptedEffect:
         others = [
             one.support(best.inflation)
             for one in self.short_list.hypotheses
-            if one.is_physical and catalogue_name(one.effect) != catalogue_name(best.effect)
+            if one.is_physical and not one.is_akin_to(best)
         ]
         return best.support(best.inflation) - max([0.0, *others])

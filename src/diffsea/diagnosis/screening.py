@@ -51,19 +51,25 @@ def candidate_effects(
 ) -> tuple[Effect, ...]:
     """Effects of the catalogue that this vessel could have and its model lacks.
 
-    What recordings would have to show and do not (heel) leaves an effect out. So do coefficients
-    of the vessel's own that come with an environment, where each run has its own.
+    What recordings would have to show and do not (heel, what actuators executed) leaves an effect
+    out. So do coefficients of the vessel's own that come with an environment, where each run has
+    its own.
     """
 
     def is_recorded(channel: str) -> bool:
         series = (np.asarray(run.extra.get(channel, np.nan), float) for run in recordings)
         return all(np.isfinite(values).any() for values in series)
 
+    def is_measured(effect: Effect) -> bool:
+        channels = effect.place.all_on(vessel)
+        return all(channel in run.executed for run in recordings for channel in channels)
+
     return tuple(
         effect
         for effect in EFFECTS.values()
         if effect.possible(vessel)
         and (not effect.needs or is_recorded(effect.needs))
+        and (not effect.needs_feedback or is_measured(effect))
         and not (per_run and effect.per_run and effect.has_coefficients)
     )
 

@@ -19,6 +19,7 @@ from diffsea.vessel.servo import OrderHistory, Response, Servo
 _MOVING_CORRELATION = 0.3
 # Share of an actuator's steps explained by orders of the same instant above which it holds them.
 _AT_ONCE_SHARE = 0.5
+_ROW_SIDE = 1e-7  # s, far below any row and far above what rounding does to times of 1e4 s
 _LONGEST_GAP = 5.0  # sampling intervals of an actuator's own: a longer gap loses it
 
 
@@ -105,6 +106,33 @@ def _moves_between_samples(values: Samples, orders: Samples | None) -> bool:
     if not np.isfinite(ordered).all() or not ordered.any():
         return True
     return float(steps @ ordered) ** 2 < _AT_ONCE_SHARE * itself * float(ordered @ ordered)
+
+
+def values_between_rows(
+    t: Float[Array, "value"], rows: Float[Array, "row"], values: Float[Array, "row"]
+) -> Float[Array, "value"]:
+    """Values of rows (s) at other times, by straight lines; on a row, with the mean of both slopes.
+
+    So that there is a derivative by the times.
+    """
+    before, after = (jnp.interp(t + side * _ROW_SIDE, rows, values) for side in (-1, 1))
+    return 0.5 * (before + after)
+
+
+def true_actuation(
+    vessel: Vessel, channel: str, t: Float[Array, "row"], recorded: Float[Array, "row"]
+) -> Float[Array, "row"]:
+    """What a channel executed, of what was recorded in rows that begin at `t` s.
+
+    As the vessel's sensors say that the record is off; it is the record to the last bit where they
+    say nothing.
+    """
+    error = vessel.sensors.feedback.get(channel)
+    if error is None:
+        return recorded
+    later = values_between_rows(t + error.delay, t, recorded)
+    on_time = values_between_rows(t, t, recorded)
+    return (recorded + (later - on_time) - error.offset) / (1 + error.scale)
 
 
 def recorded_heel(recording: Trajectory) -> Samples:

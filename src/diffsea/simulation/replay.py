@@ -24,6 +24,7 @@ from diffsea.simulation.actuation import (
     recorded_actuation,
     recorded_heel,
     servo_path,
+    true_actuation,
 )
 from diffsea.simulation.integrate import rk4
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
@@ -215,7 +216,11 @@ def _replay_inputs(
     notes = [f"executed {', '.join(executed)} as measured"] if executed else []
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
-    steps, rows = _integration_steps(vessel, run, orders, over_rows(run, executed))
+    acting = {
+        channel: np.asarray(true_actuation(vessel, channel, run.t, values))
+        for channel, values in over_rows(run, executed).items()
+    }
+    steps, rows = _integration_steps(vessel, run, orders, acting)
     motion, derived = _true_motion(vessel.sensors, run)
     made_of = run, orders, executed, steps, rows, *_actuate(vessel, steps)
     return _ReplayInputs(*made_of, motion, (*notes, *derived))

@@ -20,6 +20,21 @@ class Clock(eqx.Module):
         return self.offset + self.rate * t
 
 
+class Feedback(eqx.Module):
+    """How the record of what an actuator executed is off.
+
+    `recorded(t) = (1 + scale) true(t - delay) + offset`.
+    """
+
+    offset: Scalar = 0.0  # unit of the channel
+    scale: Scalar = 0.0  # relative
+    delay: Scalar = 0.0  # s
+
+    def plus(self, **more: Scalar) -> "Feedback":
+        """With errors added to its own."""
+        return Feedback(*(value + more.get(key, 0.0) for key, value in vars(self).items()))
+
+
 class Sensors(eqx.Module):
     """Errors of the sensors; all zero for perfect ones.
 
@@ -37,6 +52,7 @@ class Sensors(eqx.Module):
     latency_velocity: Scalar = 0.0
     latency_yaw_rate: Scalar = 0.0
     clock: Clock | None = None  # None: that of the orders
+    feedback: dict[str, Feedback] = eqx.field(default_factory=dict)  # by channel of an actuator
 
     def lags(self, t: Scalar | None = None) -> dict[str, Scalar]:
         """How late (s) each motion channel is against the orders at time `t` (s) of the run.

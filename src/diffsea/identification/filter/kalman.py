@@ -40,6 +40,7 @@ from diffsea.identification.filter.latency import (
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap
 from diffsea.scales import froude_speed
+from diffsea.simulation.actuation import true_actuation
 from diffsea.simulation.integrate import rk4_looped
 from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
@@ -113,7 +114,9 @@ def _actuator_response(vessel: Vessel, channel: str, dataset: Dataset) -> Respon
     """What a channel executes during every row: as measured, or its servo's answer to orders."""
     servo = vessel.servos[channel]
     if channel in dataset.executed:
-        return Response(*[dataset.executed[channel]] * 4)
+        return Response(
+            *[true_actuation(vessel, channel, dataset.t, dataset.executed[channel])] * 4
+        )
     orders = dataset.orders[channel]
     if servo.direct:
         return Response(*[jax.vmap(servo.target)(orders)] * 4)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter.covariance import matrix_vector
 from diffsea.kinematics import to_earth
+from diffsea.simulation.actuation import values_between_rows
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
@@ -23,7 +24,6 @@ from diffsea.vessel.servo import Servo
 
 
 BEFORE_RUN_STEP = 0.1  # s from row to row of the history that is made up before a run
-CLOCK_SIDE = 1e-7  # s, far below any row and far above what rounding does to times of 1e4 s
 
 
 class StateHistory(eqx.Module):
@@ -128,11 +128,6 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
     late = clock.late(dataset.run_time)
     t = dataset.t - late
 
-    def between_rows(values: Float[Array, "row"]) -> Float[Array, "row"]:
-        """At the true times; on a row, with the mean of both slopes."""
-        before, after = (jnp.interp(t + s * CLOCK_SIDE, dataset.t, values) for s in (-1, 1))
-        return 0.5 * (before + after)
-
     def with_delay(servo: Servo, _: eqx.Module) -> Servo:
         """With a delay, of zero where there is none: orders change within rows."""
         return servo if servo.delay is not None else dataclasses.replace(servo, delay=0.0)
@@ -142,7 +137,9 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
         t=t,
         run_time=dataset.run_time - late,
         dt=dataset.dt * (1 - clock.rate),
-        executed={c: between_rows(held) for c, held in dataset.executed.items()},
+        executed={
+            c: values_between_rows(t, dataset.t, held) for c, held in dataset.executed.items()
+        },
     )
     right = dataclasses.replace(vessel.sensors, clock=None)
     vessel = change_servos(vessel, vessel.channels, with_delay)

@@ -38,7 +38,7 @@ from diffsea.identification.online.estimator import (
 from diffsea.identification.online.rls import recursive_least_squares
 from diffsea.identification.online.trust import FadingSums, StepEvidence, Trust, TrustLimits
 from diffsea.series import median_interval
-from diffsea.simulation.actuation import recorded_actuation
+from diffsea.simulation.actuation import recorded_actuation, true_actuation
 from diffsea.trajectory import Trajectory
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
@@ -269,7 +269,8 @@ def _run_along(
     run = recording.counted()
     t, motion = run.t, np.stack([*run.motion.values()], -1)
     orders, executed = recorded_actuation(vessel, recording)
-    actuation = {c: executed.get(c, orders[c]) for c in vessel.channels}
+    right = {c: np.asarray(true_actuation(vessel, c, t, done)) for c, done in executed.items()}
+    actuation = {c: right.get(c, orders[c]) for c in vessel.channels}
     interval = 5 * median_interval(t)
     estimator = make_estimator(measured=tuple(executed), interval=interval)
     guard = guard_estimator(estimator, limits)

@@ -93,6 +93,34 @@ def change_servos(
     return eqx.tree_at(lambda v: v.actuators, vessel, parts)
 
 
+def chosen_channels(vessel: Vessel, table: Table, where: str, in_order_units: str = "") -> set[str]:
+    """Channels of the actuators that a table names, of all of them where it names none.
+
+    Arguments:
+        in_order_units: a key of the table whose number is in the unit of the orders, if any is.
+
+    Raises:
+        UserError: there is no such actuator; or thrusts and angles share a number in the unit of
+            the orders.
+    """
+    known = {name: tuple(part.servos) for name, part in vessel.actuators.items()}
+    known = {c: (c,) for c in vessel.channels} | known
+    names = read_names(table, "actuators", where)
+    names = vessel.channels if names is None else names
+    for name in names:
+        if name not in known:
+            raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
+    channels = {channel for name in names for channel in known[name]}
+    angles = channels & set(OrderedChannels("steering").all_on(vessel))
+    if in_order_units and 0 < len(angles) < len(channels):
+        raise UserError(
+            f"{where}: {in_order_units} is in the unit of the orders, and the vessel has thrusts "
+            "and angles; say which with actuators = [...] (it has: "
+            f"{', '.join(vessel.channels)})"
+        )
+    return channels
+
+
 # A response that is late by several rows is nothing like the derivative for one that is not.
 _late_size = functools.partial(Size, positive=True, secants=(0.3, 1.0, 3.0))
 
@@ -185,21 +213,7 @@ class Stage:
         value = needed(table, self.key, where)
         if variants[0].leading.positive and value < 0:
             raise UserError(f"{where}: {self.key} = {value:g} is negative")
-        known = {name: tuple(part.servos) for name, part in vessel.actuators.items()}
-        known = {c: (c,) for c in vessel.channels} | known
-        names = read_names(table, "actuators", where)
-        names = vessel.channels if names is None else names
-        for name in names:
-            if name not in known:
-                raise UserError(f"{where}: no actuator {name!r}{nearest(name, known)}")
-        channels = {channel for name in names for channel in known[name]}
-        angles = channels & set(OrderedChannels("steering").all_on(vessel))
-        if "{}" in self.unit and 0 < len(angles) < len(channels):
-            raise UserError(
-                f"{where}: {self.key} is in the unit of the orders, and the vessel has thrusts and "
-                "angles; say which with actuators = [...] (it has: "
-                f"{', '.join(vessel.channels)})"
-            )
+        channels = chosen_channels(vessel, table, where, self.key if "{}" in self.unit else "")
         if value == 0 and self.inverse is not None:
             raise UserError(f"{where}: {self.key} must be positive; leave it out for none")
 
@@ -262,7 +276,10 @@ STAGES = (
         lambda order, time: time,
         law="dn/dt = (order - n) / time_constant, exact for orders that hold between samples",
         phrase="a lag with a time constant of {time_constant} in {actuators}",
-        confusables=("thrust-delay", "rate-limit", "backlash", "sensor-latency", "clock-drift"),
+        confusables=(
+            *("thrust-delay", "rate-limit", "actuator-response"),
+            *("backlash", "sensor-latency", "clock-drift"),
+        ),
     ),
     Stage(
         "thrust-delay",
@@ -272,7 +289,10 @@ STAGES = (
         lambda order, time: time,
         law="an order takes effect `delay` later",
         phrase="a dead time of {delay} between order and action",
-        confusables=("thrust-lag", "clock-drift", "sensor-latency", "rate-limit"),
+        confusables=(
+            *("thrust-lag", "actuator-response", "clock-drift"),
+            *("sensor-latency", "rate-limit"),
+        ),
     ),
     Stage(
         "rate-limit",
@@ -282,7 +302,7 @@ STAGES = (
         lambda order, time: time / order,
         law="|dn/dt| <= rate_limit; the coordinate is its inverse, zero for none",
         phrase="a slew limit of {rate_limit} in {actuators}",
-        confusables=("thrust-lag", "thrust-delay", "backlash"),
+        confusables=("thrust-lag", "thrust-delay", "actuator-response", "backlash"),
         state=_with_rate_limit,
         inverse=_rate_limit,
         coordinate_unit="s per ({})",
@@ -340,4 +360,65 @@ STAGES = (
     ),
 )
 
-ACTUATORS = tuple(stage.effect(kind) for stage in STAGES for kind in stage.kinds)
+_STAGES = {stage.name: stage for stage in STAGES}
+RESPONSE = tuple(_STAGES[name] for name in ("thrust-delay", "thrust-lag", "rate-limit"))
+
+
+def _read_response(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """The stages of a late answer whose keys a table has, on the actuators that it names."""
+    given = [stage for stage in RESPONSE if stage.key in table]
+    check_keys(table, ("name", "actuators", *(stage.key for stage in RESPONSE)), where)
+    if not given:
+        keys = ", ".join(stage.key for stage in RESPONSE)
+        raise UserError(f"{where}: say how the answer is late: {keys}, one or several of them")
+    for stage in given:
+        own = {key: table[key] for key in ("name", stage.key, "actuators") if key in table}
+        vessel = stage.read(vessel, own, variants, where)
+    return vessel
+
+
+def _late_response(kind: Kind, variant: str, second: Stage, phrase: str) -> Effect:
+    """A dead time with a lag, or with a slew limit, in channels of one kind.
+
+    Not all three: without a lag or a slew limit the motion has a derivative by either, but beside a
+    lag a slew limit that is too fast to act has none.
+    """
+    stages = RESPONSE[0], second
+    singles = [stage.effect(kind) for stage in stages]
+
+    def apply(vessel: Vessel, at: CoordinateValues) -> Vessel:
+        for number, single in enumerate(singles):
+            vessel = single.apply(vessel, at[number : number + 1])
+        return vessel
+
+    def decode(vessel: Vessel, at: CoordinateValues) -> Numbers:
+        numbers = [single.decode(vessel, at[k : k + 1]) for k, single in enumerate(singles)]
+        return {key: value for part in numbers for key, value in part.items()}
+
+    return Effect(
+        f"actuator-response:{kind}{variant}",
+        "actuator",
+        tuple(single.leading for single in singles),
+        apply,
+        "; ".join(stage.law for stage in stages),
+        phrase,
+        tuple({name: None for single in singles for name in single.confusables}),
+        lambda vessel: all(single.possible(vessel) for single in singles),
+        Parametrisation({k: u for single in singles for k, u in single.units.items()}, decode),
+        singles[0].place,
+        read=_read_response,
+        parts=tuple(stage.name for stage in stages),
+    )
+
+
+_RESPONSES = (
+    ("", _STAGES["thrust-lag"], "{actuators} that answer {delay} late, with a time constant of "
+     "{time_constant}"),
+    ("-slew", _STAGES["rate-limit"], "{actuators} that answer {delay} late, and by no more than "
+     "{rate_limit}"),
+)  # fmt: skip
+
+ACTUATORS = (
+    *(stage.effect(kind) for stage in STAGES for kind in stage.kinds),
+    *(_late_response(kind, *response) for kind in KINDS for response in _RESPONSES),
+)

@@ -58,6 +58,10 @@ class Place:
         """The key and the names by which a file of this vessel says it; empty for all there is."""
         return {}
 
+    def all_on(self, vessel: Vessel) -> tuple[str, ...]:
+        """Channels of a vessel's actuators, if it is these that it acts on."""
+        return ()
+
     def unit_on(self, vessel: Vessel, unit: str) -> str:
         """A unit of the catalogue on this vessel."""
         return unit
@@ -89,8 +93,10 @@ class Effect:
     place: Place = Place()
     per_run: bool = False  # whether each recording may have its own: a field of the environment
     needs: str = ""  # extra channel that recordings must have
+    needs_feedback: bool = False  # whether recordings must have measured what it acts on
     refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
     read: "Callable[[Vessel, Table, Sequence[Effect], str], Vessel] | None" = None  # own table keys
+    parts: tuple[str, ...] = ()  # names of those that it is where some of its amounts are zero
 
     @property
     def units(self) -> dict[str, str]:
