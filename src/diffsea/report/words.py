@@ -80,7 +80,7 @@ class PhrasedParameter:
 
 
 def catalogue_entry(effect: Record) -> Effect | None:
-    """The effect's entry of the catalogue, of several variants the one with its channels."""
+    """The effect's entry of the catalogue: of variants that with its channels or parameters."""
     name, late = effect["name"], set(effect.get("channels", ()))
     variants = [one for one in EFFECTS.values() if name in (one.name, catalogue_name(one.name))]
     alike = [
@@ -88,7 +88,8 @@ def catalogue_entry(effect: Record) -> Effect | None:
         for one in variants
         if isinstance(one.place, MeasuredChannels) and set(one.place.names) == late
     ]
-    return (alike or variants or [None])[0]
+    told = [one for one in variants if set(one.units) == set(effect["parameters"])]
+    return (alike or told or variants or [None])[0]
 
 
 def phrase(effect: Record) -> str:
