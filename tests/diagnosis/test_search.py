@@ -10,13 +10,16 @@ import pytest
 from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, usv
 from tests.runs import random_steps
 
-from diffsea import EFFECTS
+from diffsea import EFFECTS, Finding, audit
+from diffsea.diagnosis.audited import audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import (
+    Search,
     ask_again,
+    believe_audit,
     explain,
     find_pair,
     forward_search,
@@ -59,9 +62,14 @@ def screening(data, nominal):
     return screen(data.train, nominal)
 
 
+def begun(nominal, screening) -> Search:
+    """A search that has found nothing yet."""
+    return Search(nominal, screening, nominal, screening)
+
+
 @pytest.fixture(scope="module")
 def found(data, nominal, screening):
-    return forward_search(data, nominal, screening, NO_BOOTSTRAP, no_progress)
+    return forward_search(data, begun(nominal, screening), NO_BOOTSTRAP, no_progress)
 
 
 def accepted_names(search) -> tuple[str, ...]:
@@ -90,9 +98,41 @@ def test_both_causes_are_found_one_after_the_other(data, found):
     assert found.final_screening.located_p_value > 0.01
 
 
+def claimed(kind, recording, **parameters) -> Finding:
+    """A finding of an audit that may be wrong."""
+    return Finding(kind, 0.1, 0.001, "", "", "", ("x", "y"), parameters, recording)
+
+
+def test_what_the_audit_found_is_believed_first_where_the_model_agrees(data, nominal, screening):
+    runs = list(data.recordings)
+    false = [claimed("lever-arm", run.name, x=0.8, y=0.0) for run in runs]
+    found = audited_effects(usv(), data.train.layout, [*audit(runs), *false], len(runs))
+    assert {one.effect for one in found} == {"gyro-bias", "lever-arm"}
+    now = believe_audit(data, nominal, screening, found, no_progress)
+    assert accepted_names(now) == now.audited == ("gyro-bias",) and not now.searched
+    bias = data.train.layout.physical("gyro-bias", now.final.coordinates)[0]
+    assert bias == pytest.approx([BIAS], rel=0.1)
+    ended = forward_search(data, now, NO_BOOTSTRAP, no_progress)
+    assert accepted_names(ended) == ("gyro-bias", "current")
+    assert [one.name for one in ended.searched] == ["current"]
+
+
+def test_what_the_audit_doubts_or_finds_in_few_runs_or_in_several_sizes_is_no_hypothesis(data):
+    vessel, layout = usv(), data.train.layout
+    arms = [claimed("lever-arm", name, x=x, y=0.1) for name, x in zip("abc", (0.8, 0.9, 0.7))]
+    (arm,) = audited_effects(vessel, layout, arms, 3)
+    assert layout.sizes[2] == EFFECTS["lever-arm"].sizes(vessel)
+    np.testing.assert_allclose(arm.coordinates * layout.sizes[2], [0.8, 0.1])
+    assert audited_effects(vessel, layout, arms, 7) == []
+    apart = [claimed("lever-arm", name, x=x, y=0.1) for name, x in zip("abc", (0.8, -0.9, 0.3))]
+    assert audited_effects(vessel, layout, apart, 3) == []
+    doubtful = [dataclasses.replace(one, doubt="or late") for one in arms]
+    assert audited_effects(vessel, layout, doubtful, 3) == []
+
+
 def test_what_simulated_data_show_as_often_is_not_named(data, nominal, screening):
     common = Bootstrap(np.linspace(0.0, 1e-30, 200), np.linspace(0.0, 1e-30, 200))
-    record = summary(explain(data, nominal, screening, common, no_progress), [])
+    record = summary(explain(data, begun(nominal, screening), common, no_progress), [])
     assert (record["verdict"], record["effects"]) == ("consistent", [])
     assert record["null"]["p_value"] < 1e-6
     assert record["null"]["bootstrap"] == {"draws": 200, "p_value": 1.0}

@@ -186,21 +186,17 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 def refit_fully(
     data: Split,
     current: Estimate,
-    one: Hypothesis,
-    start: Float[np.ndarray, "coordinate"] | None = None,
+    candidate: Candidate,
+    start: Float[np.ndarray, "coordinate"],
 ) -> Hypothesis:
-    """The hypothesis fitted to its end, with noise of its own, and judged on held-out data.
-
-    From `start`, if that is known better than `start_beside` knows it.
-    """
-    problem, free = data.train, (*current.free, one.effect)
-    start = start_beside(problem, current, one) if start is None else start
-    fitted = estimate_surely(problem, free, start, current.noise)
-    full = make_hypothesis(problem, current, fitted, one.candidate)
+    """A hypothesis fitted to its end, with noise of its own, and judged on held-out data."""
+    problem, effect = data.train, candidate.point.effect
+    fitted = estimate_surely(problem, (*current.free, effect), start, current.noise)
+    full = make_hypothesis(problem, current, fitted, candidate)
     full = dataclasses.replace(full, gain=held_out_gain(data, current, fitted))
     if not np.isfinite(full.deviance_drop):
         return full
-    test = constancy_test(problem, fitted, one.effect, full.deviance_drop)
+    test = constancy_test(problem, fitted, effect, full.deviance_drop)
     motion = motion_change(data, current, fitted) if full.is_judged else None
     return dataclasses.replace(full, constancy=test, motion=motion)
 
@@ -449,9 +445,12 @@ def refit_candidates(
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
     # A compiled program runs on one core and lets other threads run meanwhile.
+    def refit_on(one: Hypothesis) -> Hypothesis:
+        return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
+
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         near, rest = near_the_best(list(pool.map(refit_first, names)))
-        full = list(pool.map(lambda one: refit_fully(data, current, one), near))
+        full = list(pool.map(refit_on, near))
     return ShortList.of(problem, [*full, *rest])
 
 

@@ -215,6 +215,7 @@ def _effect(diagnosis: Diagnosis, accepted: AcceptedEffect) -> list[Record]:
         "cost_drop": _cost_drop(diagnosis, accepted),
         "log10_odds": hypothesis.evidence(hypothesis.inflation) * LOG10_OF_HALF,
         "log10_odds_next": accepted.lead * LOG10_OF_HALF,
+        "audited": accepted.name in diagnosis.audited,
         **_gain(hypothesis),
     }
     instances = parameter_records(problem, diagnosis.final, accepted.name)

@@ -5,9 +5,10 @@ and judged by evidence and by held-out data; accepted effects are added one at a
 until nothing is left to explain or nothing explains it, and each is then asked for again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.hypotheses import (
     EVIDENCE,
@@ -19,6 +20,7 @@ from diffsea.diagnosis.hypotheses import (
     refit_candidates,
     refit_fully,
     refit_without,
+    start_beside,
 )
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
@@ -29,6 +31,7 @@ from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.fit import estimate_surely
 from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -55,11 +58,17 @@ class Search:
     effects: tuple[AcceptedEffect, ...] = ()
     short_list: ShortList = ShortList((), 0.0)  # the first one
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
+    audited: tuple[str, ...] = ()  # of the effects, those that the audit had found
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the accepted effects."""
         return tuple(accepted.name for accepted in self.effects)
+
+    @property
+    def searched(self) -> tuple[AcceptedEffect, ...]:
+        """Effects that were not found by the audit, but by the search."""
+        return tuple(one for one in self.effects if one.name not in self.audited)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +93,7 @@ def diagnose(
     free: tuple[str, ...] | None = None,
     progress: Progress = no_progress,
     draws: int = 0,
+    findings: Sequence[Finding] = (),
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -94,6 +104,7 @@ def diagnose(
         per_run: whether wind and current differ from run to run.
         free: parameters that may move; `free_by_default` if None.
         draws: data sets to simulate and refit for the chance of what is seen; 0: to first order.
+        findings: what an audit found in the recordings; held-out ones count, too.
 
     Raises:
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
@@ -116,16 +127,44 @@ def diagnose(
     progress("screening the catalogue")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
-    return explain(data, nominal, screening, null, progress)
+    runs = len(recordings) + len(test)
+    audited = audited_effects(vessel, data.train.layout, findings, runs)
+    return explain(data, believe_audit(data, nominal, screening, audited, progress), null, progress)
 
 
-def explain(
-    data: Split, nominal: Estimate, screening: Screening, null: Bootstrap, progress: Progress
-) -> Diagnosis:
+def believe_audit(
+    data: Split,
+    nominal: Estimate,
+    screening: Screening,
+    audited: list[AuditedEffect],
+    progress: Progress,
+) -> Search:
+    """Where the search begins: the nominal model with the faults that the audit found."""
+    now = Search(nominal, screening, nominal, screening)
+    for one in audited:
+        if not has_room(data.train, now.final, one.effect):
+            continue
+        progress(f"the audit found {catalogue_name(one.effect)}: does the model agree?")
+        accepted = judge_audited(data, now.final, now.final_screening, one)
+        if accepted is None:
+            continue
+        progress(f"accepted: {catalogue_name(one.effect)}")
+        final = accepted.hypothesis.estimate
+        now = replace(
+            now,
+            final=final,
+            final_screening=screen(data.train, final),
+            effects=(*now.effects, accepted),
+            audited=(*now.audited, one.effect),
+        )
+    return now
+
+
+def explain(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> Diagnosis:
     """Name, model and locate what a nominal model that was fitted and screened lacks."""
-    found = forward_search(data, nominal, screening, null, progress)
+    found = forward_search(data, begun, null, progress)
     # All effects but the last are asked for again, beside those that came after them.
-    kept, changed = ask_again(data, found, found.effects[:-1], progress)
+    kept, changed = ask_again(data, found, found.searched[:-1], progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
@@ -153,21 +192,18 @@ def explain(
     )
 
 
-def forward_search(
-    data: Split, nominal: Estimate, screening: Screening, null: Bootstrap, progress: Progress
-) -> Search:
+def forward_search(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> Search:
     """Add one effect after the other until nothing is left to explain or nothing explains it."""
-    now = Search(nominal, screening, nominal, screening)
-    resumed = 0
+    now, resumed = begun, 0
     while (
-        len(now.effects) < MOST_EFFECTS and null.of_strongest(now.final_screening.p_value) < ALPHA
+        len(now.searched) < MOST_EFFECTS and null.of_strongest(now.final_screening.p_value) < ALPHA
     ):
         tried = refit_candidates(data, now.final, now.final_screening, progress)
-        if not now.effects:
+        if not now.searched:
             now = replace(now, short_list=tried)
         best = decide(tried, _exchange(data, now.final, progress))
         if best is None:
-            room = len(now.effects) < MOST_EFFECTS - 1
+            room = len(now.searched) < MOST_EFFECTS - 1
             added = find_pair(data, tried, null, progress) if room else ()
         else:
             better = None
@@ -217,7 +253,7 @@ def find_pair(
         if other is None:
             continue
         bare = refit_without(data.train, other.estimate, [one.effect])
-        again = refit_fully(data, bare, one, other.estimate.coordinates)
+        again = refit_fully(data, bare, one.candidate, other.estimate.coordinates)
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
         gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
         if gained > -EVIDENCE and again.still_stands(alone.needed) and left > ALPHA:
@@ -257,7 +293,12 @@ def ask_again(
             if hypothesis.effect not in bare.free and has_room(data.train, bare, hypothesis.effect)
         }
         again = [
-            refit_fully(data, bare, option, current.coordinates if name == one.name else None)
+            refit_fully(
+                data,
+                bare,
+                option.candidate,
+                current.coordinates if name == one.name else start_beside(data.train, bare, option),
+            )
             for name, option in options.items()
         ]
         tried = ShortList.of(data.train, again)
@@ -292,13 +333,14 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
     left = null.of_located(kept.final_screening.located_p_value)
     strongest = max((cell.z**2 for cell in kept.final_screening.cells), default=0.0)
     outdone = [
-        one.name for one in kept.effects if one.hypothesis.candidate.score.statistic < strongest
+        one.name for one in kept.searched if one.hypothesis.candidate.score.statistic < strongest
     ]
     if left >= ALPHA or not outdone:
         return kept
     others = tuple(one for one in kept.effects if one.name not in outdone)
     bare = refit_without(data.train, kept.final, outdone)
-    rest, _ = ask_again(data, replace(kept, final=bare, effects=others), others, progress)
+    rest = replace(kept, final=bare, effects=others)
+    rest, _ = ask_again(data, rest, rest.searched, progress)
     screening = screen(data.train, rest.final)
     return replace(rest, final_screening=screening, dropped=(*rest.dropped, *outdone))
 

@@ -297,6 +297,8 @@ def parameters_with_errors(
     numbers = zip(units.items(), np.asarray(parameters(at)), std, strict=True)
     return {
         key: {"value": float(value), "std": float(spread), "unit": unit}
+        if np.isfinite(value)
+        else {"value": None, "std": None, "unit": unit}
         for (key, unit), value, spread in numbers
     }
 

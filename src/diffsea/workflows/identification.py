@@ -204,9 +204,12 @@ def diagnose(
     file = as_vessel_file(vessel)
     runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
     progress(f"auditing {len(runs) + len(held_out)} recordings")
-    findings = [finding.as_dict() for finding in audit([*runs, *held_out])]
+    audited = list(audit([*runs, *held_out]))
+    findings = [finding.as_dict() for finding in audited]
     names = None if free is None else tuple(free)
-    found = search_effects(file.vessel, runs, held_out, per_recording, names, progress, bootstrap)
+    found = search_effects(
+        file.vessel, runs, held_out, per_recording, names, progress, bootstrap, audited
+    )
     progress("looking for the manoeuvre that would tell more")
     experiment = next_experiment(found)
     progress("comparing predictions")

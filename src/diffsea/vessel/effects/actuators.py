@@ -244,7 +244,8 @@ def _with_rate_limit(servo: Servo, rate_limit: Scalar) -> Servo:
 def _rate_limit(vessel: Vessel, channels: Sequence[str], slowness: Scalar) -> Scalar:
     """The rate limit of which the coordinate adds to the inverse."""
     own = vessel.servos[channels[0]].slew
-    return 1 / ((0.0 if own is None else own) + slowness)
+    # Of JAX: endless for none.
+    return 1 / (jnp.asarray(0.0 if own is None else own) + slowness)
 
 
 def _with_limit(servo: Servo, limit: Scalar) -> Servo:

@@ -1,0 +1,89 @@
+"""Faults that the audit found, as the first hypotheses of a diagnosis.
+
+An audit compares channels of one run with each other and needs no model of the vessel. A fault of a
+sensor or a clock that it finds with one size in most of the runs is tried before any force is
+blamed, and asked no more than that the model agrees.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from diffsea.diagnosis.hypotheses import AcceptedEffect, Hypothesis, ShortList, refit_fully
+from diffsea.diagnosis.screening import Screening
+from diffsea.identification.coordinates import CoordinateLayout
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.holdout import Split
+from diffsea.recordings import Finding
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.effects.sensors import MeasuredChannels
+
+
+SHARE_OF_RUNS = 0.5  # in which it must have been found: others may not have excited it
+LARGEST_SPREAD = 0.25  # of a size over runs, in its median: as of an effect's constancy
+
+
+@dataclasses.dataclass(frozen=True)
+class AuditedEffect:
+    """A fault found with one size in most of the runs, as an effect of the catalogue."""
+
+    effect: str
+    coordinates: Float[np.ndarray, "own"]  # in noticeable sizes
+
+
+def audited_effects(
+    vessel: Vessel, layout: CoordinateLayout, findings: Sequence[Finding], runs: int
+) -> list[AuditedEffect]:
+    """The effects of a layout that an audit of so many runs found, most often found first.
+
+    A finding that may have another cause (it has a `doubt`) is no first hypothesis.
+    """
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
+        if effect.family != "sensor":
+            continue
+        for finding in findings:
+            channels = isinstance(effect.place, MeasuredChannels) and effect.place.names
+            if finding.kind != catalogue_name(effect.name) or finding.doubt:
+                continue
+            if channels and set(channels) != set(finding.channels):
+                continue
+            at = np.array(effect.encode(vessel, finding.parameters)) / sizes
+            found.setdefault(effect.name, {})[finding.recording] = at
+    out = []
+    for name, by_run in sorted(found.items(), key=lambda item: -len(item[1])):
+        values = np.stack(list(by_run.values()))
+        middle = np.median(values, axis=0)
+        apart = np.median(np.linalg.norm(values - middle, axis=1))
+        is_one_size = apart <= LARGEST_SPREAD * np.linalg.norm(middle)
+        if is_one_size and len(values) >= SHARE_OF_RUNS * runs:
+            out.append(AuditedEffect(name, middle))
+    return out
+
+
+def judge_audited(
+    data: Split, current: Estimate, screening: Screening, audited: AuditedEffect
+) -> AcceptedEffect | None:
+    """The effect beside the current ones, fitted from what the audit found; None if it fails.
+
+    It must be physical and have the evidence that any name needs; held-out runs and free
+    predictions must not speak against it. That each run shows it by itself stands for the constancy
+    of its size, and for its lead over whatever else would explain the same.
+    """
+    candidate = screening.candidates.get(audited.effect)
+    if candidate is None:
+        return None
+    start = np.array(current.coordinates, float)
+    start[data.train.layout.indices((audited.effect,))] = audited.coordinates
+    one = refit_fully(data, current, candidate, start)
+    listed = ShortList.of(data.train, [one])
+    return AcceptedEffect(one, listed) if _is_believed(one, listed.needed) else None
+
+
+def _is_believed(one: Hypothesis, needed: float) -> bool:
+    if not (one.is_judged and one.predicts_motion and one.gain is not None):
+        return False
+    return one.evidence(one.inflation) > needed and (one.gain.open or one.gain.clear)
