@@ -119,12 +119,18 @@ def test_what_the_audit_found_is_believed_first_where_the_model_agrees(data, nom
 
 def test_what_the_audit_doubts_or_finds_in_few_runs_or_in_several_sizes_is_no_hypothesis(data):
     vessel, layout = usv(), data.train.layout
-    arms = [claimed("lever-arm", name, x=x, y=0.1) for name, x in zip("abc", (0.8, 0.9, 0.7))]
+    arms = [
+        claimed("lever-arm", name, x=x, y=0.1)
+        for name, x in zip("abc", (0.8, 0.9, 0.7), strict=True)
+    ]
     (arm,) = audited_effects(vessel, layout, arms, 3)
     assert layout.sizes[2] == EFFECTS["lever-arm"].sizes(vessel)
     np.testing.assert_allclose(arm.coordinates * layout.sizes[2], [0.8, 0.1])
     assert audited_effects(vessel, layout, arms, 7) == []
-    apart = [claimed("lever-arm", name, x=x, y=0.1) for name, x in zip("abc", (0.8, -0.9, 0.3))]
+    apart = [
+        claimed("lever-arm", name, x=x, y=0.1)
+        for name, x in zip("abc", (0.8, -0.9, 0.3), strict=True)
+    ]
     assert audited_effects(vessel, layout, apart, 3) == []
     doubtful = [dataclasses.replace(one, doubt="or late") for one in arms]
     assert audited_effects(vessel, layout, doubtful, 3) == []
