@@ -48,6 +48,9 @@ class Cost(AbstractObjective):
     def cost(self, coordinates, fitted):
         return float(self.function(*coordinates))
 
+    def squares(self, fitted):
+        return self.cost(fitted.coordinates, fitted), 1
+
     def refit(self, fitted, free, start):
         other = [p.name for p in self.parameters].index(free[0])
         tried = np.tile(start, (len(self.reach), 1))

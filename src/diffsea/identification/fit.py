@@ -45,7 +45,7 @@ class FilteredPoint(NamedTuple):
     coordinates: Coordinates
     noise: Noise
     run: FilterRun
-    deviance: float  # -2 log posterior without its constant, the priors of both included
+    deviance: float  # -2 log posterior without its constant; priors, further data included
 
     def better_than(self, other: "FilteredPoint") -> bool:
         """Whether it is more likely; where the filter diverged, any other point is."""
@@ -60,6 +60,7 @@ def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> Filte
     layout = problem.layout
     away = np.asarray(layout.strains(coordinates, layout.spreads()))
     value = float(deviance(run)) + float(off @ off) + float(away @ away)
+    value += problem.further_cost(coordinates)
     return FilteredPoint(coordinates, noise, run, value)
 
 
@@ -168,7 +169,8 @@ def _with_covariance(
     J = J[:rows]
     correlation = autocorrelation(residual[:rows].reshape(-1, 6), np.asarray(problem.dataset.run))
     spreads = layout.local_spreads(coordinates)
-    information = J.T @ J
+    further = problem.linear_rows(coordinates, index).information
+    information = J.T @ J + further
     if outcome is FitOutcome.CONVERGED:
         promised = refused @ information @ refused + np.sum((refused / spreads[index]) ** 2)
         if not (np.isfinite(found.deviance) and promised < STALLED_GAIN):
@@ -182,7 +184,7 @@ def _with_covariance(
         index,
         spreads,
         information,
-        long_run_covariance(J, correlation),
+        long_run_covariance(J, correlation) + further,
         found.noise,
         path,
         outcome,

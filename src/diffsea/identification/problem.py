@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -27,12 +28,51 @@ FreeIndex = Int[np.ndarray, "free"]  # positions of the free ones among the coor
 
 
 @dataclasses.dataclass(frozen=True)
+class NumberResidual:
+    """A trial number as it was given and as a fit has it, in SI units."""
+
+    trial: str
+    number: str
+    given: float
+    std: float
+    fitted: float  # NaN where the simulated trial does not reach it
+
+
+class FurtherData(Protocol):
+    """Data beside the recordings that say something of the same coordinates: trial numbers."""
+
+    def misfits_and_jacobian(
+        self, coordinates: Coordinates
+    ) -> tuple[Float[np.ndarray, "value"], Float[np.ndarray, "value coordinate"]]:
+        """Misfits over their standard deviations, and their exact Jacobian."""
+        ...
+
+    def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
+        """The same as they were given and as they are at some coordinates."""
+        ...
+
+
+class LinearRows(NamedTuple):
+    """Misfits over their standard deviations, and their slopes by the free coordinates."""
+
+    misfit: Float[np.ndarray, "value"]
+    slopes: Float[np.ndarray, "value free"]
+
+    @property
+    def information(self) -> Float[np.ndarray, "free free"]:
+        """What they tell of the free coordinates, the rest known."""
+        return self.slopes.T @ self.slopes
+
+
+@dataclasses.dataclass(frozen=True)
 class Problem:
     """A base vessel, what may be estimated in it, and the recordings.
 
     Compiled programs have capacity for `width` free coordinates and `directions` of
     differentiation (per-run instances of an effect share one), whichever are free: screening and
     refitting compile nothing new.
+
+    What `further` data say is independent of the recordings: its squares add up with theirs.
     """
 
     base: Vessel
@@ -41,6 +81,7 @@ class Problem:
     prior: NoisePrior
     width: int
     directions: int
+    further: FurtherData | None = None
 
     def start(self) -> tuple[Coordinates, Noise]:
         """Prior mean of the coordinates and first guess of the noise."""
@@ -55,6 +96,18 @@ class Problem:
         """
         at = jnp.asarray(coordinates)
         return _run_filter(self.base, self.layout, self.dataset, noise, at, gate)
+
+    def linear_rows(self, coordinates: Coordinates, index: FreeIndex) -> LinearRows:
+        """Misfits of the further data at some coordinates and their slopes; none without them."""
+        if self.further is None:
+            return LinearRows(np.zeros(0), np.zeros((0, len(index))))
+        misfit, J = self.further.misfits_and_jacobian(coordinates)
+        return LinearRows(misfit, J[:, index])
+
+    def further_cost(self, coordinates: Coordinates) -> float:
+        """Sum of squares of the further data's misfits; zero without them."""
+        misfit = self.linear_rows(coordinates, np.zeros(0, int)).misfit
+        return float(misfit @ misfit)
 
 
 _run_filter = eqx.filter_jit(kalman.run_filter)

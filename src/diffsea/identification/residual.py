@@ -47,6 +47,13 @@ class ColouredDirections(eqx.Module):
     owner: Int[Array, "free"]  # the run that a column belongs to; -1: all of them
 
 
+class FurtherRows(NamedTuple):
+    """Residuals of data beside the recordings, linear about where they were found."""
+
+    at_zero: Float[Array, "value"]  # where all free numbers are zero
+    slopes: Float[Array, "value free"]
+
+
 class ResidualInputs(eqx.Module):
     """What the compiled residual needs. Free numbers are coordinates, then sizes of pulses."""
 
@@ -59,6 +66,7 @@ class ResidualInputs(eqx.Module):
     spreads: Float[Array, "coordinate"]
     pulses: Float[Array, "pulse row 3"]  # acceleration histories (m/s^2, m/s^2, rad/s^2)
     colouring: ColouredDirections
+    further: FurtherRows
 
     def coordinates(self, free: Float[Array, "free"]) -> Float[Array, "coordinate"]:
         """All coordinates at some free numbers."""
@@ -87,7 +95,7 @@ class ResidualInputs(eqx.Module):
 
 
 class Linearisation(NamedTuple):
-    """Residual and exact Jacobian: rows of the data set, then of the prior."""
+    """Residual and exact Jacobian: rows of the data set, of the prior, of further data."""
 
     residual: Float[np.ndarray, "value"]
     jacobian: Float[np.ndarray, "value free"]
@@ -122,7 +130,18 @@ def residual_inputs(
         jnp.asarray(problem.layout.spreads()),
         jnp.asarray(histories),
         _colouring(problem, index, 0 if pulses is None else len(pulses)),
+        further_rows(problem, np.asarray(coordinates, float), index),
     )
+
+
+def further_rows(
+    problem: Problem, coordinates: Coordinates, index: Int[np.ndarray, "used"]
+) -> FurtherRows:
+    """What data beside the recordings say about the coordinates at `index`, to first order."""
+    misfit, slopes = problem.linear_rows(coordinates, index)
+    spare = np.zeros((len(misfit), problem.width + problem.directions - len(index)))
+    at_zero = misfit - slopes @ coordinates[index]
+    return FurtherRows(jnp.asarray(at_zero), jnp.asarray(np.hstack([slopes, spare])))
 
 
 def _colouring(problem: Problem, index: Int[np.ndarray, "used"], pulses: int) -> ColouredDirections:
@@ -161,8 +180,9 @@ def _residual_and_jacobian(free: Array, inputs: ResidualInputs) -> tuple[Array, 
     own = (colouring.owner < 0) | (colouring.owner == run[:, None])
     J = jnp.tensordot(slopes, colouring.directions, axes=((0, 1), (0, 1)))
     strains, pulls = value_and_jacobian(inputs.prior_strains, free)
-    residual = jnp.concatenate([white, strains])
-    return residual, jnp.concatenate([jnp.where(own, J, 0.0), pulls])
+    further = inputs.further
+    residual = jnp.concatenate([white, strains, further.at_zero + further.slopes @ free])
+    return residual, jnp.concatenate([jnp.where(own, J, 0.0), pulls, further.slopes])
 
 
 def gauss_newton(

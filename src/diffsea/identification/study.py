@@ -1,6 +1,7 @@
 """Identification from start to end: what to free, fit, judge, and what to record next."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -31,6 +32,7 @@ from diffsea.identification.holdout import (
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
 from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
+from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.problem import Problem, default_priors, free_by_default, make_problem
@@ -41,6 +43,7 @@ from diffsea.identification.uncertainty.identifiability import (
     identifiability,
     profile_interval,
 )
+from diffsea.identification.uncertainty.sources import Sources, sources
 from diffsea.parameters import Parameter, check_names
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -96,6 +99,7 @@ class Study:
     profiles: dict[str, tuple[float, float]]  # 90 % intervals, in the parameters' units
     next: NextManoeuvre | None  # None: the data leave nothing open, or trial numbers were fitted
     outliers: dict[str, int]  # left out of each motion channel
+    sources: Sources | None = None  # where recordings and trial numbers were fitted together
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -147,14 +151,17 @@ class Study:
     def quality(self, test: Sequence[Trajectory] = ()) -> dict[str, float]:
         """Root-mean-square normalised misfit of what was fitted (`train`), and of runs held out.
 
-        One at the noise level. The misfit of recordings is that of the filter's innovations.
+        One at the noise level. The misfit of recordings is that of the filter's innovations; that
+        of `trial_numbers` stands beside it where both were fitted.
         """
         if self.problem is None:
-            numbers = self.objective.residuals(self.estimate.coordinates)
-            white = [(one.fitted - one.given) / one.std for one in numbers]
-            return {"train": float(np.sqrt(np.mean(np.square(white))))}
+            cost, values = self.objective.squares(self.estimate)
+            return {"train": math.sqrt(cost / values)}
         fitted = with_noise(self.estimate, self.problem)
         found = {"train": normalised_rms(fitted.filter_run(self.problem))}
+        if self.sources is not None:
+            numbers = self.sources.trial_numbers
+            found["trial_numbers"] = math.sqrt(numbers.cost / numbers.values)
         if test:
             data = self.split(test)
             coordinates = held_out_coordinates(data, fitted)
@@ -210,7 +217,7 @@ def identify(
     settings: FitSettings = FitSettings(),
     progress: Progress = no_progress,
 ) -> Study:
-    """Fit a vessel's parameters to recordings or to sheets of trial numbers.
+    """Fit a vessel's parameters to recordings, to sheets of trial numbers, or to both together.
 
     Raises:
         UserError: an unknown parameter, objective or anchor, data that do not suit, or what
@@ -249,6 +256,7 @@ def identify(
         profiles,
         proposal,
         objective.outliers,
+        sources(objective, fitted),
     )
 
 
@@ -300,10 +308,10 @@ def _objective(
     if name not in OBJECTIVES:
         raise UserError(f"there is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}")
     sheets = [one for one in data if isinstance(one, MeasuredTrial)]
-    if (name == "trial-numbers") != (len(sheets) == len(data)) or 0 < len(sheets) < len(data):
+    if (name == "trial-numbers") != (len(sheets) == len(data)):
         raise UserError(
-            "trial numbers are fitted to sheets (TOML), the other objectives to recordings; give "
-            "one kind, and the objective that goes with it"
+            "the objective trial-numbers is fitted to sheets (TOML) alone, the others to "
+            "recordings, with or without sheets besides; give the data that go with it"
         )
     if name == "trial-numbers":
         if settings.effects:
@@ -322,6 +330,7 @@ def _objective(
     problem = make_problem(
         vessel, recordings, tuple(priors), effects, settings.per_recording, capacity, priors
     )
+    problem = with_trial_numbers(problem, sheets) if sheets else problem
     return Innovations(problem) if name == "innovation" else OutputError(problem)
 
 

@@ -2,33 +2,22 @@
 
 `innovation.Innovations` predicts each sample from those before it, gusts and sensor noise
 estimated; the default, efficient and with honest errors. `output_error.OutputError` predicts whole
-runs from their first state. `trial_numbers.TrialNumbers` fits advance, diameters and overshoots.
+runs from their first state. `trial_numbers.TrialNumbers` fits advance, diameters and overshoots;
+the first two take them besides (`joint`).
 """
 
 import abc
-import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 
 from diffsea.identification.estimates import Estimate, Progress, no_progress
-from diffsea.identification.problem import Coordinates, Names, Problem
+from diffsea.identification.problem import Coordinates, Names, NumberResidual, Problem
 from diffsea.parameters import Parameter
 
 
 Starts = Float[np.ndarray, "start coordinate"]
 Costs = Float[np.ndarray, "start"]  # -2 log posterior, infinite where it is impossible
-
-
-@dataclasses.dataclass(frozen=True)
-class NumberResidual:
-    """A trial number as it was given and as a fit has it, in SI units."""
-
-    trial: str
-    number: str
-    given: float
-    std: float
-    fitted: float  # NaN where the simulated trial does not reach it
 
 
 class AbstractObjective(abc.ABC):
@@ -59,6 +48,13 @@ class AbstractObjective(abc.ABC):
         """-2 log posterior, without its constant, with the noise or weights of a fit."""
 
     @abc.abstractmethod
+    def squares(self, fitted: Estimate) -> tuple[float, int]:
+        """Sum of squared misfits over their standard deviations at a fit, and how many there are.
+
+        Those of recordings where these and trial numbers are fitted.
+        """
+
+    @abc.abstractmethod
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Where a few steps lead from several starts at once, and the costs there.
 
@@ -66,5 +62,6 @@ class AbstractObjective(abc.ABC):
         """
 
     def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
-        """The numbers of trials at some coordinates; none where recordings are fitted."""
-        return []
+        """The numbers of trials at some coordinates; none where recordings alone are fitted."""
+        further = None if self.problem is None else self.problem.further
+        return [] if further is None else further.residuals(coordinates)

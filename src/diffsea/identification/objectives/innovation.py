@@ -15,7 +15,13 @@ from diffsea.identification.filter.kalman import run_filter
 from diffsea.identification.fit import estimate, filter_at
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, Problem
-from diffsea.identification.residual import ResidualInputs, gauss_newton, residual_inputs
+from diffsea.identification.residual import (
+    FurtherRows,
+    ResidualInputs,
+    further_rows,
+    gauss_newton,
+    residual_inputs,
+)
 from diffsea.series import stretches
 from diffsea.trajectory import MOTION_CHANNELS
 
@@ -65,16 +71,23 @@ class Innovations(AbstractObjective):
         """-2 log posterior with the noise of a fit."""
         return filter_at(self.problem, coordinates, fitted.noise).deviance
 
+    def squares(self, fitted: Estimate) -> tuple[float, int]:
+        """Sum of squared innovations over their standard deviations, and how many there are."""
+        run = fitted.filter_run(self.problem)
+        return float((np.asarray(run.white) ** 2).sum()), int(np.asarray(run.gains.used).sum())
+
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Gauss-Newton from all starts together, the noise as expected beforehand."""
         problem = self.problem
         _, noise = problem.start()
         gains = problem.run_filter(starts[0], noise).gains
-        inputs = residual_inputs(problem, gains, starts[0], problem.layout.indices(free))
-        ends = jnp.asarray(starts)
+        index = np.array(problem.layout.indices(free), int)
+        inputs = residual_inputs(problem, gains, starts[0], index)
+        ends = np.asarray(starts, float)
         for _ in range(EXPLORING_PASSES):
-            ends = _explore_once(inputs, noise, ends)
-        ends = np.asarray(ends)
+            rows = [further_rows(problem, end, index) for end in ends]
+            further = jax.tree.map(lambda *parts: jnp.stack(parts), *rows)
+            ends = np.asarray(_explore_once(inputs, noise, further, jnp.asarray(ends)))
         costs = np.full(len(ends), np.inf)
         for k, end in enumerate(ends):
             if not negative_effects(problem.layout, end):
@@ -97,16 +110,18 @@ class Innovations(AbstractObjective):
 
 
 @eqx.filter_jit
-def _explore_once(inputs: ResidualInputs, noise: Noise, starts: Array) -> Array:
+def _explore_once(
+    inputs: ResidualInputs, noise: Noise, further: FurtherRows, starts: Array
+) -> Array:
     """One pass from every start: the filter run there, then Gauss-Newton steps."""
 
-    def one(start: Array) -> Array:
+    def one(start: Array, rows: FurtherRows) -> Array:
         run = run_filter(inputs.base, inputs.layout, inputs.dataset, noise, start)
-        there = eqx.tree_at(lambda i: i.gains, inputs, run.gains)
+        there = eqx.tree_at(lambda i: (i.gains, i.further), inputs, (run.gains, rows))
         width = inputs.selection.shape[1]
         pulses = jnp.zeros(inputs.colouring.owner.size - width)
         free = gauss_newton(there, jnp.append(inputs.selection.T @ start, pulses)).at
         end = inputs.coordinates(free)
         return jnp.where(jnp.all(jnp.isfinite(end)), end, start)
 
-    return jax.vmap(one)(starts)
+    return jax.vmap(one)(starts, further)

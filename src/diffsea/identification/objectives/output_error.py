@@ -236,6 +236,12 @@ class OutputError(AbstractObjective):
         step[n:] = -np.linalg.solve(A[n:, n:], A[n:, :n] @ step[:n])
         return self.state_cost(self.state_after(state, index, step))
 
+    def squares(self, fitted: Estimate) -> tuple[float, int]:
+        """Sum of soft squares of the free runs' misfits, and how many there are."""
+        assert isinstance(fitted.state, ShootingState)
+        white = np.asarray(self.shot(fitted.state).misfit) / fitted.state.sigma
+        return float(soft_square(white).sum()), int(np.asarray(self.problem.dataset.known).sum())
+
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """As the innovation likelihood does, whose basin is wider."""
         return Innovations(self.problem).explore(starts, free)
@@ -252,10 +258,10 @@ class OutputError(AbstractObjective):
         away = (state.states - state.guess)[self._firsts] / self._broad
         layout = self.problem.layout
         prior = np.asarray(layout.strains(state.coordinates, layout.spreads()))
-        soft = 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
-        total = soft.sum() + (gap**2).sum() + (away**2).sum() + (prior**2).sum()
+        total = soft_square(white).sum() + (gap**2).sum() + (away**2).sum() + (prior**2).sum()
         known = np.asarray(self.problem.dataset.known).sum(0)
-        return float(total + 2 * known @ np.log(state.sigma))
+        scales = 2 * known @ np.log(state.sigma)
+        return float(total + scales + self.problem.further_cost(state.coordinates))
 
     def state_after(
         self, state: ShootingState, index: FreeIndex, step: Float[np.ndarray, "n"]
@@ -303,6 +309,9 @@ class OutputError(AbstractObjective):
         spreads = self.problem.layout.local_spreads(state.coordinates)[index]
         A[np.arange(n), np.arange(n)] += 1 / spreads**2
         g[:n] += state.coordinates[index] / spreads**2
+        further = self.problem.linear_rows(state.coordinates, index)
+        A[:n, :n] += further.information
+        g[:n] += further.slopes.T @ further.misfit
         for w in self._firsts:
             at = np.arange(n + 6 * w, n + 6 * w + 6)
             weight = state.sigma / self._broad
@@ -370,7 +379,8 @@ class OutputError(AbstractObjective):
         dt = np.asarray(dataset.dt)
         lags = int(self._window_seconds / np.median(dt[dt > 0])) + 1
         correlation = autocorrelation(equations.misfit, np.asarray(dataset.run), lags)
-        score_variance = long_run_covariance(E.reshape(-1, n), correlation)
+        further = self.problem.linear_rows(state.coordinates, index).information
+        score_variance = long_run_covariance(E.reshape(-1, n), correlation) + further
         at_bound = is_at_bound(self.parameters, state.coordinates, index)
         if at_bound and outcome is FitOutcome.CONVERGED:
             outcome = FitOutcome.BOUNDED
@@ -398,6 +408,11 @@ def _bulk_scale(values: Float[np.ndarray, "value"]) -> float:
         white = values / scale
         scale *= float(np.sqrt(np.mean((white * soft_weight(white)) ** 2) / usual))
     return scale
+
+
+def soft_square(white: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """The soft loss: the square of a small misfit, and less than it of a large one."""
+    return 2 * SOFT**2 * (np.sqrt(1 + (white / SOFT) ** 2) - 1)
 
 
 def soft_weight(white: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

@@ -51,8 +51,8 @@ from diffsea.identification.least_squares import (
     solve_least_squares,
     value_and_jacobian,
 )
-from diffsea.identification.objectives.base import AbstractObjective, Costs, NumberResidual, Starts
-from diffsea.identification.problem import Coordinates, Names
+from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
+from diffsea.identification.problem import Coordinates, Names, NumberResidual
 from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
@@ -318,6 +318,11 @@ class TrialNumbers(AbstractObjective):
         """-2 log posterior without its constant."""
         white = self.misfits_and_jacobian(coordinates)[0]
         return float(white @ white + np.sum((coordinates / self.spreads) ** 2))
+
+    def squares(self, fitted: Estimate) -> tuple[float, int]:
+        """Sum of squared misfits over their standard deviations, and how many there are."""
+        white = self.misfits_and_jacobian(fitted.coordinates)[0]
+        return float(white @ white), len(white)
 
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
         """Where a few steps of all parameters lead from several starts at once, and the cost."""

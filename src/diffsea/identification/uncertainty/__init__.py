@@ -5,3 +5,6 @@ from diffsea.identification.uncertainty.design import next_manoeuvre as next_man
 from diffsea.identification.uncertainty.identifiability import Identifiability as Identifiability
 from diffsea.identification.uncertainty.identifiability import identifiability as identifiability
 from diffsea.identification.uncertainty.identifiability import profile_interval as profile_interval
+from diffsea.identification.uncertainty.sources import Source as Source
+from diffsea.identification.uncertainty.sources import Sources as Sources
+from diffsea.identification.uncertainty.sources import sources as sources

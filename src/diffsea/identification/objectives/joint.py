@@ -1,0 +1,75 @@
+"""Recordings and trial numbers in one fit.
+
+With y the recordings, m the given trial numbers of standard deviations s, and theta the coordinates,
+
+    -2 log p(theta | y, m) = D(theta; y) + sum_k ((m_k(theta) - m_k) / s_k)^2 + |prior strains|^2
+
+up to a constant: errors of the sheet are independent of those of the recordings, so that their
+squares add up. D is what the recordings' own objective minimises: the deviance of the innovations
+at gusts and sensor noise that are estimated with theta, or the soft squares of output errors over
+scales that are. Both sides are so weighed by their statistical errors, and by nothing else: a
+recording with thousands of samples outweighs a sheet of six numbers wherever it tells anything of
+what they tell. A model that cannot follow both has errors of its own, which neither side knows of:
+the standard deviations of the sheet are where they belong, as variances that add up.
+
+One prior, one Gauss-Newton iteration and one covariance serve both, whose information is the sum of
+the two. The recordings' objectives take the numbers as `Problem.further`: rows of their residual
+and Jacobian, linear in each round and evaluated exactly at each step.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
+from diffsea.identification.problem import Coordinates, NumberResidual, Problem
+from diffsea.vessel.effects import Effect
+
+
+def acts_in_trials(effect: Effect) -> bool:
+    """Whether an effect is the vessel's own, and so acts in the trials of a sheet too.
+
+    Weather and sensors belong to the recordings, and so does the time of a change: the sheet's
+    trials are run in the environment of the vessel file.
+    """
+    return effect.family in ("actuator", "hull") and effect.scanned is None
+
+
+def with_trial_numbers(problem: Problem, trials: Sequence[MeasuredTrial]) -> Problem:
+    """The problem of recordings with a sheet's numbers beside them, on the same coordinates.
+
+    Raises:
+        UserError: when it is fitted, a number that a trial does not have.
+    """
+    return dataclasses.replace(problem, further=NumbersBeside(problem, trials))
+
+
+class NumbersBeside:
+    """The numbers of trials by the coordinates of the recordings' problem: `FurtherData`."""
+
+    def __init__(self, problem: Problem, trials: Sequence[MeasuredTrial]):
+        layout = problem.layout
+        effects = [effect for effect in layout.effects if acts_in_trials(effect)]
+        names = (*(p.name for p in layout.parameters), *(effect.name for effect in effects))
+        self.numbers = TrialNumbers(problem.base, layout.parameters, trials, effects)
+        self._places, self._size = np.array(layout.indices(names), int), layout.size
+        self._last: tuple[bytes, tuple[np.ndarray, np.ndarray]] | None = None
+
+    def misfits_and_jacobian(
+        self, coordinates: Coordinates
+    ) -> tuple[Float[np.ndarray, "value"], Float[np.ndarray, "value coordinate"]]:
+        """Misfits over their standard deviations, and their exact Jacobian."""
+        own = np.asarray(coordinates, float)[self._places]
+        key = own.tobytes()  # a fit asks for the same place several times in a row
+        if self._last is None or self._last[0] != key:
+            misfit, slopes = self.numbers.misfits_and_jacobian(own)
+            J = np.zeros((len(misfit), self._size))
+            J[:, self._places] = slopes
+            self._last = key, (misfit, J)
+        return self._last[1]
+
+    def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
+        """All numbers as they were given and as they are simulated."""
+        return self.numbers.residuals(np.asarray(coordinates, float)[self._places])
