@@ -25,7 +25,7 @@ Model = TypeVar("Model")
 
 # Containers whose names say nothing that the parameter's own name does not.
 _SILENT = {"rigid_body", "added_mass", "forces", "actuators", "servos", "derivatives", "damping"}
-_SILENT |= {"losses", "environment", "dependent_forces"}
+_SILENT |= {"losses", "environment", "dependent_forces", "drive"}
 
 
 def _name(path: tuple) -> str:
@@ -166,20 +166,23 @@ _DERIVATIVE = re.compile(r"[XYN]_(0|[uvrd]+|[uvr]dot)")
 _PLACE = re.compile(r"(.*\.)?(x|y|x_\w|angle|bias|l_R)")
 
 
+_SHARE = re.compile(r".*\.thrust_curve\.deadband")
+
+
 def hull_prior(
     name: str, value: float, spread: float = 0.5, nondimensional: bool = False
 ) -> Parameter:
     """Prior of a number of a vessel around the vessel file's value.
 
     Drag, added mass, masses and sizes keep their sign; couplings (`Y_r`, `N_v`, `Y_vvr` ...)
-    and positions may change it. `spread` is relative: 0.5 means that half as much again is
-    unremarkable.
+    and positions may change it; shares stay below one. `spread` is relative: 0.5 means that half
+    as much again is unremarkable.
     """
     free = value == 0 or (
         not _SIGNED.fullmatch(name) and bool(_DERIVATIVE.fullmatch(name) or _PLACE.fullmatch(name))
     )
     lower = 0.0 if value > 0 and not free else -math.inf
-    upper = 0.0 if value < 0 and not free else math.inf
+    upper = 0.0 if value < 0 and not free else 1.0 if _SHARE.fullmatch(name) else math.inf
     scale, of = abs(value) or 1.0, parameter_unit(name, nondimensional)
     return Parameter(name, value, scale, spread, lower, upper, of)
 

@@ -803,9 +803,11 @@ def test_shaft_speeds_steer_by_what_they_push():
     t = np.arange(5.0)
     still, ordered = np.zeros((6, 5)), {"port": np.full(5, 3.0), "starboard": np.ones(5)}
     run = trajectory(t, *still, commanded=ordered)
-    in_rev = steering_angle(as_thrust(run, {"port": "rev/s", "starboard": "rev/s"}))
+    in_rev = steering_angle(
+        as_thrust(run, dict.fromkeys(("port", "starboard"), lambda n: 0.2 * n * np.abs(n)))
+    )
     assert in_rev is not None and np.degrees(in_rev[0]) == pytest.approx(35 * (9 - 1) / (9 + 1))
-    in_newton = steering_angle(as_thrust(run, {"port": "N", "starboard": "N"}))
+    in_newton = steering_angle(as_thrust(run, {}))
     assert in_newton is not None and np.degrees(in_newton[0]) == pytest.approx(
         35 * (3 - 1) / (3 + 1)
     )

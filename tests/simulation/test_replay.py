@@ -110,7 +110,7 @@ def acting(done, ordered=None, sampled=None):
     seen = done if sampled is None else np.where(sampled, done, np.nan)
     orders = {} if ordered is None else {"screw": ordered}
     run = dataclasses.replace(straight(t), commanded=orders, executed={"screw": seen})
-    return over_rows(run, recorded_actuation(boat(), run)[1])["screw"]
+    return over_rows(run, *recorded_actuation(boat(), run))["screw"]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])

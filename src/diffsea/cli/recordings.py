@@ -66,7 +66,8 @@ def metrics_command(args: argparse.Namespace) -> None:
     length = args.length if vessel is None else float(vessel.rigid_body.length)
     runs = options.read_recordings(args.recordings, args.mapping)
     with Outputs(args.output) as out:
-        thrusts = runs if vessel is None else [as_thrust(run, vessel.units) for run in runs]
+        made = {} if vessel is None else vessel.thrusts_at_rest
+        thrusts = [as_thrust(run, made) for run in runs] if made else runs
         found = {
             run.name: recording_metrics(run, length, args.manoeuvre, args.scale) for run in thrusts
         }

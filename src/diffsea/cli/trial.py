@@ -140,7 +140,7 @@ def trial_command(args: argparse.Namespace) -> None:
         out.json("metrics.json", metrics)
         title = f"{vessel.name}: {plan.manoeuvre}"
         save_trial_track(trial, out.path("track.png"), title)
-        save_trial_series(trial, out.path("series.png"), title, vessel.units)
+        save_trial_series(trial, out.path("series.png"), title, vessel)
     out.present(args, metrics_text(metrics))
 
 

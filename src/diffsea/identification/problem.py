@@ -129,12 +129,21 @@ def free_by_default(vessel: Vessel) -> tuple[str, ...]:
 
 
 def default_priors(vessel: Vessel) -> dict[str, Parameter]:
-    """Priors around every number of the vessel, half of it wide."""
+    """Priors around every number of the vessel, half of it wide.
+
+    Ends and middle of a scale of orders may be anywhere within half of the scale's reach.
+    """
     prime = getattr(vessel.forces.get("damping"), "scaling", None) is not None
-    return {
-        name: hull_prior(name, float(value), nondimensional=prime)
-        for name, value in named(vessel).items()
-    }
+    values = {name: float(value) for name, value in named(vessel).items()}
+    priors = {name: hull_prior(name, x, nondimensional=prime) for name, x in values.items()}
+    for name in values:
+        actuator, _, key = name.rpartition(".")
+        astern, ahead = (values.get(f"{actuator}.full_{way}") for way in ("astern", "ahead"))
+        ends = ("neutral", "full_astern", "full_ahead")
+        if key in ends and astern is not None and ahead is not None:
+            reach = 0.5 * (ahead - astern)
+            priors[name] = Parameter(name, values[name], reach, 0.5)
+    return priors
 
 
 def make_problem(

@@ -13,7 +13,8 @@ that stays counts. A realised rudder moves slowly: it was ordered away when it l
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -118,14 +119,17 @@ def steering_angle(trajectory: Trajectory) -> tuple[Samples, SteeringSource] | N
     return None
 
 
-def as_thrust(trajectory: Trajectory, units: Mapping[str, str]) -> Trajectory:
-    """The run with shaft speeds as what they push at rest, whose ratio gives the equivalent angle.
+def as_thrust(
+    trajectory: Trajectory, thrusts_at_rest: Mapping[str, Callable[[Samples], Any]]
+) -> Trajectory:
+    """The run with what propulsors push at rest, whose ratio gives the equivalent angle.
 
-    `units` are those of the channels, as a vessel has them.
+    `thrusts_at_rest` make a thrust (N) of a channel's values, as a vessel has them.
     """
 
     def in_thrust(group: Mapping[str, Samples]) -> dict[str, Samples]:
-        return {c: s * np.abs(s) if units.get(c) == "rev/s" else s for c, s in group.items()}
+        known = {c: thrust(group[c]) for c, thrust in thrusts_at_rest.items() if c in group}
+        return {c: np.asarray(known.get(c, series), float) for c, series in group.items()}
 
     return dataclasses.replace(
         trajectory,

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from diffsea.metrics.orders import as_thrust, steering_angle
 from diffsea.simulation.trials import Trial
 from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
 
 
 if TYPE_CHECKING:  # a trial is drawn without loading what finds segments
@@ -106,20 +107,21 @@ def save_trial_track(trial: Trial, path: Path, title: str) -> None:
     figure.savefig(path, dpi=120, format="png")
 
 
-def save_trial_series(trial: Trial, path: Path, title: str, units: Mapping[str, str]) -> None:
+def save_trial_series(trial: Trial, path: Path, title: str, vessel: Vessel) -> None:
     """Heading and steering, speeds, yaw rate and actuation over time since the execute.
 
     Executed actuation is solid, its orders dashed; angles are in degrees.
 
     Arguments:
-        units: those of the channels, as the vessel has them.
+        vessel: the one that ran it.
     """
+    units = vessel.units
     run = trial.trajectory.counted()
     t = run.t - float(trial.execute_time)
     figure = empty_figure(8.0, 9.0)
     heading, speeds, yaw, actuation = plain_axes(figure, 4)
     heading.plot(t, np.degrees(run.psi), color=BLUE, label="heading")
-    steered = steering_angle(as_thrust(run, units))
+    steered = steering_angle(as_thrust(run, vessel.thrusts_at_rest))
     if steered is not None:
         is_rudder = any("rudder" in name for name in steered[1].channels)
         label = "rudder" if is_rudder else "rudder-equivalent order"

@@ -217,11 +217,13 @@ def _by_side(channels: dict[str, Samples], vessel: Vessel | None) -> dict[str, S
                 sense = float(part.orders(0.0, 1.0)[name])  # what a rudder angle of 1 rad orders
                 grouped[name] = sense * grouped[name]
             elif part.differential:
-                value = grouped.pop(name)
-                value = value * np.abs(value) if channel.unit == "rev/s" else value
+                value = np.asarray(vessel.thrusts_at_rest[name](grouped.pop(name)), float)
                 y = float(part.y)
                 side = "port" if y < 0 else "starboard" if y > 0 else f"middle {name}"
                 grouped[side] = grouped.get(side, 0.0) + value
+            elif channel.role == "propulsion" and channel.unit != "rev/s":
+                # A shaft that does not steer counts by its speed.
+                grouped[name] = np.asarray(vessel.thrusts_at_rest[name](grouped[name]), float)
     return grouped
 
 

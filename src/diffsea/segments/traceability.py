@@ -173,18 +173,20 @@ def _check_duty_cycle(
     if not known.any():
         return Check(title, {"missing": 1.0}, UNCHECKED, "no value in the segment")
     values = series[rows][known]
+    servo = None if vessel is None else vessel.servos.get(channel)
+    neutral = 0.0 if servo is None or servo.neutral is None else float(servo.neutral)
+    series, values = series - neutral, values - neutral
     largest = max(float(np.nanmax(np.abs(series))), 1e-12)
     working = float(np.mean(np.abs(values) > settings.idle * largest))
     numbers = {"working": working, "missing": float(np.mean(~known))}
     if numbers["missing"] > _MISSING_SHARE:
         why = f"{numbers['missing']:.0%} of the {kind} values are missing"
         return Check(title, numbers, DOUBTFUL, why)
-    servo = None if vessel is None else vessel.servos.get(channel)
     if servo is None or servo.lower is None or servo.upper is None:
         why = f"{kind}; at work {working:.0%} of the time, its limits are not known"
         return Check(title, numbers, UNCHECKED, why)
-    at_upper = values >= _AT_LIMIT * float(servo.upper)
-    at_limit = at_upper | (values <= _AT_LIMIT * float(servo.lower))
+    at_upper = values >= _AT_LIMIT * (float(servo.upper) - neutral)
+    at_limit = at_upper | (values <= _AT_LIMIT * (float(servo.lower) - neutral))
     numbers["saturated"] = share = float(np.mean(at_limit))
     why = f"{kind}; at work {working:.0%}, at a limit {share:.0%} of the time"
     return Check(title, numbers, DOUBTFUL if share > _SATURATED_SHARE else SOUND, why)

@@ -29,7 +29,8 @@ def recorded_actuation(
     """Orders of every channel, and executed values of those that were measured throughout.
 
     A channel without orders takes its executed values for them. Missing values hold the one
-    before, leading ones the first; executed ones for five of their own sampling intervals.
+    before, leading ones the first; executed ones for five of their own sampling intervals. Angles
+    that may go round count their turns: none is more than half a turn from the one before.
 
     Raises:
         UserError: a channel of the vessel has neither.
@@ -48,9 +49,10 @@ def recorded_actuation(
             )
         if not np.isfinite(order).any():
             raise UserError(f"{run.name}: cmd_{channel} has no value at all")
-        orders[channel] = hold_last(order)
+        counted = np.unwrap if vessel.servos[channel].endless else np.asarray
+        orders[channel] = counted(hold_last(order))
         if done is not None and _measured_throughout(run.t, done):
-            executed[channel] = hold_last(done)
+            executed[channel] = counted(hold_last(done))
     return orders, executed
 
 
@@ -64,8 +66,12 @@ def _measured_throughout(t: Samples, values: Samples) -> bool:
     return bool(longest <= _LONGEST_GAP * usual * (1 + 1e-9))
 
 
-def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, Samples]:
+def over_rows(
+    recording: Trajectory, orders: dict[str, Samples], executed: dict[str, Samples]
+) -> dict[str, Samples]:
     """Executed values as they act from each row to the next.
+
+    Both are those of `recorded_actuation`.
 
     What moves in steps holds until the next value. What is on its way from one sample to the next
     (a rudder that slews, a thruster that spools up) has been sampled: held, it would act half a
@@ -74,12 +80,11 @@ def over_rows(recording: Trajectory, executed: dict[str, Samples]) -> dict[str, 
     run = recording.counted()
     out = {}
     for channel, values in executed.items():
-        sampled = run.executed[channel]
-        known = np.isfinite(sampled)
-        order = run.commanded.get(channel)
-        order = None if order is None else hold_last(order)[known]
+        known = np.isfinite(run.executed[channel])
+        order = orders[channel][known] if channel in run.commanded else None
         out[channel] = values
-        if _moves_between_samples(sampled[known], order):
+        if _moves_between_samples(values[known], order):
+            sampled = np.where(known, values, np.nan)
             out[channel] = _row_means(interpolate_missing(run.t, sampled))
     return out
 

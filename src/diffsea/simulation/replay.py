@@ -218,7 +218,7 @@ def _replay_inputs(
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
     acting = {
         channel: np.asarray(true_actuation(vessel, channel, run.t, values))
-        for channel, values in over_rows(run, executed).items()
+        for channel, values in over_rows(run, orders, executed).items()
     }
     steps, rows = _integration_steps(vessel, run, orders, acting)
     motion, derived = _true_motion(vessel.sensors, run)

@@ -6,6 +6,7 @@ ask where a motion comes from.
 """
 
 import abc
+from collections.abc import Callable
 from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,7 @@ from diffsea.vessel.tables import Table, numbers
 
 
 Forces = dict[str, Force]  # by name
+OrderUnit = Literal["N", "rev/s", "rpm", "percent", "normalised", "us"]  # of propulsion
 
 
 class Jet(eqx.Module):
@@ -59,7 +61,7 @@ class CommandChannel(NamedTuple):
     """
 
     role: Literal["propulsion", "side thrust", "steering"]
-    unit: Literal["N", "rev/s", "rad"]
+    unit: OrderUnit | Literal["rad"]
 
 
 class AbstractActuator(eqx.Module):
@@ -84,7 +86,7 @@ class AbstractActuator(eqx.Module):
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
         """Orders of its channels, its share in control allocation.
 
-        `throttle` is what it shares with no other: N of its own thrust, or rev/s. A rudder of
+        `throttle` is what it shares with no other: N of its own thrust at rest, or rev/s. A rudder of
         the same `angle` (rad) turns the vessel as much; positive is a turn to starboard. Side
         thrusts are left alone.
         """
@@ -147,7 +149,18 @@ class AbstractPropulsor(AbstractActuator):
     @property
     @abc.abstractmethod
     def bollard_coefficient(self) -> Scalar | None:
-        """Thrust at rest over n |n| (N s^2); None where thrust is ordered in N."""
+        """Thrust at rest over n |n| (N s^2, n rev/s); None where a throttle is a thrust in N."""
+
+    @property
+    def full_throttle(self) -> Scalar | None:
+        """Its own throttle (N, or rev/s) at its limit ahead; None without a limit."""
+        of_role = (c for c, channel in self.channels.items() if channel.role == "propulsion")
+        return self.servos[next(of_role)].upper
+
+    def thrust_at_rest(self, executed: Scalar) -> Scalar:
+        """Thrust (N) in still water at rest of executed values of its propulsion channel."""
+        d = self.bollard_coefficient
+        return executed if d is None else d * executed * jnp.abs(executed)
 
 
 class Vessel(eqx.Module):
@@ -183,7 +196,7 @@ class Vessel(eqx.Module):
 
     @property
     def units(self) -> dict[str, str]:
-        """In what every channel is commanded: N, rev/s or rad."""
+        """In what every channel is commanded: rad, or one of `OrderUnit`."""
         parts = self.actuators.values()
         return {c: part.channels[c].unit for part in parts for c in part.servos}
 
@@ -191,6 +204,16 @@ class Vessel(eqx.Module):
     def servos(self) -> dict[str, Servo]:
         """The servo of every channel."""
         return {c: s for part in self.actuators.values() for c, s in part.servos.items()}
+
+    @property
+    def thrusts_at_rest(self) -> dict[str, Callable[[Scalar], Scalar]]:
+        """What makes executed values a thrust at rest (N), by propulsion channel."""
+        return {
+            name: part.thrust_at_rest
+            for part in self.propulsors.values()
+            for name, channel in part.channels.items()
+            if channel.role == "propulsion"
+        }
 
     @property
     def propulsors(self) -> dict[str, AbstractPropulsor]:

@@ -29,6 +29,7 @@ _NEEDED = ("mass", "I_z", "length", "beam", "draught")
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
 _HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents")
+_WRITTEN_AS = {"curve.0": "curve.c", "curve.1": "curve.d"}  # parameters by their place in a file
 _COMMON_DERIVATIVES = ("X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
 
 
@@ -182,7 +183,8 @@ def _damping(hull: Table, body: RigidBody, derivatives: dict[str, Scalar]) -> Ab
 def updated_document(document: Table, values: Mapping[str, float], effects: list[Table]) -> Table:
     """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables.
 
-    `values` are by parameter name: `X_u`, `exponents.X_u`, or `port.max_force` of an actuator.
+    `values` are by parameter name: `X_u`, `exponents.X_u`, or `port.max_force` and
+    `port.thrust_curve.exponent` of an actuator.
 
     Raises:
         UserError: no table of the document is that of the actuator.
@@ -195,14 +197,26 @@ def updated_document(document: Table, values: Mapping[str, float], effects: list
         elif place == "exponents":
             table = new["hull"]["exponents"]
         else:
-            parts = ((kind, table) for kind in ACTUATORS for table in new.get(kind, []))
-            table = next((t for kind, t in parts if t.get("name", kind) == place), None)
-            if table is None:
-                raise UserError(f"{name!r} cannot be written into the vessel file")
+            table, key = _place_in_actuator(new, name)
         table[key] = float(value)
     if effects:
         new["effect"] = [*new.get("effect", []), *effects]
     return new
+
+
+def _place_in_actuator(document: Table, name: str) -> tuple[Table, str]:
+    """The table and its key that hold an actuator's number, `port.max_force` or one further in."""
+    parts = ((kind, table) for kind in ACTUATORS for table in document.get(kind, []))
+    named = ((f"{table.get('name', kind)}.", table) for kind, table in parts)
+    found = next(((name.removeprefix(n), t) for n, t in named if name.startswith(n)), None)
+    if found is not None:
+        path, table = found
+        *places, key = _WRITTEN_AS.get(path, path).split(".")
+        for place in places:
+            table = table.setdefault(place, {}) if isinstance(table, dict) else None
+        if isinstance(table, dict):
+            return table, key
+    raise UserError(f"{name!r} cannot be written into the vessel file")
 
 
 def dump(document: Table) -> str:

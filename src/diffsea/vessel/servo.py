@@ -10,7 +10,7 @@ zero with a derivative that is not.
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -52,13 +52,21 @@ class Response(eqx.Module):
     final: Scalar  # executed value itself at the end of the step
 
 
+def dead_zone(value: Scalar, width: Scalar) -> Scalar:
+    """Zero within `width` of zero, and what is beyond: the value itself without a width."""
+    # Without a width it is the value, at zero too.
+    acts = (jnp.abs(value) > width) | (width <= 0)
+    return jnp.where(acts, value - jnp.sign(value) * width, 0.0)
+
+
 class Servo(eqx.Module):
     """The chain delay - bias - dead band - limits - play - lag and slew rate of one channel.
 
-    A stage that is None is not there. `slowness` adds to the inverse of the rate limit, so that
-    a slew rate can be exactly absent. `sharpness` smooths the limits: the result stays
-    within `log(2) / sharpness` half-ranges of the hard limit (0.7 % at 100) and is furthest from
-    it where the order equals the limit; None means the hard limit.
+    A stage that is None is not there. The dead band is about `neutral`. An `endless` channel is an
+    angle that may go round: it turns the short way. `slowness` adds to the inverse of the rate
+    limit, so that a slew rate can be exactly absent. `sharpness` smooths the limits: the result
+    stays within `log(2) / sharpness` half-ranges of the hard limit (0.7 % at 100) and is furthest
+    from it where the order equals the limit; None means the hard limit.
     """
 
     KEYS: ClassVar = ("time_constant", "rate_limit", "delay", "deadband", "sharpness")
@@ -73,15 +81,18 @@ class Servo(eqx.Module):
     bias: Scalar | None = None  # unit of the channel, added to the order
     backlash: Scalar | None = None  # unit of the channel, half width of the play
     slowness: Scalar | None = None  # s per unit of the channel
+    neutral: Scalar | None = None  # unit of the channel, where nothing is done; zero without one
+    endless: bool = eqx.field(static=True, default=False)
 
     @classmethod
-    def from_table(cls, table: Table, where: str, lower: str, upper: str) -> "Servo":
+    def from_table(cls, table: Table, where: str, lower: str = "", upper: str = "") -> "Servo":
         """The stages that an actuator's table states; `lower` and `upper` are keys of limits.
 
         Raises `UserError` for a value that is no number; `where` is the table's name in it.
         """
         keys = {key: key for key in cls.KEYS} | {"lower": lower, "upper": upper}
-        return cls(**{stage: optional_number(table, key, where) for stage, key in keys.items()})
+        read: dict[str, Any] = {s: optional_number(table, key, where) for s, key in keys.items()}
+        return cls(**read)
 
     @property
     def direct(self) -> bool:
@@ -103,9 +114,9 @@ class Servo(eqx.Module):
         """
         value = order if self.bias is None else order + self.bias
         if self.deadband is not None:
-            # Without a width it is the value, at zero too.
-            acts = (jnp.abs(value) > self.deadband) | (self.deadband <= 0)
-            value = jnp.where(acts, value - jnp.sign(value) * self.deadband, 0.0)
+            above = value if self.neutral is None else value - self.neutral
+            above = dead_zone(above, self.deadband)
+            value = above if self.neutral is None else above + self.neutral
         if self.sharpness is None or self.lower is None or self.upper is None:
             value = value if self.lower is None else jnp.maximum(value, self.lower)
             return value if self.upper is None else jnp.minimum(value, self.upper)
@@ -180,6 +191,8 @@ class Servo(eqx.Module):
         def segment(so_far: _Reached, part: tuple[Scalar, ...]) -> tuple[_Reached, None]:
             value, sums = so_far
             target, begin, end = part
+            if self.endless:  # the same angle within half a turn of where it is
+                target = target - 2 * jnp.pi * jnp.round((target - value) / (2 * jnp.pi))
             goal = target
             if self.backlash is not None:  # driven no further than it must
                 high, low = target + self.backlash, target - self.backlash

@@ -194,7 +194,7 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
     part = np.cumsum(starts) - 1
     firsts = [_first_state(t[part == k], motion[part == k]) for k in range(part[-1] + 1)]
     orders, executed = recorded_actuation(vessel, recording)
-    executed = over_rows(recording, executed)
+    executed = over_rows(recording, orders, executed)
     columns = {
         "t": t - t[0],
         "run_time": t,

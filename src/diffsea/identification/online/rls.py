@@ -337,10 +337,11 @@ def _check_linear(vessel: Vessel, parameters: tuple[Parameter, ...]) -> None:
     sizes = np.array([length, length, 3.0, speed, 0.3 * speed, speed / length])
     motions = sizes * rng.uniform(-1, 1, (count, 6))
     accelerations = sizes[3:] / time_scale(length) * rng.uniform(-1, 1, (count, 3))
-    executed = {
-        c: (1.0 if s.upper is None else float(s.upper)) * rng.uniform(-1, 1, count)
-        for c, s in vessel.servos.items()
-    }
+    executed = {}
+    for c, s in vessel.servos.items():
+        neutral = 0.0 if s.neutral is None else float(s.neutral)
+        reach = 1.0 if s.upper is None else float(s.upper) - neutral
+        executed[c] = neutral + reach * rng.uniform(-1, 1, count)
     rows = jax.tree.map(jnp.asarray, (motions, accelerations, executed))
 
     def left_side(coordinates: Array, motion: Array, rate: Array, executed: Orders) -> Array:

@@ -1,7 +1,7 @@
 """Control allocation, and throttle and speed of a straight run, each from the other.
 
-A throttle is a vessel's own measure of push: total thrust in N for thrusters, rev/s for
-propellers and for thrusters with a thrust curve. Every trial speaks in throttle and
+A throttle is a vessel's own measure of push: total thrust in N for thrusters, whatever the unit of
+their orders, and rev/s for propellers and for thrusters with a curve of their shaft speed. Every trial speaks in throttle and
 rudder angle, whatever the vessel is steered by.
 """
 
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from diffsea.errors import UserError
 from diffsea.scales import froude_speed
 from diffsea.types import Environment, Scalar, State
-from diffsea.vessel.base import AbstractActuator, Vessel
+from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
 
 
 class ControlAllocation(eqx.Module):
@@ -35,7 +35,7 @@ class ControlAllocation(eqx.Module):
 
     def sharing(self, part: AbstractActuator) -> int:
         """How many actuators divide a throttle of its kind: all alike where it is in N."""
-        in_newtons = any(c.role == "propulsion" and c.unit == "N" for c in part.channels.values())
+        in_newtons = isinstance(part, AbstractPropulsor) and part.bollard_coefficient is None
         parts = self.vessel.actuators.values()
         return sum(type(other) is type(part) for other in parts) if in_newtons else 1
 
@@ -119,9 +119,9 @@ def speed_for(vessel: Vessel, throttle: Scalar) -> Scalar:
 def throttle_for_thrust(vessel: Vessel, thrust: Scalar) -> Scalar:
     """Throttle of a total thrust of `thrust` N.
 
-    Thrusters commanded in N take it as it is. Propellers and thrusters with a thrust curve
-    push differently at every speed: they get the throttle that holds the speed at which the
-    hull's drag, straight ahead in still water, is `thrust`.
+    Thrusters whose throttle is in N take it as it is. Propellers, and thrusters with a curve of
+    their shaft speed, push differently at every speed: they get the throttle that holds the speed
+    at which the hull's drag, straight ahead in still water, is `thrust`.
     """
     if all(part.bollard_coefficient is None for part in vessel.propulsors.values()):
         return jnp.asarray(thrust, float)
@@ -141,10 +141,9 @@ def full_throttle(vessel: Vessel) -> Scalar:
     """Throttle at which the first propulsor reaches its limit; infinite without limits."""
     allocation = ControlAllocation(vessel)
     limits = [
-        allocation.sharing(part) * jnp.asarray(upper, float)
+        allocation.sharing(part) * jnp.asarray(full, float)
         for part in vessel.propulsors.values()
-        for name, channel in part.channels.items()
-        if channel.role == "propulsion" and (upper := part.servos[name].upper) is not None
+        if (full := part.full_throttle) is not None
     ]
     return jnp.min(jnp.stack(limits)) if limits else math.inf
 

@@ -28,7 +28,7 @@ from diffsea.simulation.control.autopilot import (
     within_half_turn,
 )
 from diffsea.types import Scalar, State
-from diffsea.vessel.actuators import AzimuthThruster
+from diffsea.vessel.actuators import AzimuthThruster, FixedThruster
 from diffsea.vessel.base import Vessel
 
 
@@ -65,7 +65,7 @@ class DynamicPD(AbstractController[Pursued]):
 
     `base` goes linearly from `base_min` at `near` m to `base_max` at `far` m; nearer than that
     it is `base_min`, or half-way where |e| is above 10 deg. Orders are in the thrusters' own
-    unit (N, or rev/s with a thrust curve) and within +-`largest`.
+    unit, counted ahead from neutral, and within +-`largest`.
 
     Two logarithms differ from the published eq. 18. `log(psi_e)` has no value for errors to
     port and is negative below one unit, so that the derivative would destabilise: it is taken
@@ -89,6 +89,8 @@ class DynamicPD(AbstractController[Pursued]):
     far: Scalar  # m
     radius: Scalar  # m
     largest: Scalar = jnp.inf
+    neutral: tuple[Scalar, Scalar] = (0.0, 0.0)  # of port and starboard
+    reversed: tuple[bool, bool] = eqx.field(static=True, default=(False, False))
     port: str = eqx.field(static=True, default="port")  # channels
     starboard: str = eqx.field(static=True, default="starboard")
     smoothing: float = eqx.field(static=True, default=0.0)  # s
@@ -111,11 +113,15 @@ class DynamicPD(AbstractController[Pursued]):
         derivative = (self.T_f * memory.derivative + gain * change) / (self.T_f + dt)
         difference = self.K_p * jnp.log1p(distance) * error + derivative
         base = self.base(distance, error)
-        orders = {self.port: base - difference, self.starboard: base + difference}
         over = number >= self.waypoints.shape[0]
-        orders: dict[str, Scalar] = {
-            channel: jnp.where(over, 0.0, jnp.clip(order, -self.largest, self.largest))
-            for channel, order in orders.items()
+
+        def order(ahead: Scalar, side: int) -> Scalar:
+            limited = jnp.where(over, 0.0, jnp.clip(ahead, -self.largest, self.largest))
+            return self.neutral[side] + (-limited if self.reversed[side] else limited)
+
+        orders = {
+            self.port: order(base - difference, 0),
+            self.starboard: order(base + difference, 1),
         }
         return Pursued(number, moved, derivative, error, jnp.ones((), bool)), orders
 
@@ -169,18 +175,29 @@ def dynamic_pd(
     Raises:
         UserError: a vessel without exactly one such thruster on each side.
     """
-    sides: dict[bool, list[str]] = {False: [], True: []}
-    for part in vessel.actuators.values():
-        if part.differential and float(part.y) != 0:
-            sides[float(part.y) > 0] += list(part.servos)
-    if any(len(channels) != 1 for channels in sides.values()):
+    aside = [
+        part
+        for part in vessel.actuators.values()
+        if isinstance(part, FixedThruster) and float(part.y) != 0
+    ]
+    sides = [part for part in aside if part.y < 0], [part for part in aside if part.y > 0]
+    if any(len(side) != 1 for side in sides):
         raise UserError(
-            f"{vessel.name!r} has {len(sides[False])} fixed thrusters to port and "
-            f"{len(sides[True])} to starboard; the PD law for pairs needs one on each side"
+            f"{vessel.name!r} has {len(sides[0])} fixed thrusters to port and "
+            f"{len(sides[1])} to starboard; the PD law for pairs needs one on each side"
         )
-    (port,), (starboard,) = sides[False], sides[True]
-    points = jnp.asarray(waypoints, float)
-    return DynamicPD(points, port=port, starboard=starboard, smoothing=smoothing, **gains)
+    (port,), (starboard,) = sides
+    middles = [part.servos[part.force_channel].neutral for part in (port, starboard)]
+    left, right = (0.0 if middle is None else middle for middle in middles)
+    return DynamicPD(
+        jnp.asarray(waypoints, float),
+        port=port.force_channel,
+        starboard=starboard.force_channel,
+        neutral=(left, right),
+        reversed=(port.drive.reversed, starboard.drive.reversed),
+        smoothing=smoothing,
+        **gains,
+    )
 
 
 # A vectored thruster
@@ -271,7 +288,7 @@ def waypoint_logic(
             f"{vessel.name!r} has {len(parts)} azimuth thrusters; the waypoint logic is for one"
         )
     (part,) = parts
-    thrust = vessel.servos[part.force_channel].upper
+    thrust = part.full_throttle
     angle = vessel.servos[part.angle_channel].upper
     if thrust is None or angle is None:
         raise UserError(

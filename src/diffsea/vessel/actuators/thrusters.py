@@ -1,13 +1,17 @@
-"""Thrusters: fixed, azimuth and tunnel, ordered in newtons or, with a thrust curve, in rev/s."""
+"""Thrusters: fixed, azimuth and tunnel."""
 
+import abc
+import dataclasses
 import math
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
-from diffsea.errors import UserError
 from diffsea.scales import HARD_OVER
 from diffsea.types import Scalar, State
+from diffsea.vessel.actuators.thrust_curve import FORCES, SPEEDS, Drive, read_drive
+from diffsea.vessel.actuators.thrust_curve import KEYS as DRIVE_KEYS
 from diffsea.vessel.base import (
     AbstractActuator,
     AbstractPropulsor,
@@ -18,105 +22,121 @@ from diffsea.vessel.base import (
 )
 from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number, positive
+from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number
 
 
-_FORCES = ("min_force", "max_force")  # keys of limits, N
+TURN_ROUNDING = 1e-3  # rad: how exactly a file says half a turn to both sides
 
 
-class FixedThruster(AbstractPropulsor):
-    """A thruster of fixed direction, commanded in N, or in rev/s with a thrust curve.
+class AbstractThruster(AbstractPropulsor):
+    """A thruster that is ordered in one of several units, and makes thrust of it by its `drive`."""
 
-    With a curve, `T = c V n + d |n| n` where V is the speed through the water at the
-    thruster along its axis (Blanke 1981 after Fossen 2021, eq. 9.7). Thrusters of both sides
-    steer by their difference: angle / 35 deg is the difference of port and starboard thrust
-    over their sum.
+    diameter: ClassVar[None] = None
+    drive: eqx.AbstractVar[Drive]
+
+    @property
+    @abc.abstractmethod
+    def force_channel(self) -> str:
+        """The channel that orders its thrust."""
+
+    @property
+    def bollard_coefficient(self) -> Scalar | None:
+        return None if self.drive.curve is None else self.drive.curve[1]
+
+    @property
+    def full_throttle(self) -> Scalar | None:
+        servo = self.servos[self.force_channel]
+        limit = servo.lower if self.drive.reversed else servo.upper
+        return None if limit is None else self.drive.throttle(limit, servo.neutral)
+
+    def thrust_at_rest(self, executed: Scalar) -> Scalar:
+        return self.drive.thrust(executed, self.servos[self.force_channel].neutral)
+
+    def order_of(self, throttle: Scalar) -> Scalar:
+        """The order of its thrust for a throttle of its own, N or rev/s."""
+        return self.drive.order(throttle, self.servos[self.force_channel].neutral)
+
+    def push(
+        self, executed: dict[str, Scalar], water: State, x: Scalar, y: Scalar, angle: Scalar
+    ) -> Force:
+        """The force (N, N m) of its thrust at (x, y) m, `angle` rad clockwise from ahead."""
+        along, across = water.u - y * water.r, water.v + x * water.r
+        advance = 0.0
+        if self.drive.curve is not None:
+            advance = along * jnp.cos(angle) + across * jnp.sin(angle)
+        neutral = self.servos[self.force_channel].neutral
+        thrust = self.drive.thrust(executed[self.force_channel], neutral, advance)
+        return Force.of_thrust(thrust * self.losses.factor(water), x, y, angle)
+
+
+class FixedThruster(AbstractThruster):
+    """A thruster of fixed direction.
+
+    Thrusters of both sides steer by their difference: angle / 35 deg is the difference of port and
+    starboard thrust over their sum.
     """
 
     differential: ClassVar[bool] = True
-    diameter: ClassVar[None] = None
 
     servos: dict[str, Servo]
     x: Scalar = 0.0  # m forward of amidships
     y: Scalar = 0.0  # m to starboard
     angle: Scalar = 0.0  # rad, direction of push from ahead, clockwise
-    curve: tuple[Scalar, Scalar] | None = None  # c in N s^2/m, d in N s^2
+    drive: Drive = Drive()
     losses: Losses = Losses()
 
     @property
-    def channels(self) -> dict[str, CommandChannel]:
-        unit = "N" if self.curve is None else "rev/s"
-        return dict.fromkeys(self.servos, CommandChannel("propulsion", unit))
+    def force_channel(self) -> str:
+        return next(iter(self.servos))
 
     @property
-    def bollard_coefficient(self) -> Scalar | None:
-        return None if self.curve is None else self.curve[1]
+    def channels(self) -> dict[str, CommandChannel]:
+        return dict.fromkeys(self.servos, CommandChannel("propulsion", self.drive.unit))
 
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
         share = 1 + -jnp.sign(self.y) * angle / HARD_OVER
-        if self.curve is None:
-            return dict.fromkeys(self.servos, throttle * share)
-        # Thrust goes with |n| n, so a share of the thrust is a root of the speed.
-        speed = throttle * jnp.sign(share) * jnp.sqrt(jnp.abs(share) + 1e-16)
-        return dict.fromkeys(self.servos, speed)
+        if self.drive.takes_speed:
+            # Thrust goes with |n| n, so a share of the thrust is a root of the speed.
+            share = jnp.sign(share) * jnp.sqrt(jnp.abs(share) + 1e-16)
+        return {self.force_channel: self.order_of(throttle * share)}
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
-        (thrust,) = (executed[channel] for channel in self.servos)
-        if self.curve is not None:
-            (c, d), n = self.curve, thrust
-            along = water.u - self.y * water.r
-            across = water.v + self.x * water.r
-            advance = along * jnp.cos(self.angle) + across * jnp.sin(self.angle)
-            thrust = c * advance * n + d * jnp.abs(n) * n
-        return Force.of_thrust(thrust * self.losses.factor(water), self.x, self.y, self.angle)
+        return self.push(executed, water, self.x, self.y, self.angle)
 
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "FixedThruster":
-        """As of its base.
-
-        With a curve, limits are speeds (rev/s); stated as forces (N) they hold for the thrust at
-        rest.
-        """
-        where, curve = f"[[thruster]] {name!r}", None
-        places, limits, speeds = ("x", "y", "angle"), _FORCES, ("min_speed", "max_speed")
-        known = ("name", *Servo.KEYS, *Losses.KEYS, *places, "curve", *_FORCES)
-        check_keys(table, (*known, *speeds) if "curve" in table else known, where)
-        if "curve" in table:
-            given, limits = table["curve"], speeds
-            if not isinstance(given, dict) or set(given) != {"c", "d"}:
-                raise UserError(f"{where}: curve = {{c = .., d = ..}} for T = c V n + d |n| n")
-            curve = needed(given, "c", where), positive(given, "d", where)
-            forces = numbers(table, _FORCES, where).items()
-            at_rest = {
-                key.replace("force", "speed"): math.copysign(math.sqrt(abs(F) / curve[1]), F)
-                for key, F in forces
-            }
-            table = at_rest | table
+        where, places = f"[[thruster]] {name!r}", ("x", "y", "angle")
+        _check_thruster_keys(table, places, where)
+        drive, scale = read_drive(table, where)
         return cls(
-            {name: Servo.from_table(table, where, *limits)},
-            curve=curve,
+            {name: dataclasses.replace(Servo.from_table(table, where), **scale)},
+            drive=drive,
             losses=Losses.from_table(table, where),
             **numbers(table, places, where),
         )
 
 
-class AzimuthThruster(AbstractPropulsor):
-    """A thruster that turns: channels force (N) and angle (rad clockwise from ahead).
+def _check_thruster_keys(table: Table, own: tuple[str, ...], where: str) -> None:
+    """Refuse a key that is none of a thruster's, nor its `own`."""
+    known = ("name", *Servo.KEYS, *Losses.KEYS, *own, *DRIVE_KEYS)
+    check_keys(table, (*known, *SPEEDS) if "curve" in table else known, where)
 
-    It turns as a rudder would in control allocation: against the angle ahead of amidships.
+
+class AzimuthThruster(AbstractThruster):
+    """A thruster that turns: channels force and angle (rad clockwise from ahead).
+
+    It turns as a rudder would in control allocation: against the angle ahead of amidships. Where
+    its limits leave it a whole turn it goes the short way from one angle to another.
     """
-
-    diameter: ClassVar[None] = None
-    bollard_coefficient: ClassVar[None] = None
 
     servos: dict[str, Servo]  # "<name>.force" and "<name>.angle", in any order
     x: Scalar = 0.0  # m forward of amidships
     y: Scalar = 0.0  # m to starboard
+    drive: Drive = Drive()
     losses: Losses = Losses()
 
     @property
     def force_channel(self) -> str:
-        """The channel that orders its force."""
         # By name: trees of arrays do not keep the order of a dictionary.
         return next(channel for channel in self.servos if channel.endswith(".force"))
 
@@ -128,29 +148,39 @@ class AzimuthThruster(AbstractPropulsor):
     @property
     def channels(self) -> dict[str, CommandChannel]:
         return {
-            self.force_channel: CommandChannel("propulsion", "N"),
+            self.force_channel: CommandChannel("propulsion", self.drive.unit),
             self.angle_channel: CommandChannel("steering", "rad"),
         }
 
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
-        return {self.force_channel: throttle, self.angle_channel: jnp.sign(self.x) * angle}
+        turned = jnp.sign(self.x) * angle
+        return {self.force_channel: self.order_of(throttle), self.angle_channel: turned}
 
     def force(self, executed: dict[str, Scalar], water: State, jets: dict[str, Jet]) -> Force:
-        thrust = executed[self.force_channel] * self.losses.factor(water)
-        return Force.of_thrust(thrust, self.x, self.y, executed[self.angle_channel])
+        return self.push(executed, water, self.x, self.y, executed[self.angle_channel])
 
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "AzimuthThruster":
-        """As of its base; the angle has stages of its own and the delay of the force."""
+        """As of its base; the angle has stages of its own and the delay of the force.
+
+        A curve without c is one whose thrust does not change with the speed of advance.
+        """
         where = f"[[azimuth_thruster]] {name!r}"
         stages = {"upper": "max_angle", "lower": "min_angle"}
         stages |= {"time_constant": "angle_time_constant", "rate_limit": "angle_rate_limit"}
-        keys = ("name", *Servo.KEYS, *Losses.KEYS, "x", "y", *_FORCES[::-1])
-        check_keys(table, (*keys, *stages.values()), where)
-        force = Servo.from_table(table, where, *_FORCES)
+        _check_thruster_keys(table, ("x", "y", *stages.values()), where)
+        if isinstance(table.get("curve"), dict):
+            table = table | {"curve": {"c": 0.0} | table["curve"]}
+        drive, scale = read_drive(table, where)
+        force = dataclasses.replace(Servo.from_table(table, where), **scale)
         read = {stage: optional_number(table, key, where) for stage, key in stages.items()}
+        low = -math.inf if read["lower"] is None else read["lower"]
+        high = math.inf if read["upper"] is None else read["upper"]
+        endless = high - low > 2 * math.pi - TURN_ROUNDING and math.isinf(low) == math.isinf(high)
+        angle = Servo(delay=force.delay, endless=endless, **read)
         return cls(
-            {f"{name}.force": force, f"{name}.angle": Servo(delay=force.delay, **read)},
+            {f"{name}.force": force, f"{name}.angle": angle},
+            drive=drive,
             losses=Losses.from_table(table, where),
             **numbers(table, ("x", "y"), where),
         )
@@ -180,9 +210,9 @@ class TunnelThruster(AbstractActuator):
     @classmethod
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "TunnelThruster":
         where, optional = f"[[tunnel_thruster]] {name!r}", ("fading_speed", "effectiveness")
-        check_keys(table, ("name", *Servo.KEYS, *_FORCES, "x", *optional), where)
+        check_keys(table, ("name", *Servo.KEYS, *FORCES, "x", *optional), where)
         return cls(
-            {name: Servo.from_table(table, where, *_FORCES)},
+            {name: Servo.from_table(table, where, *FORCES)},
             x=needed(table, "x", where),
             **numbers(table, optional, where),
         )
