@@ -35,14 +35,14 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.words import phrase, verdict_text
+from diffsea.report.words import phrase, unimproved_sentence, verdict_text
 from diffsea.vessel.files import build
 
 
 USV = ORACLE / "usv.toml"
 NASTY = 'zig<zag> & "20".csv'
 SECTIONS = (
-    "verdict", "where", "what", "held-out", "next", "unseen", "parameters", "data", "provenance",
+    "verdict", "held-out", "where", "what", "next", "unseen", "parameters", "data", "provenance",
 )  # fmt: skip
 VERDICTS = ("consistent", "explained", "ambiguous", "unexplained", "insufficient")
 
@@ -505,6 +505,17 @@ def test_one_model_where_nothing_was_found():
     reader = assert_sound(page_of("consistent"))
     assert "nominal →" not in reader.text("held-out")
     assert "predicts" in reader.text("held-out")
+
+
+def test_a_page_says_where_what_was_found_does_not_improve_the_motion():
+    horizons = [{"seconds": seconds, "starts": 9, "nominal": {"position": 1.0},
+                 "diagnosed": {"position": new}}
+                for seconds, new in ((5.0, 0.5), (20.0, 1.2), (60.0, 1.1))]  # fmt: skip
+    summary = {"effects": [{"name": "current", "parameters": {}}],
+               "held_out": {"horizons": horizons}}  # fmt: skip
+    assert "not the motion 20 s and 60 s ahead" in unimproved_sentence(summary)
+    assert unimproved_sentence(summary | {"held_out": {"horizons": horizons[:1]}}) == ""
+    assert unimproved_sentence(summary | {"effects": []}) == ""
 
 
 @pytest.mark.parametrize("held_out", [True, False])

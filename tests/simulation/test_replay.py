@@ -255,3 +255,14 @@ def test_divergence_and_missing_orders_are_told():
         replay(boat(), missing(run, "x", "y", "u", "v"))
     with pytest.raises(UserError, match="too long to replay.*unit of its time"):
         replay(boat(), dataclasses.replace(run, t=1e9 * run.t))
+
+
+def test_a_run_of_speeds_alone_is_predicted_straight_ahead():
+    t = np.arange(0.0, 40.0, 0.5)
+    run = missing(straight(t), "x", "y", "psi", "v", "r")
+    predicted = replay(boat(), run)
+    assert "neither heading nor yaw rate was recorded: straight ahead" in str(predicted.provenance)
+    np.testing.assert_allclose(predicted.psi, 0.0)
+    assert replay_errors(predicted, run) == {"u": pytest.approx(0.0, abs=1e-5)}
+    late = boat(delay=5.0)
+    assert set(horizon_errors(late, run, (5.0,))[5.0]) == {"u", "starts"}

@@ -355,6 +355,17 @@ class ShortList:
             }
         return list(ordered.values())
 
+    def owed_beside(self, accepted: Hypothesis) -> tuple[str, ...]:
+        """Effects that have the evidence for a name, beside one that was accepted of them.
+
+        It may explain what they do, or part of it; in any case they are to be asked for beside it.
+        """
+        return tuple(
+            one.effect
+            for one in self.hypotheses
+            if one.evidence(one.inflation) > self.needed and not one.is_akin_to(accepted)
+        )
+
     @property
     def inflation(self) -> float:
         """How many dependent values count as one, by the best judged hypothesis."""
@@ -419,9 +430,15 @@ def decide(
 
 
 def refit_candidates(
-    data: Split, current: Estimate, screening: Screening, progress: Progress
+    data: Split,
+    current: Estimate,
+    screening: Screening,
+    progress: Progress,
+    among: tuple[str, ...] = (),
 ) -> ShortList:
     """The short list of a screening refitted, as far as the compiled program has room for it.
+
+    Or those effects `among` which they are, if any are named.
 
     Where an accepted effect came out larger than its law holds for, the error of that law is left
     over and looks like the effect's confusables: these are not asked for.
@@ -434,7 +451,7 @@ def refit_candidates(
             doubtful |= set(declared[name])
     names = [
         name
-        for name in short_list(screening, declared)
+        for name in among or short_list(screening, declared)
         if has_room(problem, current, name) and catalogue_name(name) not in doubtful
     ]
 

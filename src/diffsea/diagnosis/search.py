@@ -193,12 +193,21 @@ def explain(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> 
 
 
 def forward_search(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> Search:
-    """Add one effect after the other until nothing is left to explain or nothing explains it."""
-    now, resumed = begun, 0
-    while (
-        len(now.searched) < MOST_EFFECTS and null.of_strongest(now.final_screening.p_value) < ALPHA
-    ):
-        tried = refit_candidates(data, now.final, now.final_screening, progress)
+    """Add one effect after the other until nothing is left to explain or nothing explains it.
+
+    Where nothing stands out any more, those that had evidence of their own before the last one was
+    accepted are still asked for beside it, if they promise anything: a score at zero may say little
+    of what a refit says.
+    """
+    now, resumed, owed = begun, 0, tuple[str, ...]()
+    while len(now.searched) < MOST_EFFECTS:
+        stands_out = null.of_strongest(now.final_screening.p_value) < ALPHA
+        seen = now.final_screening.candidates
+        owed = tuple(name for name in owed if name in seen and seen[name].expected > 0)
+        if not stands_out and not owed:
+            break
+        among, owed = () if stands_out else owed, ()
+        tried = refit_candidates(data, now.final, now.final_screening, progress, among)
         if not now.searched:
             now = replace(now, short_list=tried)
         best = decide(tried, _exchange(data, now.final, progress))
@@ -216,7 +225,7 @@ def forward_search(data: Split, begun: Search, null: Bootstrap, progress: Progre
                 if not now.effects:
                     now = replace(now, nominal=better, nominal_screening=now.final_screening)
                 continue
-            added = (AcceptedEffect(best, tried),)
+            added, owed = (AcceptedEffect(best, tried),), tried.owed_beside(best)
             progress(f"accepted: {catalogue_name(best.effect)}")
         if not added:
             break

@@ -95,6 +95,7 @@ def diagnosis_report(
         verdict=summary["verdict"],
         finding=words.verdict_sentence(summary),
         prediction_change=words.prediction_sentence(summary),
+        unimproved=words.unimproved_sentence(summary),
         remainder=words.remainder_sentence(summary),
         location=location_section(summary, recordings, most),
         effects=found_effects(summary),

@@ -203,6 +203,26 @@ def prediction_sentence(summary: Record) -> str:
     return f"{what} off by {after} with what was found, instead of {before}."
 
 
+def unimproved_sentence(summary: Record) -> str:
+    """How far ahead what was found does not improve the predictions of held-out runs, or nothing.
+
+    Of the first quantity that was measured: position, else heading, else a speed.
+    """
+    if not named_effects(summary):
+        return ""
+    far = []
+    for row in summary.get("held_out", {}).get("horizons", []):
+        if quantities := known_quantities(row, MODELS):
+            old, new = (row[model][quantities[0]] for model in MODELS)
+            far += [f"{row['seconds']:g} s"] if new >= old else []
+    if not far:
+        return ""
+    return (
+        f"What was found explains single steps, but not the motion {enumeration(far)} ahead: "
+        "predictions there are no better with it."
+    )
+
+
 def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
     p = summary.get("remainder_p_value")

@@ -4,6 +4,7 @@ Nothing is corrected on the way: a replay shows how errors of a model grow, over
 run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`).
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -325,10 +326,16 @@ def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
 
 
 def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
-    """Motion in every row as the sensors' errors leave it, and notes on what was derived."""
-    derived = [c for c in ("psi", "u", "v", "r") if not run.has(c)]
+    """Motion in every row as the sensors' errors leave it, and notes on what was derived.
+
+    A run in which nothing shows the heading is one straight ahead, to the north.
+    """
+    derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
+    if not (run.has("psi") or run.has("r")):
+        run = dataclasses.replace(run, psi=np.zeros_like(run.t), r=np.zeros_like(run.t))
+        notes = ("neither heading nor yaw rate was recorded: straight ahead is assumed",)
     whole, derivations = prepare_recording(run) if derived else (run, [])
-    notes = tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
+    notes += tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
     shown = {}
     for channel in MOTION_CHANNELS:
         source = whole if channel in derived else run
