@@ -11,12 +11,18 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
-from diffsea.diagnosis.sufficiency import Shortfall, shortfalls
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import estimate
 from diffsea.identification.free_predictions import expected_squares, motion_change, motion_misfit
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.identification.sufficiency import (
+    FitVerdict,
+    Shortfall,
+    shortfalls,
+    sufficiency,
+    whiteness,
+)
 from diffsea.recordings.conditioning import cut
 from diffsea.statistics import moving_block_draws
 from diffsea.vessel.files import build
@@ -81,6 +87,56 @@ def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(
     assert max(motion_misfit(data, wrong).ratio.values()) > 4.0
     assert shortfalls(data, right) == ()
     assert shortfalls(data, wrong) == (Shortfall.MISFIT, Shortfall.MOTION)
+
+
+def test_a_fit_says_that_something_is_missing_where_it_is_and_not_where_parameters_are_open(
+    data, right, wrong
+):
+    sound = FitVerdict(sufficiency(data, right), None, True)
+    assert not sound.missing and sound.sentence.startswith("nothing is missing")
+    off = FitVerdict(sufficiency(data, wrong), None, True)
+    assert off.missing and "diffsea diagnose" in off.sentence
+    assert "times the noise" in off.sentence and "times what gusts and noise" in off.sentence
+    record = off.as_dict()
+    assert record["misfit"]["mean_square"] > record["misfit"]["limit"]
+    assert record["motion"]["60"]["ratio"] > record["motion"]["60"]["limit"]
+    vague = dataclasses.replace(wrong, shrinkage=np.full(5, 0.1))
+    open_ended = FitVerdict(sufficiency(data, vague), None, True)
+    assert not open_ended.missing and "do not tell" in open_ended.sentence
+    # Numbers of a sheet that are off say so whatever the runs do.
+    assert FitVerdict(sufficiency(data, right), 0.001, True).missing
+    assert not FitVerdict(None, 0.2, False).missing and FitVerdict(None, 0.001, False).missing
+
+
+def test_coloured_innovations_are_told_from_white_ones():
+    """A first-order autoregression of coefficient a has the long-run variance (1 + a) / (1 - a)."""
+    rng, rows = np.random.default_rng(0), 4000
+    run = np.repeat([0, 1, 2, 3], rows // 4)
+    used = np.ones((rows, 6), bool)
+    white = rng.normal(size=(rows, 6))
+    chances = [
+        whiteness(rng.normal(size=(400, 6)), used[:400], run[:400]).p_value for _ in range(200)
+    ]
+    assert np.mean(np.array(chances) < 0.05) < 0.09 and np.mean(np.array(chances) < 0.01) < 0.03
+    coloured = white.copy()
+    for k in range(1, rows):
+        coloured[k, 2] += 0.5 * coloured[k - 1, 2] * (run[k] == run[k - 1])
+    coloured[:, 2] *= np.sqrt(1 - 0.5**2)
+    found = whiteness(coloured, used, run)
+    assert found.is_rejected and found.p_value < 1e-20
+    taper = sum(2 * 0.5**k * (1 - k / 11) for k in range(1, 11))
+    assert found.colour == pytest.approx(1 + taper, rel=0.1)
+    # A weak correlation is found, and does not matter.
+    weak = 0.99 * white + 0.1 * np.roll(white, 1, axis=0)
+    assert whiteness(weak, used, run).p_value < 0.01 and not whiteness(weak, used, run).is_rejected
+    # A channel that is measured every other row has no neighbours at odd lags.
+    sparse = used & ((np.arange(rows) % 2 == 0)[:, None] | (np.arange(6) != 2))
+    there = whiteness(np.where(sparse, coloured, 0.0), sparse, run)
+    pairs = [2 * 0.5**k * (1 - k / 11) for k in range(2, 11, 2)]
+    assert there.p_value < 0.01 and there.colour == pytest.approx(1 + sum(pairs), rel=0.1)
+    # The first of a run has nothing to do with the last of the one before.
+    short = np.arange(rows)
+    assert whiteness(coloured, used, short).p_value == 1.0
 
 
 def test_what_gusts_explain_is_the_integral_of_their_spectrum():

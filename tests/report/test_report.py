@@ -19,7 +19,9 @@ from diffsea.identification.holdout import HeldOut, Split
 from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.identification.uncertainty.identifiability import identifiability
+from diffsea.identification.sufficiency import FitVerdict
+from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
+from diffsea.identification.uncertainty.sources import Source, Sources
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.page import TEMPLATES, Plot, Verbatim
@@ -527,7 +529,10 @@ def test_fit_page(held_out):
     shown = [
         ComparedRun(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)}) for r in seen
     ]
-    page = fit_report(study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE)
+    verdict = FitVerdict(None, 1e-4, held_out)
+    page = fit_report(
+        study(), quality, history, shown, (list(runs), list(test) * held_out), SOURCE, verdict
+    )
     reader = assert_sound(page)
     sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
     assert tuple(reader.ids) == sections
@@ -536,6 +541,7 @@ def test_fit_page(held_out):
     assert "linear damping in surge" in reader.text("parameters")
     assert "7 of 8 starts" in reader.text("open") and "2 of x" in reader.text("open")
     assert "1.00 N_rdot (the data determine" in reader.text("open")
+    assert "Something is missing: trial numbers" in reader.text("summary")
     assert ("1.31 times in what was held out" in reader.text("summary")) is held_out
     assert ("worse than the vessel file" in reader.text("summary")) is (worse_warning(shown) != "")
     swapped = [
@@ -675,3 +681,21 @@ def test_what_was_held_out_is_told_by_its_kind_and_not_by_the_words_for_it():
     assert "On the last part of each run, kept back" in Reader(page).text("verdict")
     result["held_out"] = held_out | {"kind": "recordings", "how": "the last part of each run"}
     assert "on runs kept back as a test" in verdict_text(result).lower()
+
+
+def test_fit_page_of_recordings_and_trial_numbers_says_what_each_tells():
+    """Sources as if found; the numbers are those that the table is made of."""
+    known = Identifiability((), (), 1.0)
+    recordings_alone = Source(181.0, 160, {"X_u": 0.97, "N_rdot": 0.1}, known)
+    numbers_alone = Source(2.5, 3, {"X_u": 0.2, "N_rdot": 0.8}, known)
+    both = Sources(recordings_alone, numbers_alone, 1.5, {"X_u": 0.98, "N_rdot": 0.85}, 0.48)
+    found = dataclasses.replace(study(), sources=both)
+    runs, _ = recordings()
+    shown = [ComparedRun(runs[0], {m: predict(usv(), runs[0]) for m in ("start", "fitted")})]
+    verdict = FitVerdict(None, 0.48, False)
+    page = fit_report(found, {"train": 1.0}, [], shown, (list(runs), []), SOURCE, verdict)
+    told = assert_sound(page).text("sources")
+    assert "N_rdot 10 % 80 % 85 %" in " ".join(told.split())
+    assert "181 in 160 values" in told and "2.50 in 3 values" in told
+    assert "by the trial numbers alone, not by the recordings: N_rdot" in told
+    assert "Nothing is missing as far as these data tell" in Reader(page).text("summary")

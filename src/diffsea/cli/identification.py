@@ -14,6 +14,8 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.identification.study import Study
+    from diffsea.trajectory import Trajectory
+    from diffsea.workflows.identification import FitResult
 
 
 ANCHORS = ("mass", "thrust")  # as the library has them, which would import JAX to be asked
@@ -67,8 +69,10 @@ def fit_command(args: argparse.Namespace) -> None:
     """Fits a vessel's parameters, with standard errors, and predicts runs that were held out. By
     default hull derivatives and added masses to recordings by an innovation-form likelihood, gusts
     and sensor noise estimated; --objective free-run by multiple shooting instead. A TOML sheet of
-    trial numbers (advance, diameters, overshoots) in place of recordings is fitted as it is.
-    Says which combinations the data do not determine, and the manoeuvre to record next.
+    trial numbers (advance, diameters, overshoots) is fitted as it is, alone or together with
+    recordings: one fit, each weighed by its errors, which says what each determines alone.
+    Says how far free predictions miss, whether something is missing from the model, which
+    combinations the data do not determine, and the manoeuvre to record next.
     Writes vessel.toml, fit.json and report.html.
 
     examples:
@@ -76,85 +80,77 @@ def fit_command(args: argparse.Namespace) -> None:
       diffsea fit usv.toml run*.csv --free X_u,X_uu,N_r,Y_v --starts 8
       diffsea fit usv.toml run*.csv --priors known.toml --anchor thrust
       diffsea fit ship.toml sea_trial.toml
+      diffsea fit ship.toml sea_trial.toml log.csv --test other.csv
     """
     with Outputs(args.output) as out:
-        from diffsea.identification.objectives.trial_numbers import read_trial_table
         from diffsea.identification.problem import default_priors
-        from diffsea.identification.study import FitSettings, identify
         from diffsea.parameters import read_priors
-        from diffsea.report.fit import compare_fit, fit_report, worse_warning
+        from diffsea.report.fit import fit_report
         from diffsea.report.predictions import horizon_table
-        from diffsea.vessel.files import build, dump, updated_document
-        from diffsea.workflows.identification import provenance
+        from diffsea.vessel.files import dump
+        from diffsea.workflows.identification import fit, provenance
 
         began = time.monotonic()
         history: list[str] = []
 
-        def tell(message: str) -> None:
-            options.progress(f"[{time.monotonic() - began:5.0f} s] {message}")
-
         def follow(message: str) -> None:
             history.append(message)
-            tell(message)
+            options.progress(f"[{time.monotonic() - began:5.0f} s] {message}")
 
         file = options.read_vessel(args)
-        sheets = _are_sheets(args)
-        data: list[Any] = []
-        if sheets:
-            tables = [read_trial_table(path, file.vessel) for path in args.recordings]
-            data, test = [trial for trials in tables for trial in trials], []
-        else:
-            data, test = options.read_fitted_and_held_out(args)
-        settings = FitSettings(
-            args.objective or ("trial-numbers" if sheets else "innovation"),
-            args.free,
-            args.anchor,
-            read_priors(args.priors, default_priors(file.vessel)) if args.priors else {},
-            args.starts,
-            () if args.profile == ("none",) else args.profile,
+        data, test = _read_data(args)
+        found = fit(
+            file,
+            data,
+            test,
+            objective=args.objective,
+            free=args.free,
+            anchor=args.anchor,
+            priors=read_priors(args.priors, default_priors(file.vessel)) if args.priors else {},
+            starts=args.starts,
             effects=args.effects,
             per_recording=args.environment == "per-recording",
+            progress=follow,
+            profiles=() if args.profile == ("none",) else args.profile,
         )
-        runs = [] if settings.objective == "trial-numbers" else data
-        tell(f"reading: {len(data)} to fit, {len(test)} held out; compiling")
-        study = identify(file.vessel, data, settings, follow)
-        document = updated_document(file.document, study.values, study.effect_tables)
-        vessel = build(document)
-        quality = study.quality(test)
-        source = provenance(file, runs, test)
-        tell("predicting and writing the report")
-        predicted = compare_fit(study, file.vessel, vessel, (runs, test))
-        out.text("vessel.toml", dump(document))
-        record = _fit_record(study, settings.objective, quality)
-        horizons = horizon_table(predicted)
-        out.json("fit.json", record | {"source": source, "predictions": horizons})
-        page = fit_report(study, quality, history, predicted, (runs, test), source)
-        out.text("report.html", page)
-    out.present(args, _summary_text(study, quality, worse_warning(predicted)))
+        runs = found.data.recordings, found.data.test
+        source = provenance(file, *runs)
+        out.text("vessel.toml", dump(found.fitted.document))
+        horizons = horizon_table(found.predicted)
+        out.json("fit.json", _fit_record(found) | {"source": source, "predictions": horizons})
+        judged = found.study, found.misfit, history, found.predicted
+        out.text("report.html", fit_report(*judged, runs, source, found.verdict))
+    out.present(args, _summary_text(found))
 
 
-def _are_sheets(args: argparse.Namespace) -> bool:
-    """Whether trial numbers are to be fitted, and not recordings."""
+def _read_data(args: argparse.Namespace) -> "tuple[list[Any], list[Trajectory]]":
+    """What is fitted, recordings and sheets of trial numbers, and the recordings held out."""
     from diffsea.identification.objectives.trial_numbers import is_trial_table
+    from diffsea.workflows.identification import check_held_out
 
-    sheets = [is_trial_table(path) for path in args.recordings]
-    if any(sheets) and not all(sheets):
-        raise UserError("give either recordings or sheets of trial numbers (TOML), not both")
-    if all(sheets) and args.test:
-        raise UserError("--test takes recordings, and a fit to trial numbers has none to hold out")
-    return all(sheets)
+    sheets = [path for path in args.recordings if is_trial_table(path)]
+    recordings = [path for path in args.recordings if path not in sheets]
+    if len(set(sheets)) < len(sheets):
+        raise UserError("a sheet of trial numbers is named twice; name each only once")
+    check_held_out(args.test, bool(recordings))
+    runs = options.read_recordings([*recordings, *args.test], args.mapping)
+    return [*runs[: len(recordings)], *sheets], runs[len(recordings) :]
 
 
-def _fit_record(study: "Study", objective: str, quality: dict[str, float]) -> dict[str, Any]:
+def _fit_record(found: "FitResult") -> dict[str, Any]:
     """The content of fit.json, all but the source and the predictions."""
+    study = found.study
     rows = [dict(row) for row in study.rows]
     record: dict[str, Any] = {
         "format": 1,
-        "objective": objective,
+        "free": found.free,
+        "missing": found.missing,
+        "missing_evidence": found.verdict.as_dict(),
+        "objective": found.objective,
         "parameters": {row.pop("name"): row for row in rows},
         "effects": study.effects,
         "anchor": study.anchor,
-        "fit": quality,
+        "fit": found.misfit,
         "deviance": study.estimate.deviance,
         "path": list(study.estimate.path),
         "outcome": study.estimate.outcome.value,
@@ -163,11 +159,13 @@ def _fit_record(study: "Study", objective: str, quality: dict[str, float]) -> di
         "starts": None if study.agreement is None else dataclasses.asdict(study.agreement),
         "outliers": study.outliers,
     }
-    if objective == "innovation":
+    if found.objective == "innovation":
         record["noise"] = _noise_record(study)
-    if objective == "trial-numbers":
+    if found.data.trials:
         residuals = study.objective.residuals(study.estimate.coordinates)
         record["trial_numbers"] = [dataclasses.asdict(one) for one in residuals]
+    if study.sources is not None:
+        record["sources"] = study.sources.as_dict()
     return record
 
 
@@ -191,10 +189,17 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
     }
 
 
-def _summary_text(study: "Study", quality: dict[str, float], warning: str) -> str:
-    """fit.json for a person: a table of parameters, then sentences."""
-    from diffsea.report.words import effect_lines
+def _summary_text(found: "FitResult") -> str:
+    """fit.json for a person: free predictions, a table of parameters, then sentences."""
+    from diffsea.report.fit import MODELS, worse_warning
+    from diffsea.report.predictions import horizon_table
+    from diffsea.report.words import effect_lines, horizon_line
 
+    study, sources = found.study, found.study.sources
+    horizons = [horizon_line(row, tuple(MODELS)) for row in horizon_table(found.predicted)]
+    on = "runs held out" if found.data.test else "the runs it was fitted to"
+    parts = [f"free predictions of {on}, {' -> '.join(MODELS.values())}:"] if horizons else []
+    parts += [*horizons, ""] if horizons else []
     rows = []
     for row in study.rows:
         numbers = (f"{row['start']:.4g}", f"{row['value']:.4g}", f"{row['std']:.2g}")
@@ -204,8 +209,10 @@ def _summary_text(study: "Study", quality: dict[str, float], warning: str) -> st
         source = "the data" if row["determined"] > 0.9 else source
         rows.append((row["name"], row["meaning"], row["unit"], *numbers, interval, source))
     header = ("symbol", "name", "unit", "start", "estimate", "+-", "90 % interval", "determined by")
-    misfit = ", ".join(f"{name} {value:.2f}" for name, value in quality.items())
-    parts = [table(rows, header), "", f"normalised misfit (1 = noise level): {misfit}"]
+    misfit = ", ".join(
+        f"{name.replace('_', ' ')} {value:.2f}" for name, value in found.misfit.items()
+    )
+    parts += [table(rows, header), "", f"normalised misfit (1 = noise level): {misfit}"]
     parts += [line for item in study.effects.items() for line in effect_lines(*item)]
     parts += [study.anchor, study.estimate.outcome.sentence]
     parts += [] if study.agreement is None else [study.agreement.sentence]
@@ -213,9 +220,11 @@ def _summary_text(study: "Study", quality: dict[str, float], warning: str) -> st
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
         parts.append(f"outliers left out: {lost}")
     parts += study.identifiability.sentences
+    parts += [] if sources is None else sources.sentences
     parts += [] if study.next is None else [f"next: {study.next.sentence}"]
+    warning = worse_warning(found.predicted)
     parts += [f"warning: {warning}"] if warning else []
-    return "\n".join(parts)
+    return "\n".join([*parts, found.verdict.sentence])
 
 
 def diagnose_command(args: argparse.Namespace) -> None:

@@ -27,6 +27,7 @@ from diffsea.identification.estimates import (
     parameter_records,
 )
 from diffsea.identification.fit import normalised_rms
+from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import HeldOut, held_out_coordinates
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, catalogue_name
@@ -278,8 +279,8 @@ def _misfits(diagnosis: Diagnosis, fitted: Estimate) -> dict[str, float]:
 
 
 def _free(horizons: list[Record] | None, model: str) -> Record:
-    """Root-mean-square errors of a model's free predictions by horizon (s) and quantity."""
-    found = {f"{row['seconds']:g}": row[model] for row in horizons or [] if row[model]}
+    """The errors of a model's free predictions, where there are any."""
+    found = free_errors(horizons or [], model)
     return {"free": found} if found else {}
 
 

@@ -24,13 +24,13 @@ from diffsea.diagnosis.hypotheses import (
 )
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
-from diffsea.diagnosis.sufficiency import Shortfall, shortfalls
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, Progress, no_progress
 from diffsea.identification.fit import estimate_surely
 from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory

@@ -31,6 +31,7 @@ from diffsea.statistics import autocorrelation, long_run_covariance
 ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
 NOISE_STEPS = 1  # of Fisher scoring in one round
 FIRST_NOISE_STEPS = 15  # and in the first one
+NOISE_ROUNDS = 5  # of noise alone
 STEP_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a Gauss-Newton step, tried one after the other
 LEAST_GAIN = 0.05  # of -2 log posterior, below which a round is the last: no error shows it
 RELATIVE_GAIN = 1e-6  # likewise, of its value: rounding of a long recording's sum
@@ -62,6 +63,20 @@ def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> Filte
     value = float(deviance(run)) + float(off @ off) + float(away @ away)
     value += problem.further_cost(coordinates)
     return FilteredPoint(coordinates, noise, run, value)
+
+
+def noise_at(problem: Problem, coordinates: Coordinates) -> Noise:
+    """The noise of the filter at some coordinates, which stay as they are."""
+    data, (_, noise) = problem.dataset, problem.start()
+    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    now = filter_at(problem, coordinates, noise)
+    for _ in range(NOISE_ROUNDS):
+        better = refine_noise(now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS)
+        there = filter_at(problem, coordinates, better)
+        if not now.deviance - there.deviance > LEAST_GAIN:
+            break
+        now = there
+    return now.noise
 
 
 def estimate(

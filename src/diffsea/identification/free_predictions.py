@@ -6,7 +6,8 @@ orders, or the measured actuation, of what follows: noise cannot help there.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +32,16 @@ DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
 PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
+
+
+def free_errors(horizons: Sequence[Mapping[str, Any]], model: str) -> dict[str, dict[str, float]]:
+    """A model's root-mean-square errors by horizon (s, as text) and quantity (m, rad, m/s, rad/s).
+
+    Arguments:
+        horizons: a row for each horizon, with `seconds` and the errors of each model, as
+            diagnosis.json and fit.json have them.
+    """
+    return {f"{row['seconds']:g}": dict(row[model]) for row in horizons if row.get(model)}
 
 
 @dataclasses.dataclass(frozen=True)

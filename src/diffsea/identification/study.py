@@ -1,11 +1,13 @@
 """Identification from start to end: what to free, fit, judge, and what to record next."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects
@@ -20,7 +22,7 @@ from diffsea.identification.estimates import (
     parameter_records,
 )
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.fit import normalised_rms
+from diffsea.identification.fit import noise_at, normalised_rms
 from diffsea.identification.holdout import (
     HEAD_SHARE,
     HeldOut,
@@ -36,6 +38,7 @@ from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.problem import Problem, default_priors, free_by_default, make_problem
+from diffsea.identification.sufficiency import FitVerdict, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import (
     Identifiability,
@@ -157,7 +160,7 @@ class Study:
         if self.problem is None:
             cost, values = self.objective.squares(self.estimate)
             return {"train": math.sqrt(cost / values)}
-        fitted = with_noise(self.estimate, self.problem)
+        fitted = self._filtered
         found = {"train": normalised_rms(fitted.filter_run(self.problem))}
         if self.sources is not None:
             numbers = self.sources.trial_numbers
@@ -194,20 +197,40 @@ class Study:
         and the rest is judged.
         """
         data = self.split(test)
-        fitted = with_noise(self.estimate, data.train)
+        fitted = self._filtered
         return list(data.held_out), held_out_vessels(data, fitted)
 
     @property
     def noise(self) -> Noise:
-        """Noise of the filter, as expected beforehand where the objective has none."""
-        return with_noise(self.estimate, self.recorded).noise
+        """Noise of the filter."""
+        return self._filtered.noise
+
+    @functools.cached_property
+    def _filtered(self) -> Estimate:
+        """The estimate with noise of a filter."""
+        return with_noise(self.estimate, self.recorded)
+
+    def verdict(
+        self, recordings: Sequence[Trajectory], test: Sequence[Trajectory] = ()
+    ) -> FitVerdict:
+        """Whether the model describes the runs held out, or what was fitted where there are none.
+
+        Arguments:
+            recordings: those that were fitted; none where trial numbers alone were.
+        """
+        if self.problem is None:
+            return FitVerdict(None, float(chi2.sf(*self.objective.squares(self.estimate))), False)
+        train = self.problem
+        data = self.split(test) if test else Split(train, train, None, (), tuple(recordings))
+        numbers = None if self.sources is None else self.sources.p_value
+        return FitVerdict(sufficiency(data, self._filtered), numbers, bool(test))
 
 
 def with_noise(fitted: Estimate, problem: Problem) -> Estimate:
-    """The estimate, with noise as expected beforehand where the objective estimates none."""
+    """The estimate, with the noise that a filter finds there where the objective has none."""
     if isinstance(fitted.state, Noise):
         return fitted
-    return dataclasses.replace(fitted, state=problem.start()[1])
+    return dataclasses.replace(fitted, state=noise_at(problem, fitted.coordinates))
 
 
 @one_blas_thread

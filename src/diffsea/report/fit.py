@@ -8,8 +8,10 @@ import plotly.graph_objects as go
 
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
+from diffsea.identification.sufficiency import FitVerdict
+from diffsea.identification.uncertainty.sources import Sources
 from diffsea.report import words
-from diffsea.report.page import Plot, Table, parameter_table, provenance, render
+from diffsea.report.page import Plot, Table, Verbatim, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
 from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
@@ -31,6 +33,7 @@ def fit_report(
     runs: Sequence[ComparedRun],
     data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
     source: Record,
+    verdict: FitVerdict,
 ) -> str:
     """The page.
 
@@ -41,8 +44,10 @@ def fit_report(
             there is anything, see `compare_fit`.
         data: recordings that were fitted, none for a sheet of trial numbers, and held out.
         source: what was run on what; shown as it is.
+        verdict: whether something is missing.
     """
     recordings, test = data
+    with_sheet = bool(study.objective.residuals(study.estimate.coordinates))
     weak = [row["name"] for row in study.rows if row["determined"] < 0.5]
     count, rest = len(study.rows), "rests" if len(weak) == 1 else "rest"
     lead = "1 parameter was" if count == 1 else f"{count} parameters were"
@@ -58,17 +63,21 @@ def fit_report(
     return render(
         "fit.html.j2",
         title=f"Fit of {study.vessel_name}",
-        subtitle=f"{fitted} fitted, {held_out} held out" if recordings else "trial numbers fitted",
+        subtitle=_subtitle(fitted, held_out, with_sheet) if recordings else "trial numbers fitted",
         lead=f"{lead} fitted; the data determine {determined}",
         errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
         misfit=significant(quality["train"], 3),
         misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
         warning=f"{words.capital(text)}." if (text := worse_warning(runs)) else "",
+        verdict=f"{words.capital(verdict.sentence)}.",
+        is_missing=verdict.missing,
         parameters=parameter_table(study.rows),
         anchor=words.capital(study.anchor) + ".",
         effects=[line for item in study.effects.items() for line in words.effect_lines(*item)],
         open_questions=_open_questions(study),
-        trial_numbers=None if study.problem is not None else _trial_number_table(study),
+        sources=None if study.sources is None else source_table(study.sources),
+        source_notes=[] if study.sources is None else _source_notes(study.sources),
+        trial_numbers=_trial_number_table(study) if with_sheet else None,
         held_out=bool(test),
         predictions=prediction_section(runs, MODELS, DRAWN_ROWS, SHOWN_RUNS),
         convergence=_convergence_plot(study.estimate.path),
@@ -114,6 +123,31 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
         "missing in the model or unsound in the data, and the fit makes up for it with these "
         "parameters. See `diffsea audit` and `diffsea diagnose`"
     )
+
+
+def _subtitle(fitted: str, held_out: str, with_sheet: bool) -> str:
+    """What was fitted and held out."""
+    sheet = " and trial numbers" if with_sheet else ""
+    return f"{fitted}{sheet} fitted, {held_out} held out"
+
+
+def source_table(found: Sources) -> Table:
+    """What recordings and trial numbers each determine of every parameter, and both together."""
+    percent = lambda share: f"{100 * share:.0f} %"
+    cells = [[Verbatim(name), *map(percent, shares)] for name, *shares in found.rows]
+    columns = ["symbol", "recordings alone", "trial numbers alone", "both"]
+    return Table(columns, cells, "Share of each estimate that data determine", numeric=(1, 2, 3))
+
+
+def _source_notes(found: Sources) -> list[str]:
+    """What each source adds to the cost, and what it leaves open."""
+    parts = (("recordings", found.recordings), ("trial numbers", found.trial_numbers))
+    told = [
+        f"{name}: squared misfits of {significant(source.cost, 3)} in {source.values} values"
+        for name, source in parts
+    ]
+    told.append(f"prior: squared misfits of {significant(found.prior_cost, 3)}")
+    return [f"{words.capital(sentence)}." for sentence in [*told, *found.sentences]]
 
 
 def _open_questions(study: Study) -> list[str]:

@@ -8,8 +8,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from diffsea.diagnosis.sufficiency import Shortfall
 from diffsea.identification.holdout import HeldOut
+from diffsea.identification.sufficiency import Shortfall
 from diffsea.report.quantities import (
     duration,
     is_known,

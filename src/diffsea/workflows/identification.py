@@ -5,24 +5,33 @@ import importlib.metadata
 import pathlib
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
 from diffsea.diagnosis.search import Diagnosis
 from diffsea.diagnosis.search import diagnose as search_effects
+from diffsea.errors import UserError
 from diffsea.identification.estimates import Progress, no_progress
-from diffsea.identification.objectives.trial_numbers import MeasuredTrial
+from diffsea.identification.free_predictions import free_errors
+from diffsea.identification.objectives.trial_numbers import (
+    MeasuredTrial,
+    is_trial_table,
+    read_trial_table,
+)
 from diffsea.identification.study import FitSettings, Study, identify
+from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.diagnosis import diagnosis_report
+from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.words import verdict_text
 from diffsea.simulation.actuation import how_actuated
 from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
-from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_recordings, audit
+from diffsea.workflows.audits import Recording, Tabulated, as_recordings, audit
 
 
 def as_vessel_file(given: VesselFile | str | pathlib.Path) -> VesselFile:
@@ -30,17 +39,81 @@ def as_vessel_file(given: VesselFile | str | pathlib.Path) -> VesselFile:
     return given if isinstance(given, VesselFile) else read_vessel(given)
 
 
+class FittedData(NamedTuple):
+    """What a fit is given: recordings and trials of sheets to fit, and recordings held out."""
+
+    recordings: list[Trajectory]
+    trials: list[MeasuredTrial]
+    test: list[Trajectory]
+
+
+def fitted_data(
+    vessel: Vessel,
+    data: Recording | MeasuredTrial | Iterable[Recording | MeasuredTrial],
+    test: Recording | Iterable[Recording] = (),
+    mapping: ColumnMapping | str | pathlib.Path | None = None,
+) -> FittedData:
+    """Recordings and sheets told apart, and read where they are files.
+
+    Raises:
+        UserError: a file that cannot be read, or a test where there is nothing to judge by it.
+    """
+    given = [data] if isinstance(data, Recording | MeasuredTrial) else list(data)
+    trials: list[MeasuredTrial] = []
+    runs: list[Recording] = []
+    for one in given:
+        if isinstance(one, MeasuredTrial):
+            trials.append(one)
+        elif isinstance(one, str | pathlib.Path) and is_trial_table(one):
+            trials += read_trial_table(one, vessel)
+        else:
+            runs.append(one)
+    tests: list[Recording] = [test] if isinstance(test, Recording) else list(test)
+    check_held_out(tests, bool(runs))
+    read = as_recordings([*runs, *tests], mapping)
+    return FittedData(read[: len(runs)], trials, read[len(runs) :])
+
+
+def check_held_out(test: Sequence[Recording], recorded: bool) -> None:
+    """Refuse sheets among what is held out, and a test where no recordings are fitted.
+
+    Raises:
+        UserError: as said.
+    """
+    for one in test:
+        if isinstance(one, str | pathlib.Path) and is_trial_table(one):
+            raise UserError(f"--test takes recordings, and {one} is a sheet of trial numbers")
+    if test and not recorded:
+        raise UserError("--test takes recordings, and a fit to trial numbers has none to hold out")
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
 class FitResult(Tabulated):
     """A fitted vessel.
 
     `study` has estimates, intervals, identifiability and the manoeuvre to record next; `misfit` is
-    the normalised misfit (1 = noise level) of what was fitted and of runs held out.
+    the normalised misfit (1 = noise level) of what was fitted and of runs held out; `predicted` are
+    free predictions of runs held out, or else of those fitted, before and after the fit; `verdict`
+    says whether something is missing from the model.
     """
 
     study: Study
     fitted: VesselFile
     misfit: dict[str, float]
+    predicted: list[ComparedRun]
+    verdict: FitVerdict
+    data: FittedData
+    objective: str
+
+    @property
+    def free(self) -> dict[str, dict[str, float]]:
+        """Errors of free predictions by the fit (m, rad, m/s, rad/s), by horizon (s) and quantity."""
+        return free_errors(horizon_table(self.predicted), "fitted")
+
+    @property
+    def missing(self) -> bool:
+        """Whether the model does not describe the data."""
+        return self.verdict.missing
 
     def headline(self) -> str:
         misfit = ", ".join(f"{name} {value:.2f}" for name, value in self.misfit.items())
@@ -62,12 +135,14 @@ class FitResult(Tabulated):
 
     def notes(self) -> list[str]:
         following = [] if self.study.next is None else [f"next: {self.study.next.sentence}"]
-        return [self.study.anchor, *self.study.identifiability.sentences, *following]
+        sources = [] if self.study.sources is None else self.study.sources.sentences
+        told = [self.study.anchor, *self.study.identifiability.sentences, *sources, *following]
+        return [*told, self.verdict.sentence]
 
 
 def fit(
     vessel: VesselFile | str | pathlib.Path,
-    data: Recording | Iterable[Recording] | Sequence[MeasuredTrial],
+    data: Recording | MeasuredTrial | Iterable[Recording | MeasuredTrial],
     test: Recording | Iterable[Recording] = (),
     mapping: ColumnMapping | str | pathlib.Path | None = None,
     objective: str | None = None,
@@ -78,42 +153,51 @@ def fit(
     effects: Sequence[str] = (),
     per_recording: bool = False,
     progress: Progress = no_progress,
+    profiles: Sequence[str] | None = None,
 ) -> FitResult:
     """Identify a vessel's parameters as `diffsea fit` does.
 
     Arguments:
-        data: recordings, or trial-number tables.
+        data: recordings, sheets of trial numbers (paths of TOML files, or what
+            `read_trial_table` returns), or both: then one fit of both.
         test: recordings held out to judge the fit by.
-        objective: `innovation` (default), `free-run`, or `trial-numbers` (default for tables).
+        objective: `innovation` (default), `free-run`, or `trial-numbers` (default for sheets
+            alone).
         free: parameters to estimate; the hull's derivatives and added masses if None.
         anchor: `mass` or `thrust`: what fixes the common factor of mass, drag and thrust.
         priors: of parameters that have another than the usual one; None keeps a number fixed.
         starts: how many starts are drawn from the priors.
         effects: names of the catalogue to estimate besides.
         per_recording: whether wind and current are each recording's own.
+        profiles: parameters whose intervals come from the profile likelihood; those whose
+            likelihood is asymmetric if None.
 
     Raises:
         UserError: an unknown parameter, objective, anchor or effect, or data that do not suit.
     """
     file = as_vessel_file(vessel)
-    several = [data] if isinstance(data, Recording) else data
-    fitted = [
-        one if isinstance(one, MeasuredTrial) else as_recording(one, mapping) for one in several
-    ]
-    tables = bool(fitted) and all(isinstance(one, MeasuredTrial) for one in fitted)
+    given = fitted_data(file.vessel, data, test, mapping)
+    objective = objective or ("innovation" if given.recordings else "trial-numbers")
     settings = FitSettings(
-        objective or ("trial-numbers" if tables else "innovation"),
+        objective,
         None if free is None else tuple(free),
         anchor,
         dict(priors or {}),
         starts,
-        effects=tuple(effects),
-        per_recording=per_recording,
+        None if profiles is None else tuple(profiles),
+        tuple(effects),
+        per_recording,
     )
-    study = identify(file.vessel, fitted, settings, progress)
+    told = f"reading: {len(given.recordings)} recordings and {len(given.trials)} trials of sheets"
+    progress(f"{told} to fit, {len(given.test)} held out; compiling")
+    study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
     document = updated_document(file.document, study.values, study.effect_tables)
-    quality = study.quality(as_recordings(test, mapping))
-    return FitResult(study, VesselFile(build(document), document, file.path), quality)
+    fitted = VesselFile(build(document), document, file.path)
+    progress("predicting and judging")
+    predicted = compare_fit(study, file.vessel, fitted.vessel, (given.recordings, given.test))
+    verdict = study.verdict(given.recordings, given.test)
+    quality = study.quality(given.test)
+    return FitResult(study, fitted, quality, predicted, verdict, given, objective)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -74,9 +74,10 @@ class Sources:
         """What a user should know, in words."""
         groups: dict[str, list[str]] = {}
         for name, own, other, both in self.rows:
-            by = [own >= LEAST_DETERMINED, other >= LEAST_DETERMINED, both >= LEAST_DETERMINED]
-            groups.setdefault(_WHO.get(tuple(by), ""), []).append(name)
-        told = [f"{who}: {', '.join(groups[who])}" for who in _WHO.values() if who in groups]
+            by = own >= LEAST_DETERMINED, other >= LEAST_DETERMINED
+            who = _WHO[by] if any(by) or both < LEAST_DETERMINED else _ONLY_TOGETHER
+            groups.setdefault(who, []).append(name)
+        told = [f"{who}: {', '.join(names)}" for who, names in groups.items()]
         parts = (("recordings", self.recordings), ("trial numbers", self.trial_numbers))
         for name, source in parts:
             worst = source.identifiability.undetermined[:1]
@@ -93,14 +94,14 @@ class Sources:
         }
 
 
-# By whether the recordings, the numbers and both determine most of a parameter.
+# By whether the recordings and the numbers determine most of a parameter.
 _WHO = {
-    (True, False, True): "determined by the recordings alone, not by the trial numbers",
-    (False, True, True): "determined by the trial numbers alone, not by the recordings",
-    (True, True, True): "determined by either alone",
-    (False, False, True): "determined only by both together",
-    (False, False, False): "determined by neither, nor by both",
+    (True, False): "determined by the recordings alone, not by the trial numbers",
+    (False, True): "determined by the trial numbers alone, not by the recordings",
+    (True, True): "determined by either alone",
+    (False, False): "determined by neither, nor by both together",
 }
+_ONLY_TOGETHER = "determined only by both together"
 
 
 def sources(objective: AbstractObjective, fitted: Estimate) -> Sources | None:
