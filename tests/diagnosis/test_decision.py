@@ -61,6 +61,19 @@ def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
     assert decide(listed(chance, near), None) is chance
 
 
+def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
+    better = MotionChange({20.0: 0.3}, {20.0: 0.0}, {20.0: True})
+    assert better.is_better and not better.is_worse
+    nearly = dataclasses.replace(judged("wind", 60.0, UNSTEADY._replace(share=0.4)), motion=better)
+    assert decide(listed(nearly), None) is nearly
+    for motion in (None, dataclasses.replace(better, is_told={20.0: False}),
+                   dataclasses.replace(better, worse={20.0: 0.2})):  # fmt: skip
+        assert decide(listed(dataclasses.replace(nearly, motion=motion)), None) is None
+    assert decide(listed(dataclasses.replace(nearly, constancy=UNSTEADY)), None) is None
+    mixed = MotionChange({20.0: 0.3, 60.0: 2.0}, {20.0: 0.0, 60.0: 1.0}, {20.0: True, 60.0: True})
+    assert not mixed.is_better
+
+
 def exchanged(total: float, std: float):
     return lambda one: Gain(total, std)
 

@@ -326,7 +326,7 @@ def _reason(one: Hypothesis, inflation: float, needed: float) -> str:
         return "explains far less than the best"
     if not one.gain.clear:
         return "it does not predict held-out data better"
-    if one.constancy is not None and not one.constancy.holds:
+    if one.constancy is not None and not one.has_one_size:
         return "its size is not the same in all the data"
     if not one.predicts_motion:
         return "it explains single steps, but the motion is predicted worse with it"

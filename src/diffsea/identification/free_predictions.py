@@ -61,9 +61,13 @@ class MotionChange:
     @property
     def is_worse(self) -> bool:
         """Whether predictions get worse beyond chance at any horizon."""
-        return any(
-            self.is_told[horizon] and share > BEYOND_CHANCE for horizon, share in self.worse.items()
-        )
+        return any(self.is_told[h] and share > BEYOND_CHANCE for h, share in self.worse.items())
+
+    @property
+    def is_better(self) -> bool:
+        """Whether they get better beyond chance at some horizon, and worse at none."""
+        better = (self.is_told[h] and 1 - p > BEYOND_CHANCE for h, p in self.worse.items())
+        return any(better) and not self.is_worse
 
 
 def motion_change(split: Split, before: Estimate, after: Estimate, seed: int = 0) -> MotionChange:
