@@ -17,6 +17,7 @@ from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import (
+    Deadline,
     Search,
     ask_again,
     believe_audit,
@@ -30,6 +31,7 @@ from diffsea.identification.estimates import no_progress
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.report.words import incomplete_sentence
 
 
 FREE = ("X_u", "N_r")
@@ -134,6 +136,16 @@ def test_what_the_audit_doubts_or_finds_in_few_runs_or_in_several_sizes_is_no_hy
     assert audited_effects(vessel, layout, apart, 3) == []
     doubtful = [dataclasses.replace(one, doubt="or late") for one in arms]
     assert audited_effects(vessel, layout, doubtful, 3) == []
+
+
+def test_a_search_whose_time_is_over_says_so(data, nominal, screening):
+    over = Deadline(seconds=-1.0)
+    cut = forward_search(data, begun(nominal, screening), NO_BOOTSTRAP, no_progress, over)
+    assert not cut.complete and cut.effects == () and cut.final is nominal
+    record = summary(explain(data, cut, NO_BOOTSTRAP, no_progress, over), [])
+    assert record["complete"] is False and record["verdict"] == "unexplained"
+    assert "more may be missing" in incomplete_sentence(record)
+    assert incomplete_sentence({"complete": True}) == ""
 
 
 def test_what_simulated_data_show_as_often_is_not_named(data, nominal, screening):

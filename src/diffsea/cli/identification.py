@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import math
 import pathlib
 import time
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,8 @@ def register(commands: options.Commands) -> None:
     _add_inputs(diagnose)
     draws = "judge chance by so many simulated and refitted data sets (100 or more; seconds each)"
     add_option(diagnose, "--bootstrap", "DRAWS", int, draws, default=0)
+    budget = "begin no further step of the search after so long; what was found is reported"
+    add_option(diagnose, "--minutes", "M", options.positive, budget)
     manoeuvre = "write the manoeuvre that separates rivals as a command sequence (t, cmd_...)"
     add_option(diagnose, "--next-manoeuvre", "CSV", pathlib.Path, manoeuvre)
 
@@ -250,7 +253,16 @@ def diagnose_command(args: argparse.Namespace) -> None:
             file = options.read_vessel(args)
             runs, test = options.read_fitted_and_held_out(args)
             per_run = args.environment == "per-recording"
-            found = diagnose(file, runs, test, None, per_run, args.free, args.bootstrap, tell)
+            found = diagnose(
+                file,
+                runs,
+                test,
+                per_recording=per_run,
+                free=args.free,
+                bootstrap=args.bootstrap,
+                progress=tell,
+                seconds=math.inf if args.minutes is None else 60.0 * args.minutes,
+            )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train
                 if experiment is None:

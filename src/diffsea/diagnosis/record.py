@@ -83,6 +83,7 @@ def summary(
     out = {
         "format": 1,
         "verdict": diagnosis.verdict,
+        "complete": diagnosis.complete,
         "audit": audit,
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),

@@ -5,8 +5,10 @@ and judged by evidence and by held-out data; accepted effects are added one at a
 until nothing is left to explain or nothing explains it, and each is then asked for again.
 """
 
+import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
@@ -48,6 +50,22 @@ OWED_TO_THE_FIT = 0.5  # share of a gain that the model without the effect has, 
 
 
 @dataclass(frozen=True)
+class Deadline:
+    """When no further step of a search is begun; one that was begun is ended."""
+
+    seconds: float = math.inf  # from now on
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is over."""
+        return time.monotonic() - self.began > self.seconds
+
+
+NO_DEADLINE = Deadline()
+
+
+@dataclass(frozen=True)
 class Search:
     """Where the search for effects stands, or ended."""
 
@@ -59,6 +77,7 @@ class Search:
     short_list: ShortList = ShortList((), 0.0)  # the first one
     dropped: tuple[str, ...] = ()  # accepted first, found needless or doubtful later
     audited: tuple[str, ...] = ()  # of the effects, those that the audit had found
+    complete: bool = True  # False where the time was over before everything had been asked
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,6 +113,7 @@ def diagnose(
     progress: Progress = no_progress,
     draws: int = 0,
     findings: Sequence[Finding] = (),
+    deadline: Deadline = NO_DEADLINE,
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -105,6 +125,7 @@ def diagnose(
         free: parameters that may move; `free_by_default` if None.
         draws: data sets to simulate and refit for the chance of what is seen; 0: to first order.
         findings: what an audit found in the recordings; held-out ones count, too.
+        deadline: after which what was found until then is reported as it is.
 
     Raises:
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
@@ -129,7 +150,8 @@ def diagnose(
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
     runs = len(recordings) + len(test)
     audited = audited_effects(vessel, data.train.layout, findings, runs)
-    return explain(data, believe_audit(data, nominal, screening, audited, progress), null, progress)
+    begun = believe_audit(data, nominal, screening, audited, progress)
+    return explain(data, begun, null, progress, deadline)
 
 
 def believe_audit(
@@ -160,11 +182,20 @@ def believe_audit(
     return now
 
 
-def explain(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> Diagnosis:
+def explain(
+    data: Split,
+    begun: Search,
+    null: Bootstrap,
+    progress: Progress,
+    deadline: Deadline = NO_DEADLINE,
+) -> Diagnosis:
     """Name, model and locate what a nominal model that was fitted and screened lacks."""
-    found = forward_search(data, begun, null, progress)
+    found = forward_search(data, begun, null, progress, deadline)
     # All effects but the last are asked for again, beside those that came after them.
-    kept, changed = ask_again(data, found, found.searched[:-1], progress)
+    asked = found.searched[:-1]
+    if asked and deadline.is_over:
+        found, asked = replace(found, complete=False), ()
+    kept, changed = ask_again(data, found, asked, progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
@@ -192,7 +223,13 @@ def explain(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> 
     )
 
 
-def forward_search(data: Split, begun: Search, null: Bootstrap, progress: Progress) -> Search:
+def forward_search(
+    data: Split,
+    begun: Search,
+    null: Bootstrap,
+    progress: Progress,
+    deadline: Deadline = NO_DEADLINE,
+) -> Search:
     """Add one effect after the other until nothing is left to explain or nothing explains it.
 
     Where nothing stands out any more, those that had evidence of their own before the last one was
@@ -206,6 +243,9 @@ def forward_search(data: Split, begun: Search, null: Bootstrap, progress: Progre
         owed = tuple(name for name in owed if name in seen and seen[name].expected > 0)
         if not stands_out and not owed:
             break
+        if deadline.is_over:
+            progress("the time is over: what was found until now is reported")
+            return replace(now, complete=False)
         among, owed = () if stands_out else owed, ()
         tried = refit_candidates(data, now.final, now.final_screening, progress, among)
         if not now.searched:

@@ -96,7 +96,7 @@ def diagnosis_report(
         finding=words.verdict_sentence(summary),
         prediction_change=words.prediction_sentence(summary),
         unimproved=words.unimproved_sentence(summary),
-        remainder=words.remainder_sentence(summary),
+        remainder=f"{words.remainder_sentence(summary)} {words.incomplete_sentence(summary)}".strip(),
         location=location_section(summary, recordings, most),
         effects=found_effects(summary),
         ranking=candidate_ranking(summary),

@@ -223,6 +223,13 @@ def unimproved_sentence(summary: Record) -> str:
     )
 
 
+def incomplete_sentence(summary: Record) -> str:
+    """That the time ended the search early, or nothing."""
+    if summary.get("complete", True):
+        return ""
+    return "The time was over before everything had been asked: more may be missing."
+
+
 def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
     p = summary.get("remainder_p_value")
@@ -365,7 +372,11 @@ def verdict_text(summary: Record) -> str:
         "where": strongest_places(summary),
         "what": what,
         "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
-        "left": [remainder_sentence(summary), single_step_sentence(summary)],
+        "left": [
+            remainder_sentence(summary),
+            single_step_sentence(summary),
+            incomplete_sentence(summary),
+        ],
         "data": audit,
         "next": [following],
     }

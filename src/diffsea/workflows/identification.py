@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.metadata
+import math
 import pathlib
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-from diffsea.diagnosis.search import Diagnosis
+from diffsea.diagnosis.search import Deadline, Diagnosis
 from diffsea.diagnosis.search import diagnose as search_effects
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Progress, no_progress
@@ -272,6 +273,7 @@ def diagnose(
     free: Sequence[str] | None = None,
     bootstrap: int = 0,
     progress: Progress = no_progress,
+    seconds: float = math.inf,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -281,10 +283,13 @@ def diagnose(
         per_recording: whether wind and current are each recording's own.
         free: parameters that are fitted besides; the hull's derivatives if None.
         bootstrap: judge chance by so many simulated and refitted data sets (100 or more).
+        seconds: after which no further step of the search is begun; the record then says that it
+            is not complete.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
     """
+    deadline = Deadline(seconds)
     file = as_vessel_file(vessel)
     runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
     progress(f"auditing {len(runs) + len(held_out)} recordings")
@@ -292,7 +297,7 @@ def diagnose(
     findings = [finding.as_dict() for finding in audited]
     names = None if free is None else tuple(free)
     found = search_effects(
-        file.vessel, runs, held_out, per_recording, names, progress, bootstrap, audited
+        file.vessel, runs, held_out, per_recording, names, progress, bootstrap, audited, deadline
     )
     progress("looking for the manoeuvre that would tell more")
     experiment = next_experiment(found)
