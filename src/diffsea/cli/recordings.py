@@ -233,11 +233,13 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report.pictures import save_prediction
     from diffsea.simulation.actuation import how_actuated
+    from diffsea.simulation.order_units import require_order_units
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
 
     vessel = options.read_vessel(args).vessel
     (recording,) = options.read_recordings([args.recording], args.mapping)
+    require_order_units(vessel, [recording])
     environment = None
     if args.environment_from is not None:
         from diffsea.identification.holdout import environment_from

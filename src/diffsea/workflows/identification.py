@@ -29,6 +29,7 @@ from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.words import verdict_text
 from diffsea.simulation.actuation import how_actuated
+from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
@@ -178,6 +179,7 @@ def fit(
     """
     file = as_vessel_file(vessel)
     given = fitted_data(file.vessel, data, test, mapping)
+    require_order_units(file.vessel, [*given.recordings, *given.test])
     objective = objective or ("innovation" if given.recordings else "trial-numbers")
     settings = FitSettings(
         objective,
@@ -292,8 +294,10 @@ def diagnose(
     deadline = Deadline(seconds)
     file = as_vessel_file(vessel)
     runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
+    require_order_units(file.vessel, [*runs, *held_out])
     progress(f"auditing {len(runs) + len(held_out)} recordings")
     audited = list(audit([*runs, *held_out]))
+    audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
     findings = [finding.as_dict() for finding in audited]
     names = None if free is None else tuple(free)
     found = search_effects(

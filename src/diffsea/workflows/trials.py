@@ -10,6 +10,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.simulation import planning
+from diffsea.simulation.order_units import require_order_units
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import sensitivity
 from diffsea.studies import sweep as designs
@@ -124,6 +125,7 @@ def predict(
             diverges.
     """
     boat, run = as_vessel(vessel), as_recording(recording, mapping)
+    require_order_units(boat, [run])
     predicted = replay(boat, run, measured_actuation)
     if predicted.outcome == Outcome.DIVERGED:
         raise UserError(f"{run.name}: {Outcome.DIVERGED.sentence}")

@@ -14,7 +14,7 @@ KINDS = (
     *("sensor-latency", "gyro-bias", "heading-offset", "hard-iron", "lever-arm", "clock-drift"),
     *("axes", "sign", "unit", "scale", "swapped-channels", "swapped-actuators"),
     *("time-step", "gap", "duplicate", "stuck", "quantised", "outliers"),
-    *("order-not-motion", "through-water"),
+    *("order-not-motion", "actuation-unit", "through-water"),
 )
 
 

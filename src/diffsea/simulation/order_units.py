@@ -1,0 +1,109 @@
+"""Whether a recording's actuation is in the units in which a vessel's channels are ordered."""
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from diffsea.errors import UserError
+from diffsea.recordings.auditing.finding import Finding, finding_of
+from diffsea.trajectory import Samples, Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.servo import Servo
+
+
+# Of the largest limit. No controller asks for three times what there is, and units are further
+# apart: per cent and N of boats, rev/s and rpm, rad and deg.
+_BEYOND = 3.0
+# A fiftieth of full thrust is a seventh of full speed, by quadratic drag: no run is driven by less.
+_HARDLY_ANY = 0.02
+_LARGEST_SHARE = 0.99  # of the values is below the largest size: wild values are no unit
+_PULSES = (700.0, 2300.0)  # us: pulse widths of servos and speed controllers, trimmed at will
+_ROUNDING = 1.05  # of full order, that normalised orders and per cents may exceed
+
+
+def unit_findings(vessel: Vessel, recording: Trajectory) -> list[Finding]:
+    """Actuation that is plainly in another unit than the vessel's, one finding per column.
+
+    Sizes are those of 99 % of the values, from neutral. An order beyond three times the largest
+    limit, a steering angle beyond half a turn, and an angle that may go round but jumps by more
+    than a turn are certain (no `doubt`). Propulsion that never exceeds a fiftieth of its limit is a
+    matter of doubt.
+    """
+    run, units, found = recording.counted(), vessel.units, []
+    for prefix, group in (("cmd_", run.commanded), ("exec_", run.executed)):
+        for name, servo in vessel.servos.items():
+            values = np.asarray(group.get(name, ()), float)
+            values = values[np.isfinite(values)]
+            one = _finding(prefix + name, values, servo, units[name]) if values.size else None
+            found += [] if one is None else [dataclasses.replace(one, recording=run.name)]
+    return found
+
+
+def require_order_units(vessel: Vessel, recordings: Iterable[Trajectory]) -> None:
+    """Raise `UserError` for the first recording with actuation that is certainly in another unit.
+
+    It says what was recorded, the vessel's limits, and which unit it looks like.
+    """
+    for run in recordings:
+        certain = [one for one in unit_findings(vessel, run) if not one.doubt]
+        if certain:
+            alike = ", ".join(channel for one in certain[1:] for channel in one.channels)
+            likewise = f" (likewise {alike})" if alike else ""
+            first = certain[0]
+            raise UserError(f"{run.name}: {first.message}{likewise}; {first.repair}")
+
+
+def _finding(channel: str, values: Samples, servo: Servo, unit: str) -> Finding | None:
+    """What is wrong with the unit of a column's values, if anything is."""
+    neutral = 0.0 if servo.neutral is None else float(servo.neutral)
+    ends = [float(end) - neutral for end in (servo.lower, servo.upper) if end is not None]
+    limit, steers = max(map(abs, ends), default=0.0), unit == "rad"
+    size = float(np.quantile(np.abs(values - neutral), _LARGEST_SHARE))
+    if servo.endless:
+        jump = float(np.abs(np.diff(values)).max(initial=0.0))
+        certain = jump > 2 * np.pi and size > np.pi
+    else:
+        certain = (0 < _BEYOND * limit < size) or (steers and size > np.pi)
+    if not certain and (steers or not 0 < size < _HARDLY_ANY * limit):
+        return None
+    low, high = np.quantile(values, (1 - _LARGEST_SHARE, _LARGEST_SHARE))
+    words = {"range": f"{low:.4g} to {high:.4g}", "limits": _limits(servo, unit)}
+    words |= _guess(low, high, unit)
+    ratio = size / (limit if limit > 0 else np.pi)
+    if certain:
+        return finding_of("actuation-unit", (channel,), ratio, 0.0, words)
+    doubt = "the vessel may have been driven at next to nothing"
+    return finding_of("hardly-driven", (channel,), ratio, 0.0, words, doubt=doubt)
+
+
+def _limits(servo: Servo, unit: str) -> str:
+    """What a channel takes, in words."""
+    low, high = (None if end is None else float(end) for end in (servo.lower, servo.upper))
+    if high is None:
+        return f"angles in {unit}" if low is None else f"{low:.4g} {unit} or more"
+    return f"at most {high:.4g} {unit}" if low is None else f"{low:.4g} to {high:.4g} {unit}"
+
+
+def _guess(low: float, high: float, unit: str) -> dict[str, str]:
+    """What values from `low` to `high` look like, and what to do then."""
+    size, steers = max(abs(low), abs(high)), unit == "rad"
+    if _PULSES[0] <= low and high <= _PULSES[1]:
+        looks, scale = "pulse widths in us", "us"
+    elif steers:
+        looks, scale = "degrees", "deg"
+    elif size <= _ROUNDING:
+        looks, scale = "normalised orders, -1 to 1", "normalised"
+    elif size <= 100 * _ROUNDING:
+        looks, scale = "per cent", "percent"
+    else:
+        looks, scale = "revolutions per minute, or newton", "rpm"
+    if scale == unit:
+        return {"guess": "one of them is wrong", "way": "correct the limits, or scale the column"}
+    if scale == "deg":
+        way = 'unit = "deg" for the column in the mapping'
+    elif steers:
+        way = "scale the column to angles in the mapping"
+    else:
+        way = f'unit = "{scale}" for the thruster in the vessel file, or scale the column'
+    return {"guess": f"the values look like {looks}", "way": way}
