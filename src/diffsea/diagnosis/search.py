@@ -395,9 +395,14 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
 
 
 def unexplained_p_value(kept: Search, final: Search, null: Bootstrap) -> float:
-    """Family-wise p-value of what no accepted effect explains, before or after withdrawals."""
+    """Family-wise p-value of what no accepted effect explains, before or after withdrawals.
+
+    What stands out to any candidate counts, where no name could be given to it or where there was
+    no time to ask.
+    """
     left = min(null.of_located(one.final_screening.located_p_value) for one in (kept, final))
-    if not final.effects and final.short_list.has_something_nameless:
+    nameless = not final.effects and final.short_list.has_something_nameless
+    if nameless or not final.complete:
         left = min(left, null.of_strongest(final.final_screening.p_value))
     return left
 
