@@ -11,6 +11,8 @@ from tests.paths import ORACLE, ROOT
 from tests.runs import random_steps
 
 from diffsea import Trajectory, read_recording, read_vessel
+from diffsea.identification.filter.kalman import first_variance
+from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
 from diffsea.identification.fit import estimate, estimate_surely, normalised_rms
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
@@ -82,6 +84,16 @@ def test_a_fit_from_afar_ends_at_the_same_optimum(boat, runs):
     far[sure.index] += 1.0
     again = estimate_surely(problem, FREE, far)
     assert again.deviance == pytest.approx(sure.deviance, abs=1.0)
+
+
+def test_noise_stays_as_it_is_where_the_model_diverges(boat, runs):
+    problem = make_problem(boat, runs, FREE)
+    at, noise = problem.start()
+    data = problem.dataset
+    run = problem.run_filter(np.full_like(at, np.nan), noise)
+    times = RowTimes(data.dt, data.starts, data.run, first_variance(boat))
+    kept = refine_noise(run, times, noise, problem.prior, 3)
+    np.testing.assert_array_equal(kept.scales, noise.scales)
 
 
 @pytest.mark.slow

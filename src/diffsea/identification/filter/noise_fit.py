@@ -231,13 +231,15 @@ def refine_noise(
 ) -> Noise:
     """Fisher scoring on the scales from `noise`, halving a step that makes it worse.
 
-    From an excerpt of the run. A step minimises the quadratic model within its bounds: one that is
-    cut off at them afterwards may lead nowhere.
+    From an excerpt of the run; as it is where the run diverges. A step minimises the quadratic
+    model within its bounds: one that is cut off at them afterwards may lead nowhere.
     """
     run, times = take_excerpt(run, times)
     log, lowest = np.asarray(noise.scales), prior.mean - LARGEST_FALL
     for _ in range(steps):
         value, gradient, curvature = map(np.asarray, _score(run, times, jnp.asarray(log), prior))
+        if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+            break
         root = np.linalg.cholesky(ISOTROPIC.T @ curvature @ ISOTROPIC)
         least = np.clip(np.delete(lowest - log, TIED), -LARGEST_STEP, -np.finfo(float).tiny)
         target = -solve_triangular(root, ISOTROPIC.T @ gradient, lower=True)
