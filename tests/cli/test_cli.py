@@ -381,6 +381,54 @@ def test_a_table_is_never_wrapped_coloured_or_read_as_markup(monkeypatch):
     assert text == "[bold]x[/]  " + "y" * 300
 
 
+SHEET = """
+format = 1
+[[trial]]
+manoeuvre = "zigzag"
+angle = 20.0
+heading = 20.0
+side = "port"
+speed = 1.2
+[trial.numbers]
+overshoot_1 = {{ value = {overshoot_1}, std = 0.02 }}
+peak_yaw_rate = {peak_yaw_rate}
+"""
+
+
+@pytest.mark.slow
+def test_fit_takes_recordings_and_a_sheet_together(boat, zigzag, tmp_path, capsys):
+    sheet = tmp_path / "sheet.toml"
+    sheet.write_text(SHEET.format(**json.loads(zigzag[1])))
+    recording, out = zigzag[0] / "recording.csv", tmp_path / "fit"
+    words = ("--free", "N_r,X_u", "--profile", "none", "-o", out)
+    assert run("fit", boat, sheet, recording, "--test", recording, *words) == 1
+    assert "is named twice" in capsys.readouterr().err
+    assert run("fit", boat, recording, "--test", sheet, *words) == 1
+    assert "sheet.toml is a sheet of trial numbers" in capsys.readouterr().err
+    assert run("fit", boat, recording, sheet, *words) == 0
+    told = capsys.readouterr().out
+    record = json.loads((out / "fit.json").read_text())
+    assert list(record)[:3] == ["format", "free", "missing"]
+    assert told.startswith("free predictions of the runs it was fitted to, vessel file -> fitted:")
+    assert record["free"]["20"]["position"] == record["predictions"][1]["fitted"]["position"]
+    # The recording and the numbers are the vessel's own.
+    assert record["missing"] is False and record["missing_evidence"]["reasons"] == []
+    assert (
+        told.split("written:")[0].strip().endswith("nothing is missing as far as these data tell")
+    )
+    by_source = record["sources"]
+    assert by_source["recordings"]["determined"]["N_r"] > 0.9
+    assert 0.5 < by_source["trial_numbers"]["determined"]["N_r"] < 0.99
+    squares = 2 * record["fit"]["trial_numbers"] ** 2
+    assert by_source["trial_numbers"]["cost"] == pytest.approx(squares)
+    assert by_source["trial_numbers"]["values"] == 2
+    assert [one["number"] for one in record["trial_numbers"]] == ["overshoot_1", "peak_yaw_rate"]
+    assert record["fit"]["trial_numbers"] < 0.3 and record["objective"] == "innovation"
+    assert "determined by either alone: " in told
+    page = (out / "report.html").read_text()
+    assert "What each source tells" in page and "Given and fitted" in page
+
+
 @pytest.mark.slow
 def test_fit_writes_a_vessel_a_report_and_what_the_data_leave_open(boat, zigzag, tmp_path, capsys):
     priors = tmp_path / "priors.toml"

@@ -125,7 +125,7 @@ def test_coloured_innovations_are_told_from_white_ones():
     found = whiteness(coloured, used, run)
     assert found.is_rejected and found.p_value < 1e-20
     taper = sum(2 * 0.5**k * (1 - k / 11) for k in range(1, 11))
-    assert found.colour == pytest.approx(1 + taper, rel=0.1)
+    assert found.colour == pytest.approx(1 + taper, rel=0.2)
     # A weak correlation is found, and does not matter.
     weak = 0.99 * white + 0.1 * np.roll(white, 1, axis=0)
     assert whiteness(weak, used, run).p_value < 0.01 and not whiteness(weak, used, run).is_rejected
@@ -133,7 +133,7 @@ def test_coloured_innovations_are_told_from_white_ones():
     sparse = used & ((np.arange(rows) % 2 == 0)[:, None] | (np.arange(6) != 2))
     there = whiteness(np.where(sparse, coloured, 0.0), sparse, run)
     pairs = [2 * 0.5**k * (1 - k / 11) for k in range(2, 11, 2)]
-    assert there.p_value < 0.01 and there.colour == pytest.approx(1 + sum(pairs), rel=0.1)
+    assert there.p_value < 0.01 and there.colour == pytest.approx(1 + sum(pairs), rel=0.2)
     # The first of a run has nothing to do with the last of the one before.
     short = np.arange(rows)
     assert whiteness(coloured, used, short).p_value == 1.0

@@ -56,7 +56,7 @@ class Whiteness:
 
     Attributes:
         p_value: chance of so much correlation among white ones, by the number of channels.
-        colour: long-run variance over the variance, 1 where they are white.
+        colour: their long-run variance over the variance that noise explains, 1 at its level.
     """
 
     p_value: float
@@ -91,7 +91,7 @@ def whiteness(
                 colour += 2 * (1 - lag / (LAGS + 1)) * correlation
         if freedom:
             chance = min(1.0, len(channels) * float(chi2.sf(statistic, freedom)))
-            found.append(Whiteness(chance, colour))
+            found.append(Whiteness(chance, colour * power))
     return min(found, key=lambda one: (not one.is_rejected, one.p_value))
 
 
@@ -148,7 +148,9 @@ class Sufficiency:
                 f"free predictions are off by {times:.2g} times what gusts and noise explain "
                 f"{by:g} s ahead"
             )
-        if self.whiteness.is_rejected:
+        # Free predictions that miss less than noise explains leave nothing to miss.
+        noticed = not self.motion or max(self.motion.values()) > 1.0
+        if self.whiteness.is_rejected and noticed:
             told.append("what is left over from sample to sample is no noise: it is correlated")
         return told
 
