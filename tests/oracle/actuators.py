@@ -3,6 +3,8 @@
 curve         thrust = c V n + d |n| n, n rev/s, V = u_r - y r the flow past the hull
 clip          thrust to [min_force, max_force]; with the key `saturate = "command"` of
               the order before the lag instead (differs only beyond the limits)
+acts_as       the order n acts as n': with a limit L the p-norm of both, (n^-8 + L^-8)^(-1/8);
+              less a dead band; N (n / N)^p with N the largest limit; times a ratio astern
 efficiency    1 - ratio to port (y < 0), 1 + ratio to starboard; losses with speed and turn
 """
 
@@ -18,7 +20,7 @@ class Thruster(Channel):
 
     def __init__(self, data: dict):
         self.high, self.low = data.get("max_force", math.inf), data.get("min_force", -math.inf)
-        self.curve = data.get("curve")
+        self.curve, self.acts_as = data.get("curve"), data.get("acts_as")
         clip_order = data.get("saturate", "force") == "command" and not self.curve
         super().__init__(data, *((self.low, self.high) if clip_order else ()))
         self.x, self.y = data.get("x", 0.0), data.get("y", 0.0)
@@ -32,6 +34,8 @@ class Thruster(Channel):
 
     def raw(self, n: float, u: float, r: float) -> float:
         """Thrust before the clip [N]."""
+        if self.acts_as:
+            n = acting(n, max(self.high, -self.low), **self.acts_as)
         if self.curve is None:
             return n
         return self.curve["c"] * (u - self.y * r) * n + self.curve["d"] * abs(n) * n
@@ -50,7 +54,26 @@ class Thruster(Channel):
     def kinks(self, n: float, u: float, r: float, v: float) -> list[float]:
         """Functions whose sign changes are kinks of the force."""
         T = self.raw(n, u, r)
+        if self.acts_as:
+            edge = self.acts_as.get("deadband", 0.0)
+            return [n, n - edge, n + edge]
         return [n, T - self.high, T - self.low]
+
+
+def acting(
+    n: float,
+    largest: float,
+    deadband: float = 0.0,
+    exponent: float = 1.0,
+    astern_ratio: float = 1.0,
+    limit: float = math.inf,
+) -> float:
+    """The order that a thruster acts by when it is ordered n."""
+    if n == 0.0:
+        return 0.0
+    size = abs(n) if limit == math.inf else (abs(n) ** -8 + limit**-8) ** (-1 / 8)
+    size = largest * (max(size - deadband, 0.0) / largest) ** exponent
+    return size if n > 0 else -astern_ratio * size
 
 
 def order_for_thrust(data: dict, T: float) -> float:

@@ -23,6 +23,7 @@ thrust-change         forces of thrusters and propellers x (1 + factor) from `ti
 thrust-lag, thrust-delay, deadband, backlash, actuator-bias: added to the channel's own
 actuator-response     thrust-delay, thrust-lag, rate-limit, as far as its keys are given
 rate-limit, thrust-saturation: the lower of effect and channel holds
+thrust-curve          orders act as others, see `actuators.py`
 thrust-asymmetry      port (y < 0) x (1 - ratio), starboard x (1 + ratio), after the clip
 thruster-misalignment angle added to every thruster
 thrust-loss-with-speed x (1 - slope u_r);  thrust-loss-in-turns  x (1 - slope |r|)
@@ -180,6 +181,9 @@ def change_actuators(data: dict[str, list[dict]], name: str, values: dict) -> No
         parameter, key = THRUST_EFFECTS[name]
         for t in data["thruster"]:
             t[key] = t.get(key, 0.0) + values[parameter]
+    elif name == "thrust-curve":
+        for t in data["thruster"]:
+            t["acts_as"] = values
     elif name == "thrust-asymmetry":
         for t in data["thruster"]:
             side = (t["y"] > 0) - (t["y"] < 0)

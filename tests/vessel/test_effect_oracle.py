@@ -116,6 +116,10 @@ CASES = [
     ("boat", "rate-limit", {"rate_limit": 15.0}),
     ("twin", "actuator-bias", {"bias": 12.0, "actuators": ["port"]}),
     ("ship", "actuator-bias", {"bias": 0.04, "actuators": ["rudder"]}),
+    ("twin", "thrust-curve", {"deadband": 12.0, "exponent": 1.3, "astern_ratio": 0.6,
+                              "limit": 140.0}),
+    ("boat", "thrust-curve", {"deadband": 0.4, "exponent": 0.8, "astern_ratio": 0.5}),
+    ("boat", "thrust-curve", {"limit": 5.0}),
     ("twin", "thrust-asymmetry", {"ratio": 0.12}),
     ("twin", "thruster-misalignment", {"angle": 0.07}),
     ("twin", "thrust-loss-with-speed", {"slope": 0.08}),
@@ -147,6 +151,8 @@ WIDTH, CLEAR = 0.1, 10.0
 LIMITS = {
     # |r| itself has a kink where the turn changes side, within a step.
     "thrust-loss-in-turns": 3e-5,
+    # Zero and the dead band's edges are kinks, which a lagging thruster crosses within a step.
+    "thrust-curve": 3e-5,
     # One heel for each step: of second order in the step.
     "roll-coupling": 3e-5,
     **dict.fromkeys(SMOOTHED, 5e-3),  # against the sudden change

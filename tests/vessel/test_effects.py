@@ -32,7 +32,7 @@ POSSIBLE = [name for name, e in EFFECTS.items() if e.possible(VESSEL) and not e.
 START = {"psi": 0.4, "u": 1.1, "v": 0.05, "r": 0.02}
 # Port and starboard thrust (N) from each time (s) on; to both sides, and a step of both.
 SCHEDULE = [
-    (0, 110, 90), (1.2, 170, 30), (3.0, 40, 160), (5.4, 40, 160), (6.6, 60, 80), (8.4, 150, 20),
+    (0, 110, 90), (1.2, 170, 30), (3.0, 40, 160), (5.4, 40, 160), (6.6, 60, 80), (8.4, 150, -20),
 ]  # fmt: skip
 SECONDS, STEP = 10.8, 0.1
 

@@ -7,9 +7,10 @@ import jax
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from tests.oracle.actuators import acting
 from tests.paths import DATA
 
-from diffsea import Environment, State, UserError, named
+from diffsea import EFFECTS, Environment, State, UserError, named
 from diffsea.parameters import replace
 from diffsea.simulation.actuation import executed_by
 from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
@@ -313,3 +314,43 @@ def test_recorded_angles_count_their_turns_and_wrapped_ones_move_the_vessel_alik
             np.testing.assert_allclose(
                 getattr(one, channel), getattr(other, channel), atol=1e-9, err_msg=channel
             )
+
+
+# The effect
+
+
+OFF = {"deadband": 20.0, "exponent": 1.4, "astern_ratio": 0.5, "limit": 260.0}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_thrust_unlike_its_curve_is_stated_from_neutral_in_the_unit_of_the_orders(turned):
+    table = document(unit="us", reversed=turned, thrust_curve=CURVE)
+    off = build(table | {"effect": [{"name": "thrust-curve", "actuators": ["port"], **OFF}]})
+    for above in (-390.0, -150.0, -10.0, 0.0, 15.0, 90.0, 255.0, 400.0):
+        order = 1500 + (-above if turned else above)
+        parts = off.breakdown(
+            State(*(np.zeros(()),) * 6), {"port": order, "starboard": order}, Environment(), 0.0
+        )
+        stated = law(above / 400, **CURVE)
+        assert float(parts["starboard"].X) == pytest.approx(stated, abs=1e-9)
+        other = law(acting(above, 400.0, **OFF) / 400, **CURVE)
+        assert float(parts["port"].X) == pytest.approx(other, abs=1e-9)
+
+
+def test_parameters_of_the_effect_are_those_of_its_coordinates():
+    effect, vessel = EFFECTS["thrust-curve"], build(document(max_force=250.0))
+    back = effect.decode(vessel, np.array(effect.encode(vessel, OFF | {"limit": 110.0})))
+    assert {k: pytest.approx(float(v)) for k, v in back.items()} == OFF | {"limit": 110.0}
+    none = effect.decode(vessel, np.zeros(4))
+    assert none["exponent"] == none["astern_ratio"] == 1 and none["deadband"] == 0
+    assert float(none["limit"]) > 1.5 * 250  # more than is ever ordered
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [({"exponent": 0.0}, "exponent = 0 must be positive"), ({"deadband": -1.0}, "deadband = -1"),
+     ({"width": 3.0}, "unknown key 'width'"), ({"actuators": ["prt"]}, "mean 'port'")],
+)  # fmt: skip
+def test_an_impossible_effect_is_refused(keys, message):
+    with pytest.raises(UserError, match=message):
+        build(document(max_force=250.0) | {"effect": [{"name": "thrust-curve", **keys}]})

@@ -262,6 +262,7 @@ class Vessel(eqx.Module):
         `executed` are the values of all channels in their units, `t` is the run's clock in s.
         """
         water = through_water(state, environment)
+        executed = {c: servo.acting(executed[c]) for c, servo in self.servos.items()}
         jets = {n: part.jet(executed, water) for n, part in self.actuators.items()}
         jets = {name: jet for name, jet in jets.items() if jet is not None}
         added = self.added_mass.in_depth(environment.shallowness)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea.types import Scalar
+from diffsea.vessel.characteristics import Characteristic, dead_zone
 from diffsea.vessel.tables import Table, optional_number
 
 
@@ -52,13 +53,6 @@ class Response(eqx.Module):
     final: Scalar  # executed value itself at the end of the step
 
 
-def dead_zone(value: Scalar, width: Scalar) -> Scalar:
-    """Zero within `width` of zero, and what is beyond: the value itself without a width."""
-    # Without a width it is the value, at zero too.
-    acts = (jnp.abs(value) > width) | (width <= 0)
-    return jnp.where(acts, value - jnp.sign(value) * width, 0.0)
-
-
 class Servo(eqx.Module):
     """The chain delay - bias - dead band - limits - play - lag and slew rate of one channel.
 
@@ -83,6 +77,7 @@ class Servo(eqx.Module):
     slowness: Scalar | None = None  # s per unit of the channel
     neutral: Scalar | None = None  # unit of the channel, where nothing is done; zero without one
     endless: bool = eqx.field(static=True, default=False)
+    characteristics: tuple[Characteristic, ...] = ()  # on what is executed, the first one first
 
     @classmethod
     def from_table(cls, table: Table, where: str, lower: str = "", upper: str = "") -> "Servo":
@@ -124,6 +119,15 @@ class Servo(eqx.Module):
         k, s = self.sharpness, (value - middle) / half
         soft = (jnp.logaddexp(0.0, k * (s + 1)) - jnp.logaddexp(0.0, k * (s - 1))) / k - 1
         return middle + half * soft
+
+    def acting(self, executed: Scalar) -> Scalar:
+        """What acts of an executed value, by the characteristics."""
+        if not self.characteristics:
+            return executed
+        above = executed if self.neutral is None else executed - self.neutral
+        for characteristic in self.characteristics:
+            above = characteristic(above)
+        return above if self.neutral is None else above + self.neutral
 
     def respond(self, executed: Scalar, history: OrderHistory, t: Scalar, dt: Scalar) -> Response:
         """Response over [t, t + dt] from `executed` to the orders in `history`."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from diffsea.errors import UserError, nearest
 from diffsea.types import Scalar
 from diffsea.vessel.base import OrderUnit
-from diffsea.vessel.servo import dead_zone
+from diffsea.vessel.characteristics import dead_zone, power
 from diffsea.vessel.tables import Table, check_keys, needed, numbers, positive
 
 
@@ -21,12 +21,11 @@ SCALES: dict[OrderUnit, tuple[float, float, float]] = {
 }
 UNITS: tuple[OrderUnit, ...] = get_args(OrderUnit)
 PER_REVOLUTION: dict[OrderUnit, float] = {"rev/s": 1.0, "rpm": 60.0}  # of the unit, for 1 rev/s
-SMALLEST_SHARE = 1e-6  # of full order: linear below, which no order resolves
 
 
 def power_law(share: Scalar, exponent: Scalar) -> Scalar:
     """`sgn(s) |s|^p`, linear within a millionth of zero, where it has derivatives by both."""
-    return share * jnp.exp((exponent - 1) * jnp.log(jnp.maximum(jnp.abs(share), SMALLEST_SHARE)))
+    return share * power(share, exponent - 1)
 
 
 class ThrustCurve(eqx.Module):

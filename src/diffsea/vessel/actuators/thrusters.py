@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -173,7 +173,9 @@ class AzimuthThruster(AbstractThruster):
             table = table | {"curve": {"c": 0.0} | table["curve"]}
         drive, scale = read_drive(table, where)
         force = dataclasses.replace(Servo.from_table(table, where), **scale)
-        read = {stage: optional_number(table, key, where) for stage, key in stages.items()}
+        read: dict[str, Any] = {
+            stage: optional_number(table, key, where) for stage, key in stages.items()
+        }
         low = -math.inf if read["lower"] is None else read["lower"]
         high = math.inf if read["upper"] is None else read["upper"]
         endless = high - low > 2 * math.pi - TURN_ROUNDING and math.isinf(low) == math.isinf(high)

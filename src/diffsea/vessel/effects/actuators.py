@@ -65,12 +65,12 @@ class OrderedChannels(Place):
 
 
 def largest_order(vessel: Vessel, channels: Sequence[str]) -> Scalar:
-    """The widest limit of some channels, or a plausible number where none is stated.
+    """The widest limit of some channels, from neutral, or a plausible number where none is stated.
 
     That is 0.6 rad, the shaft speed for Froude number 0.3, or a twentieth of the weight.
     """
     servos = [vessel.servos[channel] for channel in channels]
-    ends = [end for servo in servos for end in (servo.lower, servo.upper) if end is not None]
+    ends = [end for servo in servos for end in _limits(servo) if end is not None]
     if ends:
         return functools.reduce(jnp.maximum, [jnp.abs(end) for end in ends])
     if set(channels) <= set(OrderedChannels("steering").all_on(vessel)):
@@ -80,6 +80,15 @@ def largest_order(vessel: Vessel, channels: Sequence[str]) -> Scalar:
         if part.diameter is not None and set(part.servos) & set(channels):
             return froude_speed(body.length, FROUDE_NUMBER) / (ADVANCE_RATIO * part.diameter)
     return THRUST_TO_WEIGHT * GRAVITY * body.mass
+
+
+def _limits(servo: Servo) -> tuple[Scalar | None, Scalar | None]:
+    """The limits of a servo from its neutral."""
+    ends = servo.lower, servo.upper
+    if servo.neutral is None:
+        return ends
+    lower, upper = (None if end is None else end - servo.neutral for end in ends)
+    return lower, upper
 
 
 def change_servos(
@@ -248,18 +257,25 @@ def _rate_limit(vessel: Vessel, channels: Sequence[str], slowness: Scalar) -> Sc
     return 1 / (jnp.asarray(0.0 if own is None else own) + slowness)
 
 
+def _about(neutral: Scalar, limit: Scalar) -> tuple[Scalar, Scalar]:
+    """So far below and above neutral."""
+    return neutral - limit, neutral + limit
+
+
 def _with_limit(servo: Servo, limit: Scalar) -> Servo:
     """Limits on both sides, the servo's own where these are narrower."""
-    upper = limit if servo.upper is None else jnp.minimum(servo.upper, limit)
-    lower = -limit if servo.lower is None else jnp.maximum(servo.lower, -limit)
+    low, high = (-limit, limit) if servo.neutral is None else _about(servo.neutral, limit)
+    upper = high if servo.upper is None else jnp.minimum(servo.upper, high)
+    lower = low if servo.lower is None else jnp.maximum(servo.lower, low)
     return dataclasses.replace(servo, upper=upper, lower=lower)
 
 
 def _narrow_limits(servo: Servo, by: Scalar, largest: Scalar) -> Servo:
     """Stated limits no wider than the largest order over one plus the size."""
     limit = largest / (1 + by)
-    upper = None if servo.upper is None else jnp.minimum(servo.upper, limit)
-    lower = None if servo.lower is None else jnp.maximum(servo.lower, -limit)
+    low, high = (-limit, limit) if servo.neutral is None else _about(servo.neutral, limit)
+    upper = None if servo.upper is None else jnp.minimum(servo.upper, high)
+    lower = None if servo.lower is None else jnp.maximum(servo.lower, low)
     return dataclasses.replace(servo, upper=upper, lower=lower)
 
 
@@ -316,7 +332,7 @@ STAGES = (
         lambda order, time: 0.05 * order,
         law="no action for |order| < width, order - width sign(order) beyond",
         phrase="a dead band of {width} in {actuators}",
-        confusables=("backlash", "thrust-loss-with-speed", "drag-change"),
+        confusables=("backlash", "thrust-curve", "thrust-loss-with-speed", "drag-change"),
         kind_of_size=functools.partial(Size, positive=True),
     ),
     Stage(
@@ -338,7 +354,7 @@ STAGES = (
         law="realised values clip at +-limit below the stated one (first coordinate: stated limit "
         "over limit less one)",
         phrase="thrust that clips at {limit}",
-        confusables=("thrust-loss-with-speed", "drag-change", "thrust-change"),
+        confusables=("thrust-curve", "thrust-loss-with-speed", "drag-change", "thrust-change"),
         # A limit above all orders does nothing, however little above.
         kind_of_size=functools.partial(_late_size, tangent=False),
         limited=True,

@@ -3,20 +3,33 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
+from diffsea.errors import UserError
 from diffsea.scales import froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import FixedThruster, Propeller, Rudder
 from diffsea.vessel.actuators.propeller import ScrewSideForce
+from diffsea.vessel.actuators.thrusters import AbstractThruster
 from diffsea.vessel.base import AbstractActuator, AbstractPropulsor, Vessel
+from diffsea.vessel.characteristics import Characteristic, limit_of_loss, loss_of_limit
+from diffsea.vessel.effects.actuators import (
+    ORDER_UNIT,
+    OrderedChannels,
+    change_servos,
+    chosen_channels,
+    largest_order,
+)
 from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
+    Effect,
     Numbers,
     Parametrisation,
     add_force,
@@ -24,6 +37,8 @@ from diffsea.vessel.effects.entry import (
     entry,
 )
 from diffsea.vessel.hull import Change
+from diffsea.vessel.servo import Servo
+from diffsea.vessel.tables import Table, check_keys, numbers
 
 
 Actuator = TypeVar("Actuator", bound=AbstractActuator)
@@ -91,7 +106,10 @@ def thruster_misalignment(vessel: Vessel, angle: CoordinateValues) -> Vessel:
         lambda v: (-min(float(p.losses.with_speed) for p in v.propulsors.values()), math.inf),
     ),
     phrase="a thrust that {slope:falls|rises} by {slope:%} for every m/s of speed",
-    confusables=("quadratic-damping", "deadband", "drag-change", "thrust-saturation"),
+    confusables=(
+        *("quadratic-damping", "deadband", "drag-change"),
+        *("thrust-saturation", "thrust-curve"),
+    ),
     # Where some thruster's force does not depend on the speed of advance.
     possible=lambda v: any(part.bollard_coefficient is None for part in v.propulsors.values()),
 )
@@ -123,6 +141,84 @@ def thrust_loss_in_turns(vessel: Vessel, slope: CoordinateValues) -> Vessel:
 def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """All thrusts times (1 + factor) from `time` on the run's clock."""
     return add_force(vessel, "thrust-change", Change(at[0], at[1], "thrust"))
+
+
+PROPULSION = OrderedChannels("propulsion")
+LEAST_LOSS = 1e-3  # at the largest order: a limit that takes less is reported as one that takes it
+
+
+def _largest(vessel: Vessel) -> Scalar:
+    return largest_order(vessel, PROPULSION.all_on(vessel))
+
+
+def _with_curve(vessel: Vessel, channels: Iterable[str], at: CoordinateValues) -> Vessel:
+    """The vessel with one characteristic more on each of some channels, before its own law."""
+    most = _largest(vessel)
+
+    def change(servo: Servo, actuator: AbstractActuator) -> Servo:
+        turned = isinstance(actuator, AbstractThruster) and actuator.drive.reversed
+        more = Characteristic(most, at[0], at[1], at[2], at[3], turned)
+        return dataclasses.replace(servo, characteristics=(*servo.characteristics, more))
+
+    return change_servos(vessel, channels, change)
+
+
+def _curve_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
+    """Dead band, exponent, astern ratio and limit; the last as far as there is one."""
+    # The derivative is that at the least loss: there a limit is hardly known, and its error wide.
+    loss = at[3] + jax.lax.stop_gradient(jnp.maximum(at[3], LEAST_LOSS) - at[3])
+    limit = limit_of_loss(loss, _largest(vessel))
+    return {"deadband": at[0], "exponent": 1 + at[1], "astern_ratio": 1 + at[2], "limit": limit}
+
+
+def _curve_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    """The inverse; without a limit nothing is lost."""
+    loss = 0.0
+    if "limit" in numbers:
+        loss = float(loss_of_limit(numbers["limit"], float(_largest(vessel))))
+    exponent, ratio = numbers.get("exponent", 1.0), numbers.get("astern_ratio", 1.0)
+    return numbers.get("deadband", 0.0), exponent - 1, ratio - 1, loss
+
+
+def _read_curve(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
+    """The curve on the propulsors that a table names, on all of them where it names none."""
+    (effect,) = variants
+    check_keys(table, ("name", "actuators", *effect.units), where)
+    values = numbers(table, effect.units, where)
+    for key, value in values.items():
+        if value < 0 or (value == 0 and key in ("exponent", "limit")):
+            raise UserError(f"{where}: {key} = {value:g} must be positive")
+    channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
+    if not channels:
+        raise UserError(f"{where}: none of its actuators drives the vessel ahead")
+    return _with_curve(vessel, channels, np.asarray(effect.encode(vessel, values)))
+
+
+@thrust_effect(
+    "thrust-curve",
+    Size("deadband", ORDER_UNIT, lambda v: 0.05 * _largest(v), lambda v: (0.0, float(_largest(v)))),
+    Size("exponent - 1", "1", 0.2, (-1.0, math.inf)),
+    Size("astern_ratio - 1", "1", 0.2, ALL_LOST_AT_MOST),
+    Size("loss at the largest order", "1", 0.3, (0.0, math.inf)),
+    phrase="a thrust with a dead band of {deadband}, that goes with the order to the power of "
+    "{exponent} and is {astern_ratio} times as strong astern",
+    confusables=("deadband", "thrust-saturation", "thrust-loss-with-speed", "thrust-asymmetry"),
+    possible=lambda vessel: bool(vessel.propulsors),
+    parametrisation=Parametrisation(
+        {"deadband": ORDER_UNIT, "exponent": "1", "astern_ratio": "1", "limit": ORDER_UNIT},
+        _curve_parameters,
+        _curve_coordinates,
+    ),
+    place=PROPULSION,
+    read=_read_curve,
+    parts=("deadband", "thrust-saturation"),
+)
+def thrust_curve(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """Every propulsor acts as at the order n' in place of n, N the largest: a limit L by a knee,
+    n_1 = n (1 + (|n| / L)^8)^(-1/8); a dead band b, n_2 = sgn(n_1) max(|n_1| - b, 0); an exponent p,
+    n_3 = N sgn(n_2) (|n_2| / N)^p; a ratio a, n' = a n_3 astern and n_3 ahead.
+    """
+    return _with_curve(vessel, PROPULSION.all_on(vessel), at)
 
 
 def _lacks(kind: type[AbstractActuator]) -> Callable[[Vessel, Numbers], str]:
@@ -209,6 +305,7 @@ THRUST = (
     thrust_loss_with_speed,
     thrust_loss_in_turns,
     thrust_change,
+    thrust_curve,
     propeller_side_force,
     rudder_interaction,
 )
