@@ -682,12 +682,16 @@ def test_executed_actuation_is_compared_with_its_orders():
     assert kinds(steps_and_answer(1.0)) == []
     assert kinds(steps_and_answer(1.0, limit=0.25)) == []  # a limit is no fault
     assert only(steps_and_answer(-1.0), "sign").value == pytest.approx(-1, abs=0.05)
-    finding = only(steps_and_answer(0.8, limit=0.25), "scale")
+    finding = only(steps_and_answer(0.8, limit=0.25), "feedback-error")
+    assert finding.parameters.keys() == {"scale"} and "looks the same" in finding.doubt
     assert finding.value == pytest.approx(0.8, abs=0.02)
     assert "never exceeds 0.2" in finding.message
     assert only(steps_and_answer(np.pi / 180), "unit").unit == "1"
-    finding = only(steps_and_answer(0.0), "stuck")
-    assert finding.channels == ("exec_rudder",)
+    dead = steps_and_answer(0.0)
+    assert only(dead, "constant").channels == ("exec_rudder",)
+    rng = np.random.default_rng(0)
+    noisy = {"rudder": 1e-4 * rng.standard_normal(dead.t.size)}
+    assert only(edited(dead, executed=noisy), "stuck").channels == ("exec_rudder",)
 
 
 def test_every_finding_has_size_error_and_repair():

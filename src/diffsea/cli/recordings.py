@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import math
+import pathlib
 import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
+    from diffsea.trajectory import Trajectory
 
 
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
@@ -87,7 +89,8 @@ def audit_command(args: argparse.Namespace) -> None:
     differ. Inputs are never changed.
 
     For files without native columns and without --mapping a mapping is proposed: STEM.mapping.toml
-    of the first file, one for files of one layout, to be checked and edited.
+    of the first file, one for files of one layout, to be checked and edited. A file that cannot be
+    read has "unreadable" as its one finding; the others are audited all the same.
 
     examples:
       diffsea audit run1.csv run2.csv
@@ -113,31 +116,66 @@ def audit_command(args: argparse.Namespace) -> None:
 def _audit_or_propose(
     args: argparse.Namespace, out: Outputs
 ) -> "tuple[list[tuple[str, list[Finding]]], str]":
-    """Findings by recording, read through a proposed mapping, written to `out`, where need be.
+    """Findings by recording, read through proposed mappings, written to `out`, where need be.
 
-    A file that cannot be read for want of a time has that as its one finding. The text says what
-    was proposed, and is empty where nothing was.
+    A file that cannot be read has what is wrong with it as its one finding, and so has one that
+    cannot be audited for want of a time. The text says what was proposed, and is empty where
+    nothing was.
 
     Raises:
-        UserError: the recordings cannot be read, and no mapping could be proposed.
+        UserError: none of the recordings can be read, one is named twice, or the mapping is wrong.
     """
-    from diffsea.recordings import Finding, audit
-    from diffsea.recordings.mapping_proposal import is_foreign, propose_mapping
+    from diffsea.recordings.mapping_proposal import foreign_layouts
+    from diffsea.workflows.audits import audit_readable, read_readable
 
-    paths = args.recordings
-    if args.mapping is not None or not any(is_foreign(path) for path in paths):
-        runs = options.read_recordings(paths, args.mapping)
-        return [(run.name, audit(run)) for run in runs], ""
+    paths: Sequence[pathlib.Path] = args.recordings
+    if len(set(paths)) < len(paths):
+        raise UserError("a recording is named twice; name each only once")
+    layouts = foreign_layouts(paths) if args.mapping is None else []
+    read = dict(zip(paths, read_readable(paths, args.mapping), strict=True))
+    texts = []
+    for group in layouts:
+        found, text = _read_through_proposal(group, out)
+        read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
+        texts.append(text)
+    return audit_readable(list(read.values())), "".join(texts)
+
+
+def _under_the_same_name(
+    before: "Trajectory | Finding", now: "Trajectory | Finding"
+) -> "Trajectory | Finding":
+    """What was read of a file now, under the name that tells it from the others."""
+    from diffsea.recordings import Finding
+
+    name = before.recording if isinstance(before, Finding) else before.name
+    if isinstance(now, Finding):
+        return dataclasses.replace(now, recording=name)
+    return dataclasses.replace(now, name=name)
+
+
+def _read_through_proposal(
+    paths: "Sequence[pathlib.Path]", out: Outputs
+) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str]":
+    """Files of one foreign layout through the mapping that is proposed, and what was proposed.
+
+    Where none can be, or without a time, each file has a finding instead, and the text is empty.
+    """
+    from diffsea.recordings import Finding, unreadable
+    from diffsea.recordings.mapping_proposal import propose_mapping
+    from diffsea.workflows.audits import read_readable
+
     try:
         proposal = propose_mapping(paths)
     except UserError as error:
-        try:
-            options.read_recordings(paths, None)
-            refusal = "some of these files need a mapping"
-        except UserError as refused:
-            refusal = str(refused)
-        raise UserError(f"{refusal}; no mapping could be proposed: {error}") from error
+        refused = zip(paths, read_readable(paths), strict=True)
+        return {
+            path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
+            for path, one in refused
+            if isinstance(one, Finding)
+        }, ""
     name = f"{paths[0].stem}.mapping.toml"
+    if out.folder / name in out.files:
+        name = f"{paths[0].stem}.{len(out.files) + 1}.mapping.toml"
     written = out.text(name, proposal.text)
     mapping = shlex.quote(str(out.folder / name))
     lines = [
@@ -149,16 +187,16 @@ def _audit_or_propose(
         lines += ["check these, and edit the mapping:", *(f"  {item}" for item in proposal.checks)]
     files = " ".join(shlex.quote(str(path)) for path in paths)
     lines += ["then run", f"  diffsea audit {files} --mapping {mapping}", ""]
+    found: dict[pathlib.Path, Trajectory | Finding]
     if proposal.timed:
         lines.append("The audit below is of the recordings read through the proposed mapping.")
-        found = [(run.name, audit(run)) for run in options.read_recordings(paths, written)]
+        found = dict(zip(paths, read_readable(paths, written), strict=True))
     else:
         lines.append("Not audited: without a time step nothing read through it means anything.")
         why = "the file has no time, and nothing tells its sampling interval; it was not audited"
         repair = "put the interval (s) into [file] time_step of the proposed mapping"
         untimed = Finding("time-step", math.nan, math.nan, "", why, repair, ("t",))
-        names = [path.name for path in paths]
-        found = [(name, [dataclasses.replace(untimed, recording=name)]) for name in names]
+        found = {path: untimed for path in paths}
     return found, "\n".join(lines) + "\n\n"
 
 

@@ -7,6 +7,8 @@ and audited before JAX has started.
 from diffsea.recordings.auditing.audit import audit as audit
 from diffsea.recordings.auditing.finding import KINDS as KINDS
 from diffsea.recordings.auditing.finding import Finding as Finding
+from diffsea.recordings.auditing.finding import unreadable as unreadable
+from diffsea.recordings.auditing.sets import audit_set as audit_set
 from diffsea.recordings.conditioning import cut as cut
 from diffsea.recordings.conditioning import resample as resample
 from diffsea.recordings.mappings import Column as Column

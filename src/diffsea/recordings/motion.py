@@ -1,6 +1,7 @@
 """Measured motion made ready for comparison: gaps bridged or marked, and windows without gaps."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Complex, Int
@@ -60,6 +61,11 @@ class MeasuredMotion:
     def with_channels(self, **values: Samples) -> "MeasuredMotion":
         """The same motion with some channels changed."""
         return dataclasses.replace(self, values=self.values | values)
+
+    def without(self, channels: Iterable[str]) -> "MeasuredMotion":
+        """The motion as if these channels had not been measured."""
+        lost = {name: np.zeros(self.t.shape, dtype=bool) for name in channels}
+        return dataclasses.replace(self, known=self.known | lost)
 
 
 def motion_of(trajectory: Trajectory) -> MeasuredMotion:

@@ -1,6 +1,7 @@
 """What all jobs share, recordings as given and results as tables; and the audit. Needs no JAX."""
 
 import abc
+import dataclasses
 import html
 import pathlib
 from collections.abc import Iterable, Sequence
@@ -8,8 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from diffsea.recordings import Finding, Mapping, read_recording
-from diffsea.recordings import audit as audit_run
+from diffsea.errors import UserError
+from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
 from diffsea.trajectory import Trajectory
 
 
@@ -108,18 +109,71 @@ def as_recordings(
     return [as_recording(one, mapping) for one in several]
 
 
+def read_readable(
+    given: Iterable[Recording], mapping: Mapping | str | pathlib.Path | None = None
+) -> list[Trajectory | Finding]:
+    """Each recording, or where it cannot be read the finding that says why; under unlike names.
+
+    Raises:
+        UserError: the mapping cannot be read.
+    """
+    if isinstance(mapping, str | pathlib.Path):
+        mapping = read_mapping(mapping)
+    several, read = list(given), []
+    for one in several:
+        try:
+            read.append(as_recording(one, mapping))
+        except UserError as error:
+            name = pathlib.Path(one).name if isinstance(one, str | pathlib.Path) else "<DataFrame>"
+            read.append(unreadable(name, str(error)))
+    names = [_name(one) for one in read]
+    for place, (one, source) in enumerate(zip(read, several, strict=True)):
+        if names.count(names[place]) > 1 and isinstance(source, str | pathlib.Path):
+            read[place] = _renamed(one, str(source))
+    return read
+
+
+def _name(one: Trajectory | Finding) -> str:
+    return one.recording if isinstance(one, Finding) else one.name
+
+
+def _renamed(one: Trajectory | Finding, name: str) -> Trajectory | Finding:
+    field = "recording" if isinstance(one, Finding) else "name"
+    return dataclasses.replace(one, **{field: name})
+
+
+def audit_readable(read: Sequence[Trajectory | Finding]) -> list[tuple[str, list[Finding]]]:
+    """Name and findings of every recording of a set, in its order; see `read_readable`.
+
+    Raises:
+        UserError: none could be read.
+    """
+    runs = [one for one in read if isinstance(one, Trajectory)]
+    refused = [one.message for one in read if isinstance(one, Finding)]
+    if refused and all(isinstance(one, Finding) and one.kind == "unreadable" for one in read):
+        several = f"none of the {len(refused)} recordings can be read:\n  "
+        raise UserError((several if len(refused) > 1 else "") + "\n  ".join(refused))
+    judged = iter(audit_set(runs))
+    return [(_name(one), [one] if isinstance(one, Finding) else next(judged)) for one in read]
+
+
 def audit(
     recordings: Recording | Iterable[Recording], mapping: Mapping | str | pathlib.Path | None = None
 ) -> Findings:
     """Whether recordings are sound: clocks, frames, units, signs, sensor errors.
+
+    Several recordings are a set: what one cannot tell by itself, such as the axes of its
+    velocities on a straight track, it takes from others that tell it clearly, and says so. One that
+    cannot be read has that as its finding.
 
     Arguments:
         recordings: one or several, each a file, a DataFrame or a recording.
         mapping: how to read files and DataFrames with other columns.
 
     Raises:
-        UserError: a recording cannot be read.
+        UserError: no recording can be read, or the mapping cannot.
     """
-    runs = as_recordings(recordings, mapping)
-    found = [finding for run in runs for finding in audit_run(run)]
-    return Findings(found, [run.name for run in runs])
+    several = [recordings] if isinstance(recordings, Recording) else recordings
+    judged = audit_readable(read_readable(several, mapping))
+    found = [finding for _, findings in judged for finding in findings]
+    return Findings(found, [name for name, _ in judged])

@@ -5,10 +5,11 @@ compared with each other, and it is asked whether they can be what they are call
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from diffsea.recordings.auditing.edits import ExecutedToCommanded
 from diffsea.recordings.auditing.finding import Finding, finding_of, in_degrees
-from diffsea.series import median_interval
+from diffsea.series import hold_at, median_interval
 from diffsea.trajectory import Samples, Trajectory
 
 
@@ -16,11 +17,18 @@ _STANDING = 4.0  # s for which an order must have stood before what was executed
 _NEAR_UNIT = 0.05  # logarithm: how close a ratio must be to that of two units
 _DIFFERENT = 0.1  # a ratio this far from one is worth a finding
 _CERTAIN = 5.0  # standard errors
+_NOTABLE_OFFSET = 0.02  # of the orders' range: servos are set up to about a hundredth
+_CLEAR = np.log(1e5)  # log likelihood ratio beyond chance
+_MOST_EARLY = 3.0  # s looked for
+_SMALLEST_EARLY = 0.1  # s; less is the stamping of two channels in turn
+_LAGS = (0.0, 0.3, 1.0, 3.0)  # s, of servos from small to large
 _MOTIONLESS = 1e-3  # an executed channel that moves by less of its orders' range stands still
 _AT_LIMIT = 0.95  # of the largest executed value, from which on a limit may have been reached
 _FASTEST_RUDDER = np.radians(35.0)  # rad/s; what turns faster from sample to sample is no rudder
 _JUMP = 0.2  # of a channel's range within one sample
 _JUMP_SECONDS = 0.5  # within which thrust may jump and be an order
+
+_Settled = Float[np.ndarray, "order"]
 
 _RUDDERS = ("rudder", "helm", "delta")  # angles that never go round
 _ANGLES = ("rudder", "delta", "angle", "azimuth", "helm")
@@ -69,36 +77,46 @@ def _executed_against_ordered(
     if np.ptp(executed) < _MOTIONLESS * np.ptp(ordered):
         size = float(t[-1] - t[0]), median_interval(t)
         words = {"level": np.median(executed), "order": order, "travel": np.ptp(ordered)}
-        return [finding_of("dead-actuator", (answer,), *size, words)]
-    ratio, error = _settled_ratio(t, ordered, executed)
+        fault = "dead-actuator" if np.ptp(executed) > 0 else "constant-actuator"
+        return [finding_of(fault, (answer,), *size, words)]
+    early = _early_execution(name, t, ordered, executed)
+    settled = _settled(t, ordered, executed)
+    ratio, error = _settled_ratio(*settled)
     like_order = ratio > 0 and abs(ratio - 1) < max(_DIFFERENT, _CERTAIN * error)
-    if like_order or abs(ratio) <= _CERTAIN * error:
-        return []
-    kind, what = "scale", f"is {ratio:.4g} times"
+    if like_order:
+        return early + _settled_offset(name, *settled)
+    if abs(ratio) <= _CERTAIN * error:
+        return early
+    # The level that what was executed does not pass while orders do.
+    level, limit = float(np.max(np.abs(executed))), ""
+    at = np.abs(executed) > 0.99 * level
+    if np.mean(at) >= 0.02 and np.max(np.abs(ordered[at])) >= 1.05 * level:
+        limit = f"; it never exceeds {level:.4g}, whatever is ordered"
+    doubt = "either the order or what was executed may be labelled wrongly"
     units = [
         unit
         for known, unit in _RATIOS.items()
         if any(abs(np.log(abs(ratio) / value)) < _NEAR_UNIT for value in (known, 1 / known))
     ]
+    if ratio > 0 and not units:
+        words = {"order": order, "answer": answer, "standing": _STANDING, "limit": limit}
+        by, fault = {"scale": ratio}, "feedback-scale"
+        doubt = "an actuator that gives more or less than was ordered looks the same"
+        size = ratio, error
+        return [*early, finding_of(fault, channels, *size, words, parameters=by, doubt=doubt)]
+    kind, what = "unit", f"is {ratio:.4g} times (one of them may be in {(*units, '')[0]})"
     if ratio < 0:
         kind, what = "sign", f"has the opposite sign of (ratio {ratio:.4g})"
-    elif units:
-        kind, what = "unit", f"is {ratio:.4g} times (one of them may be in {units[0]})"
-    text = f"where orders have stood for {_STANDING:g} s, {answer} {what} {order}"
-    # The level that what was executed does not pass while orders do.
-    level = float(np.max(np.abs(executed)))
-    at = np.abs(executed) > 0.99 * level
-    if np.mean(at) >= 0.02 and np.max(np.abs(ordered[at])) >= 1.05 * level:
-        text += f"; it never exceeds {level:.4g}, whatever is ordered"
+    text = f"where orders have stood for {_STANDING:g} s, {answer} {what} {order}{limit}"
     repair = f"sign, unit or scale of {order} or of {answer} in the mapping"
-    doubt = "either the order or what was executed may be labelled wrongly"
-    return [Finding(kind, ratio, error, "1", text, repair, channels, doubt=doubt)]
+    return [*early, Finding(kind, ratio, error, "1", text, repair, channels, doubt=doubt)]
 
 
-def _settled_ratio(t: Samples, ordered: Samples, executed: Samples) -> tuple[float, float]:
-    """Executed per ordered where orders have stood and no limit is reached, and its error.
+def _settled(t: Samples, ordered: Samples, executed: Samples) -> tuple[_Settled, _Settled]:
+    """Orders that have stood, and what was executed of them then, where no limit is reached.
 
-    One value for every order that stood long enough: within it samples say nothing new.
+    One value for every order that stood long enough: within it samples say nothing new. Empty
+    where they are too few.
     """
     starts = np.flatnonzero(np.diff(ordered) != 0) + 1
     starts = np.concatenate([[0], starts, [t.size]])
@@ -108,13 +126,17 @@ def _settled_ratio(t: Samples, ordered: Samples, executed: Samples) -> tuple[flo
         if first + stood < last:
             pieces.append((ordered[first], np.median(executed[first + stood : last])))
     if len(pieces) < 4:
-        return 1.0, np.inf
+        return np.empty(0), np.empty(0)
     limit = _AT_LIMIT * np.max(np.abs(executed))
     ordered, executed = np.array(pieces).T
     free = np.abs(executed) < limit
     free = free if np.sum(free) >= 4 and np.ptp(ordered[free]) > 0 else np.ones(free.shape, bool)
-    ordered, executed = ordered[free], executed[free]
-    if np.ptp(ordered) <= 0:
+    return ordered[free], executed[free]
+
+
+def _settled_ratio(ordered: _Settled, executed: _Settled) -> tuple[float, float]:
+    """Executed per ordered, and its error; one of no certainty where nothing tells."""
+    if not ordered.size or np.ptp(ordered) <= 0:
         return 1.0, np.inf
     matrix = np.stack([ordered, np.ones_like(ordered)], axis=-1)
     gains = np.linalg.lstsq(matrix, executed, rcond=None)[0]
@@ -122,6 +144,73 @@ def _settled_ratio(t: Samples, ordered: Samples, executed: Samples) -> tuple[flo
     spread = np.sum((ordered - ordered.mean()) ** 2)
     variance = np.sum(rest**2) / (ordered.size - 2) + (1e-3 * np.ptp(executed)) ** 2
     return float(gains[0]), float(np.sqrt(variance / spread))
+
+
+def _settled_offset(name: str, ordered: _Settled, executed: _Settled) -> list[Finding]:
+    """What is executed is off by the same amount whatever is ordered.
+
+    A servo stops within its dead band on the side it comes from, which averages out over orders.
+    """
+    if ordered.size < 4:
+        return []
+    channels = order, answer = f"cmd_{name}", f"exec_{name}"
+    off = executed - ordered
+    size = float(np.mean(off))
+    std = float(np.hypot(np.std(off, ddof=1), 1e-3 * np.ptp(executed)) / np.sqrt(off.size))
+    if abs(size) < max(_CERTAIN * std, _NOTABLE_OFFSET * np.ptp(ordered)):
+        return []
+    words = {"order": order, "answer": answer, "standing": _STANDING, "back": -size}
+    doubt = "an actuator whose neutral point is off looks the same"
+    by, fault = {"offset": size}, "feedback-offset"
+    return [finding_of(fault, channels, size, std, words, parameters=by, doubt=doubt)]
+
+
+def _early_execution(name: str, t: Samples, ordered: Samples, executed: Samples) -> list[Finding]:
+    """What is executed before it is ordered: one of the clocks is off.
+
+    Orders behind a first-order lag, shifted either way, are fitted to what was executed; a shift
+    to earlier must leave so little of what none leaves that chance does not explain it,
+    correlation counted.
+    """
+    step = median_interval(t)
+    shifts = step * np.arange(int(np.ceil(-_MOST_EARLY / step)), int(_MOST_EARLY / step) + 1)
+    shifts = shifts[:: max(1, shifts.size // 80)]
+    rests = [(_lagged_rest(t, ordered, executed, shift), float(shift)) for shift in shifts]
+    powers = np.array([np.sum(rest**2) for rest, _ in rests])
+    best = int(np.argmin(powers))
+    rest, shift = rests[best]
+    causal = float(np.min(powers[shifts >= -0.5 * step]))
+    if shift > -max(1.5 * step, _SMALLEST_EARLY) or not powers[best] > 0:
+        return []
+    rho = min(max(float(np.sum(rest[1:] * rest[:-1]) / powers[best]), 0.0), 0.99)
+    number = t.size * (1 - rho) / (1 + rho)
+    if 0.5 * number * np.log(causal / powers[best]) < _CLEAR:
+        return []
+    channels = order, answer = f"cmd_{name}", f"exec_{name}"
+    std = max(0.5 * step, float(np.diff(shifts)[0]))
+    words, by = {"order": order, "answer": answer, "early": -shift}, {"delay": shift}
+    doubt = "either of the two clocks may be off"
+    fault = "feedback-early"
+    return [finding_of(fault, channels, shift, std, words, parameters=by, doubt=doubt)]
+
+
+def _lagged_rest(t: Samples, ordered: Samples, executed: Samples, shift: float) -> Samples:
+    """What is left of what was executed by lagged orders of `shift` s before, at best."""
+    held = hold_at(t, ordered, t - shift)
+    held = np.where(np.isfinite(held), held, ordered[0])
+    rests = []
+    for constant in _LAGS:
+        lagged = held if constant == 0 else _first_order(t, held, constant)
+        matrix = np.stack([lagged, np.ones_like(lagged)], axis=-1)
+        rests.append(executed - matrix @ np.linalg.lstsq(matrix, executed, rcond=None)[0])
+    return min(rests, key=lambda rest: float(np.sum(rest**2)))
+
+
+def _first_order(t: Samples, held: Samples, constant: float) -> Samples:
+    """Held orders behind a first-order lag (s), from their steps; rows evenly in time."""
+    memory = np.exp(-np.arange(0.0, 8 * constant, median_interval(t)) / constant)
+    padded = np.concatenate([np.full(memory.size, held[0]), held])
+    return np.convolve(padded, memory / memory.sum())[memory.size : memory.size + held.size]
 
 
 def order_findings(trajectory: Trajectory) -> list[Finding]:

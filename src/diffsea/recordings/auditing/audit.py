@@ -7,11 +7,13 @@ after is not misled by what was found before; the recording itself is never chan
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
+from diffsea.recordings.auditing.axes import AxesEvidence
+from diffsea.recordings.auditing.bursts import drop_bursts
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
 from diffsea.recordings.auditing.channels import (
     bridge_outliers,
@@ -28,6 +30,11 @@ from diffsea.recordings.auditing.kinematics import (
     velocity_comparison,
 )
 from diffsea.recordings.auditing.responses import response_findings
+from diffsea.recordings.auditing.sampling import (
+    constant_findings,
+    straight_findings,
+    wrap_findings,
+)
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -39,24 +46,37 @@ _POSITION_AND_VELOCITY = ("x", "y", "psi", "u", "v")
 
 
 @one_blas_thread
-def audit(trajectory: Trajectory, level: float = SIGNIFICANCE) -> list[Finding]:
+def audit(
+    trajectory: Trajectory, level: float = SIGNIFICANCE, others: Sequence[AxesEvidence] = ()
+) -> list[Finding]:
     """Everything that is wrong with one recording, as far as kinematics can tell.
 
     Each finding has a size, a standard error where it is a number, and a repair. An empty
     list means that nothing was found, not that nothing is wrong: what a run does not excite
     (a latency at constant speed, a compass error on one heading) it cannot show. `level` is how
-    improbable by chance a latency, a bias or another number must be to be reported.
+    improbable by chance a latency, a bias or another number must be to be reported. `others` are
+    what runs that were recorded alike tell of the axes of velocities; `audit_set` knows them.
     """
     found = clock_findings(trajectory) + rounding_findings(trajectory)
-    found += order_findings(trajectory)
-    motion, wild = bridge_outliers(motion_of(trajectory))
-    motion, mislabelled = read_frames(motion)
+    found += order_findings(trajectory) + straight_findings(trajectory)
+    motion, single = cleaned_motion(trajectory)
+    motion, mislabelled = read_frames(motion, others)
     motion, frozen = drop_frozen(motion)
+    motion, thrown = drop_bursts(motion)
     motion, disagreements = _compare_channels(motion, level)
-    found += wild + mislabelled + frozen + disagreements
+    found += single + mislabelled + frozen + thrown + disagreements
     found += actuation_findings(trajectory) + response_findings(trajectory, motion)
     found.sort(key=lambda finding: KINDS.index(finding.kind))
     return [dataclasses.replace(finding, recording=trajectory.name) for finding in found]
+
+
+def cleaned_motion(trajectory: Trajectory) -> tuple[MeasuredMotion, list[Finding]]:
+    """Motion without values that no other channel is needed to doubt, and findings on those."""
+    motion, wrapped = wrap_findings(motion_of(trajectory))
+    motion, wild = bridge_outliers(motion)
+    constant = constant_findings(trajectory, motion)
+    motion = motion.without(name for fault in constant for name in fault.channels)
+    return motion, wrapped + wild + constant
 
 
 def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMotion, list[Finding]]:

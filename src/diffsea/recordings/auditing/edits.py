@@ -9,9 +9,10 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Bool
 
 from diffsea.recordings.mappings import UNITS, Column, Mapping, native_channels, with_channels
-from diffsea.series import between_samples, median_interval
+from diffsea.series import between_samples, median_interval, unwrap
 from diffsea.trajectory import Samples, Trajectory
 
 
@@ -170,9 +171,35 @@ class Blank(ChannelEdit):
     spans: tuple[tuple[float, float], ...]
 
     def new_series(self, old: Channels) -> Channels:
-        t = old["t"]
-        inside = np.any([(t >= start) & (t <= end) for start, end in self.spans], axis=0)
+        inside = within_spans(old["t"], self.spans)
         return {name: np.where(inside, np.nan, old[name]) for name in self.channels}
+
+
+def within_spans(t: Samples, spans: tuple[tuple[float, float], ...]) -> Bool[np.ndarray, "time"]:
+    """Which instants (s) lie in one of the spans, both ends included."""
+    starts, ends = np.array(spans, dtype=float).reshape(-1, 2).T
+    edges = np.zeros(t.size + 1, dtype=int)
+    np.add.at(edges, np.searchsorted(t, starts, side="left"), 1)
+    np.add.at(edges, np.searchsorted(t, ends, side="right"), -1)
+    return np.cumsum(edges[:-1]) > 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Rewrap(ChannelEdit):
+    """A heading whose values within spans of time (s) become NaN, unwrapped without them.
+
+    The first value that stays keeps its turn.
+    """
+
+    channel: str
+    spans: tuple[tuple[float, float], ...]
+
+    def new_series(self, old: Channels) -> Channels:
+        turn = 2 * np.pi
+        kept = np.where(within_spans(old["t"], self.spans), np.nan, old[self.channel])
+        whole = unwrap(np.mod(kept, turn))
+        first = np.argmax(np.isfinite(kept))
+        return {self.channel: whole + turn * np.round((kept[first] - whole[first]) / turn)}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,8 +12,9 @@ from diffsea.recordings.auditing.edits import Affine, Edit, Swap
 # In the order in which they are reported: sensors, labels, clocks and samples, what a channel is.
 KINDS = (
     *("sensor-latency", "gyro-bias", "heading-offset", "hard-iron", "lever-arm", "clock-drift"),
-    *("axes", "sign", "unit", "scale", "swapped-channels", "swapped-actuators"),
+    *("axes", "sign", "unit", "scale", "swapped-channels", "swapped-actuators", "feedback-error"),
     *("time-step", "gap", "duplicate", "stuck", "quantised", "outliers"),
+    *("constant", "interpolated", "bursts", "unreadable"),
     *("order-not-motion", "actuation-unit", "through-water"),
 )
 
@@ -87,6 +88,12 @@ def finding_of(
     return Finding(
         kind, value, std, unit, message, repair, channels, parameters or {}, "", edits, doubt, axis
     )
+
+
+def unreadable(recording: str, error: str) -> Finding:
+    """A recording that cannot be read, and what is wrong with it."""
+    found = finding_of("unreadable", ("t",), math.nan, math.nan, {"error": error})
+    return dataclasses.replace(found, recording=recording, channels=())
 
 
 def _finite_or_none(value: float) -> float | None:

@@ -12,11 +12,12 @@ to port) is as consistent as north, east, down: only the response to rudder or t
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+from diffsea.recordings.auditing.axes import AxesEvidence, axes_evidence, told_by
 from diffsea.recordings.auditing.edits import Affine, BodyAxes, ChannelEdit, Edit, Swap
 from diffsea.recordings.auditing.finding import (
     Finding,
@@ -33,6 +34,7 @@ from diffsea.trajectory import Samples
 _NEAR_UNIT = 0.05  # logarithm: how close a ratio must be to that of two units
 _CLEARLY_WRONG = 0.03  # share of squared displacement that the labels leave unexplained
 _BETTER = 0.25  # what share of that another reading may leave to be preferred
+_AMONG_LEAST = 1.5  # times the least misfit of any reading, up to which one may be the right one
 _GOOD = 0.2  # and what it may leave at most
 _CHANGE = 1.0  # how much a changed label counts against a reading
 _EXCHANGE = 1.2  # an exchange of two columns is a little less usual
@@ -112,7 +114,7 @@ class LabelReading:
     `misfit` is the share of squared displacement left by the best `scale` (displacement per
     integrated velocity, with its standard `error`); `labelled` is that share for the labels as
     they stand, with its standard error. `changes` counts what is read otherwise, `rivals` tells
-    of other readings that explain the motion as well.
+    of other readings that explain the motion as well, and `why` what else speaks for this one.
     """
 
     faults: tuple[Finding, ...]
@@ -123,23 +125,29 @@ class LabelReading:
     labelled: float = 0.0
     labelled_error: float = 0.0
     rivals: tuple[str, ...] = ()
+    why: str = ""
 
 
-def read_frames(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
+def read_frames(
+    motion: MeasuredMotion, others: Sequence[AxesEvidence] = ()
+) -> tuple[MeasuredMotion, list[Finding]]:
     """Motion with its labels put right, and what was wrong with them.
+
+    `others` are what other runs, recorded alike, tell of the axes of their velocities.
 
     A fault found by displacements has as its size the share of squared displacement that the
     labels leave unexplained, unless it has one of its own.
     """
     found: list[Finding] = []
     if motion.has("x", "y", "psi", "u", "v"):
-        reading = _best_reading(motion)
+        reading = _best_reading(motion, others)
         edits = (edit for fault in reading.faults for edit in fault.edits)
         motion = motion.with_channels(**_edited_channels(motion.values, edits))
         left = (
             f"; as labelled, velocity leaves {100 * reading.labelled:.2g} % of the squared "
             f"displacement unexplained, read so {100 * reading.misfit:.2g} %"
         )
+        left += f"; {reading.why}" if reading.why else ""
         rivals = [f"as well possible: {rival}" for rival in reading.rivals]
         for fault in reading.faults:
             size = (fault.value, 0.0) if fault.value else (reading.labelled, reading.labelled_error)
@@ -162,7 +170,7 @@ def _edited_channels(values: dict[str, Samples], edits: Iterable[Edit]) -> dict[
     return values
 
 
-def _best_reading(motion: MeasuredMotion) -> LabelReading:
+def _best_reading(motion: MeasuredMotion, others: Sequence[AxesEvidence]) -> LabelReading:
     """The labels as they are, unless another reading is far better; then the least changed."""
     start, end = windows(motion, ("x", "y", "psi", "u", "v"))
     turning, ratio, _ = _rate_fit(motion) if motion.has("psi", "r") else (0.0, 1.0, 0.0)
@@ -192,7 +200,48 @@ def _best_reading(motion: MeasuredMotion) -> LabelReading:
             )
             changes += _AGAINST_YAW_RATE * against
             readings.append(LabelReading(faults, misfit, scale, changes))
-    return _least_changed(motion, readings, start, end)
+    found = _least_changed(motion, readings, start, end)
+    return found if found.faults else _with_axes(motion, readings, found, others)
+
+
+def _with_axes(
+    motion: MeasuredMotion,
+    readings: list[LabelReading],
+    labelled: LabelReading,
+    others: Sequence[AxesEvidence],
+) -> LabelReading:
+    """The labels as they are, or earth axes where the ratio of misfits, or other runs, say so.
+
+    Earth axes must be among the readings of all labels that leave least of the displacement.
+    """
+    evidence = axes_evidence(motion)
+    earth = next(reading for reading in readings if reading.faults == _EARTH_VELOCITIES[0])
+    if earth.misfit > _AMONG_LEAST * min(reading.misfit for reading in readings):
+        return labelled
+    count = told_by(evidence, others)
+    if evidence.tells == "earth":
+        why = "displacements agree"
+    elif count:
+        why = f"this run alone does not tell clearly, but {count} recorded alike do; displacements agree"
+    else:
+        return labelled
+    why += (
+        f" to {evidence.earth:.2g} m/s with velocities in earth axes, to {evidence.ship:.2g} m/s "
+        "with those along the ship"
+    )
+    size = _share_left(motion, labelled.scale)
+    return dataclasses.replace(earth, labelled=size[0], labelled_error=size[1], why=why)
+
+
+def _share_left(motion: MeasuredMotion, scale: float) -> tuple[float, float]:
+    """Share of squared displacement that the labels leave, times `scale`, and its error."""
+    start, end = windows(motion, ("x", "y", "psi", "u", "v"))
+    path = integrate(motion.t, motion.earth_velocity)
+    moved = motion.place[end] - motion.place[start]
+    left = np.abs(moved - scale * (path[end] - path[start])) ** 2
+    total = np.abs(moved) ** 2
+    share = float(np.sum(left) / np.sum(total))
+    return share, float(np.sqrt(np.sum((left - share * total) ** 2)) / np.sum(total))
 
 
 def _scaled_misfit(moved: _Windowed, predicted: _Windowed) -> tuple[float, float]:
@@ -230,14 +279,12 @@ def _least_changed(
         for reading in good[1:3]
         if reading.changes < good[0].changes + 0.5
     ]
-    left = np.abs(moved - readings[0].scale * predicted) ** 2
-    total = np.abs(moved) ** 2
-    share = float(np.sum(left) / np.sum(total))
+    share, error = _share_left(motion, readings[0].scale)
     return dataclasses.replace(
         good[0],
         error=_scale_error(good[0], moved.size),
         labelled=share,
-        labelled_error=float(np.sqrt(np.sum((left - share * total) ** 2)) / np.sum(total)),
+        labelled_error=error,
         rivals=tuple(rivals),
     )
 

@@ -26,7 +26,7 @@ _MOST_TRIALS = 30  # far more than any order of repairs needs
 _STAGES: tuple[tuple[str, ...], ...] = (
     ("duplicate", "time-step"),
     ("swapped-channels", "axes", "sign", "unit"),
-    ("outliers", "stuck"),
+    ("interpolated", "outliers", "stuck", "constant", "bursts"),
     ("clock-drift",),
     ("sensor-latency",),
     ("scale", "gyro-bias", "hard-iron", "heading-offset", "through-water", "lever-arm"),

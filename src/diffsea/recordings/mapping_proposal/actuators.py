@@ -24,6 +24,7 @@ _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
 # Probabilities that a column is an order, or was realised, for each reason to think so: what moves
 # gradually may also be an order from a lever that somebody moves, or from a controller.
 _JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
+_MOST_TRIED = 3  # runs whose motion is asked for its answer to a column: each is audited
 _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 _UNNAMED = 0.5  # probability that what yaw answers best of the unnamed columns is a rudder
 _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
@@ -66,19 +67,19 @@ def find_actuators(
     `unnamed` are those whose names say nothing; the one that yaw answers best is taken for
     a rudder where no column is named as what turns the vessel.
     """
-    found = []
+    found, tried = [], runs[:_MOST_TRIED]
     for role in ROLES:
         columns = [c for c in runs[0].commanded if suggestions[c].weights[role] > NAMED]
         for column in _order_and_answer(role, columns, suggestions, runs):
             verdicts = []
             if role in ("rudder", "propeller"):
-                verdicts = [_push_of(run, role, run.commanded[column]) for run in runs]
+                verdicts = [_push_of(run, role, run.commanded[column]) for run in tried]
             chance = suggestions[column].weights[role]
             found.append(_actuator(column, role, chance, suggestions[column], runs, verdicts))
-    found = _with_sides(found, runs)
+    found = _with_sides(found, tried)
     if any(actuator.turns for actuator in found) or not unnamed:
         return found
-    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in runs] for c in unnamed}
+    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in tried] for c in unnamed}
     strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
     best = max(unnamed, key=lambda column: strength[column])
     if strength[best] > 0:

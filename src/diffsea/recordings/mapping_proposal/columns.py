@@ -32,6 +32,7 @@ _EVEN_STEPS = 1e-3  # spread of the steps, relative to their mean, of a clock wi
 _WIDEST_RUN = 2.0  # deg that a run may span: what moves farther is no position of one run
 _WINDOWS_PER_FILE = 60  # as many as a relation of a few coefficients needs
 _WINDOWS_OF_ALL = 240  # of all files together: bounds the time that a proposal takes
+_FEWEST_WINDOWS = 4  # of a file, however short beside the others
 _FINEST = 1e-6  # what rounding leaves at least of a relation's variance
 
 Windowed = Float[np.ndarray, "window"]
@@ -152,13 +153,22 @@ def find_geographic(
     return found[0], found[1]
 
 
+def varies(values: Samples) -> bool:
+    """Whether a column changes by more than rounding, and has enough numbers to tell."""
+    finite = values[np.isfinite(values)]
+    if finite.size <= 10 or finite.size <= 0.02 * values.size:
+        return False
+    return bool(np.ptp(finite) > 1e-9 * np.max(np.abs(finite)))
+
+
 def columns_over_time(
     columns: dict[str, Samples],
     clock: TimeColumn,
+    wanted: frozenset[str],
     place: tuple[str, str] | None = None,
     origin: tuple[float, float] | None = None,
 ) -> ColumnRecord:
-    """The columns on their clock, gaps interpolated; what never changes is left out.
+    """The wanted columns on their clock, gaps interpolated; what has no number is left out.
 
     Columns of latitude and longitude (deg), named by `place`, become metres north and east of
     the `origin` (deg). Without a time column, rows are counted.
@@ -171,10 +181,7 @@ def columns_over_time(
     kept = {}
     for name, values in columns.items():
         series = values[ahead]
-        finite = np.isfinite(series)
-        if name == clock.column or np.sum(finite) <= 10 or np.mean(finite) <= 0.02:
-            continue
-        if np.ptp(series[finite]) > 1e-9 * np.max(np.abs(series[finite])):
+        if name in wanted and name != clock.column and np.sum(np.isfinite(series)) > 1:
             kept[name] = bridge_gaps(t, series, np.inf)[0]
     if place is not None and origin is not None and set(place) <= set(kept):
         latitude, longitude = (np.radians(kept[name]) for name in place)
@@ -262,10 +269,15 @@ def _smooth(series: np.ndarray) -> np.ndarray:
 
 
 def windows_of(records: tuple[ColumnRecord, ...]) -> ColumnWindows:
-    """About sixty windows per file, of two samples at least, fewer where files are many."""
-    count = max(8, min(_WINDOWS_PER_FILE, _WINDOWS_OF_ALL // len(records)))
+    """About sixty windows of a file, of two samples at least, fewer where files are many.
+
+    Files share the windows by their lengths.
+    """
+    durations = np.array([record.t[-1] - record.t[0] for record in records])
+    shares = _WINDOWS_OF_ALL * durations / np.sum(durations)
     edges = []
-    for record in records:
+    for record, share in zip(records, shares, strict=True):
+        count = max(_FEWEST_WINDOWS, min(_WINDOWS_PER_FILE, int(share)))
         marks = np.linspace(record.t[0], record.t[-1], count + 1)
         edge = np.unique(np.searchsorted(record.t, marks).clip(0, record.t.size - 1))
         edges.append(edge if record.t.size > 2 * count else np.arange(0, record.t.size, 2))

@@ -4,6 +4,7 @@ A guess says how a channel is read, how sure that is, and why. How sure is the s
 posterior probabilities of all hypotheses that say the same of the channel.
 """
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -24,6 +25,7 @@ from diffsea.recordings.mapping_proposal.columns import (
     find_time_column,
     relate_to_integral,
     time_from_text_stamps,
+    varies,
     windows_of,
 )
 from diffsea.recordings.mapping_proposal.hypotheses import (
@@ -40,13 +42,12 @@ from diffsea.recordings.mapping_proposal.table_layout import (
     numeric_columns,
     sniff_layout,
 )
-from diffsea.recordings.mappings import UNITS, Column
+from diffsea.recordings.mappings import UNITS, Column, Mapping
 from diffsea.recordings.readers import read_recording
-from diffsea.trajectory import Samples
+from diffsea.trajectory import Samples, Trajectory
 
 
-_MOST_FILES = 6  # that the evidence is taken from: more would cost time and add little
-_MOST_ACTUATOR_FILES = 3  # that actuators are tried on, each of which is audited
+_MOST_FILES = 24  # that the evidence is taken from: more would cost time and add little
 _FEWEST_ROWS = 20  # fewer tell nothing of how columns are related
 _SURE_RUDDER = 0.55  # how sure a rudder must be to have a say in what is starboard
 _TELLING = 0.5  # weight of "other" above which a name says that it is something else
@@ -97,12 +98,13 @@ class ProposalEvidence:
 class _Source:
     """Files of one layout, as they are before anything is decided."""
 
-    paths: tuple[Path, ...]
+    paths: tuple[Path, ...]  # the longest first
     layout: TableLayout
-    table: dict[str, Samples]  # of the first file
+    table: dict[str, Samples]  # of the longest file
+    constant: frozenset[str]  # columns that never change, in any of the files
     clock: TimeColumn
     place: tuple[str, str] | None  # columns of latitude and longitude
-    origin: tuple[float, float] | None  # the first fix of the first file (deg)
+    origin: tuple[float, float] | None  # the first fix of the longest file (deg)
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -137,7 +139,7 @@ def gather_evidence(paths: Sequence[Path]) -> ProposalEvidence:
         guesses=tuple(guesses),
         actuators=tuple(actuators),
         origin=source.origin if any(guess.channel == "latitude" for guess in guesses) else None,
-        constant=frozenset(n for n, v in source.table.items() if np.nanmax(v) == np.nanmin(v)),
+        constant=source.constant,
     )
 
 
@@ -149,8 +151,7 @@ def _read_source(paths: Sequence[Path]) -> _Source:
                 f"{path} has other columns than {paths[0]}: a mapping fits files of one layout; "
                 "audit each layout by itself"
             )
-    kept = paths[:_MOST_FILES]
-    tables = [numeric_columns(path, layout) for path in kept]
+    kept, tables = _longest_tables(paths, layout)
     suggestions = {
         name: suggest_labels(name if layout.named else "", unit)
         for name, unit in zip(layout.names, layout.units, strict=True)
@@ -161,15 +162,23 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     if place is not None:
         fixes = [tables[0][name][np.isfinite(tables[0][name])][0] for name in place]
         origin = round(float(fixes[0]), 6), round(float(fixes[1]), 6)
-    records = [columns_over_time(table, clock, place, origin) for table in tables]
-    shared = set.intersection(*(set(record.columns) for record in records))
-    if not shared or min(record.t.size for record in records) < _FEWEST_ROWS:
+    varying = frozenset(
+        name for table in tables for name, values in table.items() if varies(values)
+    )
+    records = [columns_over_time(table, clock, varying, place, origin) for table in tables]
+    # Files that lack a column of the longest one, or are short, say nothing.
+    shared = set(records[0].columns)
+    told = [r.t.size >= _FEWEST_ROWS and shared <= set(r.columns) for r in records]
+    if not shared or not told[0]:
         raise UserError(
             f"{kept[0]} has too few rows or no column that changes, so nothing can be guessed; "
             "write a mapping that says which columns are which"
         )
+    kept = [path for path, tells in zip(kept, told, strict=True) if tells]
     records = tuple(
-        ColumnRecord(r.t, {n: v for n, v in r.columns.items() if n in shared}) for r in records
+        ColumnRecord(r.t, {n: v for n, v in r.columns.items() if n in shared})
+        for r, tells in zip(records, told, strict=True)
+        if tells
     )
     wrapped = set()  # columns that run from 0 to 360 and wrap, as a compass does
     for name, values in itertools.chain(*(record.columns.items() for record in records)):
@@ -177,13 +186,35 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         if in_range and np.any(np.abs(np.diff(values)) > 300):
             wrapped.add(name)
     prior, windows = HypothesisPrior(suggestions, frozenset(wrapped)), windows_of(records)
-    return _Source(tuple(kept), layout, tables[0], clock, place, origin, windows, prior)
+    fixed = frozenset(tables[0]) - varying
+    return _Source(tuple(kept), layout, tables[0], fixed, clock, place, origin, windows, prior)
+
+
+def _longest_tables(
+    paths: Sequence[Path], layout: TableLayout
+) -> tuple[list[Path], list[dict[str, Samples]]]:
+    """The files with most rows and their columns, longest first; those that are broken left out.
+
+    Raises:
+        UserError: none can be read.
+    """
+    read: list[tuple[Path, dict[str, Samples]]] = []
+    refused: list[UserError] = []
+    for path in paths:
+        try:
+            read.append((path, numeric_columns(path, layout)))
+        except UserError as error:
+            refused.append(error)
+    if not read:
+        raise refused[0]
+    read.sort(key=lambda item: -max((v.size for v in item[1].values()), default=0))
+    return [path for path, _ in read[:_MOST_FILES]], [table for _, table in read[:_MOST_FILES]]
 
 
 def _find_actuators(source: _Source, best: ScoredHypothesis) -> list[ActuatorColumn]:
     """Actuators among the columns that the best hypothesis leaves free.
 
-    The first files are read through the hypothesis, every free column as an order.
+    The longest files are read through the hypothesis, every free column as an order.
     """
     clock, suggestions = source.clock, source.prior.suggestions
     used = {*best.hypothesis.columns.values(), clock.column}
@@ -200,7 +231,9 @@ def _find_actuators(source: _Source, best: ScoredHypothesis) -> list[ActuatorCol
         time_step=None if clock.column else settled.step if math.isfinite(settled.step) else 1.0,
         velocity_axes="earth" if best.hypothesis.earth and best.hypothesis.psi else "body",
     )
-    runs = [read_recording(path, mapping) for path in source.paths[:_MOST_ACTUATOR_FILES]]
+    runs = _readable_runs(source.paths, mapping)
+    if not runs:
+        return []
     kept = [name for name in free if all(name in run.commanded for run in runs)]
     runs = [
         dataclasses.replace(run, commanded={name: run.commanded[name] for name in kept})
@@ -209,6 +242,15 @@ def _find_actuators(source: _Source, best: ScoredHypothesis) -> list[ActuatorCol
     others = [name for name in kept if suggestions[name].best == "other"]
     unnamed = [name for name in others if suggestions[name].weights["other"] < _TELLING]
     return find_actuators(runs, suggestions, unnamed)
+
+
+def _readable_runs(paths: Sequence[Path], mapping: Mapping) -> list[Trajectory]:
+    """The runs that can be read: what is wrong with another, its own audit will say."""
+    runs: list[Trajectory] = []
+    for path in paths:
+        with contextlib.suppress(UserError):
+            runs.append(read_recording(path, mapping))
+    return runs
 
 
 def _with_actuator_evidence(

@@ -110,20 +110,35 @@ def is_foreign(path: str | Path) -> bool:
     Logs of robots are not, nor what cannot be read as a table at all, nor a file of nothing
     but native columns of which some are missing: there a mapping is of no help.
     """
-    path = Path(path)
+    return _foreign_names(Path(path)) is not None
+
+
+def foreign_layouts(paths: Sequence[Path]) -> list[list[Path]]:
+    """The files that cannot be read without a mapping, those of one layout together."""
+    groups: dict[tuple[str, ...], list[Path]] = {}
+    for path in paths:
+        names = _foreign_names(path)
+        if names is not None:
+            groups.setdefault(names, []).append(path)
+    return list(groups.values())
+
+
+def _foreign_names(path: Path) -> tuple[str, ...] | None:
+    """The names of the columns of a file that is foreign; None of any other."""
     try:
         if logs.is_log(path):
-            return False
+            return None
         layout = sniff_layout(path)
     except UserError:
-        return False
+        return None
     how, names = layout.mapping, layout.names
     plain = (how.delimiter, how.decimal, how.encoding, how.header_lines) == (
         *(",", ".", "utf-8-sig"),
         1 if layout.text else None,
     )
     complete = "t" in names and any(name in MOTION_CHANNELS for name in names)
-    return not (plain and (complete or all(is_channel(name) for name in names)))
+    native = plain and (complete or all(is_channel(name) for name in names))
+    return None if native else names
 
 
 def _level(sure: float) -> str:

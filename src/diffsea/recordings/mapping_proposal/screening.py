@@ -189,9 +189,11 @@ class ColumnScreening:
         for every velocity that the heading turns.
         """
         free = [name for name in self.names if name != heading.column]
+        tables: dict[Velocities, dict[str, float]] = {(None, None, False): dict.fromkeys(free, 0.0)}
+        if not free:
+            return tables
         targets = np.stack([self.windows.of("increments", name) for name in free], axis=1)
         totals = np.maximum(np.sum(targets**2, axis=0), 1e-300)
-        tables: dict[Velocities, dict[str, float]] = {(None, None, False): dict.fromkeys(free, 0.0)}
         options: list[tuple[tuple[str, ...], bool]] = []
         if heading.column is not None:
             options = [((u,), False) for u in free]
