@@ -65,7 +65,11 @@ def audit(
     motion, thrown = drop_bursts(motion)
     motion, disagreements = _compare_channels(motion, level)
     found += single + mislabelled + frozen + thrown + disagreements
-    found += actuation_findings(trajectory) + response_findings(trajectory, motion)
+    orders = {name for one in found if one.kind == "order-not-motion" for name in one.channels}
+    executed = actuation_findings(trajectory)
+    # An order under the name of what was executed is no feedback that could be off.
+    found += [f for f in executed if f.kind != "feedback-error" or not orders & {*f.channels}]
+    found += response_findings(trajectory, motion)
     found.sort(key=lambda finding: KINDS.index(finding.kind))
     return [dataclasses.replace(finding, recording=trajectory.name) for finding in found]
 

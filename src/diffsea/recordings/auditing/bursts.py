@@ -8,7 +8,7 @@ stand out in the differences of that misfit, which elsewhere are those of noise.
 import math
 
 import numpy as np
-from jaxtyping import Bool, Complex
+from jaxtyping import Bool, Complex, Float
 
 from diffsea.recordings.auditing.edits import Blank
 from diffsea.recordings.auditing.finding import Finding, finding_of
@@ -25,6 +25,7 @@ _BY_CHANCE = 1e-5  # probability that noise alone makes one such jump anywhere i
 _UNEVEN = 1.5
 # Of the distance travelled: a velocity or a heading (rad) that is off by no more makes no burst.
 _VELOCITY_ERROR = 0.15
+_LEVER = 0.3  # m: twice the smallest lever arm that is named, which half a turn swings so far
 _FEWEST_SAMPLES = 100
 _FEWEST_IN_BURST = 3  # samples: fewer are single wild values
 _MOST_OF_RUN = 0.3  # what is more usual than that is how the receiver is
@@ -34,8 +35,8 @@ def drop_bursts(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
     """Motion without the spans in which positions jump about, and a finding if there are any.
 
     A span counts in which the misfit changes within 0.5, 1.5 or 4 s by more than noise of the
-    usual scale ever would in a run of that length, and by more than an error of velocity or
-    heading would make of the distance travelled.
+    usual scale ever would in a run of that length, and by more than a lever arm, and an error of
+    velocity or heading over the distance travelled, would.
     """
     if not motion.has(*_CHANNELS) or motion.t.size < _FEWEST_SAMPLES:
         return motion, []
@@ -68,26 +69,41 @@ def _bridged(
 def _jumping(
     motion: MeasuredMotion, known: Bool[np.ndarray, "time"]
 ) -> tuple[Bool[np.ndarray, "time"], float]:
-    """Which samples lie in a burst, and the usual change (m) of the misfit over the first lag."""
+    """Which samples lie in a burst, and the usual change (m) of the misfit over the first lag.
+
+    What a late sensor and a lever arm explain of the changes is taken off first.
+    """
     misfit, t = motion.path_misfit, motion.t
     travelled = integrate(t, np.abs(motion.earth_velocity))
-    inside, usual = np.zeros(t.shape, dtype=bool), 0.0
+    turn, inside, usual = np.exp(1j * motion.values["psi"]), np.zeros(t.shape, dtype=bool), 0.0
     for lag in _LAGS:
         rows = max(1, int(round(lag / motion.interval)))
         if 8 * rows > t.size:
             break
-        change = misfit[rows:] - misfit[:-rows]
+        causes = np.stack([motion.earth_velocity, turn, 1j * turn], axis=-1)
+        causes, change = causes[rows:] - causes[:-rows], misfit[rows:] - misfit[:-rows]
         both = known[rows:] & known[:-rows]
         if np.sum(both) < _FEWEST_SAMPLES:
             break
+        change = change - causes @ _real_gains(causes[both], change[both])
         parts = np.real(change[both]), np.imag(change[both])
         scale = math.hypot(*(robust_scale(part - np.median(part)) for part in parts)) / math.sqrt(2)
         usual = usual or scale
-        room = _VELOCITY_ERROR * (travelled[rows:] - travelled[:-rows])
+        room = _LEVER + _VELOCITY_ERROR * (travelled[rows:] - travelled[:-rows])
         far = np.abs(change - np.median(change[both])) - room > _limit(t.size) * scale
         for at in np.flatnonzero(far & both):
             inside[at : at + rows + 1] = True
     return _trimmed(misfit, inside, usual), usual
+
+
+def _real_gains(
+    causes: Complex[np.ndarray, "row cause"], change: Complex[np.ndarray, "row"]
+) -> Float[np.ndarray, "cause"]:
+    """Real gains with which the causes explain the change best."""
+    matrix = np.concatenate([np.real(causes), np.imag(causes)])
+    return np.linalg.lstsq(matrix, np.concatenate([np.real(change), np.imag(change)]), rcond=1e-9)[
+        0
+    ]
 
 
 def _limit(count: int) -> float:
