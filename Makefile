@@ -20,11 +20,11 @@ demo: setup
 lint: setup
 	$(BIN)/ruff check src tests experiments
 	$(BIN)/ruff format --check src tests experiments
-	$(BIN)/pyright
+	$(BIN)/pyright --threads 2
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --durations 30
 
 quick: setup
 	$(BIN)/ruff check src tests experiments
