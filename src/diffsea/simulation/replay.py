@@ -218,7 +218,9 @@ def _replay_inputs(
     if commanded:
         notes.append(f"executed {', '.join(commanded)} reconstructed from the orders")
     acting = {
-        channel: np.asarray(true_actuation(vessel, channel, run.t, values))
+        channel: np.asarray(
+            true_actuation(vessel, channel, jnp.asarray(run.t), jnp.asarray(values))
+        )
         for channel, values in over_rows(run, orders, executed).items()
     }
     steps, rows = _integration_steps(vessel, run, orders, acting)

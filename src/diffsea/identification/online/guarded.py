@@ -269,7 +269,10 @@ def _run_along(
     run = recording.counted()
     t, motion = run.t, np.stack([*run.motion.values()], -1)
     orders, executed = recorded_actuation(vessel, recording)
-    right = {c: np.asarray(true_actuation(vessel, c, t, done)) for c, done in executed.items()}
+    right = {
+        c: np.asarray(true_actuation(vessel, c, jnp.asarray(t), jnp.asarray(done)))
+        for c, done in executed.items()
+    }
     actuation = {c: right.get(c, orders[c]) for c in vessel.channels}
     interval = 5 * median_interval(t)
     estimator = make_estimator(measured=tuple(executed), interval=interval)
