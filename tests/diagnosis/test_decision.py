@@ -179,6 +179,24 @@ def test_what_was_left_before_a_name_was_withdrawn_counts():
     assert unexplained_p_value(kept, final, NO_BOOTSTRAP) == pytest.approx(0.02, rel=0.1)
 
 
+def test_what_failed_leaves_behind_only_what_it_mimics():
+    seen = np.eye(4)
+
+    def with_columns(one, *columns):
+        return dataclasses.replace(
+            one, candidate=dataclasses.replace(one.candidate, columns=seen[:, list(columns)])
+        )
+
+    failed = with_columns(judged("sensor-latency:yaw_rate", 300.0, UNSTEADY), 0, 1)
+    alike = with_columns(hypothesis("clock-drift", 90.0), 0)
+    other = with_columns(hypothesis("thrust-delay:propulsion", 90.0), 2)
+    weak = with_columns(hypothesis("thrust-lag:propulsion", 3.0), 2)
+    wild = with_columns(hypothesis("backlash:propulsion", 90.0, is_physical=False), 3)
+    assert decide(listed(failed, other), None) is None
+    left_behind = listed(failed, alike, other, weak, wild).left_behind()
+    assert left_behind == ("thrust-delay:propulsion",)
+
+
 def test_of_a_whole_and_its_part_the_part_is_named_unless_the_whole_explains_more():
     whole, part = judged("actuator-response:steering", 63.0), judged("thrust-delay:steering", 60.0)
     assert decide(listed(whole, part), None) is part

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.diagnosis.score import Constancy, constancy_test
-from diffsea.diagnosis.screening import Candidate, Screening, short_list
+from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.free_predictions import MotionChange, motion_change
@@ -80,6 +80,10 @@ class Hypothesis:
         """Whether the other is this with something more, on the same channels."""
         own, whole = EFFECTS[self.effect], EFFECTS[other.effect]
         return catalogue_name(own.name) in whole.parts and own.place == whole.place
+
+    def share_mimicked_by(self, other: "Hypothesis") -> float:
+        """Share of its information that the other reproduces, to first order, 0 to 1."""
+        return mimicry(self.candidate.columns, other.candidate.columns)
 
     def is_akin_to(self, other: "Hypothesis") -> bool:
         """Whether it has the other's name, or one of the two is part of the other."""
@@ -372,6 +376,22 @@ class ShortList:
             one.effect
             for one in self.hypotheses
             if one.evidence(one.inflation) > self.needed and not one.is_akin_to(accepted)
+        )
+
+    def left_behind(self) -> tuple[str, ...]:
+        """Effects with evidence of their own that better ones had left behind, for nothing.
+
+        For a list of which `decide` accepted none. What was fitted to its end and failed may say
+        that something is missing; an effect of which it mimics little is not concerned by that.
+        """
+        failed = [one for one in self.hypotheses if one.gain is not None]
+        return tuple(
+            one.effect
+            for one in self.hypotheses
+            if one.gain is None
+            and one.is_physical
+            and one.evidence(one.inflation) > self.needed
+            and all(one.share_mimicked_by(other) < CONFUSABLE for other in failed)
         )
 
     @property

@@ -251,6 +251,11 @@ def forward_search(
         if not now.searched:
             now = replace(now, short_list=tried)
         best = decide(tried, _exchange(data, now.final, progress))
+        if best is None and (others := tried.left_behind()):
+            progress("none of the strongest holds: asking for what they left behind")
+            further = refit_candidates(data, now.final, now.final_screening, progress, others)
+            best = decide(further, _exchange(data, now.final, progress))
+            tried = tried if best is None else further
         if best is None:
             room = len(now.searched) < MOST_EFFECTS - 1
             added = find_pair(data, tried, null, progress) if room else ()

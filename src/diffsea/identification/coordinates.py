@@ -8,6 +8,7 @@ chosen, and what is strong soon is better seen by a secant than by the tangent a
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -225,7 +226,10 @@ def expansion_points(
             trials = one.trials if isinstance(one, Coefficient) else ()
             tangents += [at(place, trial) for trial in trials]
     amounts = tuple(np.flatnonzero(effect.amounts).tolist())
+    secants = [at(0, size) for size in effect.leading.secants]
+    if effect.parts:  # which act together: what is late in two ways looks like neither
+        secants += itertools.product(*(one.secants for one in effect.sized))
     return [
         *(ExpansionPoint(effect.name, point, amounts) for point in tangents),
-        *(ExpansionPoint(effect.name, at(0, s), (0,), True) for s in effect.leading.secants),
+        *(ExpansionPoint(effect.name, point, (0,), True) for point in secants),
     ]

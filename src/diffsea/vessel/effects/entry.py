@@ -128,6 +128,11 @@ class Effect:
         return any(isinstance(one, Coefficient) for one in self.coordinates)
 
     @property
+    def sized(self) -> tuple[Size, ...]:
+        """The coordinates that say how much of it there is."""
+        return tuple(one for one in self.coordinates if isinstance(one, Size))
+
+    @property
     def leading(self) -> Size:
         """The first coordinate: the one amount whose sign and secants matter."""
         first = self.coordinates[0]
