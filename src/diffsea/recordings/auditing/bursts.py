@@ -42,11 +42,20 @@ def drop_bursts(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Finding]]:
         return motion, []
     known = np.all([motion.known[name] for name in _CHANNELS], axis=0)
     inside, scale = _jumping(motion, known)
-    spans = [s for s in stretches(inside) if s.stop - s.start >= _FEWEST_IN_BURST]
-    if not spans or np.mean(inside) > _MOST_OF_RUN:
+    if not np.any(inside) or np.mean(inside) > _MOST_OF_RUN:
         return motion, []
     misfit = motion.path_misfit
-    largest = float(np.max(np.abs(misfit - _bridged(motion.t, misfit, inside))[inside]))
+    off = np.abs(misfit - _bridged(motion.t, misfit, inside))
+    # Off by more than noise, and not only on the way to where it stays, as at a late start.
+    beyond = _limit(motion.t.size) / _UNEVEN * scale
+    spans = [s for s in stretches(inside) if s.stop - s.start >= _FEWEST_IN_BURST]
+    spans = [span for span in spans if np.max(off[span]) > beyond]
+    if not spans:
+        return motion, []
+    inside = np.zeros(inside.shape, dtype=bool)
+    for span in spans:
+        inside[span] = True
+    largest = float(np.max(off[inside]))
     seconds = [float(motion.t[s.stop - 1] - motion.t[s.start]) for s in spans]
     times = tuple((float(motion.t[s.start]), float(motion.t[s.stop - 1])) for s in spans)
     words = {"count": len(spans), "seconds": sum(seconds), "start": times[0][0]}
