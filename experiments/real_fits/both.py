@@ -103,7 +103,8 @@ def study(name: str) -> None:
         print(f"[{time.monotonic() - began:5.0f} s] {name}, {way}: {found.outcome.sentence}")
         for row in rows:
             told = [
-                f"{quantity} {factor * row['file'][quantity]:.2g} -> {factor * row['fit'][quantity]:.2g}"
+                f"{quantity} {factor * row['file'][quantity]:.2g} -> "
+                f"{factor * row['fit'][quantity]:.2g}"
                 for quantity, factor in (
                     ("position", 1.0),
                     ("heading", math.degrees(1.0)),

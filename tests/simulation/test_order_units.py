@@ -1,4 +1,4 @@
-"""Orders in another unit than the vessel's are said, and stop what would be calculated with them."""
+"""Orders in another unit than the vessel's are told, and stop what would be made of them."""
 
 import numpy as np
 import pandas as pd
@@ -111,8 +111,9 @@ def test_nothing_is_calculated_with_orders_in_another_unit(work, tmp_path, capsy
     boat, bad = ORACLE / "usv.toml", tmp_path / "bad.csv"
     t = 0.2 * np.arange(200)
     pulses = 1500 + 300 * SHARE
-    pd.DataFrame({"t": t, "x": t, "y": 0 * t, "psi": 0 * t, "u": 1 + 0 * t, "v": 0 * t, "r": 0 * t,
-                  "cmd_port": pulses, "cmd_starboard": pulses}).to_csv(bad, index=False)  # fmt: skip
+    motion = {"x": t, "u": 1 + 0 * t} | dict.fromkeys(("y", "psi", "v", "r"), 0 * t)
+    orders = dict.fromkeys(("cmd_port", "cmd_starboard"), pulses)
+    pd.DataFrame({"t": t} | motion | orders).to_csv(bad, index=False)
     with pytest.raises(UserError, match=r"bad.csv: cmd_port is .*pulse widths in us \(likewise"):
         work(boat, bad)
     status = main([work.__name__, str(boat), str(bad), "-o", str(tmp_path / "out")])

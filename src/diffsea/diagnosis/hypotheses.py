@@ -477,10 +477,15 @@ def refit_candidates(
         place = problem.layout.indices((name,))[0]
         if abs(current.coordinates[place]) > EFFECTS[name].leading.valid_to:
             doubtful |= set(declared[name])
+    listed = among or short_list(screening, declared)
+    # Sizes that come out negative, as a first look does not tell, are those of the mirrors.
+    mirrors = [EFFECTS[name].mirror for name in listed]
     names = [
         name
-        for name in among or short_list(screening, declared)
-        if has_room(problem, current, name) and catalogue_name(name) not in doubtful
+        for name in dict.fromkeys([*listed, *mirrors])
+        if name in screening.candidates
+        and has_room(problem, current, name)
+        and catalogue_name(name) not in doubtful
     ]
 
     def refit_first(name: str) -> Hypothesis:

@@ -52,7 +52,7 @@ _SENTENCES = {
 
 @dataclasses.dataclass(frozen=True)
 class Whiteness:
-    """The portmanteau test of Ljung and Box (1978) on the channel whose innovations are coloured most.
+    """The portmanteau test of Ljung and Box (1978) on the most coloured channel of innovations.
 
     Attributes:
         p_value: chance of so much correlation among white ones, by the number of channels.

@@ -86,8 +86,8 @@ class AbstractActuator(eqx.Module):
     def orders(self, throttle: Scalar, angle: Scalar) -> dict[str, Scalar]:
         """Orders of its channels, its share in control allocation.
 
-        `throttle` is what it shares with no other: N of its own thrust at rest, or rev/s. A rudder of
-        the same `angle` (rad) turns the vessel as much; positive is a turn to starboard. Side
+        `throttle` is what it shares with no other: N of its own thrust at rest, or rev/s. A rudder
+        of the same `angle` (rad) turns the vessel as much; positive is a turn to starboard. Side
         thrusts are left alone.
         """
         of_role = {"propulsion": throttle, "steering": angle, "side thrust": 0.0}

@@ -109,7 +109,7 @@ class FitResult(Tabulated):
 
     @property
     def free(self) -> dict[str, dict[str, float]]:
-        """Errors of free predictions by the fit (m, rad, m/s, rad/s), by horizon (s) and quantity."""
+        """Errors of free predictions by the fit (SI units), by horizon (s) and quantity."""
         return free_errors(horizon_table(self.predicted), "fitted")
 
     @property

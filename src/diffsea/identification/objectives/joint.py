@@ -1,6 +1,7 @@
 """Recordings and trial numbers in one fit.
 
-With y the recordings, m the given trial numbers of standard deviations s, and theta the coordinates,
+With y the recordings, m the given trial numbers of standard deviations s, and theta the
+coordinates,
 
     -2 log p(theta | y, m) = D(theta; y) + sum_k ((m_k(theta) - m_k) / s_k)^2 + |prior strains|^2
 

@@ -222,7 +222,8 @@ def _with_axes(
     if evidence.tells == "earth":
         why = "displacements agree"
     elif count:
-        why = f"this run alone does not tell clearly, but {count} recorded alike do; displacements agree"
+        why = f"this run alone does not tell clearly, but {count} recorded alike do; displacements "
+        why += "agree"
     else:
         return labelled
     why += (

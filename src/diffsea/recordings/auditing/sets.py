@@ -1,7 +1,8 @@
-"""The audit of several recordings as one set: what one cannot tell, others may that were made alike.
+"""The audit of several recordings as one set: what one cannot tell, others made alike may.
 
-Runs of a set need not be of one convention: a logger is set up anew between two days. Each is judged
-by itself; only where it cannot tell, and all others that can agree, does it take what they tell.
+Runs of a set need not be of one convention: a logger is set up anew between two days. Each is
+judged by itself; only where it cannot tell, and all others that can agree, does it take what they
+tell.
 """
 
 from collections.abc import Hashable, Sequence

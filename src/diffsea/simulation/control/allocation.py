@@ -1,8 +1,8 @@
 """Control allocation, and throttle and speed of a straight run, each from the other.
 
 A throttle is a vessel's own measure of push: total thrust in N for thrusters, whatever the unit of
-their orders, and rev/s for propellers and for thrusters with a curve of their shaft speed. Every trial speaks in throttle and
-rudder angle, whatever the vessel is steered by.
+their orders, and rev/s for propellers and for thrusters with a curve of their shaft speed. Every
+trial speaks in throttle and rudder angle, whatever the vessel is steered by.
 """
 
 import math

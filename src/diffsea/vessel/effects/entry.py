@@ -96,6 +96,7 @@ class Effect:
     needs_feedback: bool = False  # whether recordings must have measured what it acts on
     refusal: Callable[[Vessel, Numbers], str] | None = None  # why a file cannot state it, or ""
     read: "Callable[[Vessel, Table, Sequence[Effect], str], Vessel] | None" = None  # own table keys
+    mirror: str = ""  # the entry that this would be, were its leading size negative
     parts: tuple[str, ...] = ()  # names of those that it is where some of its amounts are zero
 
     @property

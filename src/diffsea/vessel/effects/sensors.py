@@ -76,9 +76,12 @@ def _read_latency(vessel: Vessel, table: Table, variants: Sequence[Effect], wher
 
 
 def _latency(
-    variant: str, *groups: str, phrase: str = "a measured {channels} that arrives {delay:size} late"
+    variant: str,
+    *groups: str,
+    phrase: str = "a measured {channels} that arrives {delay:size} late",
+    mirror: str = "",
 ) -> Effect:
-    """Channels that are late by one delay."""
+    """Channels that are late by one delay; the variant `mirror` has all the others."""
 
     @sensor_effect(
         f"sensor-latency:{variant}",
@@ -86,6 +89,7 @@ def _latency(
         phrase=phrase,
         confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
+        mirror=mirror and f"sensor-latency:{mirror}",
         read=_read_latency,
     )
     def latency(vessel: Vessel, delay: CoordinateValues) -> Vessel:
@@ -263,13 +267,15 @@ SENSORS = (
     heading_offset,
     hard_iron,
     gyro_bias,
-    *(_latency(group, group) for group in LATENCY_CHANNELS),
+    _latency("position", "position", mirror="but_position"),
+    *(_latency(group, group) for group in ("heading", "velocity", "yaw_rate")),
     # Positions that are ahead of everything else, as of a receiver that extrapolates: what is late
     # is all the others.
     _latency(
         "but_position",
         *("heading", "velocity", "yaw_rate"),
         phrase="a measured position that is {delay:size} ahead of all else measured",
+        mirror="position",
     ),
     lever_arm,
     clock_drift,

@@ -215,8 +215,8 @@ def _read_curve(vessel: Vessel, table: Table, variants: Sequence[Effect], where:
 )
 def thrust_curve(vessel: Vessel, at: CoordinateValues) -> Vessel:
     """Every propulsor acts as at the order n' in place of n, N the largest: a limit L by a knee,
-    n_1 = n (1 + (|n| / L)^8)^(-1/8); a dead band b, n_2 = sgn(n_1) max(|n_1| - b, 0); an exponent p,
-    n_3 = N sgn(n_2) (|n_2| / N)^p; a ratio a, n' = a n_3 astern and n_3 ahead.
+    n_1 = n (1 + (|n| / L)^8)^(-1/8); a dead band b, n_2 = sgn(n_1) max(|n_1| - b, 0); an exponent
+    p, n_3 = N sgn(n_2) (|n_2| / N)^p; a ratio a, n' = a n_3 astern and n_3 ahead.
     """
     return _with_curve(vessel, PROPULSION.all_on(vessel), at)
 
