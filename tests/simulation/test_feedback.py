@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """Records of actuation that are off: what acted is found again, in replays and in the filter."""
 
 import math

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -191,7 +191,7 @@ def clock_drift(vessel: Vessel, by: CoordinateValues) -> Vessel:
     return dataclasses.replace(vessel, sensors=dataclasses.replace(vessel.sensors, clock=clock))
 
 
-def _with_feedback(vessel: Vessel, errors: dict[str, dict[str, Scalar]]) -> Vessel:
+def _with_feedback(vessel: Vessel, errors: Mapping[str, Mapping[str, Scalar]]) -> Vessel:
     """Errors of the records of some channels, by channel, added to their own."""
     known = vessel.sensors.feedback
     changed = {c: known.get(c, Feedback()).plus(**more) for c, more in errors.items()}
