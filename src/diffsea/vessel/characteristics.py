@@ -29,8 +29,8 @@ class Characteristic(eqx.Module):
     `n_1 = n (1 + (|n| / L)^8)^(-1/8)`, with `(N / L)^8 = (1 + loss)^8 - 1`: the largest order loses
     `loss / (1 + loss)`; a dead band of half width b, `n_2 = sgn(n_1) max(|n_1| - b, 0)`; an
     exponent, `n_3 = N sgn(n_2) (|n_2| / N)^p`; and `n' = a n_3` astern, n_3 ahead. Absent to the
-    last bit where `deadband`, `steepness` p - 1, `astern` a - 1 and `loss` are zero, with derivatives
-    there.
+    last bit where `deadband`, `steepness` p - 1, `astern` a - 1 and `loss` are zero, with
+    derivatives there.
     """
 
     largest: Scalar  # N, in the unit of the orders, from neutral
