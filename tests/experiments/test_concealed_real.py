@@ -45,6 +45,21 @@ COLUMNS = ["cmd_port", "cmd_starboard"]
 SIDES = {"cmd_port": -1.0, "cmd_starboard": 1.0}
 
 
+def test_what_the_page_says_of_real_sets_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines()]
+    told = {row[0]: row for row in rows if len(row) == 5}
+    lines = (FOLDER / "results" / "first_look.jsonl").read_text(encoding="utf-8").splitlines()
+    assert lines
+    for line in map(json.loads, lines):
+        _, verdict, named, ahead, _ = told[line["id"]]
+        assert verdict == line["verdict"], line["id"]
+        assert named == (", ".join(results.names(line)) or "nothing"), line["id"]
+        errors = [line["free"][model]["20"] for model in ("nominal", "diagnosed")]
+        errors = [f"{one.get('position', one['u']):#.2g}".rstrip(".") for one in errors]
+        assert ahead == " -> ".join(dict.fromkeys(errors)), line["id"]
+
+
 # Independence
 
 

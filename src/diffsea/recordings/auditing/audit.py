@@ -13,14 +13,7 @@ import numpy as np
 
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
 from diffsea.recordings.auditing.axes import AxesEvidence
-from diffsea.recordings.auditing.bursts import drop_bursts
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
-from diffsea.recordings.auditing.channels import (
-    bridge_outliers,
-    clock_findings,
-    drop_frozen,
-    rounding_findings,
-)
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
 from diffsea.recordings.auditing.frames import read_frames
@@ -30,7 +23,14 @@ from diffsea.recordings.auditing.kinematics import (
     velocity_comparison,
 )
 from diffsea.recordings.auditing.responses import response_findings
-from diffsea.recordings.auditing.sampling import (
+from diffsea.recordings.auditing.samples.bursts import drop_bursts
+from diffsea.recordings.auditing.samples.channels import (
+    bridge_outliers,
+    clock_findings,
+    drop_frozen,
+    rounding_findings,
+)
+from diffsea.recordings.auditing.samples.sampling import (
     constant_findings,
     straight_findings,
     wrap_findings,
