@@ -25,6 +25,9 @@ from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import resimulate
 
 
+pytestmark = pytest.mark.slow
+
+
 FREE = ("X_u", "N_r")
 
 

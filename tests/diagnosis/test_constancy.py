@@ -13,6 +13,9 @@ from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 
 
+pytestmark = pytest.mark.slow
+
+
 FREE, BIAS = ("X_u", "N_r"), 0.01  # rad/s
 SECONDS, STEP = 96.0, 0.25
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import CLEAR_GAIN, STEADY, UNSTEADY, candidate, hypothesis, judged
 
+from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
-from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide, with_mirrors
 from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
@@ -169,6 +170,10 @@ def test_the_chance_that_is_stated_is_the_one_that_decided(evidence, expected, v
     p_value = unexplained_p_value(found, found, NO_BOOTSTRAP)
     assert p_value == pytest.approx(expected, rel=0.1)
     assert verdict_on((), p_value) == verdict
+    # Beside a fault that the audit had found, too.
+    fault = AcceptedEffect(judged("gyro-bias", 90.0), listed())
+    beside = dataclasses.replace(found, effects=(fault,), audited=("gyro-bias",))
+    assert unexplained_p_value(beside, beside, NO_BOOTSTRAP) == p_value
 
 
 def test_what_was_left_before_a_name_was_withdrawn_counts():
@@ -195,6 +200,19 @@ def test_what_failed_leaves_behind_only_what_it_mimics():
     assert decide(listed(failed, other), None) is None
     left_behind = listed(failed, alike, other, weak, wild).left_behind()
     assert left_behind == ("thrust-delay:propulsion",)
+
+
+def test_what_had_evidence_is_owed_an_answer_beside_what_was_accepted():
+    accepted, strong = judged("sensor-latency:velocity", 300.0), judged("wind", 60.0)
+    same, weak = judged("sensor-latency:yaw_rate", 90.0), judged("current", 3.0)
+    assert listed(accepted, same, strong, weak).owed_beside(accepted) == ("wind",)
+
+
+def test_what_may_be_negative_is_asked_for_as_its_mirror_too():
+    early, late = "sensor-latency:but_position", "sensor-latency:position"
+    assert with_mirrors([late, "wind"]) == [late, "wind", early]
+    assert with_mirrors([early, late]) == [early, late]
+    assert all(EFFECTS[e.mirror].mirror == name for name, e in EFFECTS.items() if e.mirror)
 
 
 def test_of_a_whole_and_its_part_the_part_is_named_unless_the_whole_explains_more():

@@ -16,6 +16,9 @@ from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 RUNS = ("random-fast", "zigzag-slow", "random-slow")
 
 

@@ -11,7 +11,7 @@ from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, usv
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, audit
-from diffsea.diagnosis.audited import audited_effects
+from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
@@ -32,6 +32,9 @@ from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.report.words import incomplete_sentence
+
+
+pytestmark = pytest.mark.slow
 
 
 FREE = ("X_u", "N_r")
@@ -140,6 +143,9 @@ def test_what_the_audit_doubts_or_finds_in_few_runs_or_in_several_sizes_is_no_hy
 
 def test_a_search_whose_time_is_over_says_so(data, nominal, screening):
     over = Deadline(seconds=-1.0)
+    fault = AuditedEffect("gyro-bias", np.ones(1))
+    begins = believe_audit(data, nominal, screening, [fault], no_progress, over)
+    assert not begins.complete and begins.effects == ()
     cut = forward_search(data, begun(nominal, screening), NO_BOOTSTRAP, no_progress, over)
     assert not cut.complete and cut.effects == () and cut.final is nominal
     record = summary(explain(data, cut, NO_BOOTSTRAP, no_progress, over), [])

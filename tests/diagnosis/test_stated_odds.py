@@ -15,6 +15,9 @@ from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
 
 
+pytestmark = pytest.mark.slow
+
+
 NAMES = ("gyro-bias", "heading-offset", "current")  # of one, one and two coordinates
 PARAMETERS = (Parameter("a", 0.0, spread=0.5), Parameter("b", 0.0, spread=1.0))
 PROBLEMS, VALUES = 1500, 40

@@ -39,6 +39,9 @@ from diffsea.vessel.files import build
 from diffsea.vessel.forces import Wind
 
 
+pytestmark = pytest.mark.slow
+
+
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr", "N_rdot")
 
 
@@ -94,7 +97,6 @@ def fitted(document, recordings):
     return problem, estimate(problem, HULL)
 
 
-@pytest.mark.slow
 def test_derivatives_are_recovered_from_a_start_far_away(document, fitted):
     problem, result = fitted
     for row in parameter_estimates(problem.layout.parameters, result):
@@ -223,7 +225,6 @@ def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
     assert np.abs(np.asarray(white - run.white)).max() > 0.5
 
 
-@pytest.mark.slow
 def test_instances_for_each_run_share_directions_without_changing_the_jacobian(
     document, recordings
 ):
@@ -251,7 +252,6 @@ def test_instances_for_each_run_share_directions_without_changing_the_jacobian(
     np.testing.assert_allclose(residual[prior], strains(start), atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_lag_is_told_from_gusts_that_last(document):
     """Gusts taken for white ones bend lag and inertia until they have the gusts' colour."""
     vessel = document | {"thruster": [t | {"time_constant": 0.8} for t in document["thruster"]]}
@@ -265,7 +265,6 @@ def test_a_lag_is_told_from_gusts_that_last(document):
     assert result.inflation < 1.3
 
 
-@pytest.mark.slow
 def test_an_effect_is_sought_where_it_shows_itself(document):
     """Orders followed slowly have hardly a derivative where they are followed at once."""
     slow = document | {"thruster": [t | {"rate_limit": 30.0} for t in document["thruster"]]}
@@ -277,7 +276,6 @@ def test_an_effect_is_sought_where_it_shows_itself(document):
     assert result.agreement is not None and result.agreement.starts == 5
 
 
-@pytest.mark.slow
 def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
     """Twice to three times the usual areas, and a bow that turns into the wind."""
     house = {"frontal_area": 1.2, "lateral_area": 2.4, "C_X": 0.6, "C_Y": 0.9, "C_N": -0.04}
@@ -382,7 +380,6 @@ def test_products_with_correlations_are_those_of_their_matrix():
     np.testing.assert_allclose(variance_inflation(columns, correlation), np.maximum(ratio, 1.0))
 
 
-@pytest.mark.slow
 def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
     """Y_rdot + N_vdot so large that a vessel would speed up against a force predicts nothing."""
     effect = EFFECTS["added-mass-coupling:Y_rdot"]
@@ -404,7 +401,6 @@ def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
     assert bool(vessel.has_inertia())
 
 
-@pytest.mark.slow
 def test_a_fit_that_was_cut_short_says_so(document, recordings):
     problem = make_problem(build(document), recordings, HULL)
     said: list[str] = []
@@ -416,7 +412,6 @@ def test_a_fit_that_was_cut_short_says_so(document, recordings):
     assert whole.outcome is FitOutcome.CONVERGED
 
 
-@pytest.mark.slow
 def test_a_number_at_the_bound_of_its_prior_is_told(document, recordings):
     """Quadratic drag of the truth lies below the bound; the fit runs into it."""
     truth = document["hull"]["X_uu"]

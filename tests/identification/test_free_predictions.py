@@ -28,6 +28,9 @@ from diffsea.statistics import moving_block_draws
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
 
 

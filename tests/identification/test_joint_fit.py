@@ -32,6 +32,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr", "N_rdot")
 SEEDS = (1, 2, 3, 4)
 THRUST = 200.0  # N, of the trials
@@ -109,7 +112,6 @@ def joint(vessel: Vessel, run: Trajectory, numbers: list[MeasuredTrial]) -> Prob
     return with_trial_numbers(make_problem(vessel, [run], HULL), numbers)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_both_together_are_nearer_to_the_truth_than_either(document, vessel, sheet, seed):
     """The log tells nothing of turning, and the sheet cannot tell linear from quadratic drag."""
@@ -132,7 +134,6 @@ def test_both_together_are_nearer_to_the_truth_than_either(document, vessel, she
     assert found.recordings.cost == pytest.approx(found.recordings.values, rel=0.2)
 
 
-@pytest.mark.slow
 def test_free_runs_take_numbers_besides(document, vessel, sheet):
     """The gradient that is assembled by hand is that of the cost, and the fit ends at its least."""
     objective = OutputError(joint(vessel, straight_run(document, 1), with_errors(sheet, 1)))

@@ -24,6 +24,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rdot")
 SECONDS, SPIKES = 60.0, (40, 111, 180)
 

@@ -36,6 +36,9 @@ from diffsea.vessel.files import build
 from diffsea.vessel.forces import SteadyForce
 
 
+pytestmark = pytest.mark.slow
+
+
 HULL = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
 SECONDS, RATE = 120.0, 5.0
 T = np.arange(int(SECONDS * RATE) + 1) / RATE
@@ -149,7 +152,6 @@ def test_on_a_linear_vessel_it_is_the_kalman_filter(document):
         assert int(news.used.sum()) == len(seen)
 
 
-@pytest.mark.slow
 def test_estimates_are_within_their_standard_deviations(sound):
     off = np.array([_off(run, true) for true, _, run in sound])
     assert np.abs(off).max() < 3.0
@@ -455,7 +457,6 @@ def test_sound_runs_are_not_blocked(sound):
         )
 
 
-@pytest.mark.slow
 def test_a_changed_drag_reaches_the_controller(document, vessel):
     true = _truth(document, 3)
     effect = {"drag-change": {"time": 50.0, "factor": 0.5}}
@@ -525,7 +526,6 @@ def _loop(document, vessel, seed: int, fault: str, gated: bool, seconds: float =
     return worst, float(np.mean(opened))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "seeds"), [("frozen heading", (1, 2)), ("gyro bias", (1,))])
 def test_a_bad_estimate_does_not_reach_the_controller(document, vessel, fault, seeds):
     for seed in seeds:
@@ -538,13 +538,11 @@ def test_a_bad_estimate_does_not_reach_the_controller(document, vessel, fault, s
         assert opened < 0.1
 
 
-@pytest.mark.slow
 def test_without_a_fault_the_loop_runs_on_estimates(document, vessel):
     given, opened = _loop(document, vessel, 2, "none", gated=True)
     assert opened == 1.0 and given < 0.35
 
 
-@pytest.mark.slow
 def test_a_straight_run_hands_on_nothing_that_it_does_not_tell(document, vessel):
     """Thrusters unlike one another push the yaw estimates about; the run says nothing of them."""
     nominal = max(abs(document["hull"][n] / _truth(document, 1)["hull"][n] - 1) for n in HULL)

@@ -19,6 +19,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 CLOCK, LATE = EFFECTS["clock-drift"], EFFECTS["sensor-latency:yaw_rate"]
 FREE = ("X_u", "N_r")
 STEP = 0.2  # s

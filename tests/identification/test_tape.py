@@ -21,6 +21,9 @@ from diffsea.identification.residual import innovations_at, linearise
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 SEEN = ("x", "y", "psi", "u", "v", "r")
 
 
@@ -41,7 +44,6 @@ def rows(run: Trajectory, chosen: np.ndarray) -> Trajectory:
     return dataclasses.replace(run, **series, commanded=commanded)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [10.0, 60.0])
 def test_a_gap_is_as_good_as_two_runs(document, run, seconds):
     vessel, free = build(document), ("X_u", "X_uu")
@@ -60,7 +62,6 @@ def test_a_short_hole_is_bridged(document, run):
     assert np.asarray(dataset.starts).sum() == 1
 
 
-@pytest.mark.slow
 def test_positions_alone_tell_the_first_heading(document, run):
     vessel = build(document)
     start = np.flatnonzero(np.hypot(run.u, run.v) > 0.5)[0]
@@ -85,7 +86,6 @@ def test_a_filter_that_diverges_has_no_likelihood(document, run):
     assert not np.isfinite(float(deviance(problem.run_filter(away, noise))))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("measured", [False, True])
 @pytest.mark.parametrize("rate", [0.02, -0.02])
 def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, rate, measured):
@@ -108,7 +108,6 @@ def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, 
     assert white(late, vessel).max() > 3 * right.max()
 
 
-@pytest.mark.slow
 def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
     """Gusts move the vessel a great deal within the delay, two and a half rows."""
     vessel, delay = build(document), 0.5

@@ -18,6 +18,9 @@ from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
 
 
@@ -96,7 +99,6 @@ def test_noise_stays_as_it_is_where_the_model_diverges(boat, runs):
     np.testing.assert_array_equal(kept.scales, noise.scales)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "folder"), [("kcs", "kcs_marin"), ("blueboat", "blueboat")])
 def test_a_real_set_told_otherwise_is_fitted_the_same(name, folder, tmp_path):
     data = ROOT.parent / "shared" / "data" / folder

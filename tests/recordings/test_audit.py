@@ -18,6 +18,9 @@ from diffsea.recordings.auditing.responses import zigzag_findings
 from diffsea.recordings.motion import motion_of
 
 
+pytestmark = pytest.mark.slow
+
+
 DATA = ROOT.parent / "shared" / "data"
 FINE = 0.02  # s
 NOISE = {"x": 0.1, "y": 0.1, "psi": 0.01, "u": 0.03, "v": 0.03, "r": 0.005}
@@ -113,7 +116,6 @@ def only(run, kind):
     return findings[0]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["straight", "speeds", *SHAPES])
 @pytest.mark.parametrize("seed", range(10))
 def test_sound_runs_are_not_accused(shape, seed):
@@ -494,7 +496,6 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_recordings(name):
     if not (DATA / name).exists():

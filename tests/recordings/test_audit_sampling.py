@@ -18,6 +18,9 @@ from diffsea.recordings.auditing.repair import repair
 from diffsea.series import unwrap
 
 
+pytestmark = pytest.mark.slow
+
+
 def resampled_through_the_wrap(run, lowest, every):
     """The heading logged wrapped every so many rows and interpolated as any other number."""
     wrapped = np.mod(run.psi - lowest, 2 * np.pi) + lowest

@@ -11,6 +11,9 @@ from diffsea.cli import main
 from diffsea.errors import UserError
 
 
+pytestmark = pytest.mark.slow
+
+
 def written(path, names="t,x,y,psi,u,v,r", rows=60, seed=0):
     """A straight run with noise."""
     rng = np.random.default_rng(seed)
@@ -147,7 +150,6 @@ def test_runs_of_two_conventions_are_judged_apart():
     assert sorted(finding.recording for finding in found) == ["0.csv", "1.csv"]
 
 
-@pytest.mark.slow
 def test_noise_accuses_no_axes():
     """60 runs with slow errors of heading or position, straight and weaving, by themselves."""
     alarms = []

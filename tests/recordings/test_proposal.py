@@ -16,6 +16,9 @@ from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
 from diffsea.recordings.mapping_proposal.proposal import SURE
 
 
+pytestmark = pytest.mark.slow
+
+
 MOTION = {"t", "x", "y", "psi", "u", "v", "r"}
 PLAIN = Disguise(
     style="letters",
@@ -56,7 +59,6 @@ def recovered(native, how, folder, seed=0):
     return judged(native, path, written), sure
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -89,7 +91,6 @@ def test_columns_without_names_are_found_by_kinematics(runs, tmp_path):
     assert min(sure[channel] for channel in ("t", "psi", "r")) > 0.5
 
 
-@pytest.mark.slow
 def test_most_random_disguises_are_seen_through(runs, tmp_path):
     """Over 24 random disguises; `sure` must be right nearly always, but not be all there is."""
     whole, claims = [], []
@@ -272,7 +273,6 @@ REAL = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings(name, tmp_path):
     pattern, reference, differing = REAL[name]

@@ -20,6 +20,9 @@ from diffsea.recordings.auditing.repair import mapping_text
 from diffsea.recordings.mappings import Column
 
 
+pytestmark = pytest.mark.slow
+
+
 CHANNELS = ("x", "y", "psi", "u", "v", "r")
 
 
@@ -63,7 +66,6 @@ FAULTS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_was_injected_is_taken_out(name):
     change, kind, by_mapping, near = FAULTS[name]

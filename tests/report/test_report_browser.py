@@ -5,9 +5,12 @@ from tests.chromium import NAMES, Page, installed, opened
 from tests.report.test_report import page_of
 
 
-pytestmark = pytest.mark.skipif(
-    installed() is None, reason=f"no browser is on the path (looked for {', '.join(NAMES)})"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        installed() is None, reason=f"no browser is on the path (looked for {', '.join(NAMES)})"
+    ),
+]
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,9 @@ from diffsea.studies.sensitivity import TrialSensitivities, parameter_names
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 ORDERED = ["--manoeuvre", "zigzag", "--speed", "1.3", "--angle", "15", "--heading", "10"]
 DOCUMENT = tomllib.loads(BOAT + CROSS_FLOW)
 
@@ -71,7 +74,6 @@ CHOSEN = ("mass", "I_z", "x_G", "length", "draught", "X_uu", "Y_v", "N_r", "N_rd
 KINKED = {("port.y", "peak_yaw_rate"), ("starboard.angle", "peak_yaw_rate")}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", CHOSEN)
 def test_derivatives_are_those_of_the_trials_own_numbers(name, derivatives, numbers):
     """Fourth-order central differences, whose own error is far below the tolerance."""

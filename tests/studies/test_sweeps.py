@@ -24,7 +24,7 @@ ORDERED = ["--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1"]
 GRID = ["speed=1.0:1.4:2", "mass=-190:230:3", "N_r=-300:60000:2", "I_z=300:3000:2"]
 AXES = ["speed", "mass", "N_r", "I_z"]
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,6 @@ def single(speed, **hull):
     return planning.summarise_trial(vessel, plan, trial, numbers)
 
 
-@pytest.mark.slow
 def test_a_grid_has_every_combination_once(swept):
     table, summary, _ = swept
     assert len(table) == summary["designs"] == 24
@@ -58,7 +57,6 @@ def test_a_grid_has_every_combination_once(swept):
     assert sorted(set(table["mass"])) == [-190.0, 20.0, 230.0]
 
 
-@pytest.mark.slow
 def test_every_design_has_the_numbers_of_its_own_trial(swept):
     """The last of them ran twice, the second time for longer."""
     table = swept[0].set_index(AXES)

@@ -136,6 +136,7 @@ def test_every_effect_has_a_derivative_at_zero():
         np.testing.assert_array_less(error, 3e-3 * np.max(np.abs(slopes[..., i])), str(place))
 
 
+@pytest.mark.slow
 def test_derivatives_away_from_zero_are_finite_differences():
     # Slower than the lag, so that the slew rate acts; a limit below the orders.
     larger = [

@@ -12,6 +12,9 @@ import diffsea
 from diffsea.cli import main
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def boat(tmp_path_factory):
     path = tmp_path_factory.mktemp("boat") / "boat.toml"
@@ -73,7 +76,6 @@ def test_a_sweep_is_a_table_of_designs(boat):
         diffsea.sweep(boat, "turning-circle")
 
 
-@pytest.mark.slow
 def test_the_demo_is_fitted_and_diagnosed(tmp_path):
     demo = ROOT / "examples" / "demo"
     runs, held_out = sorted((demo / "recordings").glob("*")), sorted((demo / "held_out").glob("*"))

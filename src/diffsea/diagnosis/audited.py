@@ -39,11 +39,12 @@ def audited_effects(
 ) -> list[AuditedEffect]:
     """The effects of a layout that an audit of so many runs found, most often found first.
 
-    A finding that may have another cause (it has a `doubt`) is no first hypothesis.
+    A finding that may have another cause (it has a `doubt`) is no first hypothesis; nor is one of
+    measured actuation, of which an actuator that is off itself looks the same.
     """
     found: dict[str, dict[str, np.ndarray]] = {}
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        if effect.family != "sensor":
+        if effect.family != "sensor" or effect.needs_feedback:
             continue
         for finding in findings:
             channels = isinstance(effect.place, MeasuredChannels) and effect.place.names

@@ -8,7 +8,7 @@ one size in all the data speak for it, together with what else would do.
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -457,6 +457,12 @@ def decide(
     return None
 
 
+def with_mirrors(names: Sequence[str]) -> list[str]:
+    """Effects, and those that they would be with a negative size, as a first look cannot tell."""
+    mirrors = (EFFECTS[name].mirror for name in names)
+    return [name for name in dict.fromkeys([*names, *mirrors]) if name]
+
+
 def refit_candidates(
     data: Split,
     current: Estimate,
@@ -464,12 +470,11 @@ def refit_candidates(
     progress: Progress,
     among: tuple[str, ...] = (),
 ) -> ShortList:
-    """The short list of a screening refitted, as far as the compiled program has room for it.
+    """The short list of a screening refitted, or the effects `among`, where any are named.
 
-    Or those effects `among` which they are, if any are named.
-
-    Where an accepted effect came out larger than its law holds for, the error of that law is left
-    over and looks like the effect's confusables: these are not asked for.
+    As far as the compiled program has room for them. Where an accepted effect came out larger than
+    its law holds for, the error of that law is left over and looks like the effect's confusables:
+    these are not asked for.
     """
     problem, doubtful = data.train, set[str]()
     declared = {effect.name: effect.confusables for effect in problem.layout.effects}
@@ -477,12 +482,9 @@ def refit_candidates(
         place = problem.layout.indices((name,))[0]
         if abs(current.coordinates[place]) > EFFECTS[name].leading.valid_to:
             doubtful |= set(declared[name])
-    listed = among or short_list(screening, declared)
-    # Sizes that come out negative, as a first look does not tell, are those of the mirrors.
-    mirrors = [EFFECTS[name].mirror for name in listed]
     names = [
         name
-        for name in dict.fromkeys([*listed, *mirrors])
+        for name in with_mirrors(among or short_list(screening, declared))
         if name in screening.candidates
         and has_room(problem, current, name)
         and catalogue_name(name) not in doubtful

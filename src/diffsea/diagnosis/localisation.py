@@ -249,7 +249,9 @@ def model_unexplained_force(data: Split, final: Estimate) -> UnexplainedForce | 
     )
 
 
-def inclusion_share(projection: Projection, columns: list[Columns], best: int) -> float:
+def inclusion_share(
+    projection: Projection, columns: list[Float[np.ndarray, "value _"]], best: int
+) -> float:
     """Share of random halves of the data on which the same option explains most.
 
     Stability selection (Meinshausen and Buhlmann 2010).

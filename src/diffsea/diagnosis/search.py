@@ -150,7 +150,7 @@ def diagnose(
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
     runs = len(recordings) + len(test)
     audited = audited_effects(vessel, data.train.layout, findings, runs)
-    begun = believe_audit(data, nominal, screening, audited, progress)
+    begun = believe_audit(data, nominal, screening, audited, progress, deadline)
     return explain(data, begun, null, progress, deadline)
 
 
@@ -160,12 +160,15 @@ def believe_audit(
     screening: Screening,
     audited: list[AuditedEffect],
     progress: Progress,
+    deadline: Deadline = NO_DEADLINE,
 ) -> Search:
     """Where the search begins: the nominal model with the faults that the audit found."""
     now = Search(nominal, screening, nominal, screening)
     for one in audited:
         if not has_room(data.train, now.final, one.effect):
             continue
+        if deadline.is_over:
+            return replace(now, complete=False)
         progress(f"the audit found {catalogue_name(one.effect)}: does the model agree?")
         accepted = judge_audited(data, now.final, now.final_screening, one)
         if accepted is None:
@@ -406,7 +409,7 @@ def unexplained_p_value(kept: Search, final: Search, null: Bootstrap) -> float:
     no time to ask.
     """
     left = min(null.of_located(one.final_screening.located_p_value) for one in (kept, final))
-    nameless = not final.effects and final.short_list.has_something_nameless
+    nameless = not final.searched and final.short_list.has_something_nameless
     if nameless or not final.complete:
         left = min(left, null.of_strongest(final.final_screening.p_value))
     return left

@@ -130,7 +130,8 @@ def true_actuation(
     """What a channel executed, of what was recorded in rows that begin at `t` s.
 
     As the vessel's sensors say that the record is off; it is the record to the last bit where they
-    say nothing.
+    say nothing. A record that is late tells at `t` what will be in it later: this is for whole
+    recordings.
     """
     error = vessel.sensors.feedback.get(channel)
     if error is None:
