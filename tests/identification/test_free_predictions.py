@@ -11,6 +11,7 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
+from diffsea import EFFECTS
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import estimate
 from diffsea.identification.free_predictions import expected_squares, motion_change, motion_misfit
@@ -90,6 +91,26 @@ def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(
     assert max(motion_misfit(data, wrong).ratio.values()) > 4.0
     assert shortfalls(data, right) == ()
     assert shortfalls(data, wrong) == (Shortfall.MISFIT, Shortfall.MOTION)
+
+
+def test_a_current_that_passes_for_gusts_is_missing_from_a_fit():
+    """Innovations are at the noise level, and free predictions within what such gusts explain."""
+    document = load(str(ORACLE / "usv.toml"))
+    boat, hidden = build(document), {"current": {"speed": 0.25, "direction": 2.2}}
+    runs = [random_steps(document, seed, 150.0, 0.5, hidden) for seed in (11, 12, 13)]
+    effects = (EFFECTS["current"],)
+
+    def problem_of(recordings, least):
+        return make_problem(boat, recordings, FREE, effects, capacity=2, least=least)
+
+    data = split_data(problem_of, runs[:2], runs[2:], per_run=False)
+    without, found = estimate(data.train, FREE), estimate(data.train, (*FREE, "current"))
+    verdict = FitVerdict(sufficiency(data, without), None, True)
+    assert Shortfall.GUSTS in shortfalls(data, without)
+    assert Shortfall.MISFIT not in shortfalls(data, without)
+    assert verdict.missing and "gusts stronger than weather" in verdict.sentence
+    assert not FitVerdict(sufficiency(data, found), None, True).missing
+    assert shortfalls(data, found) == ()
 
 
 def test_a_fit_says_that_something_is_missing_where_it_is_and_not_where_parameters_are_open(

@@ -176,8 +176,9 @@ class MotionMisfit:
 def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     """Mean square misses of free predictions over what gusts and sensor noise explain.
 
-    Gusts count as far as they are plausible for the vessel's size (two standard deviations of
-    their prior): what a fit has called a gust for want of a better model explains nothing.
+    Gusts count, and are remembered, as far as is plausible for the vessel's size (two standard
+    deviations of their prior): what a fit has called a gust for want of a better model explains
+    nothing.
     """
     coordinates = held_out_coordinates(split, fitted)
     vessels = vessels_in_runs(split.test, coordinates, len(split.held_out))
@@ -186,8 +187,8 @@ def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
         for horizon, misses in _squared_misses(vessel, run).items():
             squares.setdefault(horizon, []).append(misses[:, :2])
     prior, own = split.test.prior, np.asarray(fitted.noise.scales)
-    gusts = np.minimum(own[:6], prior.mean[:6] + PLAUSIBLE_GUSTS * prior.spread[:6])
-    noise = Noise.of(np.concatenate([gusts, own[6:]]))
+    gusts = np.minimum(own[:9], prior.mean[:9] + PLAUSIBLE_GUSTS * prior.spread[:9])
+    noise = Noise.of(np.concatenate([gusts, own[9:]]))
     ratio, blocks = {}, {}
     for horizon, found in squares.items():
         expected = expected_squares(split.test, coordinates, noise, horizon)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.free_predictions import motion_misfit
+from diffsea.identification.free_predictions import PLAUSIBLE_GUSTS, motion_misfit
 from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.statistics import block_sums
 
@@ -36,6 +36,7 @@ class Shortfall(enum.StrEnum):
     PARAMETERS = "parameters"
     MISFIT = "misfit"
     MOTION = "motion"
+    GUSTS = "gusts"
 
     @property
     def sentence(self) -> str:
@@ -47,6 +48,7 @@ _SENTENCES = {
     Shortfall.PARAMETERS: "most parameters are not determined by these recordings",
     Shortfall.MISFIT: "runs kept back are not predicted as well as the noise would allow",
     Shortfall.MOTION: "free predictions go further astray than gusts and sensor noise explain",
+    Shortfall.GUSTS: "the fit needs gusts stronger than weather is for a vessel of this size",
 }
 
 
@@ -106,6 +108,8 @@ class Sufficiency:
         motion: mean square miss of free predictions over what noise explains, by horizon (s).
         motion_limit: what chance or a small flaw of the noise may make of it, by horizon.
         whiteness: of the innovations.
+        gusts: how far the strongest lasting gusts that the fit needs are above those expected for a
+            vessel of this size, in standard deviations of their prior.
     """
 
     determined: float
@@ -114,6 +118,7 @@ class Sufficiency:
     motion: dict[float, float]
     motion_limit: dict[float, float]
     whiteness: Whiteness
+    gusts: float
 
     @property
     def shortfalls(self) -> tuple[Shortfall, ...]:
@@ -126,6 +131,8 @@ class Sufficiency:
             found.append(Shortfall.MISFIT)
         if not all(ratio < self.motion_limit[horizon] for horizon, ratio in self.motion.items()):
             found.append(Shortfall.MOTION)
+        if self.gusts > PLAUSIBLE_GUSTS:
+            found.append(Shortfall.GUSTS)
         return tuple(found)
 
     @property
@@ -148,6 +155,8 @@ class Sufficiency:
                 f"free predictions are off by {times:.2g} times what gusts and noise explain "
                 f"{by:g} s ahead"
             )
+        if Shortfall.GUSTS in found:
+            told.append(Shortfall.GUSTS.sentence)
         # Free predictions that miss less than noise explains leave nothing to miss.
         noticed = not self.motion or max(self.motion.values()) > 1.0
         if self.whiteness.is_rejected and noticed:
@@ -171,6 +180,7 @@ class Sufficiency:
                 "colour": self.whiteness.colour,
                 "limit": LARGEST_COLOUR,
             },
+            "gusts": {"deviations": self.gusts, "limit": PLAUSIBLE_GUSTS},
         }  # fmt: skip
 
 
@@ -190,7 +200,10 @@ def sufficiency(data: Split, fitted: Estimate) -> Sufficiency:
         freedom = 2 * max(motion.blocks[horizon], 1)
         limits[horizon] = max(LARGEST_MISS, float(chi2.ppf(LEVEL, freedom)) / freedom)
     colour = whiteness(white, used, np.asarray(data.test.dataset.run))
-    return Sufficiency(determined, mean, scatter, motion.ratio, limits, colour)
+    # Of lasting gusts alone: a force that is missing lasts.
+    prior, scales = data.train.prior, np.asarray(fitted.noise.scales)
+    excess = float(np.max(((scales - prior.mean) / prior.spread)[3:6]))
+    return Sufficiency(determined, mean, scatter, motion.ratio, limits, colour, excess)
 
 
 def shortfalls(data: Split, fitted: Estimate) -> tuple[Shortfall, ...]:
