@@ -137,7 +137,7 @@ class Sufficiency:
 
     @property
     def reasons(self) -> list[str]:
-        """Why something must be missing from the model, in words; none where it need not be.
+        """What in its predictions shows that something is missing, in words.
 
         Parameters that are not determined may be what predictions fail by.
         """
@@ -155,8 +155,6 @@ class Sufficiency:
                 f"free predictions are off by {times:.2g} times what gusts and noise explain "
                 f"{by:g} s ahead"
             )
-        if Shortfall.GUSTS in found:
-            told.append(Shortfall.GUSTS.sentence)
         # Free predictions that miss less than noise explains leave nothing to miss.
         noticed = not self.motion or max(self.motion.values()) > 1.0
         if self.whiteness.is_rejected and noticed:
@@ -231,6 +229,9 @@ class FitVerdict:
         told = [] if self.runs is None else list(self.runs.reasons)
         if told and self.is_held_out:
             told[0] = f"on runs held out, {told[0]}"
+        short = () if self.runs is None else self.runs.shortfalls
+        if Shortfall.GUSTS in short and Shortfall.PARAMETERS not in short:
+            told.append(Shortfall.GUSTS.sentence)
         if self.numbers is not None and self.numbers < 1 - LEVEL:
             told.append("trial numbers are further off than their errors allow")
         return told
