@@ -33,6 +33,9 @@ from diffsea.identification.uncertainty.identifiability import (
 from diffsea.vessel.files import build
 
 
+pytestmark = pytest.mark.slow
+
+
 A, B = Parameter("A", 2.0, spread=1.0), Parameter("B", -3.0, spread=0.5, upper=0.0)
 
 

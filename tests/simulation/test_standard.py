@@ -93,6 +93,7 @@ def test_the_default_step_is_round_and_follows_the_length(length, step):
     assert 0.6 < step / (0.05 * math.sqrt(length / 9.81)) < 1.6
 
 
+@pytest.mark.slow
 def test_the_default_speed_is_within_reach_of_every_shipped_vessel():
     for name in shipped_vessels():
         vessel = read_vessel(name).vessel
