@@ -92,7 +92,7 @@ def staged(*rows):
     angle, side, level = (jnp.array(column, float) for column in zip(*rows, strict=True))
     nothing = jnp.zeros(len(rows))
     timed = jnp.asarray(side == 0, float)
-    return Stages(angle, nothing + 1, side, timed, nothing, level)
+    return Stages(angle, nothing + 1, side, timed, nothing, level, False)
 
 
 def staged_turn(angle):

@@ -34,7 +34,7 @@ def both_trials() -> Stages:
     count = 3
     ahead, angle = jnp.ones(count), jnp.full(count, math.radians(CIRCLE.angle))
     levels = _PAST_HALF * jnp.arange(1, count + 1) / count
-    circle = Stages(angle, ahead, ahead, 0 * ahead, 0 * ahead, levels)
+    circle = Stages(angle, ahead, ahead, 0 * ahead, 0 * ahead, levels, by_speed=False)
     zigzag = manoeuvres.zigzag(math.radians(ZIGZAG.angle), math.radians(ZIGZAG.heading), count)
     return jax.tree.map(lambda a, b: jnp.stack([a, b]), circle, zigzag)
 

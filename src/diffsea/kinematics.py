@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from diffsea.scales import is_absent
 from diffsea.types import Environment, Scalar, State
 
 
@@ -76,12 +77,16 @@ def wrap(angle: Scalar) -> Scalar:
 
 def through_water(state: State, environment: Environment) -> State:
     """The state with `u`, `v` relative to the water (m/s); the rest is unchanged."""
+    if is_absent(environment.current_north, environment.current_east):
+        return state
     current = to_body(environment.current_north, environment.current_east, state.psi)
     return State(state.x, state.y, state.psi, state.u - current[0], state.v - current[1], state.r)
 
 
 def through_air(state: State, environment: Environment) -> tuple[Scalar, Scalar]:
     """Velocity of the air relative to the vessel in body axes: forward, starboard (m/s)."""
+    if is_absent(environment.wind_north, environment.wind_east):
+        return -state.u, -state.v
     air = to_body(environment.wind_north, environment.wind_east, state.psi)
     return air[0] - state.u, air[1] - state.v
 

@@ -24,6 +24,14 @@ HARD_OVER = math.radians(35)  # rad
 _IMPLAUSIBLE_FROUDE = 10.0  # several times that of the fastest planing craft
 
 
+def is_absent(*values: Scalar) -> bool:
+    """Whether numbers are Python's zero: what they stand for is then in no compiled program.
+
+    An array that is zero may become something else in the same program, in a fit say.
+    """
+    return all(isinstance(value, (int, float)) and value == 0 for value in values)
+
+
 @overload
 def time_scale(length: float) -> float: ...
 @overload

@@ -6,9 +6,11 @@ north); body axes are forward, starboard, down with the origin amidships.
 
 import dataclasses
 from collections.abc import Iterable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from diffsea.scales import Scalar as Scalar
 from diffsea.trajectory import Trajectory
@@ -36,6 +38,19 @@ def _unflatten(labels: tuple, arrays: Iterable) -> Trajectory:
 
 
 jax.tree_util.register_pytree_with_keys(Trajectory, _flatten, _unflatten)
+
+
+Tree = TypeVar("Tree")
+
+
+def as_inputs(tree: Tree) -> Tree:
+    """A tree whose numbers are arrays, the inputs of a compiled program; but zeros are Python's.
+
+    What is absent is then in no program (`is_absent`), and those of vessels that have the same
+    parts are one.
+    """
+    numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+    return jax.tree.map(lambda leaf: 0.0 if leaf.ndim == 0 and leaf == 0 else leaf, numbers)
 
 
 class State(eqx.Module):

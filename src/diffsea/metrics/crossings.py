@@ -187,9 +187,17 @@ def with_corners(smooth: Curve, times: Float[Array, "corner"]) -> Curve:
     """
     times = jnp.clip(times, smooth.t[0], smooth.t[-1])
     added = jax.vmap(lambda time: value_at(smooth, time))(times)
-    t, value = jnp.concatenate([smooth.t, times]), jnp.concatenate([smooth.value, added])
-    order = jnp.argsort(jax.lax.stop_gradient(t), stable=True)
-    return Curve(t[order], value[order], slopes(t[order], value[order]))
+    fixed, corners = jax.lax.stop_gradient((smooth.t, times))
+    # Every sample moves behind the corners before it; sorting them all takes far longer.
+    rows = jnp.arange(fixed.size) + jnp.sum(corners < fixed[:, None], axis=1)
+    number = jnp.argsort(jnp.argsort(corners, stable=True), stable=True)
+    own = jnp.sum(fixed <= corners[:, None], axis=1) + number
+    place, size = jnp.concatenate([rows, own]), fixed.size + corners.size
+    t, value = (
+        jnp.zeros(size).at[place].set(jnp.concatenate(both))
+        for both in ((smooth.t, times), (smooth.value, added))
+    )
+    return Curve(t, value, slopes(t, value))
 
 
 class _Piece(NamedTuple):

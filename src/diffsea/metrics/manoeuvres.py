@@ -248,7 +248,8 @@ def _distance_travelled(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
     t = run.surge.t
     time = jnp.clip(time, t[0], t[-1])
     i = interval_at(t, time)
-    return run.path[i] + (time - t[i]) * (_speed_at(run, t[i]) + _speed_at(run, time)) / 2
+    last = _magnitude(run.surge.value[i], run.sway.value[i])
+    return run.path[i] + (time - t[i]) * (last + _speed_at(run, time)) / 2
 
 
 def _magnitude(u: Array, v: Array) -> Array:
@@ -261,8 +262,9 @@ def _approach_speed(run: _TrialFrame, execute_time: Scalar) -> Float[Array, ""]:
     """Mean speed (m/s) over the last 10 s before the execute, fewer if not recorded."""
     begin = jnp.maximum(execute_time - APPROACH_SECONDS, run.surge.t[0])
     duration = execute_time - begin
-    distance = _distance_travelled(run, execute_time) - _distance_travelled(run, begin)
-    mean = distance / _one_unless_positive(duration)
+    ends = jnp.stack([jnp.asarray(time, float) for time in (begin, execute_time)])
+    before, after = jax.vmap(lambda time: _distance_travelled(run, time))(ends)
+    mean = (after - before) / _one_unless_positive(duration)
     return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
 
 

@@ -23,6 +23,7 @@ class Stages(eqx.Module):
     on_time: Float[Array, "stage"]  # 1/s
     on_speed: Float[Array, "stage"]  # s/m
     level: Float[Array, "stage"]
+    by_speed: bool = eqx.field(static=True)  # whether any stage ends by speed
 
     @property
     def count(self) -> int:
@@ -31,8 +32,10 @@ class Stages(eqx.Module):
 
 
 def _stages(rows: list[tuple]) -> Stages:
-    columns = zip(*rows, strict=True)
-    return Stages(*(jnp.stack([jnp.asarray(e, float) for e in column]) for column in columns))
+    columns = [
+        jnp.stack([jnp.asarray(e, float) for e in column]) for column in zip(*rows, strict=True)
+    ]
+    return Stages(*columns, any(row[-2] != 0.0 for row in rows))
 
 
 _FULL_CIRCLES = math.radians(540)  # of the turning circle: MSC/Circ.1053 asks for 540 deg

@@ -5,7 +5,6 @@ import math
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -25,7 +24,7 @@ from diffsea.simulation.manoeuvres import Stages
 from diffsea.simulation.standard import Numbers, TrialPlan, standard_trial
 from diffsea.simulation.trials import Trial, TrialSettings, approach_limit, run_trial
 from diffsea.trajectory import Outcome
-from diffsea.types import Scalar
+from diffsea.types import Scalar, as_inputs
 from diffsea.vessel.base import Vessel
 
 
@@ -210,7 +209,7 @@ def _compiled_numbers(trial: Trial, kind: tuple[str, float]) -> Numbers:
 
 def run_and_measure(vessel: Vessel, plan: TrialPlan) -> tuple[Trial, Numbers]:
     """Run a plan, compiled, with its numbers."""
-    vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    vessel = as_inputs(vessel)
     speed = None if plan.speed is None else jnp.asarray(plan.speed, float)
     throttle = None if plan.throttle is None else jnp.asarray(plan.throttle, float)
     settings = plan.settings, plan.approach_seconds, plan.keep_speed

@@ -28,9 +28,8 @@ class Carry(eqx.Module):
     stage: Int[Array, ""]
     began: Scalar  # s, when the stage began
     grid: Int[Array, ""]  # steps done
-    mode: Int[Array, ""]  # _NORMAL, _PROBE or _LAND
+    mode: Int[Array, ""]  # _NORMAL, _PROBE, _PROBE_AGAIN or _LAND
     planned: Scalar  # s, step to the event while probing and landing
-    slope: Scalar  # 1/s, derivative of the stage's end function along the step
     switch_times: Float[Array, "stage"]
     diverged: Bool[Array, ""]
     throttle: Scalar  # held until the governor's next step
@@ -48,7 +47,10 @@ class Row(eqx.Module):
     accepted: Bool[Array, "..."]
 
 
-_NORMAL, _PROBE, _LAND = 0, 1, 2
+_NORMAL, _PROBE, _PROBE_AGAIN, _LAND = range(4)
+_EVENT_PASSES = 4  # beside the ordinary ones: withdrawn, two probes, landing
+_CUBIC_ITERATIONS = 4
+_WITHIN = 1e-6  # of a step: how far beyond its ends an event may come out, by rounding
 
 
 class _StageRun(eqx.Module):
@@ -81,44 +83,58 @@ class _StageRun(eqx.Module):
         turned = s.on_heading[at] * (state.psi - self.heading)
         return turned + s.on_time[at] * (t - carry.began) + s.on_speed[at] * state.u - s.level[at]
 
-    def locate(self, carry: Carry, dt: Scalar, wanted: Bool[Array, ""]) -> tuple:
-        """Step to the event within (0, dt] and the end function's slope there.
+    def end_slope(self, carry: Carry, motion: SimulationState, t: Scalar) -> Scalar:
+        """How fast the end function of a carry's stage grows (1/s) at a motion. No derivative."""
+        run, carry, motion, t = jax.lax.stop_gradient((self, carry, motion, t))
+        at = jnp.minimum(carry.stage, run.stages.count - 1)
+        s, state = run.stages, motion.state
+        slope = s.on_heading[at] * state.r + s.on_time[at]
+        if not s.by_speed:
+            return slope
+        executed = executed_now(run.vessel, motion, run.orders(carry))
+        rate = run.vessel.rate(state, executed, run.environment, t)
+        return slope + s.on_speed[at] * rate.u
 
-        Newton's method on the actual step, safeguarded by a bracket. Carries no derivative:
-        the probing step that follows does. Costs nothing where no lane wants it.
+    def first_guess(self, carry: Carry, motion: SimulationState, g: Scalar, dt: Scalar) -> Scalar:
+        """Step to the event of a step of `dt` that ends in `motion`, with the end function `g`.
+
+        The event of the cubic through the step's ends. Carries no derivative.
         """
-        run, carry, dt = jax.lax.stop_gradient((self, carry, dt))
+        run, carry, motion, g, dt = jax.lax.stop_gradient((self, carry, motion, g, dt))
+        begin = run.end_function(carry, carry.motion, carry.t)
+        slopes = (
+            run.end_slope(carry, carry.motion, carry.t),
+            run.end_slope(carry, motion, carry.t + dt),
+        )
+        return dt * hermite_root(begin, g, dt * slopes[0], dt * slopes[1])
 
-        def value(span: Scalar) -> Scalar:
-            return run.end_function(carry, run.motion_after(carry, span), carry.t + span)
+    def corrected(self, carry: Carry, motion: SimulationState, g: Scalar, dt: Scalar) -> Scalar:
+        """Step to the event by Newton's method from a probe of `dt` that ends in `motion`.
 
-        def body(loop: tuple) -> tuple:
-            low, high, span, _, count, _ = loop
-            g, slope = jax.jvp(value, (span,), (jnp.ones_like(span),))
-            low, high = jnp.where(g < 0, span, low), jnp.where(g < 0, high, span)
-            newton = span - g / slope
-            inside = (newton >= low) & (newton <= high)
-            after = jnp.where(inside, newton, 0.5 * (low + high))
-            return low, high, after, slope, count + 1, jnp.abs(after - span) > 1e-13 * dt
+        It stays within the step to the grid; where that is left no correction is made.
+        """
+        slope = self.end_slope(carry, motion, carry.t + dt)
+        after = dt - g / jnp.where(slope == 0, 1.0, slope)
+        near = self.step * _WITHIN
+        inside = (after >= -near) & (carry.t + after <= self.grid_time(carry) + near)
+        return jnp.where(inside & (slope != 0), after, dt)
 
-        def searching(loop: tuple) -> Bool[Array, ""]:
-            return wanted & loop[5] & (loop[4] < 60)
-
-        first = (jnp.zeros_like(dt), dt, dt, jnp.ones_like(dt), 0, jnp.ones((), bool))
-        _, _, span, slope, _, _ = jax.lax.while_loop(searching, body, first)
-        return span, slope
+    def grid_time(self, carry: Carry) -> Scalar:
+        """When (s) the next ordinary step ends."""
+        done = carry.grid.astype(float)
+        return self.start + jnp.minimum(self.seconds, (done + 1) * self.step)
 
     def iterate(self, carry: Carry) -> tuple[Carry, Row]:
-        """One pass of the engine: an ordinary step, or one of the two that make an event.
+        """One pass of the engine: an ordinary step, or one of the three that make an event.
 
-        An ordinary step that passes the end of its stage is withdrawn and the event
-        located; a probing step to it, also withdrawn, corrects the length by
-        `-g / (dg/dt)`, which is zero but carries the derivative of the event's time; the
-        landing step is then differentiated exactly, and the next one returns to the grid.
+        An ordinary step that passes the end of its stage is withdrawn, and the event guessed. Two
+        probing steps to it, also withdrawn, correct the length by `-g / (dg/dt)`. Where the first
+        leaves a share e of the error, and of the derivative of the event's time, the second leaves
+        e^2: both are right to rounding. The landing step is then differentiated exactly, and the
+        next one returns to the grid.
         """
         done = carry.grid.astype(float)
-        limit = jnp.minimum(self.seconds, (done + 1) * self.step)
-        dt = jnp.where(carry.mode == _NORMAL, self.start + limit - carry.t, carry.planned)
+        dt = jnp.where(carry.mode == _NORMAL, self.grid_time(carry) - carry.t, carry.planned)
         finished = (carry.stage >= self.stages.count) | carry.diverged
         finished = finished | ((carry.mode == _NORMAL) & (done * self.step >= self.seconds))
         motion = self.motion_after(carry, dt)
@@ -126,8 +142,8 @@ class _StageRun(eqx.Module):
         wild = ~is_plausible(self.vessel, motion.state)
         active = ~finished & ~wild
         crossing = active & (carry.mode == _NORMAL) & (g >= 0)
-        span, slope = self.locate(carry, dt, crossing)
-        probing = active & (carry.mode == _PROBE)
+        probing = active & ((carry.mode == _PROBE) | (carry.mode == _PROBE_AGAIN))
+        corrected = self.corrected(carry, motion, g, dt)
         landing = active & (carry.mode == _LAND)
         stepping = active & (carry.mode == _NORMAL) & ~crossing
         accepted = stepping | landing
@@ -141,11 +157,12 @@ class _StageRun(eqx.Module):
             stage=stage,
             began=jnp.where(landing, t, carry.began),
             grid=carry.grid + stepping.astype(int),
-            mode=jnp.where(crossing, _PROBE, jnp.where(probing, _LAND, _NORMAL)),
+            mode=jnp.where(crossing, _PROBE, jnp.where(probing, carry.mode + 1, _NORMAL)),
             planned=jnp.where(
-                crossing, span, jnp.where(probing, dt - g / carry.slope, carry.planned)
+                crossing,
+                self.first_guess(carry, motion, g, dt),
+                jnp.where(probing, corrected, carry.planned),
             ),
-            slope=jnp.where(crossing, slope, carry.slope),
             switch_times=jnp.where(
                 landing & (jnp.arange(self.stages.count) == carry.stage), t, carry.switch_times
             ),
@@ -156,6 +173,24 @@ class _StageRun(eqx.Module):
         orders = self.orders(carry)  # that hold from now on
         executed = executed_now(self.vessel, carry.motion, orders)
         return carry, Row(carry.t, carry.motion.state, orders, executed, carry.stage, accepted)
+
+
+def hermite_root(first: Scalar, last: Scalar, begin: Scalar, end: Scalar) -> Scalar:
+    """Where in [0, 1] the cubic of two values and two slopes crosses zero upwards, or nearly so.
+
+    Newton's method from the secant, from `first` below zero to `last`, which is not; zero where
+    `first` is not below.
+    """
+    rise = jnp.where(last > first, last - first, 1.0)
+    curve, twist = 3 * (last - first) - 2 * begin - end, begin + end - 2 * (last - first)
+    secant = jnp.clip(-first / rise, 0.0, 1.0)
+    at = secant
+    for _ in range(_CUBIC_ITERATIONS):
+        value = first + at * (begin + at * (curve + at * twist))
+        slope = begin + at * (2 * curve + 3 * at * twist)
+        at = at - value / jnp.where(slope == 0, 1.0, slope)
+        at = jnp.where((at >= 0) & (at <= 1), at, secant)
+    return jnp.where(first < 0, at, 0.0)
 
 
 def executed_now(
@@ -217,12 +252,10 @@ def run_stages(
         grid=zero,
         mode=zero + _NORMAL,
         planned=run.step,
-        slope=jnp.ones(()),
         switch_times=jnp.full(stages.count, jnp.nan),
         diverged=jnp.zeros((), bool),
         throttle=jnp.asarray(throttle, float),
         governing=governor.init(),
     )
-    # An event costs three passes beside the ordinary ones: withdrawn, probe, landing.
-    passes = math.ceil(seconds / step) + 3 * stages.count
+    passes = math.ceil(seconds / step) + _EVENT_PASSES * stages.count
     return jax.lax.scan(lambda c, _: run.iterate(c), carry, length=passes)

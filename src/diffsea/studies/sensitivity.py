@@ -17,6 +17,7 @@ from diffsea.errors import UserError, nearest
 from diffsea.parameters import file_parameters, named, replace, spread_over_places
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
+from diffsea.types import as_inputs
 from diffsea.vessel.base import Vessel
 
 
@@ -65,7 +66,7 @@ def sensitivities(
     values, places = named(vessel), file_parameters(vessel)
     at = {name: float(values[places[name][0]]) for name in names}
     shared = tuple((name, places[name]) for name in names)
-    vessel = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    vessel = as_inputs(vessel)
     start = jnp.asarray(list(at.values()))
     groups = -(-len(names) // _TANGENTS)
     directions = np.eye(groups * _TANGENTS, len(names)).reshape(groups, _TANGENTS, len(names))

@@ -26,7 +26,7 @@ from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.studies.sensitivity import Places
 from diffsea.trajectory import Outcome
-from diffsea.types import Scalar
+from diffsea.types import Scalar, as_inputs
 from diffsea.vessel.base import Vessel
 
 
@@ -182,7 +182,7 @@ def _run_designs(
     Returns their results, and of the batches that were not compiled first the vessel-steps and
     the seconds that they took.
     """
-    arrays = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel)
+    arrays = as_inputs(vessel)
     size = min(_BATCH, 1 << (len(values) - 1).bit_length())
     batches = [values[k : k + size] for k in range(0, len(values), size)]
     steps = 0

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from diffsea.kinematics import through_water, to_body, to_earth
-from diffsea.scales import positive_inertia
+from diffsea.scales import is_absent, positive_inertia
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.forces import AbstractForce, Force
 from diffsea.vessel.inertia import AddedMass, RigidBody
@@ -136,8 +136,10 @@ class Losses(eqx.Module):
 
     def factor(self, water: State) -> Scalar:
         """The factor at this motion through the water (m/s, rad/s)."""
-        speed, turn = 1 - self.with_speed * water.u, 1 - self.in_turns * jnp.abs(water.r)
-        return (1 + self.asymmetry) * speed * turn
+        own = 1 + self.asymmetry
+        speed = 1.0 if is_absent(self.with_speed) else 1 - self.with_speed * water.u
+        turn = 1.0 if is_absent(self.in_turns) else 1 - self.in_turns * jnp.abs(water.r)
+        return own * speed * turn
 
 
 class AbstractPropulsor(AbstractActuator):
@@ -303,12 +305,14 @@ class Vessel(eqx.Module):
         tau = sum(self.breakdown(state, executed, environment, t).values(), Force())
         m11, m22, m23, m32, m33 = self._inertia(environment, t)
         determinant = m22 * m33 - m23 * m32
-        flow = to_body(environment.current_north, environment.current_east, state.psi)
-        return (
-            tau.X / m11 + state.r * flow[1],
-            (m33 * tau.Y - m23 * tau.N) / determinant - state.r * flow[0],
-            (m22 * tau.N - m32 * tau.Y) / determinant,
-        )
+        u_dot = tau.X / m11
+        v_dot = (m33 * tau.Y - m23 * tau.N) / determinant
+        r_dot = (m22 * tau.N - m32 * tau.Y) / determinant
+        current = environment.current_north, environment.current_east
+        if not is_absent(*current):
+            flow = to_body(*current, state.psi)
+            u_dot, v_dot = u_dot + state.r * flow[1], v_dot - state.r * flow[0]
+        return u_dot, v_dot, r_dot
 
     def rate(
         self, state: State, executed: dict[str, Scalar], environment: Environment, t: Scalar

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffsea.kinematics import through_air, to_body
-from diffsea.scales import time_scale
+from diffsea.scales import is_absent, time_scale
 from diffsea.types import Environment, Scalar, State
 
 
@@ -32,6 +32,8 @@ class Force(eqx.Module):
 
         x is forward of amidships, y to starboard of the centreline.
         """
+        if is_absent(angle):
+            return cls(thrust, 0.0, -y * thrust)
         X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
         return cls(X, Y, x * Y - y * X)
 
@@ -75,6 +77,8 @@ class Wind(AbstractForce):
     air_density: Scalar = 1.225  # kg/m^3
 
     def __call__(self, state: State, environment: Environment, t: Scalar) -> Force:
+        if is_absent(environment.wind_north, environment.wind_east):
+            return Force()
         return self._force(*through_air(state, environment)) - self._force(-state.u, -state.v)
 
     def _force(self, u_a: Scalar, v_a: Scalar) -> Force:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from diffsea.kinematics import through_water
+from diffsea.scales import is_absent
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import AbstractDependentForce, Forces, Vessel
 from diffsea.vessel.forces import AbstractForce, Force, step
@@ -180,6 +181,8 @@ class ShallowDamping(AbstractDependentForce):
     def __call__(
         self, vessel: Vessel, forces: Forces, water: State, environment: Environment, t: Scalar
     ) -> Force:
+        if is_absent(environment.shallowness):
+            return Force()
         along = jnp.expm1(0.25 * environment.shallowness)
         across = jnp.expm1(environment.shallowness)
         drag = vessel.sum_of_part(forces, "resistance")

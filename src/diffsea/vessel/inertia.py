@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from diffsea.kinematics import through_water
+from diffsea.scales import is_absent
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.forces import AbstractForce, Force, step
 
@@ -28,6 +29,8 @@ class RigidBody(eqx.Module):
         The payload is amidships, so that neither the moment m x_G nor the inertia about the
         midship origin changes: x_G and I_z follow from that.
         """
+        if is_absent(self.payload):
+            return self
         mass = self.mass + self.payload * step(t, self.payload_time, self.length)
         moment = self.mass * self.x_G
         x_G = moment / mass
@@ -61,6 +64,8 @@ class AddedMass(eqx.Module):
         About half more at h = 2 T and three quarters more at 1.5 T, what tests in shallow
         basins show for full hulls; hulls differ from it by tens of per cent.
         """
+        if is_absent(shallowness):
+            return self
         growth = jnp.exp(0.5 * shallowness)
         return jax.tree.map(lambda value: value * growth, self)
 

@@ -56,6 +56,7 @@ from diffsea.identification.problem import Coordinates, Names, NumberResidual
 from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
+from diffsea.types import as_inputs
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
 
@@ -259,7 +260,7 @@ class TrialNumbers(AbstractObjective):
         stack = lambda *values: jnp.asarray(values, float)
         orders = [jax.tree.map(stack, *(varied[n] for n in rows)) for rows in members.values()]
         self._inputs = TrialInputs(
-            jax.tree.map(lambda leaf: jnp.asarray(leaf, float), vessel),
+            as_inputs(vessel),
             jnp.concatenate([jnp.asarray(one.values, float) for one in trials]),
             jnp.concatenate([jnp.asarray(one.stds, float) for one in trials]),
             orders,
