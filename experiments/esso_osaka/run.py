@@ -171,7 +171,7 @@ def _given(problem: Problem, runs: list[Trajectory]) -> np.ndarray:
     """Coordinates at the vessel file, with the measured wind in every run."""
     effect = EFFECTS["wind"]
     out = np.zeros(problem.layout.size)
-    place = problem.layout.slices()["wind"]
+    place = problem.layout.slices["wind"]
     sizes = np.array(effect.sizes(problem.base))
     for number, run in enumerate(runs):
         flow = np.array(effect.encode(problem.base, measured(run)))

@@ -43,7 +43,7 @@ def test_the_wheel_has_vessels_templates_and_types(wheel):
 def test_the_wheel_runs_a_trial_in_an_empty_environment(wheel, tmp_path):
     run(sys.executable, "-m", "venv", tmp_path / "venv")
     scripts = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")
-    run(scripts / "python", "-m", "pip", "install", "--quiet", wheel)
+    run(scripts / "python", "-m", "pip", "install", "--quiet", "--no-compile", wheel)
     out = tmp_path / "out"
     options = ("--manoeuvre", "turning-circle", "-o", out)
     printed = run(scripts / "diffsea", "trial", "otter", *options, cwd=tmp_path)

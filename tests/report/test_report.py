@@ -213,7 +213,7 @@ def estimate_of(problem: Problem, values: dict[str, tuple[float, ...]]) -> Estim
     for name, physical in values.items():
         sizes = np.array(problem.layout.sizes[[e.name for e in problem.layout.effects].index(name)])
         copies = np.array(physical).reshape(-1, len(sizes)) / sizes
-        coordinates[problem.layout.slices()[name]] = copies.ravel()
+        coordinates[problem.layout.slices[name]] = copies.ravel()
     index = np.arange(len(coordinates))
     free = tuple(p.name for p in problem.layout.parameters) + tuple(values)
     covariance, share = 1e-4 * np.eye(len(index)), np.full(len(index), 0.99)

@@ -41,11 +41,11 @@ def cost(layout, x):
 @pytest.mark.parametrize("scale", [0.01, 1.0, 30.0])
 def test_sizes_have_the_tail_of_a_student_t(layout, scale):
     x = scale * np.random.default_rng(1).normal(size=layout.size)
-    factor, time = x[layout.slices()["drag-change"]]
-    currents = x[layout.slices()["current"]].reshape(3, 2)
-    tails = [(1, [factor]), (1, x[layout.slices()["gyro-bias"]]), *((2, c) for c in currents)]
+    factor, time = x[layout.slices["drag-change"]]
+    currents = x[layout.slices["current"]].reshape(3, 2)
+    tails = [(1, [factor]), (1, x[layout.slices["gyro-bias"]]), *((2, c) for c in currents)]
     normal = (x[0] / layout.spreads()[0]) ** 2
-    normal += (time / layout.spreads()[layout.slices()["drag-change"]][1]) ** 2
+    normal += (time / layout.spreads()[layout.slices["drag-change"]][1]) ** 2
     heavy = sum(2 * (student(d).logpdf(np.zeros(d)) - student(d).logpdf(c)) for d, c in tails)
     assert cost(layout, x) == pytest.approx(normal + heavy, rel=1e-9)
 
@@ -67,7 +67,7 @@ def test_local_spreads_have_the_slope_of_the_prior(layout):
 
 def test_a_size_far_out_in_the_tail_hardly_counts(layout):
     x = np.zeros(layout.size)
-    x[layout.slices()["gyro-bias"]] = 100 * PRIOR_SPREAD
+    x[layout.slices["gyro-bias"]] = 100 * PRIOR_SPREAD
     assert cost(layout, x) < 35  # of 10 000 of a normal one
 
 

@@ -73,7 +73,7 @@ def first_states(name):
     """States of a short run without compilation, where rounding does not depend on the rest."""
     vessel = VESSEL if name is None else EFFECTS[name].apply(VESSEL, at_zero(name))
     with jax.disable_jit():
-        states = replay(vessel, settled(vessel), orders_at(0.4, 2.4), vessel.environment, 0.4)
+        states = replay(vessel, settled(vessel), orders_at(0.8, 2.4), vessel.environment, 0.8)
     return np.stack([getattr(states, channel) for channel in MOTION_CHANNELS])
 
 

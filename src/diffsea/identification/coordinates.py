@@ -8,6 +8,7 @@ chosen, and what is strong soon is better seen by a secant than by the tangent a
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -55,6 +56,7 @@ class CoordinateLayout:
         """How many sets of coordinates an effect has."""
         return self.runs if self.per_run and effect.per_run else 1
 
+    @functools.cached_property
     def slices(self) -> dict[str, slice]:
         """Where each effect's coordinates stand."""
         out, start = {}, len(self.parameters)
@@ -67,7 +69,7 @@ class CoordinateLayout:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return max((s.stop for s in self.slices().values()), default=len(self.parameters))
+        return max((s.stop for s in self.slices.values()), default=len(self.parameters))
 
     def kinds(self) -> tuple[Int[np.ndarray, "coordinate"], Int[np.ndarray, "coordinate"]]:
         """What each coordinate is, the same number in every instance, and its run or -1."""
@@ -88,6 +90,7 @@ class CoordinateLayout:
             out += own * self.instances(effect)
         return np.array(out)
 
+    @functools.cached_property
     def _tails(
         self,
     ) -> tuple[Float[np.ndarray, "coordinate coordinate"], Float[np.ndarray, "coordinate"]]:
@@ -95,7 +98,7 @@ class CoordinateLayout:
         together = np.zeros((self.size, self.size))
         heavy = np.full(self.size, np.inf)
         for effect in self.effects:
-            places = np.arange(self.size)[self.slices()[effect.name]]
+            places = np.arange(self.size)[self.slices[effect.name]]
             for instance in places.reshape(self.instances(effect), -1):
                 amounts = instance[effect.amounts]
                 together[np.ix_(amounts, amounts)] = 1.0
@@ -111,7 +114,7 @@ class CoordinateLayout:
         (Kotz and Nadarajah 2004), because what would be noticeable is a guess: k log(1 + s / k),
         with s the sum of squares of their normal deviations and k = `TAIL_DEGREES` + their number.
         """
-        together, heavy = self._tails()
+        together, heavy = self._tails
         scaled = coordinates / spreads
         off = (together @ scaled**2) / heavy
         some = off > 1e-8
@@ -122,7 +125,7 @@ class CoordinateLayout:
         self, coordinates: Float[np.ndarray, "coordinate"]
     ) -> Float[np.ndarray, "coordinate"]:
         """Standard deviations of the normal prior of the same slope at an estimate."""
-        together, heavy = self._tails()
+        together, heavy = self._tails
         spreads = self.spreads()
         return spreads * np.sqrt(1.0 + together @ (coordinates / spreads) ** 2 / heavy)
 
@@ -134,7 +137,7 @@ class CoordinateLayout:
 
     def indices(self, names: tuple[str, ...]) -> list[int]:
         """Positions of the coordinates of parameters, then of effects, by name."""
-        slices = self.slices()
+        slices = self.slices
         found = [k for k, parameter in enumerate(self.parameters) if parameter.name in names]
         for name in names:
             found += range(slices[name].start, slices[name].stop) if name in slices else []
@@ -145,7 +148,7 @@ class CoordinateLayout:
     ) -> Float[np.ndarray, "instance own"]:
         """An effect's coordinates in SI units, one row per instance."""
         index = [effect.name for effect in self.effects].index(name)
-        scaled = np.asarray(coordinates)[self.slices()[name]]
+        scaled = np.asarray(coordinates)[self.slices[name]]
         return scaled.reshape(-1, len(self.sizes[index])) * np.array(self.sizes[index])
 
 
@@ -172,7 +175,7 @@ def vessel_at(
     zero = jnp.zeros(layout.runs)
     flow = jax.tree.map(lambda leaf: leaf + zero, vessel.environment)
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        scaled = coordinates[layout.slices()[effect.name]].reshape(-1, len(sizes))
+        scaled = coordinates[layout.slices[effect.name]].reshape(-1, len(sizes))
         physical = scaled * jnp.asarray(sizes)
         if not effect.per_run:
             vessel = effect.apply(vessel, physical[0])

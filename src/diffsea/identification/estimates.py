@@ -254,7 +254,7 @@ def parameter_records(
     layout = problem.layout
     effect = next(e for e in layout.effects if e.name == name)
     sizes = np.array(layout.sizes[layout.effects.index(effect)])
-    place = layout.slices()[name]
+    place = layout.slices[name]
     positions = [list(fitted.index).index(k) for k in range(place.start, place.stop)]
     covariance = fitted.covariance[np.ix_(positions, positions)]
     out = []

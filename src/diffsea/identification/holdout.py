@@ -142,8 +142,8 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
     own = []
     for effect in train.effects:
         if not effect.per_run:
-            place = test.slices()[effect.name]
-            out[place] = fitted.coordinates[train.slices()[effect.name]]
+            place = test.slices[effect.name]
+            out[place] = fitted.coordinates[train.slices[effect.name]]
         elif effect.name in fitted.free:
             own.append(effect.name)
     if not own:

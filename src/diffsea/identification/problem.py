@@ -188,7 +188,7 @@ def first_run_coordinates(problem: Problem, coordinates: Coordinates) -> Float[n
     layout = problem.layout
     parts = [coordinates[: len(layout.parameters)]]
     for effect, sizes in zip(layout.effects, layout.sizes, strict=True):
-        parts.append(coordinates[layout.slices()[effect.name]][: len(sizes)])
+        parts.append(coordinates[layout.slices[effect.name]][: len(sizes)])
     return np.concatenate(parts)
 
 
