@@ -228,3 +228,14 @@ def test_of_a_whole_and_its_part_the_part_is_named_unless_the_whole_explains_mor
     elsewhere = judged("thrust-delay:propulsion", 60.0)
     assert decide(listed(whole, elsewhere), None) is whole
     assert AcceptedEffect(whole, listed(whole, elsewhere)).rivals == ("thrust-delay",)
+
+
+def test_weather_is_named_where_nothing_of_the_vessel_does_nearly_as_well():
+    wind, hull = judged("wind", 63.0), judged("added-mass-coupling", 60.0)
+    assert decide(listed(wind, hull), None) is hull
+    assert AcceptedEffect(hull, listed(wind, hull)).rivals == ("wind",)
+    assert decide(listed(judged("wind", 90.0), hull), None).effect == "wind"
+    sensor = judged("heading-offset", 60.0)
+    assert decide(listed(wind, sensor), None) is wind
+    unsteady = dataclasses.replace(hull, constancy=UNSTEADY)
+    assert decide(listed(wind, unsteady), None) is wind

@@ -201,8 +201,8 @@ def test_what_was_found_beside_a_withdrawn_name_is_asked_for_without_it(data, fo
     """What is left stands out more than the first name did; the second is asked for again."""
     first, second = found.effects
     strongest = max(cell.z**2 for cell in found.final_screening.cells)
-    weak = with_statistic(first, 0.5 * strongest)
-    strong = with_statistic(second, 2 * strongest)
+    weak = with_statistic(first, 1.1 * strongest)  # no more than by chance
+    strong = with_statistic(second, 100 * strongest)
     strong = dataclasses.replace(
         strong, hypothesis=dataclasses.replace(strong.hypothesis, constancy=UNSTEADY)
     )

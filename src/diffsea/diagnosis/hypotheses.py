@@ -81,6 +81,16 @@ class Hypothesis:
         own, whole = EFFECTS[self.effect], EFFECTS[other.effect]
         return catalogue_name(own.name) in whole.parts and own.place == whole.place
 
+    def is_plainer_than(self, other: "Hypothesis") -> bool:
+        """Whether it is to be believed of two that are supported nearly as well.
+
+        A part rather than the whole, and a property of hull or actuators rather than the weather:
+        no vessel is exactly what its file says, whereas weather is there or it is not.
+        """
+        families = EFFECTS[self.effect].family, EFFECTS[other.effect].family
+        is_own = families[0] in ("hull", "actuator") and families[1] == "environment"
+        return is_own or self.is_part_of(other)
+
     def share_mimicked_by(self, other: "Hypothesis") -> float:
         """Share of its information that the other reproduces, to first order, 0 to 1."""
         return mimicry(self.candidate.columns, other.candidate.columns)
@@ -355,13 +365,13 @@ class ShortList:
         return [one for one in self.hypotheses if one.is_judged]
 
     @property
-    def simplest_first(self) -> list[Hypothesis]:
-        """The judged ones, what is part of one and supported nearly as well before it."""
+    def plainest_first(self) -> list[Hypothesis]:
+        """The judged ones, before each those that are plainer and supported nearly as well."""
         ordered = dict[str, Hypothesis]()
         for one in self.judged:
             enough = one.support(self.inflation) - EVIDENCE
-            parts = [other for other in self.judged if other.is_part_of(one)]
-            near = [other for other in parts if other.support(self.inflation) > enough]
+            plainer = [other for other in self.judged if other.is_plainer_than(one)]
+            near = [other for other in plainer if other.support(self.inflation) > enough]
             ordered |= {
                 other.effect: other for other in (*near, one) if other.effect not in ordered
             }
@@ -432,13 +442,13 @@ def decide(
 ) -> Hypothesis | None:
     """The best hypothesis for which evidence and held-out data both speak.
 
-    It is the one that all data support most, or one that they support nearly as well; of two of
-    which one is part of the other, the part if it is supported nearly as well. Where held-out data
+    It is the one that all data support most, or one that they support nearly as well, the plainer
+    one before the other. Where held-out data
     leave one open, they and the training data change places: `exchanged_gain` says
     what comes of it, None where they cannot.
     """
     inflation = short_list.inflation
-    for one in short_list.simplest_first:
+    for one in short_list.plainest_first:
         behind = short_list.judged[0].support(inflation) - one.support(inflation)
         if behind > EVIDENCE:
             return None

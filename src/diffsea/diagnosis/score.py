@@ -303,6 +303,7 @@ class Constancy(NamedTuple):
 def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
 
+    Coefficients of the vessel's own that come with it stay the same in all parts.
     Of the two tests, the one that speaks more against one size. How the innovations depend on one
     another in time is taken from what is left with those sizes: with one size, what comes and goes
     would pass for coloured gusts.
@@ -315,6 +316,8 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     run = np.asarray(problem.dataset.run)
     owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
     J = nuisance[:, [owner == effect for owner in owners]]
+    amounts = EFFECTS[effect].amounts
+    sizes = J[:, np.tile(amounts, J.shape[1] // len(amounts))]
     # All parts together are the effect but for its prior, which says nothing of constancy.
     own = np.array(J)
     own[: 6 * len(run)] = 0.0
@@ -322,8 +325,8 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
     tests = []
     for count in PARTS:
-        parts = _columns_of_parts(problem, J, count)
-        degrees = parts.shape[1] - J.shape[1]
+        parts = _columns_of_parts(problem, sizes, count)
+        degrees = parts.shape[1] - sizes.shape[1]
         if degrees <= 0:
             tests.append(Constancy(0.0, 1.0, 0.0, tolerated))
             continue

@@ -28,7 +28,7 @@ from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_f
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.estimates import ONE_SIDED_95, Estimate, Progress, no_progress
 from diffsea.identification.fit import estimate_surely
 from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
@@ -383,14 +383,20 @@ def ask_again(
 
 
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
-    """Withdraw names that what is left stands out more than: both may have another cause.
+    """Withdraw names that stood out no more than what is left does: both may have another cause.
 
-    The other effects are asked for without them.
+    The other effects are asked for without them. Two statistics whose centre is far from zero
+    differ by chance, as their variance of four times the centre says.
     """
     left = null.of_located(kept.final_screening.located_p_value)
     strongest = max((cell.z**2 for cell in kept.final_screening.cells), default=0.0)
+
+    def is_outdone(statistic: float) -> bool:
+        chance = 2 * ONE_SIDED_95 * math.sqrt(statistic + strongest)
+        return statistic < strongest + chance
+
     outdone = [
-        one.name for one in kept.searched if one.hypothesis.candidate.score.statistic < strongest
+        one.name for one in kept.searched if is_outdone(one.hypothesis.candidate.score.statistic)
     ]
     if left >= ALPHA or not outdone:
         return kept
