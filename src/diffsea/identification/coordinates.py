@@ -66,6 +66,23 @@ class CoordinateLayout:
             start = stop
         return out
 
+    def present(
+        self, coordinates: Float[np.ndarray, "coordinate"]
+    ) -> tuple["CoordinateLayout", Float[np.ndarray, "present"]]:
+        """The layout without effects whose amounts are all zero, and its coordinates."""
+        kept = list(range(len(self.parameters)))
+        there = []
+        for number, effect in enumerate(self.effects):
+            place = np.arange(self.size)[self.slices[effect.name]]
+            amounts = np.tile(effect.amounts, self.instances(effect))
+            if np.any(coordinates[place][amounts] != 0):
+                there.append(number)
+                kept.extend(place)
+        effects = tuple(self.effects[number] for number in there)
+        sizes = tuple(self.sizes[number] for number in there)
+        layout = dataclasses.replace(self, effects=effects, sizes=sizes)
+        return layout, coordinates[kept]
+
     @property
     def size(self) -> int:
         """Number of coordinates."""

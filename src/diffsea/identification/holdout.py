@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -161,7 +160,7 @@ def held_out_vessels(split: Split, fitted: Estimate) -> list[Vessel]:
 
 def vessels_in_runs(problem: Problem, coordinates: Coordinates, runs: int) -> list[Vessel]:
     """The vessel at some coordinates in the environment of each of the problem's first runs."""
-    vessel, flow = vessel_at(problem.base, problem.layout, jnp.asarray(coordinates))
+    vessel, flow = vessel_at(problem.base, *problem.layout.present(np.asarray(coordinates)))
     flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(runs)]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
 

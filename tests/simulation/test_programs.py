@@ -1,0 +1,63 @@
+"""What is in a compiled program, and where a cubic crosses zero."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.diagnosis.small import usv
+
+from diffsea import EFFECTS, State, named
+from diffsea.scales import is_absent
+from diffsea.simulation.switching import hermite_root
+from diffsea.types import as_inputs
+
+
+STATE = State(*(jnp.asarray(value) for value in (0.0, 0.0, 0.4, 1.1, 0.2, 0.1)))
+NOTICEABLE = ("current", "wind", "shallow-water", "mass-change", "thrust-loss-with-speed",
+              "thrust-loss-in-turns", "thruster-misalignment")  # fmt: skip
+
+
+def operations(vessel) -> int:
+    """How many operations the vessel's rate takes in a program."""
+    executed = {channel: 20.0 for channel in vessel.channels}
+    rate = jax.make_jaxpr(lambda state: vessel.rate(state, executed, vessel.environment, 3.0))
+    return len(rate(STATE).jaxpr.eqns)
+
+
+def test_what_is_zero_is_an_input_no_more():
+    inputs = named(as_inputs(usv()))
+    for name, value in named(usv()).items():
+        assert is_absent(inputs[name]) == (float(value) == 0), name
+        assert float(inputs[name]) == float(value)
+    assert is_absent(0.0, 0) and not is_absent(0.0, jnp.zeros(())) and not is_absent(np.zeros(()))
+
+
+@pytest.mark.parametrize("name", NOTICEABLE)
+def test_a_vessel_that_lacks_something_has_a_shorter_program_and_the_same_motion(name):
+    effect, vessel = EFFECTS[name], usv()
+    zero = jnp.zeros(len(effect.coordinates))
+    there = effect.apply(vessel, zero)  # traced numbers: it may come to be
+    assert operations(vessel) < operations(there)
+    executed = {channel: 20.0 for channel in vessel.channels}
+    rates = [one.rate(STATE, executed, one.environment, 3.0) for one in (vessel, there)]
+    for one, other in zip(*map(jax.tree.leaves, rates), strict=True):
+        assert float(one) == pytest.approx(float(other), rel=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_root_of_a_cubic_is_found(seed):
+    rng = np.random.default_rng(seed)
+    first, last = -rng.uniform(0.01, 1.0), rng.uniform(0.0, 1.0)
+    rise = last - first
+    begin, end = rise * rng.uniform(0.5, 1.5, 2)  # growing throughout
+    root = float(hermite_root(first, last, begin, end))
+    cubic = np.polynomial.Polynomial(
+        [first, begin, 3 * rise - 2 * begin - end, begin + end - 2 * rise]
+    )
+    assert 0 <= root <= 1 and abs(cubic(root)) < 1e-9 * rise
+
+
+def test_an_event_that_is_over_is_at_the_beginning():
+    assert float(hermite_root(0.0, 0.3, 0.2, 0.4)) == 0.0
+    assert float(hermite_root(0.1, 0.3, 0.2, 0.2)) == 0.0
+    assert 0 <= float(hermite_root(-0.1, -0.1, 0.0, 0.0)) <= 1
