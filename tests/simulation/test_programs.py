@@ -17,11 +17,11 @@ NOTICEABLE = ("current", "wind", "shallow-water", "mass-change", "thrust-loss-wi
               "thrust-loss-in-turns", "thruster-misalignment")  # fmt: skip
 
 
-def operations(vessel) -> int:
-    """How many operations the vessel's rate takes in a program."""
+def program(vessel):
+    """The program of the vessel's rate, of the time alone."""
     executed = {channel: 20.0 for channel in vessel.channels}
-    rate = jax.make_jaxpr(lambda state: vessel.rate(state, executed, vessel.environment, 3.0))
-    return len(rate(STATE).jaxpr.eqns)
+    rate = lambda t: vessel.rate(STATE, executed, vessel.environment, t)
+    return jax.make_jaxpr(rate)(3.0).jaxpr
 
 
 def test_what_is_zero_is_an_input_no_more():
@@ -37,11 +37,18 @@ def test_a_vessel_that_lacks_something_has_a_shorter_program_and_the_same_motion
     effect, vessel = EFFECTS[name], usv()
     zero = jnp.zeros(len(effect.coordinates))
     there = effect.apply(vessel, zero)  # traced numbers: it may come to be
-    assert operations(vessel) < operations(there)
+    assert len(program(vessel).eqns) < len(program(there).eqns)
     executed = {channel: 20.0 for channel in vessel.channels}
     rates = [one.rate(STATE, executed, one.environment, 3.0) for one in (vessel, there)]
     for one, other in zip(*map(jax.tree.leaves, rates), strict=True):
         assert float(one) == pytest.approx(float(other), rel=1e-14)
+
+
+def test_what_changes_with_time_is_in_no_program_of_a_vessel_that_does_not_change():
+    time_is_used = lambda one: any(one.invars[0] in step.invars for step in one.eqns)
+    assert not time_is_used(program(usv()))
+    payload = EFFECTS["mass-change"].apply(usv(), jnp.zeros(2))
+    assert time_is_used(program(payload))
 
 
 @pytest.mark.parametrize("seed", range(40))
