@@ -20,6 +20,13 @@ import tests.shapes  # noqa: F401  isort: skip  the hook finds it by name
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+def pytest_collection_modifyitems(items):
+    """Files with slow tests first: two workers then have something to do until the end."""
+    is_slow = lambda item: any(item.get_closest_marker(name) for name in ("slow", "experiment"))
+    slow = {item.path for item in items if is_slow(item)}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forget_compiled():
     """Compiled programs end with their module: LLVM crashes where a process maps too many."""
