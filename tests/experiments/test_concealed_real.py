@@ -60,6 +60,20 @@ def test_what_the_page_says_of_real_sets_is_what_was_found():
         assert ahead == " -> ".join(dict.fromkeys(errors)), line["id"]
 
 
+@pytest.mark.skipif(not sets.available(), reason="the real recordings are absent")
+def test_what_the_page_says_of_facts_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines()]
+    told = {row[0]: row[1] for row in rows if len(row) == 3}
+    lines = (FOLDER / "results" / "facts.jsonl").read_text(encoding="utf-8").splitlines()
+    every = []
+    for line in map(json.loads, lines):
+        held = [one for one in facts.judge(line["id"], line).values() if one is not None]
+        assert told[line["id"]] == f"{sum(held)} of {len(held)}", line["id"]
+        every += held
+    assert f"**{sum(every)} of {len(every)} hold**" in text
+
+
 # Independence
 
 
