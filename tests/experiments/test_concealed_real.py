@@ -60,7 +60,7 @@ def test_what_the_page_says_of_real_sets_is_what_was_found():
         assert ahead == " -> ".join(dict.fromkeys(errors)), line["id"]
 
 
-@pytest.mark.skipif(not sets.available(), reason="the real recordings are absent")
+@real
 def test_what_the_page_says_of_facts_is_what_was_found():
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines()]
