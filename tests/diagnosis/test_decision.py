@@ -234,7 +234,8 @@ def test_weather_is_named_where_nothing_of_the_vessel_does_nearly_as_well():
     wind, hull = judged("wind", 63.0), judged("added-mass-coupling", 60.0)
     assert decide(listed(wind, hull), None) is hull
     assert AcceptedEffect(hull, listed(wind, hull)).rivals == ("wind",)
-    assert decide(listed(judged("wind", 90.0), hull), None).effect == "wind"
+    windy = judged("wind", 90.0)
+    assert decide(listed(windy, hull), None) is windy
     sensor = judged("heading-offset", 60.0)
     assert decide(listed(wind, sensor), None) is wind
     unsteady = dataclasses.replace(hull, constancy=UNSTEADY)

@@ -7,7 +7,7 @@ import pytest
 from tests.diagnosis.small import usv
 
 from diffsea import EFFECTS, State, named
-from diffsea.scales import is_absent
+from diffsea.scales import Scalar, is_absent
 from diffsea.simulation.switching import hermite_root
 from diffsea.types import as_inputs
 
@@ -19,7 +19,7 @@ NOTICEABLE = ("current", "wind", "shallow-water", "mass-change", "thrust-loss-wi
 
 def program(vessel):
     """The program of the vessel's rate, of the time alone."""
-    executed = {channel: 20.0 for channel in vessel.channels}
+    executed: dict[str, Scalar] = {channel: 20.0 for channel in vessel.channels}
     rate = lambda t: vessel.rate(STATE, executed, vessel.environment, t)
     return jax.make_jaxpr(rate)(3.0).jaxpr
 
@@ -38,7 +38,7 @@ def test_a_vessel_that_lacks_something_has_a_shorter_program_and_the_same_motion
     zero = jnp.zeros(len(effect.coordinates))
     there = effect.apply(vessel, zero)  # traced numbers: it may come to be
     assert len(program(vessel).eqns) < len(program(there).eqns)
-    executed = {channel: 20.0 for channel in vessel.channels}
+    executed: dict[str, Scalar] = {channel: 20.0 for channel in vessel.channels}
     rates = [one.rate(STATE, executed, one.environment, 3.0) for one in (vessel, there)]
     for one, other in zip(*map(jax.tree.leaves, rates), strict=True):
         assert float(one) == pytest.approx(float(other), rel=1e-14)

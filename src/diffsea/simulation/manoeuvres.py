@@ -35,7 +35,7 @@ def _stages(rows: list[tuple]) -> Stages:
     columns = [
         jnp.stack([jnp.asarray(e, float) for e in column]) for column in zip(*rows, strict=True)
     ]
-    return Stages(*columns, any(row[-2] != 0.0 for row in rows))
+    return Stages(*columns, by_speed=any(row[-2] != 0.0 for row in rows))
 
 
 _FULL_CIRCLES = math.radians(540)  # of the turning circle: MSC/Circ.1053 asks for 540 deg
