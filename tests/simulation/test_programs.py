@@ -14,7 +14,7 @@ from diffsea.types import as_inputs
 
 STATE = State(*(jnp.asarray(value) for value in (0.0, 0.0, 0.4, 1.1, 0.2, 0.1)))
 NOTICEABLE = ("current", "wind", "shallow-water", "mass-change", "thrust-loss-with-speed",
-              "thrust-loss-in-turns", "thruster-misalignment")  # fmt: skip
+              "thrust-loss-in-turns")  # fmt: skip
 
 
 def program(vessel):
