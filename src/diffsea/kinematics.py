@@ -85,8 +85,6 @@ def through_water(state: State, environment: Environment) -> State:
 
 def through_air(state: State, environment: Environment) -> tuple[Scalar, Scalar]:
     """Velocity of the air relative to the vessel in body axes: forward, starboard (m/s)."""
-    if is_absent(environment.wind_north, environment.wind_east):
-        return -state.u, -state.v
     air = to_body(environment.wind_north, environment.wind_east, state.psi)
     return air[0] - state.u, air[1] - state.v
 

@@ -25,9 +25,10 @@ _IMPLAUSIBLE_FROUDE = 10.0  # several times that of the fastest planing craft
 
 
 def is_absent(*values: Scalar) -> bool:
-    """Whether numbers are Python's zero: what they stand for is then in no compiled program.
+    """Whether numbers are zeros of Python's: what they stand for need not be calculated.
 
-    An array that is zero may become something else in the same program, in a fit say.
+    A compiled program is made once for them. An array that is zero now may be another number the
+    next time that the same program runs, in a fit say.
     """
     return all(isinstance(value, (int, float)) and value == 0 for value in values)
 

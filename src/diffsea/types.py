@@ -44,10 +44,10 @@ Tree = TypeVar("Tree")
 
 
 def as_inputs(tree: Tree) -> Tree:
-    """A tree whose numbers are arrays, the inputs of a compiled program; but zeros are Python's.
+    """A vessel, say, as the input of a compiled program: arrays, and Python's zero for zeros.
 
-    What is absent is then in no program (`is_absent`), and those of vessels that have the same
-    parts are one.
+    A Python number is part of the program, an array is given to it. What is absent is then in no
+    program (`is_absent`), and vessels that have the same parts share one.
     """
     numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
     return jax.tree.map(lambda leaf: 0.0 if leaf.ndim == 0 and leaf == 0 else leaf, numbers)

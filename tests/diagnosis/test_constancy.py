@@ -60,6 +60,15 @@ def test_a_sensor_error_must_be_there_all_the_time(plain):
     assert not found.holds and found._replace(tolerated=TOLERATED_SHARE).holds
 
 
+def test_coefficients_of_a_wind_are_one_in_all_parts(plain):
+    """Two components in each half or eighth, less those of the whole; three coefficients not."""
+    name, boat = "wind:coefficients", usv()
+    problem = make_problem(boat, [plain], FREE, (EFFECTS[name],), False, 5)
+    fitted = estimate(problem, (*FREE, name), rounds=1)
+    assert len(problem.layout.indices((name,))) == 5
+    assert constancy_test(problem, fitted, name, 10.0).degrees in (2, 14)
+
+
 def test_errors_widened_by_the_scatter_of_parts_cover_their_mean():
     """Parts of equal weight whose sizes scatter three times as far as their errors say."""
     rng = np.random.default_rng(3)

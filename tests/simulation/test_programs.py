@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import usv
 
-from diffsea import EFFECTS, State, named
+from diffsea import EFFECTS, Environment, State, named
+from diffsea.kinematics import through_water
 from diffsea.scales import Scalar, is_absent
 from diffsea.simulation.switching import hermite_root
 from diffsea.types import as_inputs
@@ -42,6 +43,12 @@ def test_a_vessel_that_lacks_something_has_a_shorter_program_and_the_same_motion
     rates = [one.rate(STATE, executed, one.environment, 3.0) for one in (vessel, there)]
     for one, other in zip(*map(jax.tree.leaves, rates), strict=True):
         assert float(one) == pytest.approx(float(other), rel=1e-14)
+
+
+def test_without_a_current_the_motion_through_the_water_is_that_over_ground():
+    assert through_water(STATE, Environment()) is STATE
+    flowing = Environment(current_north=jnp.zeros(()))
+    assert through_water(STATE, flowing) is not STATE
 
 
 def test_what_changes_with_time_is_in_no_program_of_a_vessel_that_does_not_change():

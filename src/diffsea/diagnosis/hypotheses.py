@@ -443,9 +443,8 @@ def decide(
     """The best hypothesis for which evidence and held-out data both speak.
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
-    one before the other. Where held-out data
-    leave one open, they and the training data change places: `exchanged_gain` says
-    what comes of it, None where they cannot.
+    one before the other. Where held-out data leave one open, they and the training data change
+    places: `exchanged_gain` says what comes of it, None where they cannot.
     """
     inflation = short_list.inflation
     for one in short_list.plainest_first:

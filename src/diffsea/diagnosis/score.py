@@ -303,10 +303,9 @@ class Constancy(NamedTuple):
 def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
 
-    Coefficients of the vessel's own that come with it stay the same in all parts.
-    Of the two tests, the one that speaks more against one size. How the innovations depend on one
-    another in time is taken from what is left with those sizes: with one size, what comes and goes
-    would pass for coloured gusts.
+    Its coefficients and its time are the same in all parts. Of the two tests, the one that speaks
+    more against one size. How the innovations depend on one another in time is taken from what is
+    left with those sizes: with one size, what comes and goes would pass for coloured gusts.
 
     Arguments:
         effect: its name; one of those that `fitted` was fitted with.

@@ -136,10 +136,9 @@ class Losses(eqx.Module):
 
     def factor(self, water: State) -> Scalar:
         """The factor at this motion through the water (m/s, rad/s)."""
-        own = 1 + self.asymmetry
         speed = 1.0 if is_absent(self.with_speed) else 1 - self.with_speed * water.u
         turn = 1.0 if is_absent(self.in_turns) else 1 - self.in_turns * jnp.abs(water.r)
-        return own * speed * turn
+        return (1 + self.asymmetry) * speed * turn
 
 
 class AbstractPropulsor(AbstractActuator):
