@@ -24,18 +24,20 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30 -m "not proof"
 
 quick: setup
 	$(BIN)/ruff check src tests experiments
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not experiment"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not experiment and not proof"
 
 experiments: setup
 	$(BIN)/python -m experiments.every
 
-# The proof on real recordings, which lie in ../shared/data: hours; goes on where it was stopped.
+# The longest tests; then the proof on real recordings, which lie in ../shared/data: hours; goes on
+# where it was stopped.
 proof: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m proof
 	$(BIN)/python -m experiments.concealed_real.run
 	$(BIN)/python -m experiments.concealed_real.score
 

@@ -116,6 +116,7 @@ def test_the_vessel_file_holds_the_effect(current, document):
     assert flow == pytest.approx(0.3, rel=0.1)
 
 
+@pytest.mark.proof
 def test_the_manoeuvre_that_separates_rivals_stays_within_the_vessels_limits(current):
     (accepted,) = current.effects
     best = accepted.hypothesis
@@ -141,6 +142,7 @@ def test_the_manoeuvre_that_separates_rivals_stays_within_the_vessels_limits(cur
         assert np.all((series >= float(servo.lower)) & (series <= float(servo.upper)))
 
 
+@pytest.mark.proof
 def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
     directions = {"random-fast": 2.0, "zigzag-slow": 4.5, "random-slow": 0.5}
     runs = []
@@ -165,6 +167,7 @@ def test_each_recording_can_have_a_current_of_its_own(document, tmp_path):
     assert "first part" in record["held_out"]["how"]
 
 
+@pytest.mark.proof
 def test_a_current_of_one_run_is_not_taken_for_one_of_all(document, tmp_path):
     hidden = {"current": {"speed": 0.3, "direction": 2.0}}
     runs = []

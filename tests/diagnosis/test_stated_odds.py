@@ -93,6 +93,7 @@ def assert_calibrated(stated: np.ndarray, right: np.ndarray) -> None:
         assert abs(right[bins == k].sum() - p.sum()) < 3 * error + 0.5, edges[k : k + 2]
 
 
+@pytest.mark.proof
 def test_the_best_is_as_often_right_as_its_odds_against_the_next_say(problems):
     """Where the truth is the best effect or the next best, or none where none is that."""
     stated, right = [], []

@@ -43,6 +43,7 @@ def quick(tmp_path_factory):
 # -- the quick run -----------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_every_design_completes_and_has_its_verdict(quick):
     assert quick["experiment"] == "design_sweep" and quick["quick"]
     found = quick["beyond"]["sweep"]

@@ -296,6 +296,7 @@ def quick(tmp_path_factory) -> dict:
     return found
 
 
+@pytest.mark.proof
 def test_every_published_figure_has_its_row(quick):
     rows = quick["comparison"]
     assert all(set(row) == {"quantity", "unit", "published", "obtained", "note"} for row in rows)

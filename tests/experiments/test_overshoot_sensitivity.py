@@ -47,6 +47,7 @@ def otter(quick):
 # -- the quick run -----------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_results_have_the_limits_and_what_goes_beyond(quick, otter):
     assert quick["experiment"] == "overshoot_sensitivity" and quick["quick"]
     rows = quick["comparison"]

@@ -46,6 +46,7 @@ def row(quick, quantity):
 # -- the quick run ---------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_every_published_figure_has_its_row(quick):
     for entry in quick["comparison"]:
         assert set(entry) == {"quantity", "unit", "published", "obtained", "note"}

@@ -47,6 +47,7 @@ def obtained(results, start):
 # -- the quick run ---------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_results_have_every_published_figure(results):
     assert results["experiment"] == "unberthing" and results["quick"]
     rows = results["comparison"]

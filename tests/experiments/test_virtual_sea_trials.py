@@ -36,6 +36,7 @@ def results(tmp_path_factory) -> dict:
 # -- the quick run ---------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_every_cell_of_the_tables_stands_beside_what_was_obtained(results, parts):
     rows = {row["quantity"]: row for row in results["comparison"]}
     for run in parts["published"].RUNS:

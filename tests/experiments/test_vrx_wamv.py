@@ -32,6 +32,7 @@ def results(tmp_path_factory):
 # -- the quick run ---------------------------------------------------------------------------
 
 
+@pytest.mark.proof
 def test_results_have_every_published_figure_and_what_goes_beyond(results):
     assert results["experiment"] == "vrx_wamv" and results["quick"]
     rows = results["comparison"]

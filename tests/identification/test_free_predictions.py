@@ -93,6 +93,7 @@ def test_noise_explains_what_a_right_model_misses_and_not_what_a_wrong_one_does(
     assert shortfalls(data, wrong) == (Shortfall.MISFIT, Shortfall.MOTION)
 
 
+@pytest.mark.proof
 def test_a_current_that_passes_for_gusts_is_missing_from_a_fit():
     """Innovations are at the noise level, and free predictions within what such gusts explain."""
     document = load(str(ORACLE / "usv.toml"))

@@ -181,6 +181,7 @@ tactical_diameter = {{ value = {tactical_diameter}, std = 0.01 }}
 """
 
 
+@pytest.mark.proof
 def test_an_effect_comes_out_of_trial_numbers_run_side_by_side(document, tmp_path):
     effect = EFFECTS["thrust-asymmetry"]
     uneven = effect.apply(build(document), jnp.array([0.06]))

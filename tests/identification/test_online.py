@@ -152,6 +152,7 @@ def test_on_a_linear_vessel_it_is_the_kalman_filter(document):
         assert int(news.used.sum()) == len(seen)
 
 
+@pytest.mark.proof
 def test_estimates_are_within_their_standard_deviations(sound):
     off = np.array([_off(run, true) for true, _, run in sound])
     assert np.abs(off).max() < 3.0

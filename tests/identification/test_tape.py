@@ -108,6 +108,7 @@ def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, 
     assert white(late, vessel).max() > 3 * right.max()
 
 
+@pytest.mark.proof
 def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
     """Gusts move the vessel a great deal within the delay, two and a half rows."""
     vessel, delay = build(document), 0.5

@@ -150,6 +150,7 @@ def test_runs_of_two_conventions_are_judged_apart():
     assert sorted(finding.recording for finding in found) == ["0.csv", "1.csv"]
 
 
+@pytest.mark.proof
 def test_noise_accuses_no_axes():
     """60 runs with slow errors of heading or position, straight and weaving, by themselves."""
     alarms = []

@@ -91,6 +91,7 @@ def test_columns_without_names_are_found_by_kinematics(runs, tmp_path):
     assert min(sure[channel] for channel in ("t", "psi", "r")) > 0.5
 
 
+@pytest.mark.proof
 def test_most_random_disguises_are_seen_through(runs, tmp_path):
     """Over 12 random disguises; `sure` must be right nearly always, but not be all there is."""
     whole, claims = [], []
