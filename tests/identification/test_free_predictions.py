@@ -65,8 +65,10 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     assert motion_change(data, right, wrong).is_worse
     change = motion_change(data, wrong, right)
     assert not change.is_worse and max(change.ratio.values()) < 0.5
+    assert change.is_better and change.speaks_for_it
     same = motion_change(data, right, right)
     assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
+    assert not (same.is_better or same.speaks_for_it)
 
 
 def test_one_block_tells_nothing_however_bad(data, right, wrong):

@@ -444,7 +444,9 @@ def decide(
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
     one before the other. Where held-out data leave one open, they and the training data change
-    places: `exchanged_gain` says what comes of it, None where they cannot.
+    places: `exchanged_gain` says what comes of it, None where they cannot. What is open even then
+    is decided by free predictions of the held-out runs: single steps may be spoilt by a few events
+    that no model knows.
     """
     inflation = short_list.inflation
     for one in short_list.plainest_first:
@@ -461,7 +463,9 @@ def decide(
             # others are not asked.
             one = dataclasses.replace(one, exchanged=exchanged_gain(one))
             gain = one.pooled_gain
-        if gain is not None and gain.clear:
+        if gain is None:
+            continue
+        if gain.clear or (gain.open and one.motion is not None and one.motion.speaks_for_it):
             return one
     return None
 

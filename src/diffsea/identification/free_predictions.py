@@ -30,6 +30,7 @@ HORIZONS = (20.0, 60.0)  # s ahead, at which predictions must not get worse
 SPACING = 5.0  # s from start to start
 DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
+PROBABLE = 0.95  # level at which they speak for a cause that one-step errors leave open
 PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
 
@@ -50,24 +51,33 @@ class MotionChange:
 
     Attributes:
         ratio: by horizon (s), mean square error of the second over that of the first.
-        worse: by horizon (s), bootstrap probability that the second is the worse one.
-        is_told: by horizon (s), whether the blocks are enough, and alike enough, to say.
+        worse: by horizon (s), probability that the second is the worse one: of the bootstrap, and
+            of Student's t of block means, of which few scatter less than they err.
     """
 
     ratio: dict[float, float]
-    worse: dict[float, float]
-    is_told: dict[float, bool]
+    worse: dict[float, tuple[float, float]]
 
     @property
     def is_worse(self) -> bool:
         """Whether predictions get worse beyond chance at any horizon."""
-        return any(self.is_told[h] and share > BEYOND_CHANCE for h, share in self.worse.items())
+        return self._is_beyond(BEYOND_CHANCE)
 
     @property
     def is_better(self) -> bool:
         """Whether they get better beyond chance at some horizon, and worse at none."""
-        better = (self.is_told[h] and 1 - p > BEYOND_CHANCE for h, p in self.worse.items())
-        return any(better) and not self.is_worse
+        return self._is_below(1 - BEYOND_CHANCE) and not self.is_worse
+
+    @property
+    def speaks_for_it(self) -> bool:
+        """Whether they probably get better at some horizon (19 to 1), and so worse at none."""
+        return self._is_below(1 - PROBABLE) and not self._is_beyond(PROBABLE)
+
+    def _is_beyond(self, level: float) -> bool:
+        return any(min(both) > level for both in self.worse.values())
+
+    def _is_below(self, level: float) -> bool:
+        return any(max(both) < level for both in self.worse.values())
 
 
 def motion_change(split: Split, before: Estimate, after: Estimate, seed: int = 0) -> MotionChange:
@@ -78,19 +88,23 @@ def motion_change(split: Split, before: Estimate, after: Estimate, seed: int = 0
     both are resampled in blocks as long as the horizon: predictions that overlap go together.
     """
     rng = np.random.default_rng(seed)
-    ratio, worse, told = {}, {}, {}
+    ratio, worse = {}, {}
     for horizon, (old, new, run) in relative_losses(split, before, after).items():
         length = max(1, int(np.ceil(horizon / SPACING)))
         gain = np.clip(old, None, LARGEST_RATIO) - np.clip(new, None, LARGEST_RATIO)
         drawn = moving_block_draws(gain, run, length, DRAWS, rng)
         ratio[horizon] = float(new.mean() / old.mean())
-        worse[horizon] = float(np.mean(drawn < 0))
-        # Few blocks scatter less among themselves than they err: Student's t of their means.
         blocks = [part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)]
-        error = np.std(blocks, ddof=1) / np.sqrt(len(blocks)) if len(blocks) > 1 else np.inf
-        limit = float(t.ppf(BEYOND_CHANCE, max(len(blocks) - 1, 1)))
-        told[horizon] = abs(float(np.mean(blocks))) > limit * error
-    return MotionChange(ratio, worse, told)
+        worse[horizon] = float(np.mean(drawn < 0)), _chance_of_loss(np.array(blocks))
+    return MotionChange(ratio, worse)
+
+
+def _chance_of_loss(gains: Float[np.ndarray, "block"]) -> float:
+    """Probability that the mean gain is negative, by Student's t; one half where it is unknown."""
+    error = np.std(gains, ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
+    if not (error > 0 and np.isfinite(error)):
+        return 0.5
+    return float(t.sf(np.mean(gains) / error, len(gains) - 1))
 
 
 def _blocks(values: Float[np.ndarray, "start"], length: int) -> list[np.ndarray]:

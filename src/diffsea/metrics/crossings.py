@@ -107,29 +107,29 @@ def first_crossing(
     Starting exactly on the level is not a crossing of it. Two crossings between the same
     two samples cancel out and are not seen.
     """
-    fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
-    pieces = _pieces(fixed, *_ALL)
-    ends, excesses = [], []
-    for time in bounds:
-        # From 0 to 1 in each interval; an empty one is before or after.
-        inside = jnp.clip((time - pieces.t) / pieces.step, 0.0, 1.0)
-        s = jnp.where(pieces.proper, inside, jnp.where(time > pieces.t, 1.0, 0.0))
-        # The cubic rounds at s = 1: neighbours would disagree there and both miss the level.
-        inner = jnp.where(s == 1, pieces.end, _hermite(pieces, s))
-        ends.append(s)
-        excesses.append(jnp.where(s == 0, pieces.start, inner) - jax.lax.stop_gradient(level))
-    (left, right), (low, high) = ends, excesses
+    fixed, (first, last) = jax.lax.stop_gradient((curve, (after, before)))
+    begin, end, excess = fixed.t[:-1], fixed.t[1:], fixed.value - jax.lax.stop_gradient(level)
+    # Samples say which interval is crossed, but for the two that the window begins and ends in.
+    low = jnp.where(begin < first, _excess_at(fixed, first, level), excess[:-1])
+    high = jnp.where(end > last, _excess_at(fixed, last, level), excess[1:])
+    inside = ((end > first) | (begin == end) & (begin >= first)) & (begin < last)
     upwards = (low < 0) & (high >= 0)
     downwards = (low > 0) & (high <= 0)
-    hits = {1: upwards, -1: downwards, 0: upwards | downwards}[direction] & (right > left)
+    hits = {1: upwards, -1: downwards, 0: upwards | downwards}[direction] & inside & (first < last)
     i = jnp.argmax(hits)
     found = hits[i]
     piece = _pieces(curve, i, i + 1)
-    s = _bisected_newton(jax.lax.stop_gradient((piece, level)), left[i], right[i])
+    left, right = (jnp.clip((time - begin[i]) / piece.step, 0.0, 1.0) for time in (first, last))
+    s = _bisected_newton(jax.lax.stop_gradient((piece, level)), left, right)
     # An empty interval is crossed only when rounding differs between its two rows.
     s = jnp.where(piece.proper, s, 0.0)
     s = s - _implicit(_hermite(piece, s) - level, _hermite_rate(piece, s), found)
     return Crossing(jnp.where(found, piece.t + s * piece.step, fixed.t[-1]), found)
+
+
+def _excess_at(fixed: Curve, time: Scalar, level: Scalar) -> Float[Array, ""]:
+    """Value above a level at a time (s); no derivative."""
+    return value_at(fixed, time) - jax.lax.stop_gradient(level)
 
 
 def highest(
