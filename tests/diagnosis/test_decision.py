@@ -91,7 +91,7 @@ def test_what_single_steps_leave_open_is_decided_by_free_predictions():
 
 
 def exchanged(total: float, std: float):
-    return lambda one: Gain(total, std)
+    return lambda one: dataclasses.replace(one, exchanged=Gain(total, std))
 
 
 def test_what_is_asked_of_the_best_alone_does_not_distance_its_rivals():

@@ -18,8 +18,13 @@ from diffsea.diagnosis.score import Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
 from diffsea.identification.estimates import Estimate, PartialProgress, Progress
 from diffsea.identification.fit import estimate, estimate_surely
-from diffsea.identification.free_predictions import MotionChange, motion_change
-from diffsea.identification.holdout import Gain, Split, held_out_gain
+from diffsea.identification.free_predictions import (
+    MotionChange,
+    motion_change,
+    pooled_losses,
+    relative_losses,
+)
+from diffsea.identification.holdout import Gain, Split, exchanged_fits, held_out_gain
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
 
@@ -437,16 +442,29 @@ class ShortList:
         return sorted(sound, key=lambda one: not one.has_one_size)
 
 
+def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
+    """The hypothesis judged on the training data, too, fitted to the held-out ones."""
+    other, (before, after) = exchanged_fits(data, (current, one.estimate))
+    losses = (
+        relative_losses(data, current, one.estimate),
+        relative_losses(other, before, after),
+    )
+    return dataclasses.replace(
+        one,
+        exchanged=held_out_gain(other, before, after),
+        motion=MotionChange.of(pooled_losses(*losses)),
+    )
+
+
 def decide(
-    short_list: ShortList, exchanged_gain: Callable[[Hypothesis], Gain] | None
+    short_list: ShortList, exchange: Callable[[Hypothesis], Hypothesis] | None
 ) -> Hypothesis | None:
     """The best hypothesis for which evidence and held-out data both speak.
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
     one before the other. Where held-out data leave one open, they and the training data change
-    places: `exchanged_gain` says what comes of it, None where they cannot. What is open even then
-    is decided by free predictions of the held-out runs: single steps may be spoilt by a few events
-    that no model knows.
+    places: `exchange` judges it there, too; None where they cannot. What single steps leave open
+    even then is decided by free predictions: a few events that no model knows may spoil the steps.
     """
     inflation = short_list.inflation
     for one in short_list.plainest_first:
@@ -458,12 +476,12 @@ def decide(
             continue
         if one.evidence(inflation) <= short_list.needed:
             continue
-        if gain.open and exchanged_gain is not None:
+        if gain.open and exchange is not None:
             # Not part of its support: the training data speak in the evidence already, and the
             # others are not asked.
-            one = dataclasses.replace(one, exchanged=exchanged_gain(one))
+            one = exchange(one)
             gain = one.pooled_gain
-        if gain is None:
+        if gain is None or not one.predicts_motion:
             continue
         if gain.clear or (gain.open and one.motion is not None and one.motion.speaks_for_it):
             return one

@@ -19,6 +19,7 @@ from diffsea.diagnosis.hypotheses import (
     ShortList,
     decide,
     has_room,
+    judge_exchanged,
     refit_candidates,
     refit_fully,
     refit_without,
@@ -27,10 +28,11 @@ from diffsea.diagnosis.hypotheses import (
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
+from diffsea.identification.correlated_errors import independent_sampling
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate, Progress, no_progress
-from diffsea.identification.fit import estimate_surely
-from diffsea.identification.holdout import Gain, Split, exchanged_gain, split_data
+from diffsea.identification.fit import estimate, estimate_surely
+from diffsea.identification.holdout import Split, has_own_environment, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.recordings import Finding
@@ -44,6 +46,7 @@ ALPHA = 0.01  # family-wise level of significance
 MOST_EFFECTS = 3  # that are named together: more have not been tried on data with known causes
 EFFECT_COORDINATES = 9  # that effects found together may have: waves and a wind, say
 SELDOM_GAINED = 2.0  # times what its score promises: more than that an effect seldom gains
+FIRST_ROUNDS = 10  # of the nominal fit, after which its noise is looked at
 PAIRS_TRIED = 3  # effects beside which another is sought at most
 MOST_RESUMPTIONS = 2  # times at most that a fit is found to have stopped early
 OWED_TO_THE_FIT = 0.5  # share of a gain that the model without the effect has, too, if fitted on
@@ -144,7 +147,12 @@ def diagnose(
 
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")
-    nominal = estimate_surely(data.train, free, progress=progress)
+    rough = estimate(data.train, free, rounds=FIRST_ROUNDS, progress=progress)
+    if seldom := independent_sampling(data.train, rough):
+        often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
+        progress(f"errors follow one another; of samples used: {often}")
+        data = data.thinned(seldom)
+    nominal = estimate_surely(data.train, free, rough.coordinates, rough.noise, progress=progress)
     progress("screening the catalogue")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
@@ -285,14 +293,16 @@ def forward_search(
 
 def _exchange(
     data: Split, current: Estimate, progress: Progress
-) -> Callable[[Hypothesis], Gain] | None:
-    """The gain of a hypothesis with training and held-out data exchanged; None if impossible."""
+) -> Callable[[Hypothesis], Hypothesis]:
+    """What judges a hypothesis with training and held-out data exchanged, where it is possible."""
 
-    def gain(one: Hypothesis) -> Gain:
+    def judge(one: Hypothesis) -> Hypothesis:
+        if has_own_environment(data, one.estimate):
+            return one
         progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
-        return exchanged_gain(data, current, one.estimate)
+        return judge_exchanged(data, current, one)
 
-    return gain if data.head is None else None
+    return judge
 
 
 def find_pair(

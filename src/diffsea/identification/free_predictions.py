@@ -79,24 +79,33 @@ class MotionChange:
     def _is_below(self, level: float) -> bool:
         return any(max(both) < level for both in self.worse.values())
 
+    @classmethod
+    def of(cls, losses: "LossesByHorizon", seed: int = 0) -> "MotionChange":
+        """From the losses of both models, resampled in blocks as long as the horizon.
 
-def motion_change(split: Split, before: Estimate, after: Estimate, seed: int = 0) -> MotionChange:
+        Predictions that overlap go together.
+        """
+        rng = np.random.default_rng(seed)
+        ratio, worse = {}, {}
+        for horizon, (old, new, run) in losses.items():
+            length = max(1, int(np.ceil(horizon / SPACING)))
+            gain = np.clip(old, None, LARGEST_RATIO) - np.clip(new, None, LARGEST_RATIO)
+            drawn = moving_block_draws(gain, run, length, DRAWS, rng)
+            ratio[horizon] = float(new.mean() / old.mean())
+            blocks = [
+                part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)
+            ]
+            worse[horizon] = float(np.mean(drawn < 0)), _chance_of_loss(np.array(blocks))
+        return cls(ratio, worse)
+
+
+def motion_change(split: Split, before: Estimate, after: Estimate) -> MotionChange:
     """Compare free predictions of the held-out runs by two models.
 
     The loss of a prediction is the mean of its squared misses of position and heading (of the
-    speeds where neither was measured), each over its mean square by the model `before`. Losses of
-    both are resampled in blocks as long as the horizon: predictions that overlap go together.
+    speeds where neither was measured), each over its mean square by the model `before`.
     """
-    rng = np.random.default_rng(seed)
-    ratio, worse = {}, {}
-    for horizon, (old, new, run) in relative_losses(split, before, after).items():
-        length = max(1, int(np.ceil(horizon / SPACING)))
-        gain = np.clip(old, None, LARGEST_RATIO) - np.clip(new, None, LARGEST_RATIO)
-        drawn = moving_block_draws(gain, run, length, DRAWS, rng)
-        ratio[horizon] = float(new.mean() / old.mean())
-        blocks = [part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)]
-        worse[horizon] = float(np.mean(drawn < 0)), _chance_of_loss(np.array(blocks))
-    return MotionChange(ratio, worse)
+    return MotionChange.of(relative_losses(split, before, after))
 
 
 def _chance_of_loss(gains: Float[np.ndarray, "block"]) -> float:
@@ -119,10 +128,23 @@ class PredictionLosses(NamedTuple):
     after: Float[np.ndarray, "start"]
     run: Int[np.ndarray, "start"]
 
+    def beside(self, other: "PredictionLosses") -> "PredictionLosses":
+        """These and those of other runs."""
+        runs = int(self.run.max(initial=-1)) + 1
+        columns = zip(self, other._replace(run=other.run + runs), strict=True)
+        return PredictionLosses(*(np.concatenate(pair) for pair in columns))
 
-def relative_losses(
-    split: Split, before: Estimate, after: Estimate
-) -> dict[float, PredictionLosses]:
+
+LossesByHorizon = dict[float, PredictionLosses]  # by seconds ahead
+
+
+def pooled_losses(some: LossesByHorizon, others: LossesByHorizon) -> LossesByHorizon:
+    """Losses in two groups of runs together."""
+    both = set(some) & set(others)
+    return some | others | {horizon: some[horizon].beside(others[horizon]) for horizon in both}
+
+
+def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesByHorizon:
     """Losses by horizon (s), relative to the mean squares of the first model.
 
     Infinite where a model diverges. Horizons longer than every run are absent.

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import vessel_at
+from diffsea.identification.correlated_errors import thin_channels
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.fit import estimate
@@ -76,6 +77,12 @@ class Split:
     recordings: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
+
+    def thinned(self, every: dict[str, int]) -> "Split":
+        """The split with one of so many samples of some channels used, in all its parts."""
+        head = None if self.head is None else thin_channels(self.head, every)
+        train, test = (thin_channels(part, every) for part in (self.train, self.test))
+        return dataclasses.replace(self, train=train, test=test, head=head)
 
 
 def split_data(
@@ -182,11 +189,26 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
-def exchanged_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
-    """The gain the other way round: both models fitted to the held-out data, judged on the rest."""
-    other = dataclasses.replace(split, train=split.test, test=split.train)
-    again = [estimate(other.train, m.free, m.coordinates, m.noise) for m in (nominal, fitted)]
-    return held_out_gain(other, *again)
+def exchanged_fits(split: Split, models: Sequence[Estimate]) -> tuple[Split, tuple[Estimate, ...]]:
+    """The split with training and held-out data exchanged, and models fitted anew to it.
+
+    Raises:
+        ValueError: a model has an environment of each recording's own, which runs that become
+            held-out ones would lack.
+    """
+    if any(has_own_environment(split, model) for model in models):
+        raise ValueError("runs with environments of their own cannot change places")
+    other = dataclasses.replace(
+        split, train=split.test, test=split.train, head=None, recordings=split.held_out,
+        held_out=split.recordings,
+    )  # fmt: skip
+    again = (estimate(other.train, m.free, m.coordinates, m.noise) for m in models)
+    return other, tuple(again)
+
+
+def has_own_environment(split: Split, fitted: Estimate) -> bool:
+    """Whether a model has an environment of each recording's own."""
+    return any(one.per_run and one.name in fitted.free for one in split.train.layout.effects)
 
 
 def environment_from(

@@ -1,0 +1,79 @@
+"""Sensors whose errors follow one another are used as seldom as they err anew.
+
+The filter takes sensor noise for white. A velocity from a receiver's own filter, a yaw rate that
+was smoothed or a fix that was interpolated errs alike for some rows: taken for exact, it outweighs
+whatever acts slowly, and evidence counts the same error many times. Samples that far apart that
+their innovations hardly correlate say what they say once.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from diffsea.identification.data.dataset import Dataset
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.problem import Problem
+from diffsea.scales import time_scale
+from diffsea.trajectory import MOTION_CHANNELS
+
+
+HARDLY_CORRELATED = 0.2  # of an AR(1): errors of what is fitted are stated a fifth too small
+LONGEST_INTERVAL = 2.0  # in sqrt(L / g): what stays alike for longer is a mismatch, no sensor
+FEWEST_SAMPLES = 50  # of a channel, from which a correlation is told
+
+
+def independent_sampling(problem: Problem, fitted: Estimate) -> dict[str, int]:
+    """Channels whose errors follow one another: of how many samples one is to be used.
+
+    From the innovations of a fit, their correlation within runs falls below 0.2 there, or the
+    samples are 2 sqrt(L / g) apart.
+    """
+    run = fitted.filter_run(problem)
+    white, used = np.asarray(run.white), np.asarray(run.gains.used)
+    data, found = problem.dataset, {}
+    longest = LONGEST_INTERVAL * time_scale(float(problem.base.rigid_body.length))
+    for k, channel in enumerate(MOTION_CHANNELS):
+        rows = np.flatnonzero(used[:, k])
+        if len(rows) < FEWEST_SAMPLES:
+            continue
+        of_run, times = np.asarray(data.run)[rows], np.asarray(data.run_time)[rows]
+        steps = np.diff(times)[of_run[1:] == of_run[:-1]]
+        most = int(longest / np.median(steps)) if len(steps) else 1
+        every = _forgotten_after(white[rows, k], of_run, most)
+        if every > 1:
+            found[channel] = every
+    return found
+
+
+def _forgotten_after(
+    white: Float[np.ndarray, "sample"], run: Int[np.ndarray, "sample"], most: int
+) -> int:
+    """The first lag, of at most so many samples, at which innovations hardly correlate."""
+    for lag in range(1, most):
+        same = run[lag:] == run[:-lag]
+        if not same.any():
+            return lag
+        products = (white[lag:] * white[:-lag])[same]
+        if products.mean() < HARDLY_CORRELATED * np.mean(white**2):
+            return lag
+    return max(most, 1)
+
+
+def thin_channels(problem: Problem, every: dict[str, int]) -> Problem:
+    """The problem with one of so many samples of some channels used, from each run's first on."""
+    known = _thinned(problem.dataset, every)
+    dataset = eqx.tree_at(lambda d: d.known, problem.dataset, jnp.asarray(known))
+    return dataclasses.replace(problem, dataset=dataset)
+
+
+def _thinned(dataset: Dataset, every: dict[str, int]) -> Bool[np.ndarray, "row 6"]:
+    known, run = np.array(dataset.known), np.asarray(dataset.run)
+    for channel, number in every.items():
+        k = MOTION_CHANNELS.index(channel)
+        for own in np.unique(run):
+            rows = np.flatnonzero(known[:, k] & (run == own))
+            known[rows, k] = np.arange(len(rows)) % number == 0
+    return known
