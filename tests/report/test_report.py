@@ -578,6 +578,13 @@ def test_verdict_text_of_each_verdict():
     assert all(len(line) <= 88 for line in explained.splitlines() + ambiguous.splitlines())
 
 
+def test_channels_that_are_used_seldom_are_told():
+    summary = summary_of("explained") | {"one_sample_in": {"v": 5, "r": 3}}
+    told = "of them were used: one in 5 of v and one in 3 of r."
+    assert told in " ".join(verdict_text(summary).split())
+    assert "were used" not in verdict_text(summary_of("explained"))
+
+
 def test_several_effects_and_effects_of_each_run():
     lag = CURRENT | {
         "name": "thrust-lag",

@@ -7,6 +7,7 @@ their innovations hardly correlate say what they say once.
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -62,14 +63,14 @@ def _forgotten_after(
     return max(most, 1)
 
 
-def thin_channels(problem: Problem, every: dict[str, int]) -> Problem:
+def thin_channels(problem: Problem, every: Mapping[str, int]) -> Problem:
     """The problem with one of so many samples of some channels used, from each run's first on."""
     known = _thinned(problem.dataset, every)
     dataset = eqx.tree_at(lambda d: d.known, problem.dataset, jnp.asarray(known))
     return dataclasses.replace(problem, dataset=dataset)
 
 
-def _thinned(dataset: Dataset, every: dict[str, int]) -> Bool[np.ndarray, "row 6"]:
+def _thinned(dataset: Dataset, every: Mapping[str, int]) -> Bool[np.ndarray, "row 6"]:
     known, run = np.array(dataset.known), np.asarray(dataset.run)
     for channel, number in every.items():
         k = MOTION_CHANNELS.index(channel)

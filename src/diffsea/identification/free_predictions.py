@@ -31,7 +31,6 @@ SPACING = 5.0  # s from start to start
 DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
 PROBABLE = 0.95  # level at which they speak for a cause that one-step errors leave open
-PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
 
 
@@ -212,9 +211,8 @@ class MotionMisfit:
 def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     """Mean square misses of free predictions over what gusts and sensor noise explain.
 
-    Gusts count, and are remembered, as far as is plausible for the vessel's size (two standard
-    deviations of their prior): what a fit has called a gust for want of a better model explains
-    nothing.
+    Gusts count, and are remembered, as far as is plausible for the vessel's size: a fit has bounds
+    for them.
     """
     coordinates = held_out_coordinates(split, fitted)
     vessels = vessels_in_runs(split.test, coordinates, len(split.held_out))
@@ -222,12 +220,9 @@ def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     for run, vessel in zip(split.held_out, vessels, strict=True):
         for horizon, misses in _squared_misses(vessel, run).items():
             squares.setdefault(horizon, []).append(misses[:, :2])
-    prior, own = split.test.prior, np.asarray(fitted.noise.scales)
-    gusts = np.minimum(own[:9], prior.mean[:9] + PLAUSIBLE_GUSTS * prior.spread[:9])
-    noise = Noise.of(np.concatenate([gusts, own[9:]]))
     ratio, blocks = {}, {}
     for horizon, found in squares.items():
-        expected = expected_squares(split.test, coordinates, noise, horizon)
+        expected = expected_squares(split.test, coordinates, fitted.noise, horizon)
         columns = np.concatenate(found).T
         measured = [k for k, column in enumerate(columns) if not np.isnan(column).all()]
         if measured and np.isfinite(expected).all():

@@ -2,7 +2,7 @@
 
 import dataclasses
 import enum
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -77,12 +77,13 @@ class Split:
     recordings: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
+    every: Mapping[str, int] = dataclasses.field(default_factory=dict)  # of samples, one is used
 
-    def thinned(self, every: dict[str, int]) -> "Split":
+    def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
         head = None if self.head is None else thin_channels(self.head, every)
         train, test = (thin_channels(part, every) for part in (self.train, self.test))
-        return dataclasses.replace(self, train=train, test=test, head=head)
+        return dataclasses.replace(self, train=train, test=test, head=head, every=every)
 
 
 def split_data(

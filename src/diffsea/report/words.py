@@ -230,6 +230,15 @@ def incomplete_sentence(summary: Record) -> str:
     return "The time was over before everything had been asked: more may be missing."
 
 
+def sampling_sentence(summary: Record) -> str:
+    """Of which channels not every sample was used, and why; or nothing."""
+    every = summary.get("one_sample_in")
+    if not every:
+        return ""
+    used = enumeration([f"one in {number} of {channel}" for channel, number in every.items()])
+    return f"Errors of successive samples are alike; of them were used: {used}."
+
+
 def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
     p = summary.get("remainder_p_value")
@@ -377,7 +386,7 @@ def verdict_text(summary: Record) -> str:
             single_step_sentence(summary),
             incomplete_sentence(summary),
         ],
-        "data": audit,
+        "data": [*audit, sampling_sentence(summary)],
         "next": [following],
     }
     head = [prediction_sentence(summary), verdict_sentence(summary)]

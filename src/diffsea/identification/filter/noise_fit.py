@@ -26,17 +26,20 @@ from diffsea.identification.filter.covariance import (
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.scales import froude_speed, time_scale
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.base import Vessel
 
 
 EXCERPT_ROWS = 8192  # from which noise is estimated: a hundredth of each scale is its error
 BLOCK_ROWS = 1024  # of the excerpt that follow one another
 LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is not noise
+PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 HALVINGS = 4  # of a step that makes the likelihood worse
 FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
 TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
 ISOTROPIC = np.insert(np.eye(14), TIED, np.eye(14)[TIED - 1], axis=0)  # all from those that move
+SMALLEST = float(np.finfo(float).tiny)  # a bound that is no step at all
 ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
 
 
@@ -55,13 +58,25 @@ class NoisePrior(NamedTuple):
     mean: Float[np.ndarray, "15"]
     spread: Float[np.ndarray, "15"]
 
+    @property
+    def lowest(self) -> Float[np.ndarray, "15"]:
+        """Below which a scale is rounding."""
+        return self.mean - LARGEST_FALL
+
+    @property
+    def highest(self) -> Float[np.ndarray, "15"]:
+        """Above which a gust, or its memory, is none but a force that has a cause."""
+        gusts = np.arange(self.mean.size) < self.mean.size - len(MOTION_CHANNELS)
+        return np.where(gusts, self.mean + PLAUSIBLE_GUSTS * self.spread, np.inf)
+
 
 def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     """Plausible gusts for a vessel of this size, and sensor noise from the series themselves.
 
     Gusts that change the speed by a hundredth of that at Froude number 0.3 within
     sqrt(L / g), give or take a factor of e. Lasting gusts remember five times as long and are
-    as strong in the long run, each give or take a factor of e. Sensor noise from second
+    as strong in the long run, each give or take a factor of e, and at most of e^2: a force that is
+    stronger, or lasts longer, has a cause that is to be found. Sensor noise from second
     differences, which white noise dominates: a rough guess, give or take a factor of e^2.
     """
     length = float(vessel.rigid_body.length)
@@ -235,15 +250,16 @@ def refine_noise(
     model within its bounds: one that is cut off at them afterwards may lead nowhere.
     """
     run, times = take_excerpt(run, times)
-    log, lowest = np.asarray(noise.scales), prior.mean - LARGEST_FALL
+    log = np.asarray(noise.scales)
     for _ in range(steps):
         value, gradient, curvature = map(np.asarray, _score(run, times, jnp.asarray(log), prior))
         if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
             break
         root = np.linalg.cholesky(ISOTROPIC.T @ curvature @ ISOTROPIC)
-        least = np.clip(np.delete(lowest - log, TIED), -LARGEST_STEP, -np.finfo(float).tiny)
+        least = np.clip(np.delete(prior.lowest - log, TIED), -LARGEST_STEP, -SMALLEST)
+        most = np.clip(np.delete(prior.highest - log, TIED), SMALLEST, LARGEST_STEP)
         target = -solve_triangular(root, ISOTROPIC.T @ gradient, lower=True)
-        step = ISOTROPIC @ lsq_linear(root.T, target, (least, LARGEST_STEP), method="bvls").x
+        step = ISOTROPIC @ lsq_linear(root.T, target, (least, most), method="bvls").x
         for _ in range(HALVINGS):
             there = float(_deviance(run, times, jnp.asarray(log + step), prior))
             if there <= value:

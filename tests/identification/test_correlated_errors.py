@@ -1,0 +1,73 @@
+# pyright: reportArgumentType=false
+"""Sensors whose errors follow one another: found by their innovations, and used more seldom."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
+
+from diffsea import Trajectory
+from diffsea.identification.correlated_errors import independent_sampling, thin_channels
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
+from diffsea.vessel.files import build
+
+
+pytestmark = pytest.mark.slow
+
+
+FREE = ("X_u", "X_uu", "N_r")
+STEP = 0.1
+
+
+@pytest.fixture(scope="module")
+def boat():
+    return build(load(str(ORACLE / "usv.toml")))
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Trajectory]:
+    document = load(str(ORACLE / "usv.toml"))
+    return [random_steps(document, seed, 40.0, STEP) for seed in (4, 5)]
+
+
+def smeared(run: Trajectory, share: float, seed: int = 1) -> Trajectory:
+    """A yaw rate with an error of 0.02 rad/s of which so much is left from row to row."""
+    noise = np.random.default_rng(seed).normal(0, 0.02 * np.sqrt(1 - share**2), run.t.size)
+    return dataclasses.replace(run, r=np.asarray(run.r) + lfilter([1.0], [1.0, -share], noise))
+
+
+def sampling(boat, runs) -> dict[str, int]:
+    problem = make_problem(boat, runs, FREE)
+    return independent_sampling(problem, estimate(problem, FREE, rounds=5))
+
+
+def test_white_errors_are_used_as_they_are(boat, runs):
+    assert sampling(boat, runs) == {}
+
+
+def test_errors_that_last_are_used_as_seldom_as_they_are_forgotten(boat, runs):
+    found = sampling(boat, [smeared(run, 0.7) for run in runs])
+    # 0.7^4 and 0.7^5 lie on both sides of 0.2; a filter follows part of the error.
+    assert set(found) == {"r"} and 3 <= found["r"] <= 6
+
+
+def test_what_never_forgets_is_a_mismatch_and_not_thinned_away(boat, runs):
+    found = sampling(boat, [dataclasses.replace(r, r=np.asarray(r.r) + 0.05) for r in runs])
+    length = float(boat.rigid_body.length)
+    assert found.get("r", 1) * STEP <= 2 * np.sqrt(length / 9.80665) + 1e-9
+
+
+def test_every_run_keeps_its_first_sample_and_one_of_so_many(boat, runs):
+    problem = make_problem(boat, runs, FREE)
+    thin = thin_channels(problem, {"r": 4, "x": 3}).dataset
+    run, was, now = (np.asarray(a) for a in (thin.run, problem.dataset.known, thin.known))
+    for k, every in ((0, 3), (5, 4)):
+        for own in (0, 1):
+            rows = np.flatnonzero(was[:, k] & (run == own))
+            np.testing.assert_array_equal(np.flatnonzero(now[:, k] & (run == own)), rows[::every])
+    np.testing.assert_array_equal(now[:, 1:5], was[:, 1:5])
