@@ -113,6 +113,14 @@ def test_held_out_data_that_leave_a_name_open_do_not_give_it():
     assert found is not None and found.effect == "wind"
 
 
+def test_few_events_in_held_out_data_do_not_drown_what_the_others_say():
+    spoilt = judged("wind", 60.0, STEADY, Gain(-50.0, 70.0))
+    assert decide(listed(spoilt), exchanged(44.0, 16.0)) is not None
+    assert decide(listed(spoilt), exchanged(30.0, 16.0)) is None
+    lost = judged("wind", 60.0, STEADY, Gain(-150.0, 70.0))
+    assert decide(listed(lost), exchanged(44.0, 16.0)) is None
+
+
 def test_a_name_needs_evidence_one_size_and_to_be_near_the_best():
     assert decide(listed(judged("wind", NEEDED - 1)), None) is None
     assert decide(listed(judged("wind", 60.0, UNSTEADY)), None) is None

@@ -117,6 +117,23 @@ class Hypothesis:
             return self.gain
         return self.gain.pooled(self.exchanged)
 
+    @property
+    def is_spoken_for(self) -> bool:
+        """Whether data speak for it that were held out.
+
+        Clearly; or, where they leave it open, those that changed places with them, or free
+        predictions: a few events that no model knows may spoil single steps.
+        """
+        if self.gain is None or not self.gain.open:
+            return self.gain is not None and self.gain.clear
+        pooled = self.pooled_gain
+        if pooled is not None and pooled.clear:
+            return True
+        if self.exchanged is not None and self.exchanged.clear:
+            return True
+        may_gain = pooled is not None and pooled.open
+        return may_gain and self.motion is not None and self.motion.speaks_for_it
+
     def still_stands(self, needed: float) -> bool:
         """Whether an effect that held-out data spoke for once is still needed beside others.
 
@@ -463,27 +480,22 @@ def decide(
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
     one before the other. Where held-out data leave one open, they and the training data change
-    places: `exchange` judges it there, too; None where they cannot. What single steps leave open
-    even then is decided by free predictions: a few events that no model knows may spoil the steps.
+    places: `exchange` judges it there, too; None where they cannot.
     """
     inflation = short_list.inflation
     for one in short_list.plainest_first:
         behind = short_list.judged[0].support(inflation) - one.support(inflation)
         if behind > EVIDENCE:
             return None
-        gain = one.gain
-        if gain is None or not (one.has_one_size and one.predicts_motion):
+        if not (one.has_one_size and one.predicts_motion):
             continue
         if one.evidence(inflation) <= short_list.needed:
             continue
-        if gain.open and exchange is not None:
+        if one.gain is not None and one.gain.open and exchange is not None:
             # Not part of its support: the training data speak in the evidence already, and the
             # others are not asked.
             one = exchange(one)
-            gain = one.pooled_gain
-        if gain is None or not one.predicts_motion:
-            continue
-        if gain.clear or (gain.open and one.motion is not None and one.motion.speaks_for_it):
+        if one.is_spoken_for and one.predicts_motion:
             return one
     return None
 
