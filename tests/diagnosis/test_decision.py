@@ -121,6 +121,15 @@ def test_few_events_in_held_out_data_do_not_drown_what_the_others_say():
     assert decide(listed(lost), exchanged(44.0, 16.0)) is None
 
 
+def test_gains_that_may_be_losses_do_not_tell_rivals_apart():
+    unsteady = judged("clock-drift", 60.0, UNSTEADY, Gain(-26.0, 68.0))
+    steady = judged("thrust-delay:propulsion", 64.0, STEADY, Gain(-50.0, 71.0))
+    found = decide(listed(unsteady, steady), exchanged(44.0, 16.0))
+    assert found is not None and found.effect == steady.effect
+    lost = dataclasses.replace(steady, gain=Gain(-150.0, 71.0))
+    assert decide(listed(unsteady, lost), exchanged(44.0, 16.0)) is None
+
+
 def test_a_name_needs_evidence_one_size_and_to_be_near_the_best():
     assert decide(listed(judged("wind", NEEDED - 1)), None) is None
     assert decide(listed(judged("wind", 60.0, UNSTEADY)), None) is None

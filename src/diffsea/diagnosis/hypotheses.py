@@ -155,8 +155,13 @@ class Hypothesis:
         return self.deviance_drop / inflation - occam
 
     def support(self, inflation: float) -> float:
-        """Evidence and held-out gain together: what all data say; -inf where a run diverges."""
-        held_out = 0.0 if self.gain is None else self.gain.total / inflation
+        """Evidence and held-out gain together: what all data say; -inf where a run diverges.
+
+        A gain that may be a loss counts nothing: where a few events spoil it, rivals differ by how
+        they happen to meet these.
+        """
+        told = self.gain is not None and not self.gain.open
+        held_out = self.gain.total / inflation if told and self.gain is not None else 0.0
         out = self.evidence(inflation) + held_out
         return out if np.isfinite(out) else -np.inf
 
