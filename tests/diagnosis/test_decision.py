@@ -15,6 +15,7 @@ from diffsea.diagnosis.screening import Screening
 from diffsea.diagnosis.search import Search, unexplained_p_value, verdict_on
 from diffsea.identification.free_predictions import MotionChange
 from diffsea.identification.holdout import Gain
+from diffsea.identification.sufficiency import Shortfall
 
 
 NEEDED = 11.0
@@ -171,22 +172,26 @@ def test_an_effect_stands_unless_evidence_or_held_out_data_speak_against_it(
 
 
 @pytest.mark.parametrize(
-    ("rivals", "p_value", "verdict"),
+    ("rivals", "p_value", "short", "verdict"),
     [
-        (None, 0.4, "consistent"),
-        (None, 1e-5, "unexplained"),
-        ((), 0.4, "explained"),
-        (("wind",), 0.4, "ambiguous"),
-        (("wind",), 1e-5, "unexplained"),  # a name for a part, and a remainder without one
+        (None, 0.4, (), "consistent"),
+        (None, 0.4, (Shortfall.GUSTS,), "insufficient"),
+        (None, 1e-5, (), "unexplained"),
+        ((), 0.4, (), "explained"),
+        ((), 0.4, (Shortfall.PARAMETERS,), "explained"),
+        ((), 0.4, (Shortfall.MISFIT,), "unexplained"),  # runs held out are still missed
+        ((), 0.4, (Shortfall.MOTION,), "unexplained"),
+        (("wind",), 0.4, (), "ambiguous"),
+        (("wind",), 1e-5, (), "unexplained"),  # a name for a part, and a remainder without one
     ],
 )
-def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, p_value, verdict):
+def test_a_verdict_depends_on_names_rivals_and_what_is_left(rivals, p_value, short, verdict):
     accepted = ()
     if rivals is not None:
         best = judged("current", 60.0)
         others = [judged(name, 55.0) for name in rivals]
         accepted = (AcceptedEffect(best, listed(best, *others)),)
-    assert verdict_on(accepted, p_value) == verdict
+    assert verdict_on(accepted, p_value, short) == verdict
 
 
 @pytest.mark.parametrize(

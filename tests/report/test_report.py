@@ -578,6 +578,13 @@ def test_verdict_text_of_each_verdict():
     assert all(len(line) <= 88 for line in explained.splitlines() + ambiguous.splitlines())
 
 
+def test_names_that_leave_held_out_runs_wrong_are_told():
+    summary = summary_of("unexplained") | {"remainder_p_value": 0.2}
+    told = " ".join(verdict_text(summary).split())
+    assert "(p = 0.20), but runs held out are still predicted worse than noise explains." in told
+    assert "held out are still" not in verdict_text(summary_of("unexplained"))
+
+
 def test_channels_that_are_used_seldom_are_told():
     summary = summary_of("explained") | {"one_sample_in": {"v": 5, "r": 3}}
     told = "of them were used: one in 5 of v and one in 3 of r."

@@ -211,10 +211,8 @@ def explain(
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
     left = unexplained_p_value(kept, final, null)
-    verdict, short = verdict_on(final.effects, left), ()
-    if verdict == "consistent":
-        short = shortfalls(data, final.final)
-        verdict = "insufficient" if short else verdict
+    short = shortfalls(data, final.final) if left >= ALPHA else ()
+    verdict = verdict_on(final.effects, left, short)
     unexplained, location = None, final.nominal_screening
     if verdict == "unexplained":
         progress("modelling what is left")
@@ -230,7 +228,7 @@ def explain(
         unexplained_p_value=left,
         unexplained=unexplained,
         bootstrap=null,
-        shortfalls=short,
+        shortfalls=short if verdict == "insufficient" else (),
     )
 
 
@@ -431,10 +429,15 @@ def unexplained_p_value(kept: Search, final: Search, null: Bootstrap) -> float:
     return left
 
 
-def verdict_on(accepted: tuple[AcceptedEffect, ...], unexplained: float) -> str:
-    """The verdict, from what was accepted and the p-value of what it does not explain."""
+def verdict_on(
+    accepted: tuple[AcceptedEffect, ...], unexplained: float, short: Sequence[Shortfall] = ()
+) -> str:
+    """The verdict, from what was accepted, the p-value of what it does not explain, and what the
+    model still owes on runs held out: names that leave these wrong do not explain the mismatch."""
     if unexplained < ALPHA:
         return "unexplained"
     if not accepted:
-        return "consistent"
-    return "ambiguous" if any(one.rivals for one in accepted) else "explained"
+        return "insufficient" if short else "consistent"
+    if any(one.rivals for one in accepted):
+        return "ambiguous"
+    return "unexplained" if {Shortfall.MISFIT, Shortfall.MOTION} & set(short) else "explained"

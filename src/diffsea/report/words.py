@@ -249,7 +249,10 @@ def remainder_sentence(summary: Record) -> str:
             "Structure remains in the residuals that the model does not explain "
             f"(p = {probability(p)})."
         )
-    return f"No significant structure remains in the residuals (p = {probability(p)})."
+    told = f"No significant structure remains in the residuals (p = {probability(p)})"
+    if summary["verdict"] == "unexplained":
+        return f"{told}, but runs held out are still predicted worse than noise explains."
+    return f"{told}."
 
 
 def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
