@@ -45,14 +45,15 @@ COLUMNS = ["cmd_port", "cmd_starboard"]
 SIDES = {"cmd_port": -1.0, "cmd_starboard": 1.0}
 
 
-def test_what_the_page_says_of_real_sets_is_what_was_found():
+@pytest.mark.parametrize(("part", "columns"), [("first_look", 5), ("unchanged", 4)])
+def test_what_the_page_says_of_real_sets_is_what_was_found(part, columns):
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines()]
-    told = {row[0]: row for row in rows if len(row) == 5}
-    lines = (FOLDER / "results" / "first_look.jsonl").read_text(encoding="utf-8").splitlines()
+    told = {row[0]: row for row in rows if len(row) == columns}
+    lines = results.read(part, FOLDER / "results").values()
     assert lines
-    for line in map(json.loads, lines):
-        _, verdict, named, ahead, _ = told[line["id"]]
+    for line in lines:
+        _, verdict, named, ahead, *_ = told[line["id"]]
         assert verdict == line["verdict"], line["id"]
         assert named == (", ".join(results.names(line)) or "nothing"), line["id"]
         errors = [line["free"][model]["20"] for model in ("nominal", "diagnosed")]
@@ -65,9 +66,8 @@ def test_what_the_page_says_of_facts_is_what_was_found():
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines()]
     told = {row[0]: row[1] for row in rows if len(row) == 3}
-    lines = (FOLDER / "results" / "facts.jsonl").read_text(encoding="utf-8").splitlines()
     every = []
-    for line in map(json.loads, lines):
+    for line in results.read("facts", FOLDER / "results").values():
         held = [one for one in facts.judge(line["id"], line).values() if one is not None]
         assert told[line["id"]] == f"{sum(held)} of {len(held)}", line["id"]
         every += held
