@@ -121,6 +121,20 @@ def test_crossing_on_a_sample_at_an_event_or_in_the_window_only():
     assert float(value_at(c, 9.0)) == -1.0
 
 
+def test_a_crossing_moves_with_the_times_of_its_samples():
+    """A window that begins within the crossed interval has no derivative of its own."""
+    value = jnp.array([-1.0, -0.4, -0.1, 0.6, 1.0])
+
+    def crossing(stretch):
+        t, rate = stretch * jnp.arange(5.0), jnp.gradient(value) / stretch
+        return crossing_time(curve(t, value, rate, jnp.ones(5, bool)), 0.0, 1, after=2.1)
+
+    found = float(crossing(1.0))
+    assert 2.1 < found < 3.0
+    for derivative in (jax.jacfwd(crossing), jax.grad(crossing)):
+        assert float(derivative(1.0)) == pytest.approx(found, rel=1e-12)
+
+
 def test_rows_that_do_not_count_are_never_read():
     t = np.linspace(0, 6, 61)
     clean = curve(t, np.sin(t), np.cos(t), np.ones(61, bool))

@@ -119,8 +119,9 @@ def first_crossing(
     i = jnp.argmax(hits)
     found = hits[i]
     piece = _pieces(curve, i, i + 1)
-    left, right = (jnp.clip((time - begin[i]) / piece.step, 0.0, 1.0) for time in (first, last))
-    s = _bisected_newton(jax.lax.stop_gradient((piece, level)), left, right)
+    still = jax.lax.stop_gradient(piece)
+    left, right = (jnp.clip((time - still.t) / still.step, 0.0, 1.0) for time in (first, last))
+    s = _bisected_newton((still, jax.lax.stop_gradient(level)), left, right)
     # An empty interval is crossed only when rounding differs between its two rows.
     s = jnp.where(piece.proper, s, 0.0)
     s = s - _implicit(_hermite(piece, s) - level, _hermite_rate(piece, s), found)
