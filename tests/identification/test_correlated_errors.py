@@ -11,7 +11,7 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import Trajectory
-from diffsea.identification.correlated_errors import independent_sampling, thin_channels
+from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
@@ -43,7 +43,8 @@ def smeared(run: Trajectory, share: float, seed: int = 1) -> Trajectory:
 
 def sampling(boat, runs) -> dict[str, int]:
     problem = make_problem(boat, runs, FREE)
-    return independent_sampling(problem, estimate(problem, FREE, rounds=5))
+    run = estimate(problem, FREE, rounds=5).filter_run(problem)
+    return independent_sampling(run, problem.dataset, float(boat.rigid_body.length))
 
 
 def test_white_errors_are_used_as_they_are(boat, runs):
@@ -64,7 +65,7 @@ def test_what_never_forgets_is_a_mismatch_and_not_thinned_away(boat, runs):
 
 def test_every_run_keeps_its_first_sample_and_one_of_so_many(boat, runs):
     problem = make_problem(boat, runs, FREE)
-    thin = thin_channels(problem, {"r": 4, "x": 3}).dataset
+    thin = thin_channels(problem.dataset, {"r": 4, "x": 3})
     run, was, now = (np.asarray(a) for a in (thin.run, problem.dataset.known, thin.known))
     for k, every in ((0, 3), (5, 4)):
         for own in (0, 1):

@@ -28,9 +28,9 @@ from diffsea.diagnosis.hypotheses import (
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
-from diffsea.identification.correlated_errors import independent_sampling
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate, Progress, no_progress
+from diffsea.identification.filter.correlated_errors import independent_sampling
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.holdout import Split, has_own_environment, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
@@ -148,7 +148,8 @@ def diagnose(
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS, progress=progress)
-    if seldom := independent_sampling(data.train, rough):
+    run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)
+    if seldom := independent_sampling(run, data.train.dataset, length):
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
         progress(f"errors follow one another; of samples used: {often}")
         data = data.thinned(seldom)

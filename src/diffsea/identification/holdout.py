@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import vessel_at
-from diffsea.identification.correlated_errors import thin_channels
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
+from diffsea.identification.filter.correlated_errors import thin_channels
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
@@ -81,8 +81,12 @@ class Split:
 
     def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
-        head = None if self.head is None else thin_channels(self.head, every)
-        train, test = (thin_channels(part, every) for part in (self.train, self.test))
+
+        def thin(part: Problem) -> Problem:
+            return dataclasses.replace(part, dataset=thin_channels(part.dataset, every))
+
+        head = None if self.head is None else thin(self.head)
+        train, test = thin(self.train), thin(self.test)
         return dataclasses.replace(self, train=train, test=test, head=head, every=every)
 
 

@@ -6,7 +6,6 @@ whatever acts slowly, and evidence counts the same error many times. Samples tha
 their innovations hardly correlate say what they say once.
 """
 
-import dataclasses
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -15,8 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from diffsea.identification.data.dataset import Dataset
-from diffsea.identification.estimates import Estimate
-from diffsea.identification.problem import Problem
+from diffsea.identification.filter.kalman import FilterRun
 from diffsea.scales import time_scale
 from diffsea.trajectory import MOTION_CHANNELS
 
@@ -26,16 +24,14 @@ LONGEST_INTERVAL = 2.0  # in sqrt(L / g): what stays alike for longer is a misma
 FEWEST_SAMPLES = 50  # of a channel, from which a correlation is told
 
 
-def independent_sampling(problem: Problem, fitted: Estimate) -> dict[str, int]:
+def independent_sampling(run: FilterRun, data: Dataset, length: float) -> dict[str, int]:
     """Channels whose errors follow one another: of how many samples one is to be used.
 
-    From the innovations of a fit, their correlation within runs falls below 0.2 there, or the
-    samples are 2 sqrt(L / g) apart.
+    The correlation of a run's innovations falls below 0.2 there, or the samples are 2 sqrt(L / g)
+    apart, L the vessel's `length` (m).
     """
-    run = fitted.filter_run(problem)
-    white, used = np.asarray(run.white), np.asarray(run.gains.used)
-    data, found = problem.dataset, {}
-    longest = LONGEST_INTERVAL * time_scale(float(problem.base.rigid_body.length))
+    white, used, found = np.asarray(run.white), np.asarray(run.gains.used), dict[str, int]()
+    longest = LONGEST_INTERVAL * time_scale(length)
     for k, channel in enumerate(MOTION_CHANNELS):
         rows = np.flatnonzero(used[:, k])
         if len(rows) < FEWEST_SAMPLES:
@@ -63,11 +59,9 @@ def _forgotten_after(
     return max(most, 1)
 
 
-def thin_channels(problem: Problem, every: Mapping[str, int]) -> Problem:
-    """The problem with one of so many samples of some channels used, from each run's first on."""
-    known = _thinned(problem.dataset, every)
-    dataset = eqx.tree_at(lambda d: d.known, problem.dataset, jnp.asarray(known))
-    return dataclasses.replace(problem, dataset=dataset)
+def thin_channels(dataset: Dataset, every: Mapping[str, int]) -> Dataset:
+    """The data with one of so many samples of some channels used, from each run's first on."""
+    return eqx.tree_at(lambda d: d.known, dataset, jnp.asarray(_thinned(dataset, every)))
 
 
 def _thinned(dataset: Dataset, every: Mapping[str, int]) -> Bool[np.ndarray, "row 6"]:
