@@ -193,6 +193,7 @@ _MARIN = RealSet(
 _FERRY = RealSet(
     milliampere, str(DATA / "milliampere1_2025" / "vessel.toml"), ("nlp1.csv", "maneuvering1.csv"),
     ("qp1.csv",), per_recording=True, spans={"nlp1.csv": (0.0, 300.0), "qp1.csv": (0.0, 240.0)},
+    develop=True,
 )  # fmt: skip
 
 SETS: dict[str, RealSet] = {
@@ -210,7 +211,7 @@ SETS: dict[str, RealSet] = {
     ),
     "esso": RealSet(
         esso, "esso_osaka", tuple(_ESSO_SPANS)[:5], tuple(_ESSO_SPANS)[5:], per_recording=True,
-        spans=_ESSO_SPANS,
+        spans=_ESSO_SPANS, develop=True,
     ),
     "vtec": RealSet(
         vtec, str(DATA / "vtec_s3_2021" / "vessel.toml"),
@@ -228,5 +229,6 @@ SETS: dict[str, RealSet] = {
         tuple(f"step_{n}.csv" for n in ("090_1818", "080_1272", "070_917", "050_514", "030_272",
                                          "010_49")),
         tuple(f"step_{n}.csv" for n in ("100_2019", "060_745", "040_403", "020_176")),
+        develop=True,
     ),
 }  # fmt: skip

@@ -3,6 +3,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -53,14 +54,20 @@ def test_white_errors_are_used_as_they_are(boat, runs):
 
 def test_errors_that_last_are_used_as_seldom_as_they_are_forgotten(boat, runs):
     found = sampling(boat, [smeared(run, 0.7) for run in runs])
-    # 0.7^4 and 0.7^5 lie on both sides of 0.2; a filter follows part of the error.
-    assert set(found) == {"r"} and 3 <= found["r"] <= 6
+    # Rows of the data set are two samples apart: 0.7^4 and 0.7^6 lie on both sides of 0.2.
+    assert found == {"r": 3}
 
 
-def test_what_never_forgets_is_a_mismatch_and_not_thinned_away(boat, runs):
-    found = sampling(boat, [dataclasses.replace(r, r=np.asarray(r.r) + 0.05) for r in runs])
-    length = float(boat.rigid_body.length)
-    assert found.get("r", 1) * STEP <= 2 * np.sqrt(length / 9.80665) + 1e-9
+def test_what_stays_alike_for_longer_than_a_vessel_does_is_not_left_out(boat, runs):
+    """One sample in 2 sqrt(L / g) stays, however long innovations are alike."""
+    problem = make_problem(boat, runs, FREE)
+    run = problem.run_filter(*problem.start())
+    white = np.random.default_rng(2).normal(size=run.white.shape)
+    white[:, 5] = 1.0
+    run, length = dataclasses.replace(run, white=jnp.asarray(white)), float(boat.rigid_body.length)
+    found = independent_sampling(run, problem.dataset, length)
+    # Rows are 0.2 s apart: the data set is thinned to 0.3 sqrt(L / g) before.
+    assert found == {"r": int(2 * np.sqrt(length / 9.80665) / float(problem.dataset.dt[0]))}
 
 
 def test_every_run_keeps_its_first_sample_and_one_of_so_many(boat, runs):

@@ -6,16 +6,25 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from tests.diagnosis.small import still_run
+from tests.diagnosis.small import linear_estimate, still_problem, still_run
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import EFFECTS
 from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.kalman import first_variance
+from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
 from diffsea.identification.fit import estimate
-from diffsea.identification.free_predictions import expected_squares, motion_change, motion_misfit
-from diffsea.identification.holdout import split_data
+from diffsea.identification.free_predictions import (
+    MotionChange,
+    expected_squares,
+    motion_change,
+    motion_misfit,
+    pooled_losses,
+    relative_losses,
+)
+from diffsea.identification.holdout import Split, exchanged_fits, split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.sufficiency import (
     FitVerdict,
@@ -65,10 +74,42 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     assert motion_change(data, right, wrong).is_worse
     change = motion_change(data, wrong, right)
     assert not change.is_worse and max(change.ratio.values()) < 0.5
-    assert change.is_better and change.speaks_for_it
+    assert change.is_better and change.is_probably_better
     same = motion_change(data, right, right)
     assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
-    assert not (same.is_better or same.speaks_for_it)
+    assert not (same.is_better or same.is_probably_better)
+
+
+def test_runs_that_change_places_are_judged_together(data, right, wrong):
+    other, (again, corrected) = exchanged_fits(data, (right, wrong))
+    assert (other.recordings, other.held_out) == (data.held_out, data.recordings)
+    assert np.abs((again.coordinates - corrected.coordinates) / again.stds).max() < 0.2
+    here, there = relative_losses(data, wrong, right), relative_losses(other, wrong, again)
+    for horizon, both in pooled_losses(here, there).items():
+        assert set(both.run) == {0, 1}
+        np.testing.assert_array_equal(both.after[both.run == 1], there[horizon].after)
+    assert MotionChange.of(pooled_losses(here, there)).is_better
+    assert set(pooled_losses({20.0: here[20.0]}, {60.0: there[60.0]})) == {20.0, 60.0}
+
+
+def test_runs_with_environments_of_their_own_do_not_change_places():
+    problem = still_problem("current", runs=2, per_run=True)
+    split = Split(problem, problem, None, (), ())
+    with pytest.raises(ValueError, match="cannot change places"):
+        exchanged_fits(split, (linear_estimate(("X_u", "current")),))
+
+
+def test_what_is_stronger_than_weather_is_no_gust(data, right, wrong):
+    """Gusts that a wrong model asks for end at their bound, sensor noise has none."""
+    train = data.train
+    prior = train.prior._replace(mean=train.prior.mean - np.repeat([3.0, 0.0], [9, 6]))
+    dataset = train.dataset
+    times = RowTimes(dataset.dt, dataset.starts, dataset.run, first_variance(train.base))
+    run = train.run_filter(wrong.coordinates, right.noise)
+    found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).scales)
+    off = (found - prior.mean)[:9] / prior.spread[:9]
+    assert off.max() == pytest.approx(2.0, abs=1e-6)
+    assert np.isinf(prior.highest[9:]).all()
 
 
 def test_one_block_tells_nothing_however_bad(data, right, wrong):

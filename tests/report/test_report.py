@@ -587,9 +587,9 @@ def test_names_that_leave_held_out_runs_wrong_are_told():
 
 def test_channels_that_are_used_seldom_are_told():
     summary = summary_of("explained") | {"one_sample_in": {"v": 5, "r": 3}}
-    told = "of them were used: one in 5 of v and one in 3 of r."
+    told = "only one sample in 5 of v and one sample in 3 of r counted."
     assert told in " ".join(verdict_text(summary).split())
-    assert "were used" not in verdict_text(summary_of("explained"))
+    assert "counted" not in verdict_text(summary_of("explained"))
 
 
 def test_several_effects_and_effects_of_each_run():

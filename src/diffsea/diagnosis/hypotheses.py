@@ -118,21 +118,16 @@ class Hypothesis:
         return self.gain.pooled(self.exchanged)
 
     @property
-    def is_spoken_for(self) -> bool:
-        """Whether data speak for it that were held out.
+    def has_held_out_support(self) -> bool:
+        """Whether data speak for it that were held out once.
 
-        Clearly; or, where they leave it open, those that changed places with them, or free
-        predictions: a few events that no model knows may spoil single steps.
+        What single steps leave open, which a few events that no model knows may spoil, free
+        predictions decide.
         """
-        if self.gain is None or not self.gain.open:
-            return self.gain is not None and self.gain.clear
-        pooled = self.pooled_gain
-        if pooled is not None and pooled.clear:
-            return True
-        if self.exchanged is not None and self.exchanged.clear:
-            return True
-        may_gain = pooled is not None and pooled.open
-        return may_gain and self.motion is not None and self.motion.speaks_for_it
+        gain = self.pooled_gain
+        if gain is None or gain.clear:
+            return gain is not None
+        return gain.open and self.motion is not None and self.motion.is_probably_better
 
     def still_stands(self, needed: float) -> bool:
         """Whether an effect that held-out data spoke for once is still needed beside others.
@@ -160,9 +155,8 @@ class Hypothesis:
         A gain that may be a loss counts nothing: where a few events spoil it, rivals differ by how
         they happen to meet these.
         """
-        told = self.gain is not None and not self.gain.open
-        held_out = self.gain.total / inflation if told and self.gain is not None else 0.0
-        out = self.evidence(inflation) + held_out
+        counted = 0.0 if self.gain is None or self.gain.open else self.gain.total
+        out = self.evidence(inflation) + counted / inflation
         return out if np.isfinite(out) else -np.inf
 
 
@@ -467,15 +461,10 @@ class ShortList:
 def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
     """The hypothesis judged on the training data, too, fitted to the held-out ones."""
     other, (before, after) = exchanged_fits(data, (current, one.estimate))
-    losses = (
-        relative_losses(data, current, one.estimate),
-        relative_losses(other, before, after),
-    )
-    return dataclasses.replace(
-        one,
-        exchanged=held_out_gain(other, before, after),
-        motion=MotionChange.of(pooled_losses(*losses)),
-    )
+    there = relative_losses(data, current, one.estimate)
+    both = pooled_losses(there, relative_losses(other, before, after))
+    gain = held_out_gain(other, before, after)
+    return dataclasses.replace(one, exchanged=gain, motion=MotionChange.of(both))
 
 
 def decide(
@@ -500,7 +489,7 @@ def decide(
             # Not part of its support: the training data speak in the evidence already, and the
             # others are not asked.
             one = exchange(one)
-        if one.is_spoken_for and one.predicts_motion:
+        if one.has_held_out_support and one.predicts_motion:
             return one
     return None
 

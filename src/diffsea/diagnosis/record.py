@@ -91,7 +91,7 @@ def summary(
             "nominal": _misfits(diagnosis, diagnosis.nominal) | _free(horizons, "nominal"),
             "diagnosed": _misfits(diagnosis, final) | _free(horizons, "diagnosed"),
         },
-        "one_sample_in": dict(data.every),
+        "one_sample_in": dict(data.one_sample_in),
         "insufficient": [str(one) for one in diagnosis.shortfalls],
         "parameters": [one.as_dict() for one in fitted],
         "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),

@@ -147,7 +147,7 @@ def diagnose(
 
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")
-    rough = estimate(data.train, free, rounds=FIRST_ROUNDS, progress=progress)
+    rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
     run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)
     if seldom := independent_sampling(run, data.train.dataset, length):
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())

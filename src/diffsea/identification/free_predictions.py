@@ -44,18 +44,38 @@ def free_errors(horizons: Sequence[Mapping[str, Any]], model: str) -> dict[str, 
     return {f"{row['seconds']:g}": dict(row[model]) for row in horizons if row.get(model)}
 
 
+class ChanceOfLoss(NamedTuple):
+    """Probability that the mean gain is negative, in two ways of which the more doubtful counts."""
+
+    bootstrap: float  # in moving blocks
+    student: float  # by Student's t of block means: few blocks scatter less than they err
+
+    @classmethod
+    def of(cls, gain: Float[np.ndarray, "start"], run: Int[np.ndarray, "start"], length: int,
+           rng: np.random.Generator) -> "ChanceOfLoss":  # fmt: skip
+        """From the gains of successive starts and the number of each one's run.
+
+        Blocks have `length` starts. Student's is one half where blocks are too few or alike.
+        """
+        drawn = moving_block_draws(gain, run, length, DRAWS, rng)
+        blocks = [part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)]
+        error = np.std(blocks, ddof=1) / np.sqrt(len(blocks)) if len(blocks) > 1 else 0.0
+        known = error > 0 and np.isfinite(error)
+        student = t.sf(np.mean(blocks) / error, len(blocks) - 1) if known else 0.5
+        return cls(float(np.mean(drawn < 0)), float(student))
+
+
 @dataclasses.dataclass(frozen=True)
 class MotionChange:
     """How free predictions of held-out runs change from one model to another.
 
     Attributes:
         ratio: by horizon (s), mean square error of the second over that of the first.
-        worse: by horizon (s), probability that the second is the worse one: of the bootstrap, and
-            of Student's t of block means, of which few scatter less than they err.
+        worse: by horizon (s), probability that the second is the worse one.
     """
 
     ratio: dict[float, float]
-    worse: dict[float, tuple[float, float]]
+    worse: dict[float, "ChanceOfLoss"]
 
     @property
     def is_worse(self) -> bool:
@@ -68,7 +88,7 @@ class MotionChange:
         return self._is_below(1 - BEYOND_CHANCE) and not self.is_worse
 
     @property
-    def speaks_for_it(self) -> bool:
+    def is_probably_better(self) -> bool:
         """Whether they probably get better at some horizon (19 to 1), and so worse at none."""
         return self._is_below(1 - PROBABLE) and not self._is_beyond(PROBABLE)
 
@@ -89,12 +109,8 @@ class MotionChange:
         for horizon, (old, new, run) in losses.items():
             length = max(1, int(np.ceil(horizon / SPACING)))
             gain = np.clip(old, None, LARGEST_RATIO) - np.clip(new, None, LARGEST_RATIO)
-            drawn = moving_block_draws(gain, run, length, DRAWS, rng)
             ratio[horizon] = float(new.mean() / old.mean())
-            blocks = [
-                part.mean() for k in np.unique(run) for part in _blocks(gain[run == k], length)
-            ]
-            worse[horizon] = float(np.mean(drawn < 0)), _chance_of_loss(np.array(blocks))
+            worse[horizon] = ChanceOfLoss.of(gain, run, length, rng)
         return cls(ratio, worse)
 
 
@@ -105,14 +121,6 @@ def motion_change(split: Split, before: Estimate, after: Estimate) -> MotionChan
     speeds where neither was measured), each over its mean square by the model `before`.
     """
     return MotionChange.of(relative_losses(split, before, after))
-
-
-def _chance_of_loss(gains: Float[np.ndarray, "block"]) -> float:
-    """Probability that the mean gain is negative, by Student's t; one half where it is unknown."""
-    error = np.std(gains, ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    if not (error > 0 and np.isfinite(error)):
-        return 0.5
-    return float(t.sf(np.mean(gains) / error, len(gains) - 1))
 
 
 def _blocks(values: Float[np.ndarray, "start"], length: int) -> list[np.ndarray]:

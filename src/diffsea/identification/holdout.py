@@ -77,7 +77,7 @@ class Split:
     recordings: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
-    every: Mapping[str, int] = dataclasses.field(default_factory=dict)  # of samples, one is used
+    one_sample_in: Mapping[str, int] = dataclasses.field(default_factory=dict)  # used, by channel
 
     def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
@@ -86,8 +86,9 @@ class Split:
             return dataclasses.replace(part, dataset=thin_channels(part.dataset, every))
 
         head = None if self.head is None else thin(self.head)
-        train, test = thin(self.train), thin(self.test)
-        return dataclasses.replace(self, train=train, test=test, head=head, every=every)
+        return dataclasses.replace(
+            self, train=thin(self.train), test=thin(self.test), head=head, one_sample_in=every
+        )
 
 
 def split_data(

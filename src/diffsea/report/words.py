@@ -235,8 +235,8 @@ def sampling_sentence(summary: Record) -> str:
     every = summary.get("one_sample_in")
     if not every:
         return ""
-    used = enumeration([f"one in {number} of {channel}" for channel, number in every.items()])
-    return f"Errors of successive samples are alike; of them were used: {used}."
+    used = enumeration([f"one sample in {number} of {name}" for name, number in every.items()])
+    return f"Successive samples err alike, so that only {used} counted."
 
 
 def remainder_sentence(summary: Record) -> str:

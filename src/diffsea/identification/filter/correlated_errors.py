@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.filter.kalman import FilterRun
@@ -61,14 +61,10 @@ def _forgotten_after(
 
 def thin_channels(dataset: Dataset, every: Mapping[str, int]) -> Dataset:
     """The data with one of so many samples of some channels used, from each run's first on."""
-    return eqx.tree_at(lambda d: d.known, dataset, jnp.asarray(_thinned(dataset, every)))
-
-
-def _thinned(dataset: Dataset, every: Mapping[str, int]) -> Bool[np.ndarray, "row 6"]:
     known, run = np.array(dataset.known), np.asarray(dataset.run)
     for channel, number in every.items():
         k = MOTION_CHANNELS.index(channel)
         for own in np.unique(run):
             rows = np.flatnonzero(known[:, k] & (run == own))
             known[rows, k] = np.arange(len(rows)) % number == 0
-    return known
+    return eqx.tree_at(lambda d: d.known, dataset, jnp.asarray(known))
