@@ -15,7 +15,7 @@ from tests.paths import ORACLE
 
 from diffsea import EFFECTS, Study, Trajectory, Vessel, read_vessel, replay
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import HeldOut, Split
+from diffsea.identification.holdout import HeldOut, Split, held_out_vessels
 from diffsea.identification.multistart import Agreement
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Problem, make_problem
@@ -327,7 +327,8 @@ def page_from(result: dict, found: Found) -> str:
 
 def compared(found: Found) -> list[ComparedRun]:
     """The nominal vessel and the one with the current on every held-out run."""
-    return compare(found.split, found.final, found.names, usv(), usv(0.3 if found.names else 0.0))
+    runs = found.split.held_out
+    return compare(runs, [usv()] * len(runs), [usv(0.3)] * len(runs) if found.names else None)
 
 
 def with_errors(result: dict, runs: list[ComparedRun]) -> dict:
@@ -497,7 +498,8 @@ def test_names_from_files_are_escaped():
 
 def test_a_current_of_each_run_is_its_own():
     found = outcome_of("explained", currents=(0.5, -0.5))
-    ahead, astern = compare(found.split, found.final, found.names, usv(), usv())
+    runs, own = found.split.held_out, held_out_vessels(found.split, found.final)
+    ahead, astern = compare(runs, [usv()] * len(runs), own)
     for run, sign in ((ahead, 1), (astern, -1)):
         drift = run.predictions["diagnosed"].run.x - run.predictions["nominal"].run.x
         assert drift[-1] == pytest.approx(sign * 0.5 * 69.5, rel=0.05)

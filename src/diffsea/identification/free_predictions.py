@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import t
 
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.covariance import Noise, gust_propagation
-from diffsea.identification.holdout import Split, held_out_coordinates, vessels_in_runs
+from diffsea.identification.holdout import Split, held_out_coordinates, held_out_vessels
 from diffsea.identification.problem import Problem
 from diffsea.kinematics import wrap
 from diffsea.simulation.replay import prediction_misses
@@ -157,10 +156,7 @@ def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesBy
     Infinite where a model diverges. Horizons longer than every run are absent.
     """
     squares: dict[float, tuple[list[np.ndarray], ...]] = {}
-    vessels = [
-        vessels_in_runs(split.test, held_out_coordinates(split, model), len(split.held_out))
-        for model in (before, after)
-    ]
+    vessels = [held_out_vessels(split, model) for model in (before, after)]
     for number, run in enumerate(split.held_out):
         own, other = (_squared_misses(some[number], run) for some in vessels)
         for horizon, misses in own.items():
@@ -193,7 +189,6 @@ def _squared_misses(
     vessel: Vessel, run: Trajectory
 ) -> dict[float, Float[np.ndarray, "start quantity"]]:
     """Squared misses of position, heading, u, v and r by horizon; NaN where not measured."""
-    vessel = jax.tree.map(jnp.asarray, vessel)
     found = {}
     for horizon, misses in prediction_misses(vessel, run, HORIZONS, SPACING).items():
         position = misses["x"] ** 2 + misses["y"] ** 2
@@ -222,8 +217,7 @@ def motion_misfit(split: Split, fitted: Estimate) -> MotionMisfit:
     Gusts count, and are remembered, as far as is plausible for the vessel's size: a fit has bounds
     for them.
     """
-    coordinates = held_out_coordinates(split, fitted)
-    vessels = vessels_in_runs(split.test, coordinates, len(split.held_out))
+    coordinates, vessels = held_out_coordinates(split, fitted), held_out_vessels(split, fitted)
     squares: dict[float, list[np.ndarray]] = {}
     for run, vessel in zip(split.held_out, vessels, strict=True):
         for horizon, misses in _squared_misses(vessel, run).items():

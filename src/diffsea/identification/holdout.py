@@ -5,6 +5,7 @@ import enum
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -166,16 +167,18 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
 
 
 def held_out_vessels(split: Split, fitted: Estimate) -> list[Vessel]:
-    """The fitted vessel in the environment of each held-out run; all its numbers are floats."""
-    found = vessels_in_runs(split.test, held_out_coordinates(split, fitted), len(split.held_out))
-    return [jax.tree.map(float, vessel) for vessel in found]
+    """The fitted vessel in the environment of each held-out run.
 
-
-def vessels_in_runs(problem: Problem, coordinates: Coordinates, runs: int) -> list[Vessel]:
-    """The vessel at some coordinates in the environment of each of the problem's first runs."""
-    vessel, flow = vessel_at(problem.base, *problem.layout.present(np.asarray(coordinates)))
-    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(runs)]
+    It has all parts of the catalogue, most of them without effect, whatever is fitted: programs
+    compiled for one fit serve all.
+    """
+    coordinates = held_out_coordinates(split, fitted)
+    vessel, flow = _vessel_at(split.test.base, split.test.layout, coordinates)
+    flows = [jax.tree.map(lambda leaf, k=k: leaf[k], flow) for k in range(len(split.held_out))]
     return [dataclasses.replace(vessel, environment=one) for one in flows]
+
+
+_vessel_at = eqx.filter_jit(vessel_at)
 
 
 def row_deviance(

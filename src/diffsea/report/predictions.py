@@ -13,8 +13,6 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
-from diffsea.identification.estimates import Estimate
-from diffsea.identification.holdout import Split, held_out_vessels
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
 from diffsea.report.quantities import is_known
@@ -80,26 +78,22 @@ def predict(vessel: Vessel, run: Trajectory) -> Prediction:
 
 
 def compare(
-    split: Split, final: Estimate, effects: Sequence[str], nominal: Vessel, diagnosed: Vessel
+    runs: Sequence[Trajectory],
+    nominal: Sequence[Vessel],
+    diagnosed: Sequence[Vessel] | None = None,
 ) -> list[ComparedRun]:
-    """The models `nominal` and `diagnosed` on every held-out run.
-
-    Wind and current of one run say nothing about another's: where the diagnosis found them for
-    each run, they are estimated on the held-out run itself, everything else as it was.
+    """Two models on every run.
 
     Arguments:
-        final: the fit of the diagnosed model.
-        effects: names of those that were added to it; without any both models are one.
+        nominal: for each run the vessel in the environment of that run.
+        diagnosed: likewise with what was named; None where nothing was: both models are one.
     """
-    layout, vessels = split.train.layout, [diagnosed] * len(split.held_out)
-    if layout.per_run and any(one.per_run for one in layout.effects if one.name in effects):
-        vessels = held_out_vessels(split, final)
-    out = []
-    for run, vessel in zip(split.held_out, vessels, strict=True):
-        before = predict(nominal, run)
-        after = predict(vessel, run) if effects else before
-        out.append(ComparedRun(run, {"nominal": before, "diagnosed": after}))
-    return out
+    before = [predict(vessel, run) for vessel, run in zip(nominal, runs, strict=True)]
+    after = before
+    if diagnosed is not None:
+        after = [predict(vessel, run) for vessel, run in zip(diagnosed, runs, strict=True)]
+    both = zip(runs, before, after, strict=True)
+    return [ComparedRun(run, {"nominal": old, "diagnosed": new}) for run, old, new in both]
 
 
 def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:

@@ -5,7 +5,6 @@ run (`replay`, `replay_errors`) and from many starts along it (`horizon_errors`)
 """
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -27,7 +26,7 @@ from diffsea.simulation.actuation import (
     servo_path,
     true_actuation,
 )
-from diffsea.simulation.integrate import rk4
+from diffsea.simulation.integrate import rk4, rk4_looped
 from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -38,8 +37,8 @@ from diffsea.vessel.servo import OrderHistory, Response
 HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g): RK4 errs by less than sensors see
 _STEP_LIMIT = 10_000_000  # more do not fit into memory
-_STEP_MULTIPLE = 256  # steps are padded to a multiple, so that recordings share a program
-_LENGTH_MULTIPLE = 64  # likewise the steps of a prediction ahead
+_FEWEST_STEPS = 256  # steps are padded to a power of two, so that recordings share a program
+_STARTS_TOGETHER = 32  # likewise predictions ahead, which fill a core's vector units
 _COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
 _EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
 _NEAREST_SAMPLE = 0.75  # of the median interval: a sample nearer than that supports a value
@@ -166,8 +165,7 @@ def prediction_misses(
     (headings not wrapped); NaN where a channel was not measured.
     """
     t = recording.counted().t
-    horizons = [h for h in horizons if t[0] + h <= t[-1]]
-    if not horizons:
+    if t[0] + min(horizons) > t[-1]:
         return {}
     inputs = _replay_inputs(vessel, recording, measured_actuation)
     rows, motion = inputs.rows, inputs.motion
@@ -179,24 +177,17 @@ def prediction_misses(
     end = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
     end = np.where(np.abs(t[end] - wanted) <= near, end, -1)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
-    length = _LENGTH_MULTIPLE * math.ceil((ends.max() + 1) / _LENGTH_MULTIPLE)
-    states = _integrate_from_each(
-        vessel,
-        inputs.states_at(begin),
-        jnp.asarray(rows[begin]),
-        jnp.asarray(ends),
-        inputs.steps,
-        inputs.response,
-        length,
-    )
+    states = _predict_from_each(vessel, inputs, begin, ends)
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
     for k, horizon in enumerate(horizons):
         counted = end[:, k] >= 0
+        if t[0] + horizon > t[-1]:
+            continue
         at = end[counted, k]
         misses = {}
         for c in MOTION_CHANNELS:
-            reached = np.asarray(getattr(states, c))[counted, k]
+            reached = getattr(states, c)[counted, k]
             misses[c] = np.where(known[c][at], reached - motion[c][at], np.nan)
         found[float(horizon)] = misses
     return found
@@ -242,10 +233,10 @@ def _integration_steps(
             f"the recording lasts {t[-1] - t[0]:g} s, {rows[-1]:.2g} steps of at most "
             f"{longest:.2g} s: too long to replay; cut it, or look at the unit of its time"
         )
-    spare = _STEP_MULTIPLE - rows[-1] % _STEP_MULTIPLE  # at least one: the last row is its start
+    spare = _padded(rows[-1] + 1) - rows[-1]  # at least one: the last row is its start
     row = np.repeat(np.arange(len(t)), np.append(parts, spare))
     dt = np.append(np.repeat(interval / parts, parts), np.zeros(spare))
-    late = -len(t) % _STEP_MULTIPLE
+    late = _padded(len(t)) - len(t)
     steps = _Steps(
         t=jnp.asarray(t[row] + (np.arange(len(row)) - rows[row]) * dt),
         dt=jnp.asarray(dt),
@@ -258,6 +249,11 @@ def _integration_steps(
         },
     )
     return steps, rows
+
+
+def _padded(count: int) -> int:
+    """The least power of two that is no smaller, nor than `_FEWEST_STEPS`."""
+    return max(_FEWEST_STEPS, 1 << (int(count) - 1).bit_length())
 
 
 @eqx.filter_jit
@@ -289,6 +285,24 @@ def _integrate(vessel: Vessel, first: State, steps: _Steps, response: dict[str, 
     return jax.lax.scan(body, first, scanned)[1]
 
 
+def _predict_from_each(
+    vessel: Vessel,
+    inputs: _ReplayInputs,
+    begin: Int[np.ndarray, "start"],
+    ends: Int[np.ndarray, "start horizon"],
+) -> State:
+    """The states so many steps after the rows at which predictions begin."""
+    last = len(begin) - 1
+    found = []
+    for k in range(0, len(begin), _STARTS_TOGETHER):
+        # Spare starts repeat the last one.
+        together = np.arange(k, k + _STARTS_TOGETHER).clip(max=last)
+        rows = begin[together]
+        given = inputs.states_at(rows), jnp.asarray(inputs.rows[rows]), jnp.asarray(ends[together])
+        found.append(_integrate_from_each(vessel, *given, inputs.steps, inputs.response))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: last + 1], *found)
+
+
 @eqx.filter_jit
 def _integrate_from_each(
     vessel: Vessel,
@@ -297,21 +311,27 @@ def _integrate_from_each(
     ends: Int[Array, "start horizon"],
     steps: _Steps,
     response: dict[str, Response],
-    length: int,
 ) -> State:
-    """The states so many steps after each of several starts."""
+    """The states so many steps after each of several starts.
+
+    How many steps are taken is no part of the program: no state is kept that is not asked for.
+    """
     whole = (steps.t, steps.dt, response, steps.heel)
 
-    def one(state: State, begin: Int[Array, ""], ends: Int[Array, "horizon"]) -> State:
-        def body(state: State, k: Int[Array, ""]) -> tuple[State, State]:
-            at = jnp.minimum(begin + k, steps.t.size - 1)
-            t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
-            return rk4(vessel, state, response, with_heel(vessel.environment, heel), t, dt), state
+    def next_state(state: State, at: Int[Array, ""]) -> State:
+        t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
+        environment = with_heel(vessel.environment, heel)
+        return rk4_looped(vessel, state, response, environment, t, dt)
 
-        states = jax.lax.scan(body, state, jnp.arange(length))[1]
-        return jax.tree.map(lambda leaf: leaf[ends], states)
+    def body(k: Int[Array, ""], carry: tuple[State, State]) -> tuple[State, State]:
+        state, found = carry
+        found = jax.tree.map(lambda f, s: jnp.where(ends == k, s[:, None], f), found, state)
+        at = jnp.minimum(begin + k, steps.t.size - 1)
+        return jax.vmap(next_state)(state, at), found
 
-    return jax.vmap(one)(first, begin, ends)
+    first = jax.tree.map(lambda value: jnp.asarray(value, float), first)
+    none = jax.tree.map(lambda value: jnp.broadcast_to(value[:, None], ends.shape), first)
+    return jax.lax.fori_loop(0, ends.max() + 1, body, (first, none))[1]
 
 
 def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:

@@ -15,6 +15,7 @@ from diffsea.diagnosis.search import diagnose as search_effects
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Progress, no_progress
 from diffsea.identification.free_predictions import free_errors
+from diffsea.identification.holdout import held_out_vessels
 from diffsea.identification.objectives.trial_numbers import (
     MeasuredTrial,
     is_trial_table,
@@ -308,7 +309,9 @@ def diagnose(
     progress("comparing predictions")
     documents = nominal_document(file.document, found), vessel_document(file.document, found)
     nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
-    predicted = compare(found.split, found.final, found.names, nominal.vessel, diagnosed.vessel)
+    before = held_out_vessels(found.split, found.nominal)
+    after = held_out_vessels(found.split, found.final) if found.names else None
+    predicted = compare(found.split.held_out, before, after)
     proposal = None if experiment is None else experiment.as_dict()
     source = provenance(file, runs, held_out)
     record = summary(found, findings, horizon_table(predicted), proposal, source)
