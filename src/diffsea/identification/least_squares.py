@@ -86,11 +86,13 @@ def solve_least_squares(
     The trust region begins at `radius`. A tolerance that any step meets ends it where it starts:
     then residual and Jacobian are those at the start.
     """
+    # The solver traces what it is given more than once; what it finds here is traced already.
+    traced = eqx.filter_closure_convert(lambda at: function(at, args), start)
     found = optx.least_squares(
-        with_known_jacobian(function),
+        with_known_jacobian(lambda at, traced: traced(at)),
         dogleg(tolerance, radius),
         start,
-        args,
+        traced,
         has_aux=True,
         options={"jac": "fwd"},
         max_steps=steps,

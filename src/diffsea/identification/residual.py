@@ -192,9 +192,9 @@ def gauss_newton(
     radius: Scalar = TRUST_RADII[0],
 ) -> LeastSquaresPoint:
     """Free numbers after Gauss-Newton steps, and residual and Jacobian on the way."""
-    # Compiled within the compiled: the solver traces it several times, and finds it traced.
-    function = eqx.filter_jit(_residual_and_jacobian)
-    return solve_least_squares(function, start, inputs, GAUSS_NEWTON_STEPS, tolerance, radius)
+    return solve_least_squares(
+        _residual_and_jacobian, start, inputs, GAUSS_NEWTON_STEPS, tolerance, radius
+    )
 
 
 # One compiled program serves fits and Jacobians, because compiling it is most of a short fit's

@@ -37,7 +37,9 @@ from diffsea.vessel.servo import OrderHistory, Response
 HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g): RK4 errs by less than sensors see
 _STEP_LIMIT = 10_000_000  # more do not fit into memory
-_FEWEST_STEPS = 256  # steps are padded to a power of two, so that recordings share a program
+_FEWEST_STEPS = 256  # steps are padded to this times a power of a base: runs share programs
+_BASE_WHOLE = 2
+_BASE_AHEAD = 16  # where spare steps are not taken
 _STARTS_TOGETHER = 32  # likewise predictions ahead, which fill a core's vector units
 _COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
 _EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
@@ -251,9 +253,12 @@ def _integration_steps(
     return steps, rows
 
 
-def _padded(count: int) -> int:
-    """The least power of two that is no smaller, nor than `_FEWEST_STEPS`."""
-    return max(_FEWEST_STEPS, 1 << (int(count) - 1).bit_length())
+def _padded(count: int, base: int = _BASE_WHOLE) -> int:
+    """The least `_FEWEST_STEPS` times a power of the base that is not smaller."""
+    size = _FEWEST_STEPS
+    while size < count:
+        size *= base
+    return size
 
 
 @eqx.filter_jit
@@ -292,14 +297,18 @@ def _predict_from_each(
     ends: Int[np.ndarray, "start horizon"],
 ) -> State:
     """The states so many steps after the rows at which predictions begin."""
-    last = len(begin) - 1
-    found = []
+    steps, last, found = inputs.steps, len(begin) - 1, []
+    spare = _padded(steps.t.size, _BASE_AHEAD) - steps.t.size
+    whole = jax.tree.map(
+        lambda leaf: jnp.asarray(np.pad(leaf, (0, spare))),
+        (steps.t, steps.dt, inputs.response, steps.heel),
+    )
     for k in range(0, len(begin), _STARTS_TOGETHER):
         # Spare starts repeat the last one.
         together = np.arange(k, k + _STARTS_TOGETHER).clip(max=last)
         rows = begin[together]
         given = inputs.states_at(rows), jnp.asarray(inputs.rows[rows]), jnp.asarray(ends[together])
-        found.append(_integrate_from_each(vessel, *given, inputs.steps, inputs.response))
+        found.append(_integrate_from_each(vessel, *given, whole))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: last + 1], *found)
 
 
@@ -309,14 +318,13 @@ def _integrate_from_each(
     first: State,
     begin: Int[Array, "start"],
     ends: Int[Array, "start horizon"],
-    steps: _Steps,
-    response: dict[str, Response],
+    whole: tuple[Array, Array, dict[str, Response], Array],
 ) -> State:
-    """The states so many steps after each of several starts.
+    """The states so many steps after each of several starts along the `whole` run.
 
     How many steps are taken is no part of the program: no state is kept that is not asked for.
     """
-    whole = (steps.t, steps.dt, response, steps.heel)
+    steps = whole[0].size
 
     def next_state(state: State, at: Int[Array, ""]) -> State:
         t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
@@ -326,7 +334,7 @@ def _integrate_from_each(
     def body(k: Int[Array, ""], carry: tuple[State, State]) -> tuple[State, State]:
         state, found = carry
         found = jax.tree.map(lambda f, s: jnp.where(ends == k, s[:, None], f), found, state)
-        at = jnp.minimum(begin + k, steps.t.size - 1)
+        at = jnp.minimum(begin + k, steps - 1)
         return jax.vmap(next_state)(state, at), found
 
     first = jax.tree.map(lambda value: jnp.asarray(value, float), first)
