@@ -13,7 +13,7 @@ from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
 from diffsea.diagnosis.search import Search, unexplained_p_value, verdict_on
-from diffsea.identification.free_predictions import MotionChange
+from diffsea.identification.free_predictions import ChanceOfLoss, MotionChange
 from diffsea.identification.holdout import Gain
 from diffsea.identification.sufficiency import Shortfall
 
@@ -56,23 +56,27 @@ def test_another_effect_is_sought_beside_steady_ones_first_where_the_best_is_not
 def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
     best, near = judged("wind", 60.0), judged("current", 57.0)
     assert decide(listed(best, near), None) is best
-    harm = MotionChange({20.0: 2.0}, {20.0: (1.0, 1.0)})
+    harm = MotionChange({20.0: 2.0}, {20.0: ChanceOfLoss(1.0, 1.0)})
     worse = dataclasses.replace(best, motion=harm)
     assert decide(listed(worse, near), None) is near and not worse.still_stands(NEEDED)
-    chance = dataclasses.replace(best, motion=dataclasses.replace(harm, worse={20.0: (0.9, 1.0)}))
+    chance = dataclasses.replace(
+        best, motion=dataclasses.replace(harm, worse={20.0: ChanceOfLoss(0.9, 1.0)})
+    )
     assert decide(listed(chance, near), None) is chance
 
 
 def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
-    better = MotionChange({20.0: 0.3}, {20.0: (0.0, 0.0)})
+    better = MotionChange({20.0: 0.3}, {20.0: ChanceOfLoss(0.0, 0.0)})
     assert better.is_better and not better.is_worse
     nearly = dataclasses.replace(judged("wind", 60.0, UNSTEADY._replace(share=0.4)), motion=better)
     assert decide(listed(nearly), None) is nearly
-    for motion in (None, dataclasses.replace(better, worse={20.0: (0.0, 0.1)}),
-                   dataclasses.replace(better, worse={20.0: (0.2, 0.0)})):  # fmt: skip
+    for motion in (None, dataclasses.replace(better, worse={20.0: ChanceOfLoss(0.0, 0.1)}),
+                   dataclasses.replace(better, worse={20.0: ChanceOfLoss(0.2, 0.0)})):  # fmt: skip
         assert decide(listed(dataclasses.replace(nearly, motion=motion)), None) is None
     assert decide(listed(dataclasses.replace(nearly, constancy=UNSTEADY)), None) is None
-    mixed = MotionChange({20.0: 0.3, 60.0: 2.0}, {20.0: (0.0, 0.0), 60.0: (1.0, 1.0)})
+    mixed = MotionChange(
+        {20.0: 0.3, 60.0: 2.0}, {20.0: ChanceOfLoss(0.0, 0.0), 60.0: ChanceOfLoss(1.0, 1.0)}
+    )
     assert not mixed.is_better
 
 
@@ -80,14 +84,15 @@ def test_what_single_steps_leave_open_is_decided_by_free_predictions():
     spoilt = judged("wind", 60.0, STEADY, Gain(-8.0, 9.0))
     assert decide(listed(spoilt), None) is None
     for chances, named in (((0.03, 0.04), True), ((0.03, 0.06), False), ((0.06, 0.0), False)):
-        motion = MotionChange({20.0: 0.9}, {20.0: chances})
+        motion = MotionChange({20.0: 0.9}, {20.0: ChanceOfLoss(*chances)})
         one = dataclasses.replace(spoilt, motion=motion)
         assert decide(listed(one), None) is (one if named else None)
-    harmed = dataclasses.replace(one, motion=MotionChange(
-        {20.0: 0.9, 60.0: 1.2}, {20.0: (0.0, 0.0), 60.0: (0.97, 0.96)}))  # fmt: skip
+    surely, hardly = ChanceOfLoss(0.0, 0.0), ChanceOfLoss(0.97, 0.96)
+    mixed = MotionChange({20.0: 0.9, 60.0: 1.2}, {20.0: surely, 60.0: hardly})
+    harmed = dataclasses.replace(one, motion=mixed)
     assert decide(listed(harmed), None) is None
-    lost = dataclasses.replace(judged("wind", 60.0, STEADY, Gain(-20.0, 9.0)),
-                               motion=MotionChange({20.0: 0.9}, {20.0: (0.0, 0.0)}))  # fmt: skip
+    better = MotionChange({20.0: 0.9}, {20.0: surely})
+    lost = dataclasses.replace(judged("wind", 60.0, STEADY, Gain(-20.0, 9.0)), motion=better)
     assert decide(listed(lost), None) is None
 
 
