@@ -15,6 +15,8 @@ from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.filter.correlated_errors import thin_channels
+from diffsea.identification.filter.error_tails import error_tails
+from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
@@ -185,16 +187,29 @@ def row_deviance(
     problem: Problem, coordinates: Coordinates, fitted: Estimate
 ) -> Float[np.ndarray, "row"]:
     """-2 log likelihood of each row at the noise of a fit."""
-    at_fit = coordinates is fitted.coordinates
-    run = fitted.filter_run(problem) if at_fit else problem.run_filter(coordinates, fitted.noise)
+    run = _filter_run(problem, coordinates, fitted)
     with np.errstate(invalid="ignore"):  # a model that diverges predicts nothing: NaN
         return (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance))).sum(1)
 
 
+def _filter_run(problem: Problem, coordinates: Coordinates, fitted: Estimate) -> FilterRun:
+    """The filter's run with the noise of a fit, found once where the coordinates are its own."""
+    if coordinates is fitted.coordinates:
+        return fitted.filter_run(problem)
+    return problem.run_filter(coordinates, fitted.noise)
+
+
 def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
-    """How much better `fitted` predicts the held-out runs than `nominal`."""
-    old = row_deviance(split.test, held_out_coordinates(split, nominal), nominal)
-    new = row_deviance(split.test, held_out_coordinates(split, fitted), fitted)
+    """How much better `fitted` predicts the held-out runs than `nominal`.
+
+    By a likelihood with the tails that errors of `nominal` have in the training data: else a few
+    events that neither model knows would decide.
+    """
+    tails = error_tails(nominal.filter_run(split.train))
+    old, new = (
+        tails.deviance(_filter_run(split.test, held_out_coordinates(split, model), model))
+        for model in (nominal, fitted)
+    )
     return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
