@@ -24,7 +24,14 @@ from diffsea.identification.free_predictions import (
     pooled_losses,
     relative_losses,
 )
-from diffsea.identification.holdout import Split, exchanged_fits, split_data
+from diffsea.identification.holdout import (
+    Gain,
+    Split,
+    exchanged_fits,
+    held_out_gain,
+    row_deviance,
+    split_data,
+)
 from diffsea.identification.problem import make_problem
 from diffsea.identification.sufficiency import (
     FitVerdict,
@@ -78,6 +85,20 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     same = motion_change(data, right, right)
     assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
     assert not (same.is_better or same.is_probably_better)
+
+
+def test_held_out_gains_grow_no_faster_than_the_tails_of_errors_let_them(data, right, wrong):
+    """Where the model before errs little they are those of normal errors, else far below."""
+    near = dataclasses.replace(right, coordinates=right.coordinates - [0.0, 0.0, 0.0, 0.01, 0.01])
+
+    def normal_gain(before) -> Gain:
+        old, new = (row_deviance(data.test, one.coordinates, one) for one in (before, right))
+        return Gain.of_rows((old - new)[data.test.dataset.recorded_rows])
+
+    small, large = (held_out_gain(data, before, right) for before in (near, wrong))
+    assert small.clear and small.total == pytest.approx(normal_gain(near).total, rel=0.1)
+    assert large.clear and small.total < large.total < 0.1 * normal_gain(wrong).total
+    assert held_out_gain(data, right, right).total == 0.0
 
 
 def test_runs_that_change_places_are_judged_together(data, right, wrong):
