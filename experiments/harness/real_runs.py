@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 
 from diffsea import Diagnosis, Trajectory, cut, read_mapping, read_recording, read_vessel
 from diffsea.diagnosis.experiment import next_experiment
-from diffsea.diagnosis.record import nominal_document, summary, vessel_document
+from diffsea.diagnosis.record import summary, vessel_document
 from diffsea.diagnosis.search import diagnose
+from diffsea.identification.holdout import held_out_vessels
 from diffsea.recordings import audit
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.predictions import compare, horizon_table
@@ -111,12 +112,14 @@ def study(case: Case) -> dict:
 
 def _record(case: Case, diagnosis: Diagnosis) -> dict:
     after = vessel_document(case.document, diagnosis)
-    before = nominal_document(case.document, diagnosis)
     findings = audited(case.recordings) if case.findings is None else case.findings
     experiment = next_experiment(diagnosis)
     proposal = None if experiment is None else experiment.as_dict()
-    split, names = diagnosis.split, diagnosis.names
-    runs = compare(split, diagnosis.final, names, build(before), build(after))
+    split = diagnosis.split
+    before, with_names = (
+        held_out_vessels(split, one) for one in (diagnosis.nominal, diagnosis.final)
+    )
+    runs = compare(split.held_out, before, with_names if diagnosis.names else None)
     record = summary(diagnosis, findings, horizon_table(runs), proposal)
     source = {"vessel": str(case.document["name"]), "held_out": list(case.held_out)}
     page = diagnosis_report(record, str(case.document["name"]), split, runs, source)
