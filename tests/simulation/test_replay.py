@@ -7,7 +7,7 @@ import pytest
 
 from diffsea import Outcome, Sensors, Trajectory, UserError, horizon_errors, replay
 from diffsea.simulation.actuation import how_actuated, over_rows, recorded_actuation
-from diffsea.simulation.replay import replay_errors
+from diffsea.simulation.replay import prediction_misses, replay_errors
 from diffsea.vessel.files import build
 from diffsea.vessel.sensors import Clock
 
@@ -228,6 +228,17 @@ def test_horizons_grow_as_the_closed_form_of_a_wrong_thrust():
         assert errors["u"] == pytest.approx(behind, abs=1e-5)
         assert errors["position"] == pytest.approx(0.3 * h - 5 * behind, abs=1e-4)
         assert errors["starts"] == {5.0: 10, 20.0: 8, 60.0: 4}[h]
+
+
+def test_every_one_of_many_starts_begins_in_its_own_recorded_state():
+    """From u_k the speed decays to that of the thrust: 3 + (u_k - 3) exp(-h / 5), for 96 starts."""
+    t = np.arange(0.0, 100.0, 0.1)
+    u = straight(t).u + 0.2 * np.sin(t)
+    found = prediction_misses(boat(), dataclasses.replace(straight(t), u=u), (4.0, 7.0), 1.0)
+    for h, misses in found.items():
+        k = np.arange(96 if h == 4.0 else 93) * 10
+        expected = 3 + (u[k] - 3) * np.exp(-h / 5) - u[k + round(10 * h)]
+        np.testing.assert_allclose(misses["u"], expected, atol=1e-5)
 
 
 def test_horizons_count_only_where_there_are_samples_to_compare():

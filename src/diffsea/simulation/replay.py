@@ -183,9 +183,9 @@ def prediction_misses(
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
     for k, horizon in enumerate(horizons):
-        counted = end[:, k] >= 0
         if t[0] + horizon > t[-1]:
             continue
+        counted = end[:, k] >= 0
         at = end[counted, k]
         misses = {}
         for c in MOTION_CHANNELS:
