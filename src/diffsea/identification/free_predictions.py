@@ -50,8 +50,13 @@ class ChanceOfLoss(NamedTuple):
     student: float  # by Student's t of block means: few blocks scatter less than they err
 
     @classmethod
-    def of(cls, gain: Float[np.ndarray, "start"], run: Int[np.ndarray, "start"], length: int,
-           rng: np.random.Generator) -> "ChanceOfLoss":  # fmt: skip
+    def of(
+        cls,
+        gain: Float[np.ndarray, "start"],
+        run: Int[np.ndarray, "start"],
+        length: int,
+        rng: np.random.Generator,
+    ) -> "ChanceOfLoss":
         """From the gains of successive starts and the number of each one's run.
 
         Blocks have `length` starts. Student's is one half where blocks are too few or alike.
@@ -74,7 +79,7 @@ class MotionChange:
     """
 
     ratio: dict[float, float]
-    worse: dict[float, "ChanceOfLoss"]
+    worse: dict[float, ChanceOfLoss]
 
     @property
     def is_worse(self) -> bool:
