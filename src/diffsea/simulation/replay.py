@@ -37,9 +37,9 @@ from diffsea.vessel.servo import OrderHistory, Response
 HORIZONS = (5.0, 20.0, 60.0)  # s
 _LONGEST_STEP = 0.3  # of sqrt(L / g): RK4 errs by less than sensors see
 _STEP_LIMIT = 10_000_000  # more do not fit into memory
-_FEWEST_STEPS = 256  # steps are padded to this times a power of a base: runs share programs
-_BASE_WHOLE = 2
-_BASE_AHEAD = 16  # where spare steps are not taken
+_FEWEST_STEPS = 256  # steps are padded to this times a power of two, so that runs share programs
+_COARSE_FACTOR = 16  # of sixteen where spare steps are not taken, until they take memory
+_MOST_COARSE = 65_536
 _STARTS_TOGETHER = 32  # likewise predictions ahead, which fill a core's vector units
 _COMPASS_ITERATIONS = 20  # a compass error of half a radian has converged by then
 _EXTRAPOLATION_INTERVALS = 4  # least intervals whose slope goes on beyond the samples
@@ -58,6 +58,15 @@ class _Steps(eqx.Module):
     order_values: dict[str, Float[Array, "order"]]
 
 
+class _DrivenSteps(NamedTuple):
+    """Integration steps with what acts in them, or one of them."""
+
+    t: Float[Array, "*step"]  # s, start of the step
+    dt: Float[Array, "*step"]
+    response: dict[str, Response]
+    heel: Float[Array, "*step"]  # rad
+
+
 class _ReplayInputs(NamedTuple):
     """A recording made ready to be replayed through a vessel."""
 
@@ -70,6 +79,11 @@ class _ReplayInputs(NamedTuple):
     now: dict[str, Float[Array, "step"]]  # what it executes from the start of the step on
     motion: dict[str, Samples]  # as the sensors' errors leave it
     notes: tuple[str, ...]
+
+    @property
+    def driven(self) -> _DrivenSteps:
+        """The steps with the response of every channel."""
+        return _DrivenSteps(self.steps.t, self.steps.dt, self.response, self.steps.heel)
 
     def states_at(self, rows: Int[np.ndarray, "start"] | int) -> State:
         """The recorded states in some rows."""
@@ -90,8 +104,9 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     Raises:
         UserError: the recording lacks a channel's orders, or a state to start from.
     """
+    vessel = _as_arrays(vessel)
     inputs = _replay_inputs(vessel, recording, measured_actuation)
-    states = _integrate(vessel, inputs.states_at(0), inputs.steps, inputs.response)
+    states = _integrate(vessel, inputs.states_at(0), inputs.driven)
     true = {c: np.asarray(getattr(states, c))[inputs.rows] for c in MOTION_CHANNELS}
     length = float(vessel.rigid_body.length)
     finite = all(np.isfinite(values).all() for values in true.values())
@@ -169,6 +184,7 @@ def prediction_misses(
     t = recording.counted().t
     if t[0] + min(horizons) > t[-1]:
         return {}
+    vessel = _as_arrays(vessel)
     inputs = _replay_inputs(vessel, recording, measured_actuation)
     rows, motion = inputs.rows, inputs.motion
     # Rows at which predictions start, and those at which each is compared, -1 for none.
@@ -253,11 +269,16 @@ def _integration_steps(
     return steps, rows
 
 
-def _padded(count: int, base: int = _BASE_WHOLE) -> int:
-    """The least `_FEWEST_STEPS` times a power of the base that is not smaller."""
+def _as_arrays(vessel: Vessel) -> Vessel:
+    """The vessel with its numbers as arrays: as floats they would be part of compiled programs."""
+    return jax.tree.map(jnp.asarray, vessel)
+
+
+def _padded(count: int, factor: int = 2) -> int:
+    """Steps with spare ones, not fewer than `count`: a size of a geometric series."""
     size = _FEWEST_STEPS
     while size < count:
-        size *= base
+        size *= factor if size < _MOST_COARSE else 2
     return size
 
 
@@ -279,15 +300,14 @@ def _actuate(
 
 
 @eqx.filter_jit
-def _integrate(vessel: Vessel, first: State, steps: _Steps, response: dict[str, Response]) -> State:
+def _integrate(vessel: Vessel, first: State, steps: _DrivenSteps) -> State:
     """The state at the start of every step."""
 
-    def body(state: State, step: tuple) -> tuple[State, State]:
-        t, dt, response, heel = step
-        return rk4(vessel, state, response, with_heel(vessel.environment, heel), t, dt), state
+    def body(state: State, step: _DrivenSteps) -> tuple[State, State]:
+        environment = with_heel(vessel.environment, step.heel)
+        return rk4(vessel, state, step.response, environment, step.t, step.dt), state
 
-    scanned = (steps.t, steps.dt, response, steps.heel)
-    return jax.lax.scan(body, first, scanned)[1]
+    return jax.lax.scan(body, first, steps)[1]
 
 
 def _predict_from_each(
@@ -297,18 +317,15 @@ def _predict_from_each(
     ends: Int[np.ndarray, "start horizon"],
 ) -> State:
     """The states so many steps after the rows at which predictions begin."""
-    steps, last, found = inputs.steps, len(begin) - 1, []
-    spare = _padded(steps.t.size, _BASE_AHEAD) - steps.t.size
-    whole = jax.tree.map(
-        lambda leaf: jnp.asarray(np.pad(leaf, (0, spare))),
-        (steps.t, steps.dt, inputs.response, steps.heel),
-    )
+    steps, last, found = inputs.driven, len(begin) - 1, []
+    spare = _padded(steps.t.size, _COARSE_FACTOR) - steps.t.size
+    steps = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, (0, spare))), steps)
     for k in range(0, len(begin), _STARTS_TOGETHER):
         # Spare starts repeat the last one.
         together = np.arange(k, k + _STARTS_TOGETHER).clip(max=last)
         rows = begin[together]
         given = inputs.states_at(rows), jnp.asarray(inputs.rows[rows]), jnp.asarray(ends[together])
-        found.append(_integrate_from_each(vessel, *given, whole))
+        found.append(_integrate_from_each(vessel, *given, steps))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: last + 1], *found)
 
 
@@ -318,23 +335,22 @@ def _integrate_from_each(
     first: State,
     begin: Int[Array, "start"],
     ends: Int[Array, "start horizon"],
-    whole: tuple[Array, Array, dict[str, Response], Array],
+    steps: _DrivenSteps,
 ) -> State:
-    """The states so many steps after each of several starts along the `whole` run.
+    """The states so many steps after each of several starts along a run.
 
     How many steps are taken is no part of the program: no state is kept that is not asked for.
     """
-    steps = whole[0].size
 
     def next_state(state: State, at: Int[Array, ""]) -> State:
-        t, dt, response, heel = jax.tree.map(lambda leaf: leaf[at], whole)
-        environment = with_heel(vessel.environment, heel)
-        return rk4_looped(vessel, state, response, environment, t, dt)
+        step = jax.tree.map(lambda leaf: leaf[at], steps)
+        environment = with_heel(vessel.environment, step.heel)
+        return rk4_looped(vessel, state, step.response, environment, step.t, step.dt)
 
     def body(k: Int[Array, ""], carry: tuple[State, State]) -> tuple[State, State]:
         state, found = carry
         found = jax.tree.map(lambda f, s: jnp.where(ends == k, s[:, None], f), found, state)
-        at = jnp.minimum(begin + k, steps - 1)
+        at = jnp.minimum(begin + k, steps.t.size - 1)
         return jax.vmap(next_state)(state, at), found
 
     first = jax.tree.map(lambda value: jnp.asarray(value, float), first)
