@@ -1,11 +1,14 @@
 """Power and false alarms of the audit: known faults in real recordings and in simulated ones.
 
 python -m experiments.audit_power.run [--quick]
+
+Results of sets of recordings that are there already are kept: what was stopped goes on.
 """
 
 import argparse
 import dataclasses
 import json
+import sys
 import time
 import zlib
 from pathlib import Path
@@ -17,7 +20,8 @@ from scipy import optimize, special, stats
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 
-from experiments.audit_power.faults import GRADED, LABELS, Fault
+from experiments.audit_power.faults import CHANNELS, GRADED, LABELS, Fault, rows_of
+from experiments.concealed_real import sets
 
 from tests.oracle import make_recordings
 from tests.oracle.sensors import record, suite, write_csv
@@ -27,21 +31,24 @@ from diffsea import read_recording
 from diffsea.recordings import audit
 
 
-DATA = ROOT.parent / "shared" / "data"
 OUT = ROOT / "out" / "audit_power"
+RESULTS = HERE / "results.json"
 MANOEUVRES = ("random-fast", "zigzag-fast", "circle-fast")
-REAL = (
-    "blueboat/fixed_00000218.csv",
-    "blueboat/fixed_00000221.csv",
-    "blueboat/fixed_00000223.csv",
-    "blueboat/fixed_00000230.csv",
-    "esso_osaka/recordings/random_06-Aug-2020_16_24_25_4.csv",
-    "esso_osaka/recordings/turn_14-Oct-2020_14_56_07.csv",
-    "esso_osaka/recordings/zigzag_31-Jul-2020_13_04_24.csv",
-    "esso_osaka/recordings/zigzag_31-Jul-2020_13_22_52.csv",
-    "kvlcc2_hsva/HSVA_CPMC_KVLCC2_Z_10_10_P.dat",
-)
+# Real sets as they are believed after repair, and how many of their runs are taken, evenly.
+REAL = {
+    "blueboat": (sets.blueboat, 4),
+    "esso": (sets.esso, 4),
+    "hsva": (sets.hsva, 4),
+    "kcs": (sets.kcs, 3),
+    "kingfisher": (sets.kingfisher, 4),
+    "milliampere": (sets.milliampere, 3),
+    "vtec": (sets.vtec, 4),
+}
+LONGEST = 300.0  # s of a real run that are used
 POWER = 0.95
+# Kinds of a size that is the same in all parts of a run.
+CONSTANT = ("sensor-latency", "clock-drift", "gyro-bias", "heading-offset", "hard-iron",
+            "lever-arm", "through-water", "scale")  # fmt: skip
 
 
 def simulated(seeds, draws: int) -> list[list]:
@@ -68,13 +75,25 @@ def simulated(seeds, draws: int) -> list[list]:
     return runs
 
 
-def real(names) -> list:
-    """The recordings through their repaired mappings, with the kinds that are left in them."""
+def real(name: str, few: bool = False) -> list:
+    """Some runs of a real set, their first part."""
+    read, count = REAL[name]
+    tables = list(read().items())
+    chosen = np.unique(np.linspace(0, len(tables) - 1, 1 if few else count).round().astype(int))
     runs = []
-    for name in names:
-        folder = ROOT / "experiments" / name.split("/")[0]
-        runs.append(read_recording(DATA / name, folder / "mapping_repaired.toml"))
+    for k in chosen:
+        key, table = tables[k]
+        run = dataclasses.replace(read_recording(table), name=key)
+        t = np.asarray(run.t)
+        runs.append(rows_of(run, t <= t[0] + LONGEST))
     return runs
+
+
+def halves(run) -> tuple:
+    """A run's first and second half."""
+    t = np.asarray(run.t)
+    first = t < 0.5 * (t[0] + t[-1])
+    return rows_of(run, first), rows_of(run, ~first)
 
 
 @dataclasses.dataclass
@@ -106,13 +125,34 @@ def attempt(run, fault: Fault, size: float, level: float, before: set) -> Trial:
     return Trial(run.name, size, True, not others, float(error), bool(abs(out) <= room))
 
 
+def apart(run, fault: Fault, size: float, level: float) -> float | None:
+    """How far what is found in the two halves of a faulty run differs, in its standard error.
+
+    A fault that the run has of its own is in both. None where a half does not show it.
+    """
+    rng = np.random.default_rng(zlib.crc32(f"{run.name} {fault.name}".encode()))
+    faulty, _ = fault.make(run, size, rng)
+    found = []
+    for half in halves(faulty):
+        hits = [f for f in audit(half, level)
+                if f.kind == fault.kind and set(f.channels) == set(fault.channels)]  # fmt: skip
+        found += hits[:1]
+    if len(found) < 2 or min(one.std for one in found) <= 0:
+        return None
+    return (found[0].value - found[1].value) / np.hypot(found[0].std, found[1].std)
+
+
+def has_all(run, channels) -> bool:
+    """Whether the run has values of all motion channels among these."""
+    return all(np.sum(np.isfinite(getattr(run, n))) > 30 for n in set(channels) & set(CHANNELS))
+
+
 def thresholds(runs, fault: Fault, level: float, clean: dict) -> dict:
     """Per recording by bisection: the largest size missed and the smallest found."""
-    trials, spans = [], []
+    trials, spans, between = [], [], []
     for run in runs:
         kinds = {kind for kind, _ in clean[run.name]}
-        usable = all(np.sum(np.isfinite(getattr(run, n))) > 30 for n in fault.channels if n != "t")
-        if fault.kind in kinds or not usable:
+        if fault.kind in kinds or not has_all(run, fault.channels):
             continue
         low, high = -1, len(fault.sizes)
         while high - low > 1:
@@ -121,7 +161,14 @@ def thresholds(runs, fault: Fault, level: float, clean: dict) -> dict:
             trials.append(trial)
             low, high = (low, middle) if trial.named else (middle, high)
         spans.append((low, high))
-    return {"trials": trials} | fitted(fault.sizes, spans)
+        # What a whole run shows just so, its halves would not.
+        if fault.kind in CONSTANT and high < len(fault.sizes):
+            larger = fault.sizes[min(high + 2, len(fault.sizes) - 1)]
+            difference = apart(run, fault, larger, level)
+            between += [] if difference is None else [float(difference)]
+    return {"trials": trials, "halves": [round(one, 3) for one in between]} | fitted(
+        fault.sizes, spans
+    )
 
 
 def fitted(sizes, spans) -> dict:
@@ -173,7 +220,7 @@ def label_rates(runs, level: float, clean: dict) -> dict:
     for name, kind, channels, make in LABELS:
         outcomes = []
         for run in runs:
-            faulty = make(run)
+            faulty = make(run) if has_all(run, channels) else None
             if faulty is None or kind in {kind for kind, _ in clean[run.name]}:
                 continue
             found = audit(faulty, level)
@@ -186,22 +233,24 @@ def label_rates(runs, level: float, clean: dict) -> dict:
 
 
 def calibration(trials) -> dict:
-    """Spread of (value - truth) / standard error, which should be one."""
-    errors = np.array([t.error for t in trials if t.named])
-    if errors.size < 5:
-        return {"found": int(errors.size)}
+    """Errors over standard errors where the fault was found, and how often nothing else was."""
+    found = [t for t in trials if t.named]
+    if not found:
+        return {"errors": [], "within 3": None, "alone": None}
     return {
-        "found": int(errors.size),
-        "spread": float(np.sqrt(np.mean(np.minimum(np.abs(errors), 10) ** 2))),
-        "within 3": float(np.mean([t.near for t in trials if t.named])),
-        "alone": float(np.mean([t.alone for t in trials if t.named])),
+        "errors": [round(t.error, 3) for t in found],
+        "within 3": float(np.mean([t.near for t in found])),
+        "alone": float(np.mean([t.alone for t in found])),
     }
 
 
-def study(runs, level: float, faults) -> dict:
+def study(name: str, runs, level: float, faults) -> dict:
     """Everything on one set of recordings."""
     clean = {run.name: {(f.kind, f.channels) for f in audit(run, level)} for run in runs}
-    result = {"labels": label_rates(runs, level, clean)}
+    alarms = false_alarms(runs, level)
+    print(f"{name}, untouched: {alarms['alarmed']} of {alarms['recordings']} {alarms['kinds']}",
+          flush=True)  # fmt: skip
+    result = {"false alarms": alarms, "labels": label_rates(runs, level, clean)}
     for fault in faults:
         found = thresholds(runs, fault, level, clean)
         result[fault.name] = found | calibration(found.pop("trials"))
@@ -214,24 +263,42 @@ def shown(number) -> str:
     return "-" if number is None else f"{number:.2g}"
 
 
-def report(sets: dict, faults) -> str:
+def smallest(found: dict, fault: Fault) -> str:
+    """The size that is found with 95 % power, or in how many recordings none is."""
+    if not found["recordings"]:
+        return "-"
+    beyond = f"> {fault.sizes[-1]:.2g} in {found['never']} of {found['recordings']}"
+    return beyond if found["size"] is None else shown(found["size"])
+
+
+def spread(errors) -> str:
+    """Root mean square of errors over stated ones with its 90 % interval; it should be one."""
+    errors = np.minimum(np.abs(np.asarray(errors, float)), 10.0)
+    if errors.size < 3:
+        return "-"
+    total = float(np.sum(errors**2))
+    low, high = (np.sqrt(total / stats.chi2.ppf(q, errors.size)) for q in (0.95, 0.05))
+    return f"{np.sqrt(total / errors.size):.2g} ({low:.2g} to {high:.2g}, {errors.size})"
+
+
+def report(results: dict, faults) -> str:
     """The tables, in Markdown."""
-    names = list(sets)
-    lines = [
-        "| fault | unit | " + " | ".join(f"{n}: size, spread, within 3 se" for n in names) + " |"
-    ]
-    lines.append("|" + " --- |" * (2 + len(names)))
+    names = list(results)
+    rule = "|" + " --- |" * (2 + len(names))
+    lines = ["| fault | unit | " + " | ".join(names) + " |", rule]
     for fault in faults:
-        cells = []
-        for name in names:
-            found = sets[name][fault.name]
-            beyond = f"> {fault.sizes[-1]:.2g} in {found['never']} of {found['recordings']}"
-            size = beyond if found["size"] is None else shown(found["size"])
-            cells.append(f"{size}, {shown(found.get('spread'))}, {shown(found.get('within 3'))}")
+        cells = [smallest(results[name][fault.name], fault) for name in names]
         lines.append(f"| {fault.name} | {fault.unit} | " + " | ".join(cells) + " |")
+    lines += ["", "| fault | simulated, of the truth | real, between halves |", "|" + " --- |" * 3]
+    simulated = [results[name] for name in names if name == "simulated"]
+    others = [results[name] for name in names if name != "simulated"]
+    for fault in faults:
+        own = [error for one in simulated for error in one[fault.name]["errors"]]
+        between = [error for one in others for error in one[fault.name]["halves"]]
+        lines.append(f"| {fault.name} | {spread(own)} | {spread(between)} |")
     lines += ["", "| label | " + " | ".join(names) + " |", "|" + " --- |" * (1 + len(names))]
     for label, *_ in LABELS:
-        rates = [sets[name]["labels"].get(label) for name in names]
+        rates = [results[name]["labels"].get(label) for name in names]
         cells = [f"{r['named']} of {r['of']}, alone {r['alone']}" if r else "-" for r in rates]
         lines.append(f"| {label} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -241,32 +308,35 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few recordings, three minutes")
     parser.add_argument("--level", type=float, help="significance instead of the audit's own")
+    parser.add_argument("--sets", nargs="+", choices=["simulated", *REAL], help="only these")
     arguments = parser.parse_args()
     from diffsea.recordings.auditing.causes import SIGNIFICANCE
 
     level = arguments.level or SIGNIFICANCE
-    started = time.process_time()
-    drawn = simulated((1,) if arguments.quick else (1, 2), 2 if arguments.quick else 12)
-    untouched = [run for draws in drawn for run in draws]
-    alarms = {f"{tried:g}": false_alarms(untouched, tried)
-              for tried in (level, 1e-2)}  # fmt: skip
-    for tried, found in alarms.items():
-        low, high = found["interval"]
-        print(f"simulated, untouched, level {tried}: {found['alarmed']} of {found['recordings']} "
-              f"({100 * low:.2g} to {100 * high:.2g} %) {found['kinds']}", flush=True)  # fmt: skip
-    results = {"level": level, "false alarms": alarms}
-    sets = {"simulated": study([draws[0] for draws in drawn], level, GRADED)}
-    if DATA.exists():
-        runs = real(REAL[::4] if arguments.quick else REAL)
-        alarms["real"] = false_alarms(runs, level)
-        print("real, repaired:", alarms["real"], flush=True)
-        sets["real"] = study(runs, level, GRADED)
-    else:
-        print(f"{DATA} is absent: the published recordings stay outside; simulated ones only")
-    print(report(sets, GRADED))
-    results |= sets | {"processor seconds": time.process_time() - started}
-    print(f"{results['processor seconds']:.0f} s of processor time")
-    (OUT / "results.json").write_text(json.dumps(results, indent=1))
+    few = arguments.quick
+    OUT.mkdir(parents=True, exist_ok=True)
+    path = OUT / "quick.json" if few else RESULTS
+    done = json.loads(path.read_text()) if path.exists() and not few else {}
+    names = arguments.sets or ["simulated", *(["blueboat", "hsva"] if few else REAL)]
+    if not sets.available():
+        print("the real data are absent: simulated recordings alone", file=sys.stderr)
+        names = [name for name in names if name == "simulated"]
+    for name in names:
+        if name in done:
+            continue
+        began = time.process_time()
+        if name == "simulated":
+            drawn = simulated((1,) if few else (1, 2), 2 if few else 12)
+            done[name] = study(name, [draws[0] for draws in drawn], level, GRADED)
+            untouched = [run for draws in drawn for run in draws]
+            done[name]["false alarms"] = {
+                f"{tried:g}": false_alarms(untouched, tried) for tried in (level, 1e-2)
+            }
+        else:
+            done[name] = study(name, real(name, few), level, GRADED)
+        done[name]["processor seconds"] = round(time.process_time() - began)
+        path.write_text(json.dumps(done, indent=1, allow_nan=False) + "\n")
+    print(report(done, GRADED))
 
 
 if __name__ == "__main__":
