@@ -224,6 +224,31 @@ class Compass(ChannelEdit):
 
 
 @dataclasses.dataclass(frozen=True)
+class Reheading(ChannelEdit):
+    """Heading `sense` times as recorded plus `offset` (rad), velocities in its body axes.
+
+    u and v had been turned into body axes by the heading as recorded. A mapping says it where they
+    are read in earth axes.
+    """
+
+    sense: float
+    offset: float
+
+    def new_series(self, old: Channels) -> Channels:
+        psi = self.sense * old["psi"] + self.offset
+        body = (old["u"] + 1j * old["v"]) * np.exp(1j * (old["psi"] - psi))
+        return {"psi": psi, "u": body.real, "v": body.imag}
+
+    def amend_mapping(self, mapping: Mapping) -> Mapping | None:
+        if mapping.velocity_axes != "earth":
+            return None
+        heading = Affine(("psi",), self.sense, self.offset)
+        as_body = dataclasses.replace(mapping, velocity_axes="body")
+        amended = heading.amend_mapping(as_body)
+        return None if amended is None else dataclasses.replace(amended, velocity_axes="earth")
+
+
+@dataclasses.dataclass(frozen=True)
 class Lever(ChannelEdit):
     """Positions of a point `x` m forward and `y` m to starboard go to the reference point."""
 

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, finding_of, wrong_sign
+from diffsea.recordings.auditing.thrust_axes import thrust_axes_findings
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Samples, Trajectory
 
@@ -160,6 +161,8 @@ def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Fi
             prefix + name: _on_motion_clock(trajectory, motion, s) for name, s in group.items()
         }
         found += _blame_mirrored_axes(_group_findings(motion, series))
+        if not any(one.kind == "axes" for one in found):
+            found += thrust_axes_findings(motion, series)
     return found
 
 
