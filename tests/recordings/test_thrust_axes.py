@@ -27,14 +27,14 @@ def ferry(seed: int, gain: float = 0.02) -> diffsea.Trajectory:
     earth, place = np.zeros(rows, complex), np.zeros(rows, complex)
     for k in range(rows - 1):
         body = earth[k] * np.exp(-1j * psi[k])
-        pull = push[k] - 0.1 * body.real - 0.3j * body.imag + gusts[0, k] + 1j * gusts[1, k]
+        pull = push[k] - 0.1 * np.real(body) - 0.3j * np.imag(body) + gusts[0, k] + 1j * gusts[1, k]
         earth[k + 1] = earth[k] + DT * pull * np.exp(1j * psi[k])
         place[k + 1] = place[k] + DT * 0.5 * (earth[k] + earth[k + 1])
     body = earth * np.exp(-1j * psi)
     noise = 0.01 * rng.standard_normal((2, rows))
     table = {
-        "t": DT * np.arange(rows), "x": place.real, "y": place.imag, "psi": psi,
-        "u": body.real + noise[0], "v": body.imag + noise[1], "r": turning,
+        "t": DT * np.arange(rows), "x": np.real(place), "y": np.imag(place), "psi": psi,
+        "u": np.real(body) + noise[0], "v": np.imag(body) + noise[1], "r": turning,
         "cmd_pod.force": force, "cmd_pod.angle": angle,
     }  # fmt: skip
     return diffsea.read_recording(pd.DataFrame(table))

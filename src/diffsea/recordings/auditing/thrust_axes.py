@@ -126,15 +126,15 @@ def _fit_over(
     body = velocity * np.conj(ahead)
     along, across = ahead, 1j * ahead
     steady = [np.ones_like(ahead), 1j * np.ones_like(ahead)]
-    others = [along * body.real, across * body.imag, *steady]
-    pushes = [along * thrust.real, across * thrust.imag]
+    others = [along * np.real(body), across * np.imag(body), *steady]
+    pushes = [along * np.real(thrust), across * np.imag(thrust)]
     sums = np.cumsum(np.array([*pushes, *others]), axis=1)
     regressors = (sums[:, width:] - sums[:, :-width]) / width
     changes = velocity[width:] - velocity[:-width]
     inside = np.cumsum(np.concatenate([[0], ~known]))
     whole = inside[width + 1 :] == inside[: -width - 1]
-    X = np.concatenate([regressors.real, regressors.imag], axis=1)[:, np.tile(whole, 2)].T
-    y = np.concatenate([changes.real, changes.imag])[np.tile(whole, 2)]
+    X = np.concatenate([np.real(regressors), np.imag(regressors)], axis=1)[:, np.tile(whole, 2)].T
+    y = np.concatenate([np.real(changes), np.imag(changes)])[np.tile(whole, 2)]
     moving = X.std(axis=0) > 0
     pushing = moving & (np.arange(X.shape[1]) < len(pushes))
     bare = _residual_variance(X[:, moving & ~pushing], y)
