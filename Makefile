@@ -24,7 +24,8 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30 -m "not proof"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30 \
+	  -m "not proof and not experiment"
 
 quick: setup
 	$(BIN)/ruff check src tests experiments
@@ -34,10 +35,10 @@ quick: setup
 experiments: setup
 	$(BIN)/python -m experiments.every
 
-# The longest tests; then the proof on real recordings, which lie in ../shared/data: hours; goes on
-# where it was stopped.
+# The longest tests and those of experiments; then the proof on real recordings, which lie in
+# ../shared/data: hours; goes on where it was stopped.
 proof: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m proof
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "proof or experiment"
 	$(BIN)/python -m experiments.concealed_real.run
 	$(BIN)/python -m experiments.concealed_real.score
 

@@ -18,6 +18,8 @@ import tests.shapes  # noqa: F401  isort: skip  the hook finds it by name
 
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Single operations are compiled by the hundred: once for all files and both workers.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def pytest_collection_modifyitems(items):

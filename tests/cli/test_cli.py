@@ -396,6 +396,7 @@ peak_yaw_rate = {peak_yaw_rate}
 """
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 def test_fit_takes_recordings_and_a_sheet_together(boat, zigzag, tmp_path, capsys):
     sheet = tmp_path / "sheet.toml"

@@ -51,6 +51,7 @@ def problem():
     return make_problem(usv(), [run], FREE, (EFFECTS["gyro-bias"],), capacity=1)
 
 
+@pytest.mark.proof
 def test_every_data_set_is_fitted_and_screened(problem):
     nominal, said = estimate(problem, FREE), []
     drawn = bootstrap(problem, nominal, 5, said.append)

@@ -105,6 +105,7 @@ def test_the_best_is_as_often_right_as_its_odds_against_the_next_say(problems):
     assert_calibrated(np.array(stated), np.array(right))
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_is_there_as_often_as_its_odds_against_none_say(problems, name):
     """Where it is there or nothing is."""

@@ -42,7 +42,7 @@ import pytest
 from tests.paths import ROOT
 
 
-pytestmark = pytest.mark.experiment
+pytestmark = pytest.mark.slow
 
 
 FOLDER = ROOT / "experiments" / "concealed"

@@ -265,6 +265,7 @@ def test_a_lag_is_told_from_gusts_that_last(document):
     assert result.inflation < 1.3
 
 
+@pytest.mark.proof
 def test_an_effect_is_sought_where_it_shows_itself(document):
     """Orders followed slowly have hardly a derivative where they are followed at once."""
     slow = document | {"thruster": [t | {"rate_limit": 30.0} for t in document["thruster"]]}
@@ -276,6 +277,7 @@ def test_an_effect_is_sought_where_it_shows_itself(document):
     assert result.agreement is not None and result.agreement.starts == 5
 
 
+@pytest.mark.proof
 def test_a_wind_is_found_with_the_superstructure_that_it_meets(document):
     """Twice to three times the usual areas, and a bow that turns into the wind."""
     house = {"frontal_area": 1.2, "lateral_area": 2.4, "C_X": 0.6, "C_Y": 0.9, "C_N": -0.04}

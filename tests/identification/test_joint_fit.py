@@ -112,6 +112,7 @@ def joint(vessel: Vessel, run: Trajectory, numbers: list[MeasuredTrial]) -> Prob
     return with_trial_numbers(make_problem(vessel, [run], HULL), numbers)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("seed", SEEDS)
 def test_both_together_are_nearer_to_the_truth_than_either(document, vessel, sheet, seed):
     """The log tells nothing of turning, and the sheet cannot tell linear from quadratic drag."""
@@ -210,6 +211,7 @@ def test_sources_are_told_apart_by_their_information():
     assert "by the trial numbers alone, not by the recordings: N_r" in told
 
 
+@pytest.mark.proof
 def test_weather_sensors_and_changes_of_recordings_do_not_act_in_the_trials_of_a_sheet(sheet):
     problem = still_problem("current", "heading-offset", "drag-change", "thrust-asymmetry")
     problem = with_trial_numbers(problem, sheet)

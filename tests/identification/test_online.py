@@ -527,6 +527,7 @@ def _loop(document, vessel, seed: int, fault: str, gated: bool, seconds: float =
     return worst, float(np.mean(opened))
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(("fault", "seeds"), [("frozen heading", (1, 2)), ("gyro bias", (1,))])
 def test_a_bad_estimate_does_not_reach_the_controller(document, vessel, fault, seeds):
     for seed in seeds:

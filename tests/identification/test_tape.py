@@ -86,6 +86,7 @@ def test_a_filter_that_diverges_has_no_likelihood(document, run):
     assert not np.isfinite(float(deviance(problem.run_filter(away, noise))))
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("measured", [False, True])
 @pytest.mark.parametrize("rate", [0.02, -0.02])
 def test_a_clock_that_drifts_far_is_as_good_as_one_that_does_not(document, run, rate, measured):
@@ -130,6 +131,7 @@ def test_too_little_held_out_is_told(document, run):
         split_data(problem_of, [run], [rows(run, run.t < 6)], False)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("offset", [0.3, -0.3])
 def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
     """Where actuators are measured: what a first look promises is a good part of the gain."""

@@ -39,6 +39,7 @@ def test_the_wheel_has_vessels_templates_and_types(wheel):
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 def test_the_wheel_runs_a_trial_in_an_empty_environment(wheel, tmp_path):
     run(sys.executable, "-m", "venv", tmp_path / "venv")

@@ -274,6 +274,7 @@ REAL = {
 }
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings(name, tmp_path):
     pattern, reference, differing = REAL[name]

@@ -304,6 +304,7 @@ def test_bad_requests_are_refused():
 # -- in standard trials ----------------------------------------------------------------
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 def test_speed_is_kept_through_a_circle_where_that_is_asked_for():
     vessel, wanted = build(read_vessel("esso_osaka").document), 0.25

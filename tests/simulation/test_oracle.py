@@ -892,6 +892,7 @@ def rows_of(folder, vessel, effect=()):
     return [list(csv.DictReader(p.read_text().splitlines())) for p in sorted(folder.iterdir())]
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_recordings_have_any_effect_of_the_catalogue(name, plain_recordings, tmp_path):

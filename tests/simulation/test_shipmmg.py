@@ -83,6 +83,7 @@ def test_both_hold_the_same_speed():
     np.testing.assert_allclose(solution.y[0], SPEED, rtol=1e-9)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_turning_circle_is_shipmmgs(side):
     angle = side * math.radians(35)

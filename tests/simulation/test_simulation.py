@@ -82,6 +82,7 @@ CASES = {  # documents, and the least order in the step that a zig-zag must conv
 }
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_zigzag_converges_through_its_events(case):
@@ -357,6 +358,7 @@ def trial_of(vessel, heading=ANGLE, settings=None, **options):
     return run_trial(vessel, stages, settings=settings, approach_seconds=100.0, **options)
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 def test_diverging_runs_spoil_no_other_derivative():
     vessel = build(USV)

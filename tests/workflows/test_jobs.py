@@ -52,6 +52,7 @@ def test_a_trial_that_cannot_be_run_says_so(boat):
         diffsea.trial(boat, "zigzga")
 
 
+@pytest.mark.proof
 def test_derivatives_are_those_of_differences(boat):
     found = diffsea.sensitivities(boat, "turning-circle", parameters=["N_r"])
     base = diffsea.named(diffsea.read_vessel(boat).vessel)["N_r"]
@@ -76,6 +77,7 @@ def test_a_sweep_is_a_table_of_designs(boat):
         diffsea.sweep(boat, "turning-circle")
 
 
+@pytest.mark.proof
 def test_the_demo_is_fitted_and_diagnosed(tmp_path):
     demo = ROOT / "examples" / "demo"
     runs, held_out = sorted((demo / "recordings").glob("*")), sorted((demo / "held_out").glob("*"))
