@@ -160,6 +160,19 @@ def test_late_channels_are_named_with_their_delay(channels, shape, seed):
     assert finding.message.startswith(", ".join(finding.channels) + " lag")
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_are_stated_by_the_scatter_between_parts_of_a_run(seed):
+    """Positions that are 0.6 s late in one quarter and 1 s in the next: 0.8 s, give or take 0.1."""
+    late = dict.fromkeys("xy", lambda time: np.where((time // 30) % 2 == 0, 0.6, 1.0))
+    finding = only(recording("random", seed, late=late, noise=0.3), "sensor-latency")
+    assert 0.07 < finding.std < 0.2
+
+
+def test_no_error_is_stated_below_what_sampling_leaves_uncertain():
+    finding = only(recording("random", 1, late={"x": 0.8, "y": 0.8}, noise=0.0), "sensor-latency")
+    assert finding.std == pytest.approx(0.05 * 0.15)  # s, of three quarters of a row's 0.2 s
+
+
 @pytest.mark.parametrize("shape", ["zigzag", "random"])
 @pytest.mark.parametrize("channels", [("x", "y"), ("x", "y", "u", "v")])
 def test_a_drifting_clock_is_not_a_constant_delay(shape, channels):

@@ -15,11 +15,13 @@ differs from itself a time h later: cov of the increments from a to b and from c
     [S(b - c) + S(a - d) - S(b - d) - S(a - c)] / 2.
 
 It is estimated from the residual and divided out, and the standard errors allow for what
-correlation is left (`robust_regression`).
+correlation is left (`robust_regression`). What is stated of a cause is at least the error by the
+scatter between parts of the run, for the causes of real disagreements hold only nearly.
 """
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -47,6 +49,8 @@ _UNLIKELY = 25.0  # what a parameter of the wrong sign must gain over its rivals
 _MUCH_BETTER = 0.3  # of the misfit at zero, that another start must leave to be preferred
 _REVERSE_CERTAINTY = 6.0  # standard errors of the slope of the reverse regression
 _TINY = 1e-12
+_BLOCKS = 8  # parts of a run, left out in turn
+_RESOLUTION = 0.05  # of what is negligible: no error is stated smaller
 
 Parameters = dict[str, float]
 Levels = Float[np.ndarray, "series knot"]
@@ -290,11 +294,7 @@ def select_causes(comparison: KinematicComparison | None) -> Explanation | None:
             if not _is_confirmed(comparison, fit, cause):
                 fit = fit.without(cause)
                 fit = _fit_parameters(comparison, comparison.whitener(fit.theta), fit)
-    std = {}
-    if fit.causes:
-        names, _, _, cov = _tested_columns(comparison, fit)
-        errors = dict(zip(names, np.sqrt(np.diag(cov)).tolist(), strict=True))
-        std = {name: errors[name] for name in _parameter_names(fit.causes)}
+    std = _stated_errors(comparison, fit) if fit.causes else {}
     named = [cause for cause in fit.causes if _matters(comparison, fit.theta, cause)]
     final = comparison.whitener(fit.theta)
     return Explanation(
@@ -433,6 +433,25 @@ def _tested_columns(
     columns = white(comparison.jacobian(fit.theta, names))
     _, cov = robust_regression(columns, rest, doubt)
     return names, columns, rest, cov
+
+
+def _stated_errors(comparison: KinematicComparison, fit: FittedCauses) -> Parameters:
+    """Standard errors: by the noise, or by the scatter between parts of the run if that is more.
+
+    The second is the jackknife's, with one block left out at a time (Efron 1982). None is smaller
+    than what sampling and rounding of channels leave uncertain.
+    """
+    names, columns, rest, cov = _tested_columns(comparison, fit)
+    _, doubt = _tested_parameters(comparison, fit.causes)
+    edges = np.linspace(0, rest.shape[-1], _BLOCKS + 1).astype(int)
+    estimates = []
+    for first, after in itertools.pairwise(edges):
+        kept = np.r_[0:first, after : rest.shape[-1]]
+        estimates.append(robust_regression(columns[..., kept], rest[..., kept], doubt)[0])
+    scatter = np.sqrt((_BLOCKS - 1) * np.var(estimates, axis=0))
+    errors = dict(zip(names, np.maximum(np.sqrt(np.diag(cov)), scatter).tolist(), strict=True))
+    least = {name: _RESOLUTION * c.negligible for c in fit.causes for name in c.parameters}
+    return {name: max(errors[name], least.get(name, 0.0)) for name in _parameter_names(fit.causes)}
 
 
 def _is_confirmed(comparison: KinematicComparison, fit: FittedCauses, cause: Cause) -> bool:
