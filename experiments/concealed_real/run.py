@@ -147,10 +147,18 @@ def unchanged_jobs(names: list[str]) -> list[Job]:
     return [(name, name, lambda name=name: unchanged_line(name) | {"set": name}) for name in names]
 
 
-def injected_jobs(names: list[str], subset: int | None, folder: Path) -> list[Job]:
-    """The cases of the sets, or a part of them that is quick."""
+def injected_jobs(
+    names: list[str], subset: int | None, folder: Path, first: int | None = None
+) -> list[Job]:
+    """The cases of the sets; a part of them that is quick, or the first ones of each set.
+
+    Every set's first cases are of as many kinds.
+    """
     frozen = cases.read(folder / cases.LIMITS)
     chosen = [case for case in cases.read(folder / cases.CASES)["cases"] if case["set"] in names]
+    if first is not None:
+        of_set = {name: [c["id"] for c in chosen if c["set"] == name][:first] for name in names}
+        chosen = [case for case in chosen if case["id"] in of_set[case["set"]]]
     if subset is not None:
         seconds = {name: frozen[name]["seconds"] for name in names if name in frozen}
         chosen = cases.subset(chosen, seconds, subset)
@@ -234,7 +242,7 @@ def main() -> None:
     if everything or args.facts:
         work("facts", fact_jobs(names), args, revision)
     if everything or args.injected:
-        work("injected", injected_jobs(names, args.subset, args.out), args, revision)
+        work("injected", injected_jobs(names, args.subset, args.out, args.first), args, revision)
 
 
 def options() -> argparse.ArgumentParser:
@@ -244,6 +252,7 @@ def options() -> argparse.ArgumentParser:
         parser.add_argument(f"--{part}", action="store_true", help="this part, not all")
     few = "so many injected cases that are quick (20: a quarter of an hour)"
     parser.add_argument("--subset", type=int, nargs="?", const=cases.SUBSET, metavar="N", help=few)
+    parser.add_argument("--first", type=int, metavar="N", help="the first N cases of each set")
     parser.add_argument("--sets", nargs="+", choices=sets.SETS, help="only these sets")
     parser.add_argument("--develop", action="store_true", help="only the sets to develop on")
     parser.add_argument("--redo", action="store_true", help="make lines of other revisions anew")

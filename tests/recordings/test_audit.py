@@ -169,7 +169,7 @@ def test_errors_are_stated_by_the_scatter_between_parts_of_a_run(seed):
 
 
 def test_no_error_is_stated_below_what_sampling_leaves_uncertain():
-    finding = only(recording("random", 1, late={"x": 0.8, "y": 0.8}, noise=0.0), "sensor-latency")
+    finding = only(recording("random", 1, late={"u": 0.8, "v": 0.8}, noise=0.0), "sensor-latency")
     assert finding.std == pytest.approx(0.05 * 0.15)  # s, of three quarters of a row's 0.2 s
 
 
