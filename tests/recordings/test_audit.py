@@ -243,12 +243,16 @@ def test_offset_and_current_are_told_apart():
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("channels, factor", [(("u", "v"), 1.12), (("r",), 0.85)])
-def test_scale(shape, channels, factor):
-    run = recording(shape, 1, lambda true: {name: factor * true[name] for name in channels})
+@pytest.mark.parametrize(
+    "channels, factor, noise",
+    [(("u", "v"), 1.12, 1.0), (("r",), 0.85, 1.0), (("u", "v"), 0.992, 0.3), (("r",), 1.01, 0.1)],
+)
+def test_scale(shape, channels, factor, noise):
+    change = lambda true: {name: factor * true[name] for name in channels}
+    run = recording(shape, 1, change, noise=noise)
     finding = only(run, "scale")
     assert finding.channels == channels
-    assert finding.value == pytest.approx(factor, abs=4 * finding.std + 0.01)
+    assert finding.value == pytest.approx(factor, abs=4 * finding.std + 0.1 * abs(factor - 1))
 
 
 def earth_axes(true):
@@ -516,7 +520,10 @@ def test_published_recordings(name):
     mapping = ROOT / "experiments" / name.split("/")[0] / "mapping.toml"
     found = {finding.kind: finding for finding in audit(read_recording(DATA / name, mapping))}
     assert PUBLISHED[name] <= set(found)
-    assert set(found) <= PUBLISHED[name] | {"sensor-latency"}
+    assert set(found) <= PUBLISHED[name] | {"sensor-latency", "scale"}
+    if "scale" in found:  # yaw rates of the field boats read one to three per cent too little
+        assert not name.startswith("k") and found["scale"].channels == ("r",)
+        assert 0.97 < found["scale"].value < 0.99
     if name.startswith("esso"):
         assert found["sensor-latency"].value == pytest.approx(0.94, abs=0.06)
         assert found["sensor-latency"].channels == ("u", "v", "psi", "r")
@@ -527,7 +534,7 @@ def test_repaired_mappings_leave_only_what_no_mapping_can_repair(name):
     if not (DATA / name).exists():
         pytest.skip(f"{DATA / name} is absent: the published recordings stay outside")
     mapping = ROOT / "experiments" / name.split("/")[0] / "mapping_repaired.toml"
-    assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron"}
+    assert set(kinds(read_recording(DATA / name, mapping))) <= {"hard-iron", "scale"}
 
 
 @pytest.mark.parametrize("channels, shape", [(("r",), "zigzag"), (("x", "y"), "random")])

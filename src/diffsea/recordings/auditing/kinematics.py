@@ -46,6 +46,8 @@ _IRON_RANGE_BY_VELOCITY = 0.5
 _LARGEST_IRON = 0.6  # rad
 
 _SMALLEST_LATENCY = 0.1  # s; delays nearer to each other than this are one
+_SAME = 3.0  # standard errors by which two numbers that are one may differ
+_SMALLEST_SCALE = 0.005  # a sensor is hardly calibrated better
 _LARGE_ANGLE = np.radians(45.0)  # from which on axes are turned rather than a heading offset
 _SENSOR_OF = ("x", "u", "psi", "r")  # one channel of each separate sensor
 _DELAYS = {"p_delay": ("x", "y"), "nu_delay": ("u", "v"), "psi_delay": ("psi",)}
@@ -68,7 +70,7 @@ def heading_comparison(motion: MeasuredMotion, level: float) -> KinematicCompari
     course = turned + _moving_average(fine.values["psi"] - turned, int(_MEMORY / fine.interval))
     delay, drift = _smallest_delay(motion)
     causes = (
-        Cause("gain", ("gain",), 0.03, gain=True),
+        Cause("gain", ("gain",), _SMALLEST_SCALE, gain=True),
         Cause("bias", ("bias",), 5e-4),
         Cause("delay", ("delay",), delay, starts=_STARTS),
         Cause("rate", ("rate",), drift, beside=("delay",)),
@@ -181,7 +183,7 @@ def _velocity_causes(motion: MeasuredMotion, iron: bool, psi_late: bool) -> tupl
     speed = float(np.sqrt(np.mean(values["u"] ** 2 + values["v"] ** 2)))
     turning = float(np.sqrt(np.mean(np.gradient(values["psi"], motion.t) ** 2))) + 1e-9
     causes = [
-        Cause("gain", ("gain",), 0.02, gain=True),
+        Cause("gain", ("gain",), _SMALLEST_SCALE, gain=True),
         Cause("angle", ("angle",), np.radians(1.0)),
         Cause("water", ("north", "east"), max(0.01, 0.02 * speed)),
         # Large ships turn slowly: what matters is the lever's velocity against the ship's.
@@ -245,6 +247,7 @@ def disagreement_findings(
     recorded, so that an error which yaw rate reveals is in them too.
     """
     found = _latencies(heading, velocity)
+    velocity = None if velocity is None else _without_slow_clock(velocity)
     compass = velocity is not None and "iron" in velocity.causes
     for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, _VELOCITY_FAULTS)):
         if explanation is None:
@@ -261,6 +264,21 @@ def disagreement_findings(
             message = f"{fault.message}; {unsure}" if unsure else fault.message
             found.append(dataclasses.replace(fault, message=message, doubt=fault.doubt or unsure))
     return found
+
+
+def _without_slow_clock(found: Explanation) -> Explanation:
+    """Without a scale of the velocity that is the drift of the clock of positions and velocities.
+
+    They share a clock that falls behind, or the others' gets ahead: by it the vessel covers the
+    same way in less time.
+    """
+    theta, std = found.theta, found.std
+    if not {"gain", "psi_rate"} <= set(found.causes):
+        return found
+    apart = abs(theta["gain"] - theta["psi_rate"])
+    if apart > _SAME * float(np.hypot(std["gain"], std["psi_rate"])):
+        return found
+    return dataclasses.replace(found, causes=tuple(c for c in found.causes if c != "gain"))
 
 
 def _rival_text(found: Explanation, cause: str) -> str:
