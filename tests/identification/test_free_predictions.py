@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -87,16 +88,36 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     assert not (same.is_better or same.is_probably_better)
 
 
-def test_held_out_gains_grow_no_faster_than_the_tails_of_errors_let_them(data, right, wrong):
-    """Where the model before errs little they are those of normal errors, else far below."""
+def student_deviance(white: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """-2 log of Student's density by row, written out: ten degrees of freedom, this variance."""
+    square = 8.0  # degrees less two: what the squares are counted in where the variance is one
+    peak = math.lgamma(5.5) - math.lgamma(5.0) - 0.5 * math.log(square * math.pi)
+    return (np.log(variance) + 11.0 * np.log1p(white**2 / square) - 2 * peak).sum(1)
+
+
+def test_the_likelihood_of_held_out_rows_is_students(data, right, wrong):
+    for fitted in (right, wrong):
+        run = fitted.filter_run(data.test)
+        white, variance, used = (
+            np.asarray(part) for part in (run.white, run.variance, run.gains.used)
+        )
+        whole = used.all(1)
+        assert whole.sum() > 100 and not used.all()
+        found = row_deviance(data.test, fitted.coordinates, fitted)
+        np.testing.assert_allclose(found[whole], student_deviance(white, variance)[whole])
+        assert (found[~used.any(1)] == 0.0).all()
+
+
+def test_held_out_gains_are_normal_where_errors_are_small_and_bounded_where_not(data, right, wrong):
     near = dataclasses.replace(right, coordinates=right.coordinates - [0.0, 0.0, 0.0, 0.01, 0.01])
 
     def normal_gain(before) -> Gain:
-        old, new = (row_deviance(data.test, one.coordinates, one) for one in (before, right))
-        return Gain.of_rows((old - new)[data.test.dataset.recorded_rows])
+        runs = [one.filter_run(data.test) for one in (before, right)]
+        old, new = (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance)) for run in runs)
+        return Gain.of_rows((old - new).sum(1)[data.test.dataset.recorded_rows])
 
     small, large = (held_out_gain(data, before, right) for before in (near, wrong))
-    assert small.clear and small.total == pytest.approx(normal_gain(near).total, rel=0.1)
+    assert small.clear and small.total == pytest.approx(normal_gain(near).total, rel=0.15)
     assert large.clear and small.total < large.total < 0.1 * normal_gain(wrong).total
     assert held_out_gain(data, right, right).total == 0.0
 
