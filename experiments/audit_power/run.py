@@ -283,7 +283,7 @@ def spread(errors) -> str:
 
 def report(results: dict, faults) -> str:
     """The tables, in Markdown."""
-    names = list(results)
+    names = [name for name in ("simulated", *REAL) if name in results]
     rule = "|" + " --- |" * (2 + len(names))
     lines = ["| fault | unit | " + " | ".join(names) + " |", rule]
     for fault in faults:

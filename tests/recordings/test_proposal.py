@@ -181,14 +181,59 @@ def test_a_file_without_time_gets_its_step_from_kinematics_or_is_asked(runs, tmp
     assert read_mapping(tmp_path / "b.toml").time_step == 1.0
 
 
-def test_stamps_of_date_and_time_give_the_step(runs, tmp_path):
-    native = runs["random-fast"]
-    stamps = pd.Timestamp("2024-05-01T10:00:00Z") + pd.to_timedelta(native["t"], unit="s")
-    table = native.drop(columns="t").assign(stamp=stamps.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
+STAMPS = {
+    "dates": "%Y-%m-%dT%H:%M:%S.%fZ",
+    "days first": "%d/%m/%Y %H:%M:%S.%f",
+    "times of day": "%H:%M:%S.%f",
+}
+
+
+@pytest.mark.parametrize("kind", [*STAMPS, "durations"])
+def test_stamps_of_text_are_a_clock(kind, runs, tmp_path):
+    """Over midnight, with steps that are not all alike."""
+    native = runs["random-fast"].drop(index=[7, 8, 30])
+    since = pd.to_timedelta(native["t"], unit="s")
+    if kind == "durations":
+        stamps = since.astype(str)  # 0 days 00:00:00.250000
+    else:
+        stamps = (pd.Timestamp("2024-05-21T23:59:30Z") + since).dt.strftime(STAMPS[kind])
+    table = native.drop(columns="t").assign(stamp=stamps)
     table.rename(columns={"psi": "yaw"}).to_csv(tmp_path / "a.csv", index=False)
-    (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
-    assert read_mapping(tmp_path / "a.toml").time_step == pytest.approx(0.25)
-    assert "'stamp'" in (tmp_path / "a.toml").read_text()
+    proposal = propose_mapping(tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text(proposal.text)
+    assert proposal.timed and read_mapping(tmp_path / "a.toml").channels["t"].column == "stamp"
+    t = np.asarray(read_recording(tmp_path / "a.csv", tmp_path / "a.toml").t)
+    np.testing.assert_allclose(np.diff(t), np.diff(native["t"]), atol=1e-5)
+
+
+def test_a_cell_that_is_no_stamp_is_told(runs, tmp_path):
+    native = runs["random-fast"]
+    stamps = pd.Timestamp("2024-05-21") + pd.to_timedelta(native["t"], unit="s")
+    table = native.assign(t=stamps.astype(str))
+    table.loc[3, "t"] = "noon: or so"
+    table.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(UserError, match="'t'"):
+        read_recording(tmp_path / "a.csv")
+
+
+def over_ground(native: pd.DataFrame) -> pd.DataFrame:
+    """What a receiver of satellites says beside a compass: course and speed over ground."""
+    velocity = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"])
+    course = np.degrees(np.angle(velocity)) % 360
+    heading = np.degrees(native["psi"]) % 360
+    table = native.drop(columns=["u", "v", "r", "psi"])
+    return table.assign(heading=heading, cog=course, sog=np.abs(velocity))
+
+
+def test_course_is_no_heading_where_there_is_one(runs, tmp_path):
+    table = over_ground(runs["random-fast"])
+    for name, kept in (("a.csv", table), ("b.csv", table.drop(columns="heading"))):
+        kept.rename(columns={"x": "north", "y": "east"}).to_csv(tmp_path / name, index=False)
+    both, alone = (propose_mapping(tmp_path / name) for name in ("a.csv", "b.csv"))
+    assert 'psi = { column = "heading"' in both.text and both.sure["psi"] > 0.95
+    assert 'psi = { column = "cog"' in alone.text
+    assert alone.sure["psi"] == both.sure["u"] == 0.5
+    assert any(line.startswith("psi (cog): nothing better is there") for line in alone.checks)
 
 
 def test_names_of_logs_are_understood():

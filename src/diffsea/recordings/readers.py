@@ -29,7 +29,12 @@ from diffsea.recordings.mappings import (
     read_mapping,
     with_channels,
 )
-from diffsea.recordings.tables import PARQUET_SUFFIXES, numeric_column, read_table
+from diffsea.recordings.tables import (
+    PARQUET_SUFFIXES,
+    clock_column,
+    numeric_column,
+    read_table,
+)
 from diffsea.series import hold_at, hold_last, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples, Trajectory
 
@@ -137,7 +142,8 @@ def _from_table(
     channels = _channel_columns(table, mapping, place)
     values: dict[str, Samples] = {}
     for channel, column in channels.items():
-        raw = numeric_column(table, column.column, place, first_line)
+        as_numbers = clock_column if channel == "t" else numeric_column
+        raw = as_numbers(table, column.column, place, first_line)
         values[channel] = raw * column.gain + column.shift
     used = {column.column for column in channels.values()}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]

@@ -13,6 +13,7 @@ from diffsea.trajectory import Samples
 
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
+_HALF_A_DAY = 43_200.0  # s by which a time of day falls where the next day begins
 
 
 def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
@@ -63,6 +64,45 @@ def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) 
             "infinite; leave the cell empty where a sample is missing"
         )
     return values
+
+
+def clock_column(table: pd.DataFrame, name: str, place: str, first_line: int) -> Samples:
+    """A column of time as floats: numbers as they are, stamps of text in seconds.
+
+    Raises `UserError` as `numeric_column` does.
+    """
+    stamps = stamp_seconds(pd.Series(table[name]))
+    return numeric_column(table, name, place, first_line) if stamps is None else stamps
+
+
+def stamp_seconds(column: pd.Series) -> Samples | None:
+    """Seconds of stamps of text, empty cells as NaN; None where any cell is no stamp.
+
+    Times of day, which go on beyond midnight, durations (`0 days 00:00:01.5`), and dates with
+    times, from 1970 on.
+    """
+    if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
+        return None
+    if pd.api.types.is_datetime64_any_dtype(column):
+        stamps = column
+    else:
+        text = column.dropna().astype(str)
+        if text.empty or not text.str.contains(":").all():
+            return None
+        spans = pd.to_timedelta(text, errors="coerce")
+        if spans.notna().all():
+            seconds = np.array(spans.dt.total_seconds().reindex(column.index), dtype=float)
+            known = np.isfinite(seconds)
+            back = np.diff(seconds[known], prepend=seconds[known][0]) < -_HALF_A_DAY
+            seconds[known] += 2 * _HALF_A_DAY * np.cumsum(back)
+            return seconds
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # pandas' remarks on days before months
+            stamps = pd.to_datetime(text, errors="coerce", format="mixed", utc=True)
+        if stamps.isna().any():
+            return None
+    since = stamps - pd.Timestamp(0, tz=stamps.dt.tz)
+    return since.dt.total_seconds().reindex(column.index).to_numpy(dtype=float)
 
 
 def _check_file(path: Path) -> None:

@@ -9,17 +9,13 @@ free coefficients (the Bayesian information criterion).
 import dataclasses
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float, Inexact
 
 from diffsea.recordings.geodesy import local_position
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
-from diffsea.recordings.mapping_proposal.table_layout import TableLayout
 from diffsea.recordings.mappings import UNITS
-from diffsea.recordings.tables import read_table
 from diffsea.series import bridge_gaps, integrate, strictly_later
 from diffsea.trajectory import Samples
 
@@ -49,7 +45,7 @@ class TimeColumn:
         sure: probability that it is time, or that `step` is right.
         units: the probability of every unit it may be in.
         why: what tells it, in words.
-        step: sampling interval (s) where there is no column and something tells it, else NaN.
+        step: sampling interval (s) where there is no column and kinematics tell it, else NaN.
     """
 
     column: str | None
@@ -65,6 +61,9 @@ class ColumnRecord:
 
     t: Samples
     columns: dict[str, Samples]
+
+
+NO_CLOCK = TimeColumn(None, 0.0, {"s": 1.0}, "no column advances as time does")
 
 
 def find_time_column(
@@ -119,23 +118,6 @@ def _time_units(stated: str, step: float, largest: float) -> dict[str, float]:
     top = max(odds.values())
     total = sum(math.exp(score - top) for score in odds.values())
     return {unit: math.exp(score - top) / total for unit, score in odds.items()}
-
-
-def time_from_text_stamps(path: Path, layout: TableLayout) -> TimeColumn:
-    """The clock of a file without a numeric time: from stamps of date and time, or unknown."""
-    table = read_table(path, layout.mapping)[0]
-    for name in layout.names:
-        if not name or name not in table.columns or pd.api.types.is_numeric_dtype(table[name]):
-            continue
-        stamps = pd.to_datetime(table[name], errors="coerce", format="mixed", utc=True)
-        steps = np.diff(stamps.dropna().to_numpy(dtype="datetime64[ns]").astype(float)) * 1e-9
-        if steps.size < 10 or np.any(steps <= 0) or stamps.isna().mean() > 0.01:
-            continue
-        step = (steps.sum()) / steps.size
-        if np.max(np.abs(steps - step)) < 0.5 * step:
-            why = f"the mean step of the stamps in {name!r}, which are text"
-            return TimeColumn(None, 0.9, {"s": 1.0}, why, float(f"{step:.6g}"))
-    return TimeColumn(None, 0.0, {"s": 1.0}, "no column advances as time does")
 
 
 def find_geographic(

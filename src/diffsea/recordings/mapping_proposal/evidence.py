@@ -17,6 +17,7 @@ import numpy as np
 from diffsea.errors import UserError
 from diffsea.recordings.mapping_proposal.actuators import ActuatorColumn, find_actuators
 from diffsea.recordings.mapping_proposal.columns import (
+    NO_CLOCK,
     ColumnRecord,
     ColumnWindows,
     TimeColumn,
@@ -24,7 +25,6 @@ from diffsea.recordings.mapping_proposal.columns import (
     find_geographic,
     find_time_column,
     relate_to_integral,
-    time_from_text_stamps,
     varies,
     windows_of,
 )
@@ -55,6 +55,11 @@ _TELLING = 0.5  # weight of "other" above which a name says that it is something
 _RUDDER_LABEL, _THRUSTER_LABELS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
 _ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
 _SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
+_SUREST_OVER_GROUND = 0.5  # of course and speed over ground, for want of anything better
+_OVER_GROUND = (
+    "nothing better is there: course and speed over ground are not {channel} where the vessel "
+    "drifts, turns or meets a current"
+)
 _LARGEST_RADIANS = {"phi": 1.0, "wind_direction": 2 * math.pi + 0.05}  # beyond, it is degrees
 
 
@@ -157,7 +162,7 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         for name, unit in zip(layout.names, layout.units, strict=True)
         if name
     }
-    clock = find_time_column(tables[0], suggestions) or time_from_text_stamps(kept[0], layout)
+    clock = find_time_column(tables[0], suggestions) or NO_CLOCK
     place, origin = find_geographic(tables[0], suggestions), None
     if place is not None:
         fixes = [tables[0][name][np.isfinite(tables[0][name])][0] for name in place]
@@ -372,7 +377,10 @@ def _motion_guesses(
         pairs = zip(chances, scored, strict=True)
         agree = [p for p, item in pairs if _said_of(item.hypothesis, channel) == said]
         sure = min(float(np.sum(agree)) * settled.sure[channel], _SUREST)
-        found.append(ChannelGuess(name, column, sure, _reason(best, channel)))
+        why = _reason(best, channel)
+        if source.prior.suggestions[column.column].is_over_ground:
+            sure, why = min(sure, _SUREST_OVER_GROUND), _OVER_GROUND.format(channel=channel)
+        found.append(ChannelGuess(name, column, sure, why))
     return found
 
 

@@ -37,8 +37,9 @@ for _words, _meaning in _meaning_of_words("words").items():
 UNIT_WORDS = _meaning_of_words("units")
 _UNIT_TAILS = _meaning_of_words("unit_tails")
 _FRAMES = _meaning_of_words("frames")
-_SPOILERS, _ORDERS, _REALISED = (
-    frozenset(_TABLES["kinds"][kind].split(", ")) for kind in ("spoilers", "orders", "realised")
+_SPOILERS, _ORDERS, _REALISED, _OVER_GROUND = (
+    frozenset(_TABLES["kinds"][kind].split(", "))
+    for kind in ("spoilers", "orders", "realised", "over_ground")
 )
 
 # Weights are prior probabilities, set on the names of published data sets.
@@ -66,6 +67,11 @@ class Suggestion:
     unit: str = ""
     frame: str = ""
     ordered: bool | None = None
+
+    @property
+    def is_over_ground(self) -> bool:
+        """Whether it is called course or speed over ground: neither heading nor surge velocity."""
+        return bool(_OVER_GROUND & set(self.words))
 
     @property
     def best(self) -> str:

@@ -28,6 +28,7 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     period_log_odds,
     ratio_penalty,
 )
+from diffsea.recordings.mapping_proposal.names import NAMED
 from diffsea.recordings.mappings import UNITS
 
 
@@ -94,7 +95,7 @@ class ColumnScreening:
     def headings(self) -> list[HeadingCandidate]:
         """The likeliest columns and units of heading, and no heading at all."""
         found = []
-        for name in self.names:
+        for name in self._possible_headings():
             values = np.concatenate([r.columns[name] for r in self.windows.records])
             stated = self.prior.suggestions[name].unit
             for period, odds in period_log_odds(values, stated).items():
@@ -107,12 +108,23 @@ class ColumnScreening:
         rates = ((None, None, 0.0), *((name, None, 0.0) for name in named))
         return [*(heading for _, heading in found), HeadingCandidate(None, 2 * math.pi, 0.0, rates)]
 
+    def _possible_headings(self) -> list[str]:
+        """Columns that are no orders, and no course where anything is called a heading.
+
+        Speed over ground along the course agrees with positions better than any heading does.
+        """
+        told = self.prior.suggestions
+        names = [name for name in self.names if not told[name].ordered]
+        if any(told[name].weights["psi"] > NAMED for name in names):
+            names = [name for name in names if not told[name].is_over_ground]
+        return names
+
     def _yaw_rates(self, heading: str, period: float) -> tuple[YawRate, ...]:
         """The likeliest columns of yaw rate, and none."""
         increments = self.windows.of("increments", heading, period)
         relations = {}
         for other in self.names:
-            if other != heading:
+            if other != heading and not self.prior.suggestions[other].ordered:
                 integrals = self.windows.of("integrals", other)
                 relation = relate_to_integral(increments, integrals, self.windows.duration)
                 penalty = min(self._rate_penalty(relation, other, period), relation.evidence)

@@ -17,7 +17,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
-from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table
+from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table, stamp_seconds
 from diffsea.trajectory import Samples
 
 
@@ -75,7 +75,7 @@ def sniff_layout(path: Path) -> TableLayout:
 def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
     """Every named column as floats, rows as in the file; cells that are no numbers are NaN.
 
-    Columns without any number are left out.
+    Stamps of text are in seconds. Columns without any number are left out.
     """
     table = read_table(path, layout.mapping)[0]
     found = {}
@@ -83,7 +83,9 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
         column = table[name] if name and name in table.columns else None
         if not isinstance(column, pd.Series):
             continue
-        values = np.array(pd.to_numeric(column, errors="coerce"), dtype=float)
+        stamps = stamp_seconds(column)
+        numbers = pd.to_numeric(column, errors="coerce") if stamps is None else stamps
+        values = np.array(numbers, dtype=float)
         values[np.isinf(values)] = np.nan
         if np.any(np.isfinite(values)):
             found[name] = values
