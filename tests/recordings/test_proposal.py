@@ -216,6 +216,21 @@ def test_a_cell_that_is_no_stamp_is_told(runs, tmp_path):
         read_recording(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize("names", [("sin_psi", "cos_psi"), ("headingSin", "headingCos")])
+def test_a_sine_and_a_cosine_are_an_angle(names, runs, tmp_path):
+    native = runs["random-fast"]
+    sine, cosine = np.sin(native["psi"]), np.cos(native["psi"])
+    table = native.drop(columns="psi").assign(**{names[0]: sine, names[1]: cosine})
+    table.rename(columns={"t": "time", "x": "north"}).to_csv(tmp_path / "a.csv", index=False)
+    proposal = propose_mapping(tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text(proposal.text)
+    column = read_mapping(tmp_path / "a.toml").channels["psi"]
+    assert column.names == names and proposal.sure["psi"] > 0.95
+    assert f"#   {names[1]}" not in proposal.text
+    found = np.asarray(read_recording(tmp_path / "a.csv", tmp_path / "a.toml").psi)
+    np.testing.assert_allclose(np.exp(1j * (found - native["psi"])), 1.0, atol=1e-9)
+
+
 def over_ground(native: pd.DataFrame) -> pd.DataFrame:
     """What a receiver of satellites says beside a compass: course and speed over ground."""
     velocity = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"])

@@ -313,6 +313,10 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
         ("[file]\nheader_lines = -1\n[columns]\nt = 'a'\n", "header_lines must be a whole"),
         ("columns = 3\n", "columns must be a table"),
         ("[columns]\nt = { column = 't', delay = 1 }\n", "time itself cannot be delayed"),
+        (
+            "[columns]\nt = 't'\npsi = { column = 's', cosine = 'c', unit = 'deg' }\n",
+            "cosine is the name of a column.*in rad",
+        ),
         ("[file]\nvelocity_axes = 'enu'\n[columns]\nt = 't'\n", '"body" or "earth", got'),
         ("[file]\nvelocity_axes = 'earth'\n[columns]\nt = 't'\n", "need the channels psi, u"),
     ],
@@ -328,6 +332,18 @@ def test_mapping_that_does_not_fit_the_file(place):
     odd = place('[file]\nencoding = "klingon"\n[columns]\nt = "t"\n', "odd.toml")
     with pytest.raises(UserError, match="'klingon' is not known"):
         read_recording(place(NATIVE), odd)
+
+
+def test_an_angle_is_read_from_its_sine_and_cosine(place):
+    mapping = place(
+        '[columns]\nt = "t"\npsi = { column = "s", cosine = "c", sign = -1, offset = 0.5 }\n',
+        "map.toml",
+    )
+    table = place("t,s,c\n0,0.0,2.0\n1,1.0,0.0\n2,0.0,-1.0\n")
+    psi = read_recording(table, mapping).psi
+    np.testing.assert_allclose(psi, -(np.array([0.0, 0.5, 1.0]) * np.pi + 0.5))
+    with pytest.raises(UserError, match="no column 'c'.*maps to psi"):
+        read_recording(place("t,s\n0,0.0\n1,1.0\n"), mapping)
 
 
 def test_mapping_repairs_late_channels_and_earth_axes(place):

@@ -21,6 +21,7 @@ file, one per data set, so that nobody edits data in order to read it:
     t = { column = "time", unit = "ms" }
     psi = { column = "yaw", unit = "deg" }
     u = "surge"
+    # psi = { column = "sin_yaw", cosine = "cos_yaw" }
 
 A channel is `sign * (scale * number + offset)` in the stated unit, then converted to SI:
 an offset of 5 with the unit `deg` turns the heading by five degrees. With `delay = 0.8` the
@@ -127,6 +128,7 @@ class Column:
     """Where one channel comes from: `sign * (scale * number + offset)` in `unit`.
 
     In SI that is `gain * number + shift`. A mapping file names the fields as they are named here.
+    With a `cosine`, another column of a table, `column` is the sine of an angle in rad.
     """
 
     column: str
@@ -135,6 +137,12 @@ class Column:
     scale: float = 1.0
     offset: float = 0.0  # in `unit`
     delay: float = 0.0  # s, by how much the channel is stamped late
+    cosine: str | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns that it is made of."""
+        return (self.column,) if self.cosine is None else (self.column, self.cosine)
 
     @property
     def gain(self) -> float:
@@ -333,7 +341,11 @@ def _column(channel: str, entry: object, path: Path) -> Column:
         raise UserError(f"{where}: sign must be 1 or -1; use scale for other factors")
     if channel == "t" and "delay" in numbers:
         raise UserError(f"{where}: time itself cannot be delayed; use offset")
-    unit = entry.get("unit")
+    cosine, unit = entry.get("cosine"), entry.get("unit")
+    if cosine is not None and not (isinstance(cosine, str) and unit in (None, "rad")):
+        raise UserError(
+            f"{where}: cosine is the name of a column beside that of the sine; the angle is in rad"
+        )
     if unit is not None and (not isinstance(unit, str) or unit not in UNITS):
         raise UserError(
             f"{where}: unknown unit {unit!r}; known units are {', '.join(UNITS)}"
@@ -343,7 +355,7 @@ def _column(channel: str, entry: object, path: Path) -> Column:
     if unit is not None and dimension not in (None, UNITS[unit][0]):
         fitting = ", ".join(name for name, (kind, _) in UNITS.items() if kind == dimension)
         raise UserError(f"{where}: {unit!r} is not a unit of {dimension}; use one of {fitting}")
-    return Column(entry["column"], unit=unit, **numbers)
+    return Column(entry["column"], unit=unit, cosine=cosine, **numbers)
 
 
 def _number(value: object, where: str) -> float:

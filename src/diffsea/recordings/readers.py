@@ -143,9 +143,10 @@ def _from_table(
     values: dict[str, Samples] = {}
     for channel, column in channels.items():
         as_numbers = clock_column if channel == "t" else numeric_column
-        raw = as_numbers(table, column.column, place, first_line)
+        raw, *cosine = (as_numbers(table, name, place, first_line) for name in column.names)
+        raw = np.arctan2(raw, cosine[0]) if cosine else raw
         values[channel] = raw * column.gain + column.shift
-    used = {column.column for column in channels.values()}
+    used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
         notes.append("columns not used: " + ", ".join(unused))
@@ -183,11 +184,12 @@ def _channel_columns(table: pd.DataFrame, mapping: Mapping | None, place: str) -
                 "[columns], or give [file] time_step in seconds"
             )
         for channel, column in channels.items():
-            if column.column not in table.columns:
-                raise UserError(
-                    f"{place} has no column {column.column!r}, which {mapping.name} maps to "
-                    f"{channel}; it has {present}" + nearest(column.column, map(str, table.columns))
-                )
+            for name in column.names:
+                if name not in table.columns:
+                    raise UserError(
+                        f"{place} has no column {name!r}, which {mapping.name} maps to "
+                        f"{channel}; it has {present}" + nearest(name, map(str, table.columns))
+                    )
     if not any(name in channels for name in (*MOTION_CHANNELS, "latitude")):
         raise UserError(
             f"{place} has no motion channel ({', '.join(MOTION_CHANNELS)}); it has {present}. "

@@ -148,7 +148,8 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
             "instance 'utf-8' or 'cp1252'"
         ) from error
     lines = [[cell.strip().strip('"').strip() for cell in cells] for cells in first]
-    wanted = {column.column for column in mapping.channels.values()} or CHANNEL_DIMENSIONS
+    mapped = (column.names for column in mapping.channels.values())
+    wanted = set(itertools.chain(*mapped)) or CHANNEL_DIMENSIONS
     hits = [sum(name in wanted for name in names) for names in lines]
     best = max(range(len(lines)), key=lambda index: hits[index])
     if hits[best] == 0:

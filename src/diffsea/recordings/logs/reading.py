@@ -87,6 +87,10 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
                 "out; [file] clock chooses the topic whose samples become the rows"
             )
         for name, column in columns.items():
+            if column.cosine is not None:
+                raise UserError(
+                    f"{mapping.name}: [columns] {name}: sine and cosine are read from tables alone"
+                )
             if not all(column.topic_and_field):
                 raise UserError(
                     f"{mapping.name}: [columns] {name}: {column.column!r} must be written "

@@ -39,6 +39,7 @@ from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion, suggest
 from diffsea.recordings.mapping_proposal.search import ScoredHypothesis, search_hypotheses
 from diffsea.recordings.mapping_proposal.table_layout import (
     TableLayout,
+    angle_name,
     numeric_columns,
     sniff_layout,
 )
@@ -110,6 +111,7 @@ class _Source:
     clock: TimeColumn
     place: tuple[str, str] | None  # columns of latitude and longitude
     origin: tuple[float, float] | None  # the first fix of the longest file (deg)
+    cosines: dict[str, str]  # of angles that are there as a sine and a cosine, by the sine
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -162,6 +164,8 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         for name, unit in zip(layout.names, layout.units, strict=True)
         if name
     }
+    cosines = {s: c for s, c in layout.cosines.items() if s in tables[0] and c not in tables[0]}
+    suggestions |= {name: suggest_labels(angle_name(name), "rad") for name in cosines}
     clock = find_time_column(tables[0], suggestions) or NO_CLOCK
     place, origin = find_geographic(tables[0], suggestions), None
     if place is not None:
@@ -192,7 +196,9 @@ def _read_source(paths: Sequence[Path]) -> _Source:
             wrapped.add(name)
     prior, windows = HypothesisPrior(suggestions, frozenset(wrapped)), windows_of(records)
     fixed = frozenset(tables[0]) - varying
-    return _Source(tuple(kept), layout, tables[0], fixed, clock, place, origin, windows, prior)
+    return _Source(
+        tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, windows, prior
+    )
 
 
 def _longest_tables(
@@ -225,7 +231,7 @@ def _find_actuators(source: _Source, best: ScoredHypothesis) -> list[ActuatorCol
     used = {*best.hypothesis.columns.values(), clock.column}
     free = [name for name in source.table if name not in used]
     settled = settle_units(source.prior, clock, best)
-    channels = _motion_columns(best.hypothesis, settled.units, source.place)
+    channels = _motion_columns(best.hypothesis, settled.units, source)
     if not channels:
         return []
     if clock.column is not None:
@@ -370,7 +376,7 @@ def _motion_guesses(
         sure = min(clock.sure * settled.sure["t"], _SUREST)
         column = Column(clock.column, _unless_si(settled.units.tick))
         found.append(ChannelGuess("t", column, sure, clock.why))
-    columns = _motion_columns(best.hypothesis, settled.units, source.place)
+    columns = _motion_columns(best.hypothesis, settled.units, source)
     for name, column in columns.items():
         channel = {"latitude": "x", "longitude": "y"}.get(name, name)
         said = _said_of(best.hypothesis, channel)
@@ -397,10 +403,10 @@ def _said_of(h: ColumnHypothesis, channel: str) -> tuple:
 
 
 def _motion_columns(
-    h: ColumnHypothesis, units: UnitCombination, place: tuple[str, str] | None
+    h: ColumnHypothesis, units: UnitCombination, source: _Source
 ) -> dict[str, Column]:
     """The channels of a mapping that reads motion as the hypothesis does."""
-    found = {}
+    found, place = {}, source.place
     if place is not None and (h.x, h.y) == place:
         found = {"latitude": Column(place[0], "deg"), "longitude": Column(place[1], "deg")}
     else:
@@ -413,7 +419,8 @@ def _motion_columns(
         quarter = h.quarter if h.quarter < 3 else -1
         offset = h.turn * quarter * (90.0 if degrees else 0.5 * math.pi)
         unit = "deg" if degrees else "rad" if quarter else None
-        found["psi"] = Column(h.psi, unit, h.turn, offset=offset)
+        cosine = source.cosines.get(h.psi)
+        found["psi"] = Column(h.psi, unit, h.turn, offset=offset, cosine=cosine)
     for axis, name in enumerate((h.u, h.v)):
         if name is not None:
             found["uv"[axis]] = Column(name, _unless_si(units.u), h.speeds[axis])

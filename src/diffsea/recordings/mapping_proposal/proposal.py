@@ -91,7 +91,7 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         known = f"guessed as {evidence.clock.step:g} s" if timed else "unknown"
         checks.append(f"[file] time_step: the file has no time column; the step is {known}")
     for guess in guesses:
-        name, sure = guess.column.column, guess.sure
+        name, sure = ", ".join(guess.column.names), guess.sure
         summary.append(f"  {guess.channel:15s} {_level(sure):6s} {sure:5.2f}  {name}")
         if _level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
@@ -198,7 +198,7 @@ def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], sourc
     for guess in guesses:
         lines += _comment(f"{_level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
         lines.append(f"{guess.channel} = {_column_value(guess.column)}")
-    used = {guess.column.column for guess in guesses} | {evidence.clock.column}
+    used = {name for guess in guesses for name in guess.column.names} | {evidence.clock.column}
     unused = [name for name in evidence.layout.names if name and name not in used]
     if unused:
         lines += ["", "# Not used:"]
@@ -258,6 +258,8 @@ def _quoted(name: str) -> str:
 def _column_value(column: Column) -> str:
     """A column as a mapping has it: a name, or a table of what it has besides."""
     parts = [f"column = {_quoted(column.column)}"]
+    if column.cosine is not None:
+        parts.append(f"cosine = {_quoted(column.cosine)}")
     if column.unit is not None:
         parts.append(f'unit = "{column.unit}"')
     if column.sign != 1:
