@@ -67,6 +67,7 @@ def test_every_data_set_is_fitted_and_screened(problem):
     assert len(set(drawn.strongest)) == 5
 
 
+@pytest.mark.proof
 def test_data_sets_are_one_stage_of_the_progress(problem):
     said = io.StringIO()
     bootstrap(problem, estimate(problem, FREE), 2, StagedProgress(4, said))

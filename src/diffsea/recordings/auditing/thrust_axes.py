@@ -6,7 +6,7 @@ Every reading of the heading, by quarter turns and mirrored, is a hypothesis; wh
 of the changes of earth-fixed velocity thrust then explains, beside damping and a steady force.
 
 Thrusters that turn tell it. Fixed ones push along one line, and what a turning vessel does without
-thrust is too easily taken for their work under another heading (five of 31 sound field runs).
+thrust is too easily taken for their work under another heading.
 """
 
 import dataclasses
