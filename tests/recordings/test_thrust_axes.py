@@ -62,6 +62,8 @@ def test_thrust_tells_a_heading_that_kinematics_cannot(reading):
     np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-9)
     np.testing.assert_allclose(repaired.u, run.u, atol=1e-9)
     np.testing.assert_allclose(repaired.v, run.v, atol=1e-9)
+    np.testing.assert_allclose(repaired.r, run.r, atol=1e-9)
+    assert axes_findings(repaired) == []
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -75,13 +77,13 @@ def test_thrust_that_does_little_tells_nothing(reading):
 
 
 def test_a_mapping_with_velocities_in_earth_axes_says_it():
-    columns = {name: Column(name) for name in ("t", "psi", "u", "v")}
+    columns = {name: Column(name) for name in ("t", "psi", "u", "v", "r")}
     edit = Reheading(-1.0, np.pi / 2)
     turned = Mapping(columns, velocity_axes="earth")
     amended = edit.amend_mapping(turned)
     assert amended is not None
     assert amended.velocity_axes == "earth"
-    assert amended.channels["psi"].gain == -1.0
+    assert amended.channels["psi"].gain == amended.channels["r"].gain == -1.0
     assert amended.channels["psi"].shift == pytest.approx(np.pi / 2)
     body = dataclasses.replace(turned, velocity_axes="body")
     assert edit.amend_mapping(body) is None

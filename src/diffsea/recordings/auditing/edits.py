@@ -227,8 +227,8 @@ class Compass(ChannelEdit):
 class Reheading(ChannelEdit):
     """Heading `sense` times as recorded plus `offset` (rad), velocities in its body axes.
 
-    u and v had been turned into body axes by the heading as recorded. A mapping says it where they
-    are read in earth axes.
+    u and v had been turned into body axes by the heading as recorded, and the yaw rate agreed with
+    it. A mapping says it where velocities are read in earth axes.
     """
 
     sense: float
@@ -237,14 +237,15 @@ class Reheading(ChannelEdit):
     def new_series(self, old: Channels) -> Channels:
         psi = self.sense * old["psi"] + self.offset
         body = (old["u"] + 1j * old["v"]) * np.exp(1j * (old["psi"] - psi))
-        return {"psi": psi, "u": body.real, "v": body.imag}
+        return {"psi": psi, "u": body.real, "v": body.imag, "r": self.sense * old["r"]}
 
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         if mapping.velocity_axes != "earth":
             return None
-        heading = Affine(("psi",), self.sense, self.offset)
-        as_body = dataclasses.replace(mapping, velocity_axes="body")
-        amended = heading.amend_mapping(as_body)
+        amended: Mapping | None = dataclasses.replace(mapping, velocity_axes="body")
+        changes = [Affine(("psi",), self.sense, self.offset), Affine(("r",), self.sense)]
+        for change in changes if "r" in mapping.channels else changes[:1]:
+            amended = None if amended is None else change.amend_mapping(amended)
         return None if amended is None else dataclasses.replace(amended, velocity_axes="earth")
 
 
