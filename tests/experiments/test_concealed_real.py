@@ -74,6 +74,25 @@ def test_what_the_page_says_of_facts_is_what_was_found():
     assert f"**{sum(every)} of {len(every)} hold**" in text
 
 
+@real
+def test_what_the_page_says_of_injected_cases_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    unchanged = results.read("unchanged", FOLDER / "results")
+    lines = results.read("injected", FOLDER / "results").values()
+    outcomes = [judging.judge(line, unchanged[line["case"]["set"]]) for line in lines]
+    effects = [one for one in outcomes if one.kind == "effect"]
+    large = [one for one in effects if one.limits is not None and one.limits >= 8]
+    covered = [hit for one in effects if one.named for hit in one.covered.values()]
+    told = {
+        "effects named besides what the unchanged runs give": [one.besides for one in effects],
+        "the same, at eight limits or more": [one.besides for one in large],
+        "a wrong name": [bool(one.wrong) for one in outcomes],
+        "intervals that hold the injected size": covered,
+    }
+    for name, flags in told.items():
+        assert f"| {name} | {sum(flags)} of {len(flags)} |" in text
+
+
 # Independence
 
 
