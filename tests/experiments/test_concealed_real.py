@@ -5,6 +5,7 @@ import ast
 import copy
 import json
 import math
+import re
 
 from experiments.concealed_real import (
     cases,
@@ -25,6 +26,7 @@ from experiments.concealed_real.material import MOTION, Material
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import binomtest
 from tests.oracle import sensors, simulator
 from tests.paths import DATA, ORACLE, ROOT
 
@@ -91,6 +93,11 @@ def test_what_the_page_says_of_injected_cases_is_what_was_found():
     }
     for name, flags in told.items():
         assert f"| {name} | {sum(flags)} of {len(flags)} |" in text
+    section = text[text.index("## Injected into real runs") :].partition("\n\nNot named")[2]
+    missed = [f"{one.limits:.1f}" for one in effects if not one.besides]
+    assert sorted(re.findall(r"\d+\.\d", section.partition("\n\n")[0])) == sorted(missed)
+    bound = binomtest(0, len(outcomes)).proportion_ci(method="wilson").high
+    assert f"by {100 * bound:.0f} %" in section
 
 
 # Independence

@@ -188,15 +188,16 @@ STAMPS = {
 }
 
 
+@pytest.mark.parametrize("day", ["2024-05-21", "2024-05-12", "2024-04-30"])
 @pytest.mark.parametrize("kind", [*STAMPS, "durations"])
-def test_stamps_of_text_are_a_clock(kind, runs, tmp_path):
+def test_stamps_of_text_are_a_clock(kind, day, runs, tmp_path):
     """Over midnight, with steps that are not all alike."""
     native = runs["random-fast"].drop(index=[7, 8, 30])
     since = pd.to_timedelta(native["t"], unit="s")
     if kind == "durations":
         stamps = since.astype(str)  # 0 days 00:00:00.250000
     else:
-        stamps = (pd.Timestamp("2024-05-21T23:59:30Z") + since).dt.strftime(STAMPS[kind])
+        stamps = (pd.Timestamp(f"{day}T23:59:30Z") + since).dt.strftime(STAMPS[kind])
     table = native.drop(columns="t").assign(stamp=stamps)
     table.rename(columns={"psi": "yaw"}).to_csv(tmp_path / "a.csv", index=False)
     proposal = propose_mapping(tmp_path / "a.csv")
@@ -231,12 +232,24 @@ def test_a_sine_and_a_cosine_are_an_angle(names, runs, tmp_path):
     np.testing.assert_allclose(np.exp(1j * (found - native["psi"])), 1.0, atol=1e-9)
 
 
+def test_only_of_a_heading_sine_and_cosine_are_taken_together(runs, tmp_path):
+    native = runs["random-fast"]
+    table = native.assign(sin_roll=np.sin(native["r"]), cos_roll=np.cos(native["r"]))
+    table.rename(columns={"t": "time", "psi": "yaw"}).to_csv(tmp_path / "a.csv", index=False)
+    text = propose_mapping(tmp_path / "a.csv").text
+    assert 'psi = "yaw"' in text and "cosine" not in text and "phi =" not in text
+
+
 def over_ground(native: pd.DataFrame) -> pd.DataFrame:
-    """What a receiver of satellites says beside a compass: course and speed over ground."""
-    velocity = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"])
+    """What a receiver of satellites says beside a compass in a current: course and speed."""
+    current = 0.4 + 0.5j
+    velocity = (native["u"] + 1j * native["v"]) * np.exp(1j * native["psi"]) + current
+    native = native.assign(
+        x=native["x"] + current.real * native["t"], y=native["y"] + current.imag * native["t"]
+    )
     course = np.degrees(np.angle(velocity)) % 360
     heading = np.degrees(native["psi"]) % 360
-    table = native.drop(columns=["u", "v", "r", "psi"])
+    table = native.drop(columns=["u", "v", "psi"])
     return table.assign(heading=heading, cog=course, sog=np.abs(velocity))
 
 
@@ -249,6 +262,20 @@ def test_course_is_no_heading_where_there_is_one(runs, tmp_path):
     assert 'psi = { column = "cog"' in alone.text
     assert alone.sure["psi"] == both.sure["u"] == 0.5
     assert any(line.startswith("psi (cog): nothing better is there") for line in alone.checks)
+
+
+def test_an_order_is_no_heading(runs, tmp_path):
+    """An angle that is ordered, and nothing that is called a heading."""
+    native = runs["random-fast"]
+    table = native.drop(columns=["psi", "r", "v"]).assign(yaw_cmd=native["psi"])
+    table.rename(columns={"t": "time"}).to_csv(tmp_path / "a.csv", index=False)
+    assert 'psi = "yaw_cmd"' not in propose_mapping(tmp_path / "a.csv").text
+
+
+@pytest.mark.parametrize("name", ["sog_kn", "Speed over ground", "groundSpeed", "Course [deg]"])
+def test_what_is_over_ground_is_told_by_its_name(name):
+    assert suggest_labels(name).is_over_ground
+    assert not suggest_labels("u over ground").is_over_ground
 
 
 def test_names_of_logs_are_understood():

@@ -317,6 +317,10 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
             "[columns]\nt = 't'\npsi = { column = 's', cosine = 'c', unit = 'deg' }\n",
             "cosine is the name of a column.*in rad",
         ),
+        (
+            "[columns]\nt = 't'\nx = { column = 's', cosine = 'c' }\n",
+            "cosine is the name of a column.*of an angle",
+        ),
         ("[file]\nvelocity_axes = 'enu'\n[columns]\nt = 't'\n", '"body" or "earth", got'),
         ("[file]\nvelocity_axes = 'earth'\n[columns]\nt = 't'\n", "need the channels psi, u"),
     ],
@@ -332,6 +336,17 @@ def test_mapping_that_does_not_fit_the_file(place):
     odd = place('[file]\nencoding = "klingon"\n[columns]\nt = "t"\n', "odd.toml")
     with pytest.raises(UserError, match="'klingon' is not known"):
         read_recording(place(NATIVE), odd)
+
+
+def test_dates_of_a_parquet_file_are_a_clock_in_seconds(place, tmp_path):
+    stamps = pd.Timestamp("2024-05-12T23:59:59") + pd.to_timedelta([0.0, 0.5, 1.5], unit="s")
+    pd.DataFrame({"when": stamps, "x": [1.0, 2.0, 3.0]}).to_parquet(tmp_path / "a.parquet")
+    plain = place('[columns]\nt = "when"\nx = "x"\n', "plain.toml")
+    t = np.asarray(read_recording(tmp_path / "a.parquet", plain).t)
+    np.testing.assert_allclose(t - t[0], [0.0, 0.5, 1.5], atol=1e-6)
+    in_ns = place('[columns]\nt = { column = "when", unit = "ns" }\nx = "x"\n', "ns.toml")
+    with pytest.raises(UserError, match="'when' has stamps.*leave unit = 'ns' out"):
+        read_recording(tmp_path / "a.parquet", in_ns)
 
 
 def test_an_angle_is_read_from_its_sine_and_cosine(place):

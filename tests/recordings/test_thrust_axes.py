@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from experiments.concealed_real import sets
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -74,6 +76,23 @@ def test_a_right_heading_is_left_alone(seed):
 @pytest.mark.parametrize("reading", READINGS.values(), ids=READINGS)
 def test_thrust_that_does_little_tells_nothing(reading):
     assert axes_findings(disguised(ferry(2, gain=2.3e-3), *reading)) == []
+
+
+@pytest.mark.skipif(not sets.available(), reason="the recordings of real vessels are absent")
+@pytest.mark.parametrize("reading", [*READINGS.values(), (-1.0, 0.0)])
+def test_a_ferrys_thrust_tells_its_heading(reading):
+    """Of three runs one moves and turns enough to tell; as they are, none is accused."""
+    told = []
+    for table in sets.milliampere().values():
+        run = diffsea.read_recording(table)
+        run = dataclasses.replace(run, r=np.full(run.t.size, np.nan))
+        assert axes_findings(run) == []
+        told.append(axes_findings(disguised(run, *reading)))
+    assert [len(found) for found in told] == [1, 0, 0]
+    [edit] = told[0][0].edits
+    assert isinstance(edit, Reheading) and edit.sense == reading[0]
+    back = edit.sense * reading[1] + edit.offset
+    assert abs(np.exp(1j * back) - 1.0) < 1e-9
 
 
 def test_a_mapping_with_velocities_in_earth_axes_says_it():

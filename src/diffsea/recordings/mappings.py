@@ -341,17 +341,19 @@ def _column(channel: str, entry: object, path: Path) -> Column:
         raise UserError(f"{where}: sign must be 1 or -1; use scale for other factors")
     if channel == "t" and "delay" in numbers:
         raise UserError(f"{where}: time itself cannot be delayed; use offset")
-    cosine, unit = entry.get("cosine"), entry.get("unit")
-    if cosine is not None and not (isinstance(cosine, str) and unit in (None, "rad")):
+    unit, cosine = entry.get("unit"), entry.get("cosine")
+    dimension = (CHANNEL_DIMENSIONS | _GEODETIC).get(channel)
+    if cosine is not None and not (
+        isinstance(cosine, str) and unit in (None, "rad") and dimension in (None, "angle")
+    ):
         raise UserError(
-            f"{where}: cosine is the name of a column beside that of the sine; the angle is in rad"
+            f"{where}: cosine is the name of a column beside that of the sine of an angle, in rad"
         )
     if unit is not None and (not isinstance(unit, str) or unit not in UNITS):
         raise UserError(
             f"{where}: unknown unit {unit!r}; known units are {', '.join(UNITS)}"
             + nearest(str(unit), UNITS)
         )
-    dimension = (CHANNEL_DIMENSIONS | _GEODETIC).get(channel)
     if unit is not None and dimension not in (None, UNITS[unit][0]):
         fitting = ", ".join(name for name, (kind, _) in UNITS.items() if kind == dimension)
         raise UserError(f"{where}: {unit!r} is not a unit of {dimension}; use one of {fitting}")

@@ -142,9 +142,11 @@ def _from_table(
     channels = _channel_columns(table, mapping, place)
     values: dict[str, Samples] = {}
     for channel, column in channels.items():
-        as_numbers = clock_column if channel == "t" else numeric_column
-        raw, *cosine = (as_numbers(table, name, place, first_line) for name in column.names)
-        raw = np.arctan2(raw, cosine[0]) if cosine else raw
+        if channel == "t":
+            raw = clock_column(table, column, place, first_line)
+        else:
+            parts = [numeric_column(table, name, place, first_line) for name in column.names]
+            raw = parts[0] if column.cosine is None else np.arctan2(*parts)
         values[channel] = raw * column.gain + column.shift
     used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]

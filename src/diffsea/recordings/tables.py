@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
-from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Mapping
+from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Column, Mapping
 from diffsea.trajectory import Samples
 
 
@@ -66,17 +66,24 @@ def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) 
     return values
 
 
-def clock_column(table: pd.DataFrame, name: str, place: str, first_line: int) -> Samples:
-    """A column of time as floats: numbers as they are, stamps of text in seconds.
+def clock_column(table: pd.DataFrame, column: Column, place: str, first_line: int) -> Samples:
+    """A column of time as floats: numbers as they are, stamps of text or dates in seconds.
 
-    Raises `UserError` as `numeric_column` does.
+    Raises `UserError` as `numeric_column` does, and for stamps that a mapping has in another unit.
     """
-    stamps = stamp_seconds(pd.Series(table[name]))
-    return numeric_column(table, name, place, first_line) if stamps is None else stamps
+    stamps = stamp_seconds(pd.Series(table[column.column]))
+    if stamps is None:
+        return numeric_column(table, column.column, place, first_line)
+    if column.unit not in (None, "s"):
+        raise UserError(
+            f"{place}, column {column.column!r} has stamps of dates or times, which are read in "
+            f"seconds; leave unit = {column.unit!r} out of the mapping"
+        )
+    return stamps
 
 
 def stamp_seconds(column: pd.Series) -> Samples | None:
-    """Seconds of stamps of text, empty cells as NaN; None where any cell is no stamp.
+    """Seconds of stamps of text or dates, empty cells as NaN; None where any cell is no stamp.
 
     Times of day, which go on beyond midnight, durations (`0 days 00:00:01.5`), and dates with
     times, from 1970 on.
@@ -91,18 +98,37 @@ def stamp_seconds(column: pd.Series) -> Samples | None:
             return None
         spans = pd.to_timedelta(text, errors="coerce")
         if spans.notna().all():
-            seconds = np.array(spans.dt.total_seconds().reindex(column.index), dtype=float)
-            known = np.isfinite(seconds)
-            back = np.diff(seconds[known], prepend=seconds[known][0]) < -_HALF_A_DAY
-            seconds[known] += 2 * _HALF_A_DAY * np.cumsum(back)
-            return seconds
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # pandas' remarks on days before months
-            stamps = pd.to_datetime(text, errors="coerce", format="mixed", utc=True)
-        if stamps.isna().any():
+            return _beyond_midnight(spans.dt.total_seconds().reindex(column.index))
+        stamps = _dates_of(text)
+        if stamps is None:
             return None
     since = stamps - pd.Timestamp(0, tz=stamps.dt.tz)
     return since.dt.total_seconds().reindex(column.index).to_numpy(dtype=float)
+
+
+def _beyond_midnight(of_day: pd.Series) -> Samples:
+    """Times of day (s) that go on where the next day begins; durations as they are."""
+    seconds = np.array(of_day, dtype=float)
+    known = np.isfinite(seconds)
+    back = np.diff(seconds[known], prepend=seconds[known][0]) < -_HALF_A_DAY
+    seconds[known] += 2 * _HALF_A_DAY * np.cumsum(back)
+    return seconds
+
+
+def _dates_of(text: pd.Series) -> pd.Series | None:
+    """Dates with times, of months or of days first, whichever makes the run shorter."""
+    found = []
+    for days_first in (False, True):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # pandas' remarks on days before months
+            stamps = pd.to_datetime(text, errors="coerce", dayfirst=days_first, utc=True)
+            if stamps.isna().any():  # not all written alike: slower, one by one
+                stamps = pd.to_datetime(
+                    text, errors="coerce", format="mixed", dayfirst=days_first, utc=True
+                )
+        if stamps.notna().all():
+            found.append(stamps)
+    return min(found, key=lambda stamps: stamps.max() - stamps.min(), default=None)
 
 
 def _check_file(path: Path) -> None:

@@ -35,11 +35,16 @@ from diffsea.recordings.mapping_proposal.hypotheses import (
     HypothesisPrior,
     ratio_penalty,
 )
-from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion, suggest_labels
+from diffsea.recordings.mapping_proposal.names import (
+    NAMED,
+    Suggestion,
+    headings_as_sines,
+    suggest_labels,
+    suggest_sine,
+)
 from diffsea.recordings.mapping_proposal.search import ScoredHypothesis, search_hypotheses
 from diffsea.recordings.mapping_proposal.table_layout import (
     TableLayout,
-    angle_name,
     numeric_columns,
     sniff_layout,
 )
@@ -56,6 +61,7 @@ _TELLING = 0.5  # weight of "other" above which a name says that it is something
 _RUDDER_LABEL, _THRUSTER_LABELS = math.log(0.75 / 0.25), math.log(0.95 / 0.05)
 _ODD_SCALE = 4.0  # log odds against a ratio that is that of no units
 _SUREST = 0.999  # nothing is surer than the model of sensors that it rests on
+_ON_CIRCLE = 0.05  # by which the squares of sine and cosine may add up to more or less than one
 _SUREST_OVER_GROUND = 0.5  # of course and speed over ground, for want of anything better
 _OVER_GROUND = (
     "nothing better is there: course and speed over ground are not {channel} where the vessel "
@@ -111,7 +117,7 @@ class _Source:
     clock: TimeColumn
     place: tuple[str, str] | None  # columns of latitude and longitude
     origin: tuple[float, float] | None  # the first fix of the longest file (deg)
-    cosines: dict[str, str]  # of angles that are there as a sine and a cosine, by the sine
+    cosines: dict[str, str]  # of headings that are there as a sine and a cosine, by the sine
     windows: ColumnWindows
     prior: HypothesisPrior
 
@@ -164,8 +170,13 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         for name, unit in zip(layout.names, layout.units, strict=True)
         if name
     }
-    cosines = {s: c for s, c in layout.cosines.items() if s in tables[0] and c not in tables[0]}
-    suggestions |= {name: suggest_labels(angle_name(name), "rad") for name in cosines}
+    cosines = {
+        sine: cosine
+        for sine, cosine in headings_as_sines(layout.names).items()
+        if _are_on_a_circle(tables[0].get(sine), tables[0].get(cosine))
+    }
+    suggestions |= {name: told for name in cosines if (told := suggest_sine(name)) is not None}
+    tables = [_with_headings(table, cosines) for table in tables]
     clock = find_time_column(tables[0], suggestions) or NO_CLOCK
     place, origin = find_geographic(tables[0], suggestions), None
     if place is not None:
@@ -199,6 +210,21 @@ def _read_source(paths: Sequence[Path]) -> _Source:
     return _Source(
         tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, windows, prior
     )
+
+
+def _are_on_a_circle(sine: Samples | None, cosine: Samples | None) -> bool:
+    """Whether the squares of two columns add up to one."""
+    if sine is None or cosine is None:
+        return False
+    off = np.abs(sine**2 + cosine**2 - 1)
+    return bool(np.isfinite(off).any() and np.nanmedian(off) < _ON_CIRCLE)
+
+
+def _with_headings(table: dict[str, Samples], cosines: dict[str, str]) -> dict[str, Samples]:
+    """The table with headings (rad) in place of their sines, and without their cosines."""
+    there = {s: c for s, c in cosines.items() if s in table and c in table}
+    others = {name: series for name, series in table.items() if name not in there.values()}
+    return others | {s: np.arctan2(table[s], table[c]) for s, c in there.items()}
 
 
 def _longest_tables(

@@ -9,6 +9,7 @@ import dataclasses
 import importlib.resources
 import re
 import tomllib
+from collections.abc import Sequence
 
 from diffsea.recordings.mappings import UNITS
 
@@ -42,6 +43,8 @@ _SPOILERS, _ORDERS, _REALISED, _OVER_GROUND = (
     for kind in ("spoilers", "orders", "realised", "over_ground")
 )
 
+_SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|(?![a-z]))")
+
 # Weights are prior probabilities, set on the names of published data sets.
 _SINGLE_LETTER = 0.3  # what a letter's weight is lessened by beside words: it is often an index
 _UNSUGGESTED = 0.003  # the weight of a label that a name of known words does not suggest
@@ -71,7 +74,8 @@ class Suggestion:
     @property
     def is_over_ground(self) -> bool:
         """Whether it is called course or speed over ground: neither heading nor surge velocity."""
-        return bool(_OVER_GROUND & set(self.words))
+        name = f" {' '.join(self.words)} "
+        return any(f" {phrase} " in name for phrase in _OVER_GROUND)
 
     @property
     def best(self) -> str:
@@ -110,6 +114,24 @@ def suggest_labels(name: str, stated_unit: str = "") -> Suggestion:
     ordered = True if _ORDERS & set(words) else False if _REALISED & set(words) else None
     frame = next((frame for word, frame in _FRAMES.items() if word in words), "")
     return Suggestion(words, weights, unit, frame, ordered)
+
+
+def headings_as_sines(names: Sequence[str]) -> dict[str, str]:
+    """By columns that are called the sine of a heading, those called its cosine."""
+    pairs = {name: _SINE.sub(_cosine_for, name) for name in names if suggest_sine(name) is not None}
+    return {sine: cosine for sine, cosine in pairs.items() if cosine in names}
+
+
+def suggest_sine(name: str) -> Suggestion | None:
+    """What the angle is called that a column is the sine of; None where that is no heading."""
+    found = suggest_labels(_SINE.sub("", name), "rad") if _SINE.search(name) else None
+    return found if found is not None and found.weights["psi"] > NAMED else None
+
+
+def _cosine_for(sine: re.Match[str]) -> str:
+    """The word for a cosine, written as that for the sine."""
+    whole = "cosine" if sine[1] else "cos"
+    return whole.upper() if sine[0].isupper() else whole.title() if sine[0][0] == "S" else whole
 
 
 def unit_in(name: str) -> str:

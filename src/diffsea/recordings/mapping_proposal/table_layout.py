@@ -25,8 +25,6 @@ _DELIMITERS = (",", ";", "\t", "|", "whitespace")
 _MISSING = {"", "nan", "na", "n/a", "null", "none"}
 _JUDGED_LINES = 400  # of the body: enough to tell a delimiter, and read at once
 _LONGEST_HEADER = 100  # lines; towing tanks write some dozens
-_SINE = re.compile(r"(?:(?<![A-Za-z])sin|Sin|(?<![A-Z])SIN)(?:(e|E)(?![a-zA-Z])|(?![a-z]))")
-_ON_CIRCLE = 0.05  # by which the squares of sine and cosine may add up to more or less than one
 _NUMBER = {
     ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"),
     ",": re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?"),
@@ -51,12 +49,6 @@ class TableLayout:
     mapping: Mapping
     named: bool = True
     text: bool = True
-
-    @property
-    def cosines(self) -> dict[str, str]:
-        """By columns that are called the sine of something, those called its cosine."""
-        pairs = {name: _SINE.sub(_cosine_for, name) for name in self.names if _SINE.search(name)}
-        return {sine: cosine for sine, cosine in pairs.items() if cosine in self.names}
 
 
 def sniff_layout(path: Path) -> TableLayout:
@@ -83,8 +75,7 @@ def sniff_layout(path: Path) -> TableLayout:
 def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
     """Every named column as floats, rows as in the file; cells that are no numbers are NaN.
 
-    Stamps of text are in seconds, and sines with their cosines are angles (rad) under the name of
-    the sine. Columns without any number are left out.
+    Stamps of text are in seconds. Columns without any number are left out.
     """
     table = read_table(path, layout.mapping)[0]
     found = {}
@@ -98,23 +89,7 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
         values[np.isinf(values)] = np.nan
         if np.any(np.isfinite(values)):
             found[name] = values
-    for sine, cosine in layout.cosines.items():
-        if sine in found and cosine in found:
-            off = np.abs(np.hypot(found[sine], found[cosine]) ** 2 - 1)
-            if np.nanmedian(off) < _ON_CIRCLE:
-                found[sine] = np.arctan2(found[sine], found.pop(cosine))
     return found
-
-
-def angle_name(sine: str) -> str:
-    """The name of what a column is the sine of."""
-    return _SINE.sub("", sine)
-
-
-def _cosine_for(sine: re.Match[str]) -> str:
-    """The word for a cosine, written as that for the sine."""
-    whole = "cosine" if sine[1] else "cos"
-    return whole.upper() if sine[0].isupper() else whole.title() if sine[0][0] == "S" else whole
 
 
 def _first_lines(path: Path) -> tuple[list[str], str]:
