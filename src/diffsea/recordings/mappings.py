@@ -17,6 +17,7 @@ file, one per data set, so that nobody edits data in order to read it:
     origin = [63.44, 10.39]     # deg, of x and y that come from latitude and longitude
     clock = "/imu"              # logs: the topic whose samples become the rows
     stamps = "receive"          # ROS bags: the recorder's clock; default "header"
+    times = { gps = { column = "stamp", unit = "ms" } }  # folders of tables: where t is not it
     [columns]
     t = { column = "time", unit = "ms" }
     psi = { column = "yaw", unit = "deg" }
@@ -27,7 +28,8 @@ A channel is `sign * (scale * number + offset)` in the stated unit, then convert
 an offset of 5 with the unit `deg` turns the heading by five degrees. With `delay = 0.8` the
 channel was stamped 0.8 s late and is shifted to where it belongs; what is shifted, turned or
 rescaled here is a repair that an audit may ask for. The channels `latitude` and `longitude`
-become x and y. In logs with several topics a column is named `topic:field`.
+become x and y. In logs with several topics a column is named `topic:field`; so it is in a folder
+of tables, where the topic is the table's file name without its ending.
 """
 
 import dataclasses
@@ -191,6 +193,7 @@ class Mapping:
     origin: tuple[float, float] | None = None  # latitude and longitude, rad
     clock: str | None = None  # topic of a log
     stamps: str = "header"  # or "receive"
+    times: dict[str, Column] = dataclasses.field(default_factory=dict)  # of tables of a folder
 
     @property
     def ned_channels(self) -> dict[str, Column]:
@@ -205,6 +208,10 @@ class Mapping:
             swapped.get(name, name): column.opposite(turned[name]) if name in turned else column
             for name, column in self.channels.items()
         }
+
+    def with_columns(self, columns: dict[str, Column]) -> "Mapping":
+        """The same file through other channels."""
+        return dataclasses.replace(self, channels=columns)
 
     def channel_of(self, column: str) -> str:
         """The channel under which the mapping has a column, before a frame turned it."""
@@ -235,7 +242,10 @@ def read_mapping(path: str | Path) -> Mapping:
     file_keys = [field.name for field in dataclasses.fields(Mapping)]
     file_keys = [name for name in file_keys if name not in ("channels", "name")]
     _check_keys(table["file"], file_keys, f"{path}: [file] ")
-    channels = {name: _column(name, entry, path) for name, entry in table["columns"].items()}
+    channels = {
+        name: _column(name, entry, f"{path}: [columns] {name}")
+        for name, entry in table["columns"].items()
+    }
     settings = _file_settings(table["file"], f"{path}: [file]")
     _check_channels(channels, settings, path)
     return Mapping(channels=channels, name=path.name, **settings)
@@ -272,6 +282,13 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
             raise UserError(
                 f'{where} {key} must be "{choices[0]}" or "{choices[1]}", got {settings[key]!r}'
             )
+    if "times" in settings:
+        if not isinstance(settings["times"], dict):
+            raise UserError(f'{where} times must be a table such as {{ gps = "stamp" }}')
+        settings["times"] = {
+            topic: _column("t", entry, f"{where} times.{topic}")
+            for topic, entry in settings["times"].items()
+        }
     if "columns" in settings:
         names = settings["columns"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -312,12 +329,12 @@ def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path:
         raise UserError(f"{path}: latitude and longitude become x and y; leave x and y out")
 
 
-def _column(channel: str, entry: object, path: Path) -> Column:
-    """The column that stands for a channel under [columns]: its name, or a table.
+def _column(channel: str, entry: object, where: str) -> Column:
+    """The column that stands for a channel: its name, or a table.
 
-    Raises `UserError` for an unknown channel, key or unit, or a unit of another dimension.
+    Raises `UserError`, beginning with `where`, for an unknown channel, key or unit, or a unit of
+    another dimension.
     """
-    where = f"{path}: [columns] {channel}"
     if not (is_channel(channel) or channel in _GEODETIC):
         known = (*CHANNEL_DIMENSIONS, *_GEODETIC, "cmd_<actuator>", "exec_<actuator>")
         raise UserError(

@@ -204,9 +204,18 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
     for name, value in _unusual_fields(mapping, Mapping(mapping.channels, mapping.name)):
         if name == "origin":
             value = [float(np.degrees(angle)) for angle in value]
-        lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
-    lines += ["", "[columns]"]
-    for name, column in mapping.channels.items():
+        if name == "times":
+            lines.append(f"times = {{ {', '.join(_column_lines(value))} }}")
+        else:
+            lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
+    lines += ["", "[columns]", *_column_lines(mapping.channels)]
+    return "\n".join(lines) + "\n"
+
+
+def _column_lines(columns: dict[str, Column]) -> list[str]:
+    """Columns by name, as a mapping has them."""
+    lines = []
+    for name, column in columns.items():
         plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
         pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
         entry = ", ".join(
@@ -214,7 +223,7 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
         )
         quoted = name if plain else json.dumps(name, ensure_ascii=False)
         lines.append(f"{quoted} = {{ {entry} }}")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _unusual_fields(record: Mapping | Column, usual: Mapping | Column) -> list[tuple[str, Any]]:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.geodesy import place_fixes
-from diffsea.recordings.logs import ardupilot, matlab, px4, ros
+from diffsea.recordings.logs import ardupilot, folder, matlab, px4, ros
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
 from diffsea.recordings.mappings import ACTUATOR_PREFIXES, Column, Mapping
 from diffsea.series import between_samples, hold_at, median_interval, unwrap
@@ -26,6 +26,14 @@ FORMATS = (
     LogFormat((".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
     LogFormat(
         (".bag", ".db3", ".mcap"), ros.contents, ros.streams, extra="ros", is_folder=ros.is_folder
+    ),
+    LogFormat(
+        (),
+        folder.contents,
+        folder.streams,
+        time_is_mapped=True,
+        is_folder=folder.is_folder,
+        told="a folder of tables (name the tables where each is a run of its own); as one run it",
     ),
 )
 _HEADINGS = ("yaw", "heading", "psi")  # what a field for the example may be called
@@ -50,7 +58,7 @@ class LogChannels(NamedTuple):
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file is named like a log, or a folder is that of a ROS 2 bag."""
+    """Whether a file is named like a log, or a folder is a ROS 2 bag or has tables of one run."""
     return _format(path) is not None
 
 
@@ -80,22 +88,7 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     if mapping is None:
         raise UserError(_how_to_map(path, form))
     columns = {name: column for name, column in mapping.ned_channels.items() if name != "t"}
-    if not form.time_is_mapped:
-        if "t" in mapping.channels or mapping.time_step is not None:
-            raise UserError(
-                f"{mapping.name}: {path} has clocks of its own, so leave t and [file] time_step "
-                "out; [file] clock chooses the topic whose samples become the rows"
-            )
-        for name, column in columns.items():
-            if column.cosine is not None:
-                raise UserError(
-                    f"{mapping.name}: [columns] {name}: sine and cosine are read from tables alone"
-                )
-            if not all(column.topic_and_field):
-                raise UserError(
-                    f"{mapping.name}: [columns] {name}: {column.column!r} must be written "
-                    f"topic:field, for {path} is a log with several topics"
-                )
+    _check_columns(path, mapping, form, columns)
     if not any(name in columns for name in (*MOTION_CHANNELS, "latitude")):
         raise UserError(
             f"{mapping.name} has no motion channel ({', '.join(MOTION_CHANNELS)}, or latitude "
@@ -116,6 +109,31 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     values, lost = join_channels(channels, clock.t, mapping.velocity_axes == "earth", str(path))
     merged = [stream.repeated_times for stream in streams.values()]
     return LogChannels({"t": clock.t} | values, [*notes, *lost], tuple(m for m in merged if m))
+
+
+def _check_columns(
+    path: Path, mapping: Mapping, form: LogFormat, columns: dict[str, Column]
+) -> None:
+    """Raises `UserError` for times and columns that a mapping of such a log has otherwise."""
+    if not form.time_is_mapped:
+        if "t" in mapping.channels or mapping.time_step is not None:
+            raise UserError(
+                f"{mapping.name}: {path} has clocks of its own, so leave t and [file] time_step "
+                "out; [file] clock chooses the topic whose samples become the rows"
+            )
+        for name, column in columns.items():
+            if not all(column.topic_and_field):
+                raise UserError(
+                    f"{mapping.name}: [columns] {name}: {column.column!r} must be written "
+                    f"topic:field, for {path} is a log with several topics"
+                )
+    for name, column in columns.items():
+        topics = {each.rpartition(":")[0] for each in column.names}
+        if len(topics) > 1:
+            raise UserError(
+                f"{mapping.name}: [columns] {name}: sine and cosine must come from one topic, not "
+                + " and ".join(column.names)
+            )
 
 
 def _format(path: Path) -> LogFormat | None:
@@ -139,7 +157,9 @@ def _checked_format(path: Path) -> LogFormat:
     form = _format(path)
     if form is None:
         suffixes = ", ".join(suffix for form in FORMATS for suffix in form.suffixes)
-        raise UserError(f"{path} is no log; logs are named {suffixes}, or are ROS 2 folders")
+        raise UserError(
+            f"{path} is no log; logs are named {suffixes}, or are folders of bags or tables"
+        )
     return form
 
 
@@ -147,11 +167,15 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
     """What to say where there is no mapping: all there is, and how a mapping begins."""
     found = contents(path)
     fields = [(topic, field) for topic, names in found.items() for field in names]
+    first, *others = found.values() if found else [[]]
+    shared = [name for name in first if others and all(name in names for names in others)]
     headings = [pair for pair in fields if pair[1].lower().split(".")[-1] in _HEADINGS]
-    column = ":".join((headings or fields or [("topic", "field")])[0]).removeprefix(":")
-    time = '  t = { column = "...", unit = "s" }\n' if form.time_is_mapped else ""
+    own = [pair for pair in fields if pair[1] not in shared]
+    column = ":".join((headings or own or [("topic", "field")])[0]).removeprefix(":")
+    clock = shared[0] if shared else "..."
+    time = f'  t = {{ column = "{clock}", unit = "s" }}\n' if form.time_is_mapped else ""
     return (
-        f"{path} is a log and needs a mapping that says which fields are which channels. "
+        f"{path} is {form.told} needs a mapping that says which fields are which channels. "
         f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in boat.toml,\n"
         f'  [columns]\n{time}  psi = {{ column = "{column}", unit = "rad" }}\n'
         "with a line per channel and its unit in the log, and name it with --mapping boat.toml"
@@ -198,7 +222,11 @@ def _pick_channels(
     for name, column in columns.items():
         topic, field = column.topic_and_field
         written = mapping.channel_of(column.column)
-        full, series = streams[topic].field(field, f"{path}, {mapping.name}, {written}")
+        where = f"{path}, {mapping.name}, {written}"
+        full, series = streams[topic].field(field, where)
+        if column.cosine is not None:
+            beside, cosine = streams[topic].field(column.cosine.rpartition(":")[2], where)
+            full, series = f"{full} and {beside}", np.arctan2(series, cosine)
         series = np.where(np.isfinite(series), series, np.nan) * column.gain + column.shift
         if not np.any(np.isfinite(series)):
             raise UserError(f"{path}: {column.column}, mapped to {written}, has no valid value")

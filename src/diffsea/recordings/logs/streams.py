@@ -86,6 +86,7 @@ class LogFormat:
         extra: what brings the packages, `pip install 'diffsea[extra]'`; None where none is needed.
         time_is_mapped: whether the mapping names the time, as it stands among the fields.
         is_folder: whether a folder is such a log; None where only files are.
+        told: what it is, before "needs a mapping" in a message.
     """
 
     suffixes: tuple[str, ...]
@@ -94,6 +95,7 @@ class LogFormat:
     extra: str | None = None
     time_is_mapped: bool = False
     is_folder: Callable[[Path], bool] | None = None
+    told: str = "a log and"
 
     @contextlib.contextmanager
     def packages(self, path: Path) -> Iterator[None]:
