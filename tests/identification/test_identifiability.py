@@ -42,7 +42,7 @@ A, B = Parameter("A", 2.0, spread=1.0), Parameter("B", -3.0, spread=0.5, upper=0
 class Cost(AbstractObjective):
     """An objective in closed form; refitting is a search over a fine grid of the others."""
 
-    parameters, problem, outliers = (A, B), None, {}
+    parameters, problem, outliers, one_sample_in = (A, B), None, {}, {}
     reach = np.linspace(-4, 4, 801)
 
     def __init__(self, cost):

@@ -161,6 +161,7 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
         "next_manoeuvre": None if study.next is None else study.next.as_dict(),
         "starts": None if study.agreement is None else dataclasses.asdict(study.agreement),
         "outliers": study.outliers,
+        "one_sample_in": study.objective.one_sample_in,
     }
     if found.objective == "innovation":
         record["noise"] = _noise_record(study)

@@ -66,6 +66,11 @@ class HeldOut(enum.StrEnum):
     AFTER_HEAD = "after a first part"  # recordings but their `head`, which shows their environment
 
 
+def thinned(problem: Problem, every: Mapping[str, int]) -> Problem:
+    """The problem with one of so many samples of some channels used."""
+    return dataclasses.replace(problem, dataset=thin_channels(problem.dataset, every))
+
+
 @dataclasses.dataclass(frozen=True)
 class Split:
     """Training and held-out data as problems of one kind.
@@ -85,12 +90,12 @@ class Split:
     def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
 
-        def thin(part: Problem) -> Problem:
-            return dataclasses.replace(part, dataset=thin_channels(part.dataset, every))
-
-        head = None if self.head is None else thin(self.head)
         return dataclasses.replace(
-            self, train=thin(self.train), test=thin(self.test), head=head, one_sample_in=every
+            self,
+            train=thinned(self.train, every),
+            test=thinned(self.test, every),
+            head=None if self.head is None else thinned(self.head, every),
+            one_sample_in=every,
         )
 
 

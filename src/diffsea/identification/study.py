@@ -30,6 +30,7 @@ from diffsea.identification.holdout import (
     cut_recordings,
     held_out_coordinates,
     held_out_vessels,
+    thinned,
 )
 from diffsea.identification.multistart import Agreement, effect_starts, multistart
 from diffsea.identification.objectives.base import AbstractObjective
@@ -180,9 +181,10 @@ class Study:
         capacity = train.directions - len(priors)
 
         def problem_of(runs: list[Trajectory]) -> Problem:
-            return make_problem(
+            whole = make_problem(
                 train.base, runs, tuple(priors), layout.effects, layout.per_run, capacity, priors
             )
+            return thinned(whole, self.objective.one_sample_in)
 
         if not own:
             return Split(train, problem_of(list(test)), None, (), tuple(test))

@@ -98,7 +98,7 @@ def diagnosis_report(
         unimproved=words.unimproved_sentence(summary),
         remainder=words.remainder_sentence(summary),
         incomplete=words.incomplete_sentence(summary),
-        sampling=words.sampling_sentence(summary),
+        sampling=words.sampling_sentence(summary.get("one_sample_in")),
         location=location_section(summary, recordings, most),
         effects=found_effects(summary),
         ranking=candidate_ranking(summary),

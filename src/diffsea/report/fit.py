@@ -158,6 +158,8 @@ def _open_questions(study: Study) -> list[str]:
     if study.outliers:
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
         sentences.append(f"lone outliers left out of the fit: {lost}")
+    if study.objective.one_sample_in:
+        sentences.append(words.sampling_sentence(study.objective.one_sample_in).removesuffix("."))
     if study.agreement is not None:
         sentences.append(study.agreement.sentence)
     if study.next is not None:

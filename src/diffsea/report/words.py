@@ -5,7 +5,7 @@ The same sentences stand in the terminal and at the head of a page, so that they
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diffsea.identification.holdout import HeldOut
@@ -230,9 +230,8 @@ def incomplete_sentence(summary: Record) -> str:
     return "The time was over before everything had been asked: more may be missing."
 
 
-def sampling_sentence(summary: Record) -> str:
-    """Of which channels not every sample was used, and why; or nothing."""
-    every = summary.get("one_sample_in")
+def sampling_sentence(every: Mapping[str, int] | None) -> str:
+    """Of which channels one sample in so many was used, and why; or nothing."""
     if not every:
         return ""
     used = enumeration([f"one sample in {number} of {name}" for name, number in every.items()])
@@ -389,7 +388,7 @@ def verdict_text(summary: Record) -> str:
             single_step_sentence(summary),
             incomplete_sentence(summary),
         ],
-        "data": [*audit, sampling_sentence(summary)],
+        "data": [*audit, sampling_sentence(summary.get("one_sample_in"))],
         "next": [following],
     }
     head = [prediction_sentence(summary), verdict_sentence(summary)]

@@ -27,11 +27,13 @@ class AbstractObjective(abc.ABC):
         parameters: those that coordinates belong to, in order.
         problem: the recordings'; None where there are no recordings.
         outliers: how many samples of each motion channel the fit has left out.
+        one_sample_in: channels whose errors follow one another: of how many samples one is used.
     """
 
     parameters: tuple[Parameter, ...]
     problem: Problem | None
     outliers: dict[str, int]
+    one_sample_in: dict[str, int]
 
     @abc.abstractmethod
     def fit(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool
 
 from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import run_filter
 from diffsea.identification.fit import estimate, filter_at
@@ -34,18 +35,42 @@ EXPLORING_PASSES = 3  # of exploration: the filter is run anew in each
 
 
 class Innovations(AbstractObjective):
-    """The innovation likelihood of recordings, lone outliers left out."""
+    """The innovation likelihood of recordings, lone outliers left out.
+
+    Of channels whose errors follow one another only samples count that err anew.
+    """
 
     def __init__(self, problem: Problem):
-        """Set up; `problem` loses the outliers that fits find."""
+        """Set up; `problem` loses the samples that fits leave out."""
         self.problem: Problem = problem
         self.parameters = problem.layout.parameters
-        self.outliers = {}
+        self.outliers, self.one_sample_in = {}, {}
 
     def fit(
         self, free: Names, start: Coordinates | None = None, progress: Progress = no_progress
     ) -> Estimate:
-        """Fit; where lone samples are impossible under the fit, leave them out and go on."""
+        """Fit; where lone samples are impossible under the fit, leave them out and go on.
+
+        How seldom a channel errs anew is found in the first fit.
+        """
+        fitted = self._without_outliers(free, start, progress)
+        if self.one_sample_in:
+            return fitted
+        run = fitted.filter_run(self.problem)
+        length = float(self.problem.base.rigid_body.length)
+        self.one_sample_in = independent_sampling(run, self.problem.dataset, length)
+        if not self.one_sample_in:
+            return fitted
+        often = ", ".join(f"{name} every {number}" for name, number in self.one_sample_in.items())
+        progress(f"errors follow one another; of samples used: {often}")
+        dataset = thin_channels(self.problem.dataset, self.one_sample_in)
+        self.problem = dataclasses.replace(self.problem, dataset=dataset)
+        return estimate(self.problem, free, fitted.coordinates, fitted.noise, progress=progress)
+
+    def _without_outliers(
+        self, free: Names, start: Coordinates | None, progress: Progress
+    ) -> Estimate:
+        """A fit, and the problem without the lone samples that are impossible under it."""
         fitted = estimate(self.problem, free, start, progress=progress)
         for _ in range(OUTLIER_ROUNDS):
             lone = self._lone_outliers(fitted)

@@ -179,7 +179,7 @@ class OutputError(AbstractObjective):
         self._window_seconds = WINDOW * time_scale(float(problem.base.rigid_body.length))
         self.problem: Problem = problem
         self.parameters = problem.layout.parameters
-        self.outliers = {}  # the soft loss leaves nothing out
+        self.outliers, self.one_sample_in = {}, {}  # the soft loss leaves nothing out
         self.windows = shooting_windows(problem.dataset, self._window_seconds)
         self._inputs = ShootingInputs(problem.base, problem.layout, problem.dataset, self.windows)
         self._number, self._begins = (

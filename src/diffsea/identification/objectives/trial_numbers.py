@@ -243,7 +243,7 @@ class TrialNumbers(AbstractObjective):
         effects: Sequence[Effect] = (),
     ):
         self.parameters, self.effects = tuple(parameters), tuple(effects)
-        self.problem, self.outliers = None, {}
+        self.problem, self.outliers, self.one_sample_in = None, {}, {}
         self.trials = tuple(trials)
         self.sizes = {effect.name: effect.sizes(vessel) for effect in effects}
         added = [name for name, own in self.sizes.items() for _ in own]
