@@ -5,6 +5,7 @@ anything injected is run; `cases.json` is drawn from it then. Neither is replace
 Imports nothing of the tool.
 """
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 LIMITS, CASES = "limits.json", "cases.json"  # in the folder of the results
 SMALLEST, LARGEST = 1.0, 30.0  # sizes in detection limits
 COUNT, SEED = 240, 20261
-SUBSET, SUBSET_SECONDS = 20, 900.0
+SUBSET, LITTLE_LONGER = 20, 2.0
 
 Case = dict[str, Any]  # id, set, injection, settings, limit, limits
 
@@ -167,25 +168,16 @@ def _queue(rng: np.random.Generator, frozen: dict[str, Any], count: int) -> list
     return queue
 
 
-def subset(
-    cases: list[Case], seconds: dict[str, float], count: int = SUBSET,
-    budget: float = SUBSET_SECONDS,
-) -> list[Case]:  # fmt: skip
-    """So many cases that take together about `budget` s, from as many sets as that allows.
+def subset(cases: list[Case], seconds: dict[str, float], count: int = SUBSET) -> list[Case]:
+    """So many cases that are quick: in turn of each set that takes little longer than the quickest.
 
     Arguments:
         seconds: of the diagnosis of each set's unchanged runs.
     """
-    left = {name: [c for c in cases if c["set"] == name] for name in seconds}
-    quick = sorted(left, key=lambda name: seconds[name])
-    chosen: list[Case] = []
-    spent = 0.0
-    while len(chosen) < count and any(left.values()):
-        for name in (n for n in quick if left[n]):
-            fits = spent + seconds[name] <= budget * (len(chosen) + 1) / count
-            if len(chosen) < count and (fits or name == next(n for n in quick if left[n])):
-                chosen.append(left[name].pop(0))
-                spent += seconds[name]
+    quick = [name for name in seconds if seconds[name] <= LITTLE_LONGER * min(seconds.values())]
+    of_set = [[case for case in cases if case["set"] == name] for name in quick]
+    turns = itertools.chain(*itertools.zip_longest(*of_set))
+    chosen = itertools.islice((case for case in turns if case is not None), count)
     return sorted(chosen, key=lambda case: case["id"])
 
 

@@ -1,7 +1,7 @@
 """The proof on real recordings: unchanged, told otherwise, known facts, injected; resumable.
 
     python -m experiments.concealed_real.run [--told] [--facts] [--injected] [--subset N]
-        [--sets NAME ...] [--develop] [--redo] [--out DIR]
+        [--sets NAME ...] [--develop] [--workers N] [--redo] [--out DIR]
 
 Without a part, all of them. Appends a line to `results/PART.jsonl` for every case that has none of
 this revision of the tool; a stopped run goes on where it was. The unchanged runs come first: their
@@ -11,6 +11,7 @@ that is injected.
 
 import argparse
 import shutil
+import subprocess
 import sys
 import time
 import traceback
@@ -184,7 +185,8 @@ def work(part: str, jobs: list[Job], args: argparse.Namespace, revision: str) ->
             "tool: --redo makes them anew, --any-revision keeps them"
         )
     anew = other if args.redo else set()
-    left = [job for job in jobs if job[0] not in done or job[0] in anew]
+    worker, workers = args.share
+    left = [job for job in jobs[worker::workers] if job[0] not in done or job[0] in anew]
     before = None
     for number, (key, of_set, make) in enumerate(left, 1):
         if of_set != before:
@@ -202,6 +204,14 @@ def _forget_programs() -> None:
     import jax  # once diffsea has set it up
 
     jax.clear_caches()
+
+
+def work_together(workers: int) -> int:
+    """The same command by several processes, each with its share of the jobs; their exit status."""
+    command = [sys.executable, "-m", "experiments.concealed_real.run", *sys.argv[1:]]
+    shares = [[*command, "--workers", "1", "--share", str(k), str(workers)] for k in range(workers)]
+    running = [subprocess.Popen(share, cwd=ROOT) for share in shares]
+    return max(process.wait() for process in running)
 
 
 def freeze(names: list[str], folder: Path) -> None:
@@ -228,6 +238,8 @@ def main() -> None:
     if not sets.available():
         sys.exit("the real data under ../shared/data are absent; nothing was done")
     names = args.sets or [n for n, one in sets.SETS.items() if one.develop or not args.develop]
+    if args.workers > 1:
+        sys.exit(work_together(args.workers))
     everything = not (args.told or args.facts or args.injected)
     revision = source_digest(ROOT / "src" / "diffsea")
     diffsea.prepare_jax()
@@ -250,7 +262,9 @@ def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     for part in ("told", "facts", "injected"):
         parser.add_argument(f"--{part}", action="store_true", help="this part, not all")
-    few = "so many injected cases that are quick (20: a quarter of an hour)"
+    few = "so many injected cases that are quick (20 with --workers 2: a quarter of an hour)"
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="so many processes")
+    parser.add_argument("--share", type=int, nargs=2, default=(0, 1), help=argparse.SUPPRESS)
     parser.add_argument("--subset", type=int, nargs="?", const=cases.SUBSET, metavar="N", help=few)
     parser.add_argument("--first", type=int, metavar="N", help="the first N cases of each set")
     parser.add_argument("--sets", nargs="+", choices=sets.SETS, help="only these sets")
