@@ -21,7 +21,12 @@ from diffsea import (
     replace,
     shipped_vessels,
 )
-from diffsea.identification.estimates import is_known, parameter_records, parameters_with_errors
+from diffsea.identification.estimates import (
+    effect_table,
+    is_known,
+    parameter_records,
+    parameters_with_errors,
+)
 from diffsea.vessel.effects.environment import superstructure
 from diffsea.vessel.files import build, dump, updated_document
 
@@ -750,6 +755,27 @@ def test_every_possible_effect_applies_to_a_tug_with_all_kinds_of_thruster():
             other = effect.apply(tug, np.array(effect.sizes(tug)))
             assert np.isfinite(total_force(other, moving(1.0, 0.1, 0.05), orders)).all()
             assert set(other.servos) == set(tug.servos)
+
+
+@pytest.mark.parametrize("name", ["wamv", "mariner", "shioji_maru", "blueboat", "pytheas"])
+def test_what_a_fit_puts_just_beyond_the_possible_is_read_back_at_its_end(name):
+    file, beyond = read_vessel(name), []
+    for effect in EFFECTS.values():
+        if effect.per_run or not effect.possible(file.vessel):
+            continue
+        sizes = np.array(effect.sizes(file.vessel))
+        for k, (one, (least, _)) in enumerate(
+            zip(effect.coordinates, effect.bounds(file.vessel), strict=True)
+        ):
+            if not np.isfinite(least) or getattr(one, "positive", False):
+                continue  # what cannot be negative makes no table where it is
+            at = np.where(np.arange(sizes.size) == k, least - 0.05 * sizes, sizes)
+            numbers = effect.decode(file.vessel, at)
+            records = {key: {"value": float(value)} for key, value in numbers.items()}
+            table = effect_table(file.vessel, effect.name, records)
+            build(file.document | {"effect": [table]})
+            beyond.append((effect.name, one.key))
+    assert beyond, name
 
 
 def test_wind_is_fossens_law_of_the_angle_of_attack():

@@ -22,7 +22,7 @@ from diffsea.parameters import Parameter, replace
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Coefficient, Effect
-from diffsea.vessel.effects.coordinates import TimeSpan
+from diffsea.vessel.effects.coordinates import Size, TimeSpan
 
 
 # Degrees of freedom of the Student t of an effect's amounts: it may be far larger than expected.
@@ -172,12 +172,14 @@ class CoordinateLayout:
 def negative_effects(
     layout: CoordinateLayout, coordinates: Float[np.ndarray, "coordinate"]
 ) -> list[str]:
-    """Effects that cannot be negative, and are, in every instance."""
-    return [
-        effect.name
-        for effect in layout.effects
-        if effect.leading.positive and np.all(layout.physical(effect.name, coordinates)[:, 0] < 0)
-    ]
+    """Effects with a size that cannot be negative, and is, in every instance."""
+
+    def is_negative(effect: Effect) -> bool:
+        sizes = layout.physical(effect.name, coordinates)
+        positive = [isinstance(one, Size) and one.positive for one in effect.coordinates]
+        return bool(np.any(np.all(sizes[:, positive] < 0, axis=0)))
+
+    return [effect.name for effect in layout.effects if is_negative(effect)]
 
 
 def vessel_at(

@@ -311,7 +311,14 @@ def is_known(parameters: Mapping[str, ParameterRecord]) -> bool:
 def effect_table(vessel: Vessel, name: str, parameters: Mapping[str, ParameterRecord]) -> Table:
     """An `[[effect]]` table for a vessel file: the values, and what the variant acts on.
 
-    Reading it (`vessel.effects.with_effect`) attaches the effect as it was fitted.
+    Reading it (`vessel.effects.with_effect`) attaches the effect as it was fitted, or, where an
+    estimate lies beyond what a vessel can have by as much as it may err, at that end.
     """
+    effect = EFFECTS[name]
     values = {key: float(entry["value"]) for key, entry in parameters.items()}
-    return {"name": catalogue_name(name), **values, **EFFECTS[name].place.in_file(vessel)}
+    coordinates = np.array(effect.encode(vessel, values), dtype=float)
+    least, most = np.array(effect.bounds(vessel)).T
+    possible = np.clip(coordinates, least, most)
+    if np.any(possible != coordinates):
+        values = {key: float(value) for key, value in effect.decode(vessel, possible).items()}
+    return {"name": catalogue_name(name), **values, **effect.place.in_file(vessel)}

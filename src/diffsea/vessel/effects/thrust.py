@@ -144,6 +144,7 @@ def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
 
 
 PROPULSION = OrderedChannels("propulsion")
+LEAST_EXPONENT = 0.1  # of a thrust curve: below, every order is full ahead or full astern
 LEAST_LOSS = 1e-3  # at the largest order: a limit that takes less is reported as one that takes it
 
 
@@ -197,7 +198,7 @@ def _read_curve(vessel: Vessel, table: Table, variants: Sequence[Effect], where:
 @thrust_effect(
     "thrust-curve",
     Size("deadband", ORDER_UNIT, lambda v: 0.05 * _largest(v), lambda v: (0.0, float(_largest(v)))),
-    Size("exponent - 1", "1", 0.2, (-1.0, math.inf)),
+    Size("exponent - 1", "1", 0.2, (LEAST_EXPONENT - 1, math.inf)),
     Size("astern_ratio - 1", "1", 0.2, ALL_LOST_AT_MOST),
     Size("loss at the largest order", "1", 0.3, (0.0, math.inf)),
     phrase="a thrust with a dead band of {deadband}, that goes with the order to the power of "
