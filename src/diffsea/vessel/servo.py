@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from diffsea.types import Scalar
 from diffsea.vessel.characteristics import Characteristic, dead_zone
@@ -24,6 +24,7 @@ from diffsea.vessel.tables import Table, optional_number
 
 ORDERS_PER_STEP = 4  # that can take effect within one step after a delay
 SHORTEST_STEP = 1e-12  # s, far below any clock's resolution
+LARGEST_RATIO = 0.5  # of a step to a lag, up to which the latter's series are exact to rounding
 BREAK_ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of orders
 
 # Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
@@ -31,6 +32,22 @@ _SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
 
 Moments = tuple[Scalar, ...]  # of order 0, 1 and 2
 _Reached = tuple[Scalar, Moments]  # value, and moments of the response so far
+
+
+@jax.custom_batching.custom_vmap
+def _in_any_lane(condition: Bool[Array, ""]) -> Bool[Array, ""]:
+    """The condition; under `vmap` whether it holds in any lane.
+
+    Not a choice in every lane, so that `cond` stays a branch there.
+    """
+    return condition
+
+
+@_in_any_lane.def_vmap
+def _reduced(
+    axis_size: int, in_batched: list[bool], condition: Bool[Array, "lane"]
+) -> tuple[Bool[Array, ""], bool]:
+    return jnp.any(condition, axis=0), False
 
 
 class OrderHistory(eqx.Module):
@@ -135,7 +152,34 @@ class Servo(eqx.Module):
             held = self.target(history.values[-1])
             return Response(held, held, held, held)
         length = self.usable_length(dt)
+        if self.is_pure_lag:
+            return self._lag_response(executed, self.target(history.values[-1]), length)
         return self.respond_to(executed, *self.order_segments(history, t, length), length)
+
+    @property
+    def is_pure_lag(self) -> bool:
+        """Whether it answers at once, and approaches its target exponentially."""
+        others = (self.delay, self.slew, self.backlash)
+        return self.time_constant is not None and not self.endless and others == (None,) * 3
+
+    def _lag_response(self, executed: Scalar, target: Scalar, dt: Scalar) -> Response:
+        """Response of a pure lag to a constant target: shares of what is left to go.
+
+        Where the step is short against the lag of every lane, they are power series.
+        """
+        tau, unit = jnp.asarray(self.time_constant, float), jnp.ones_like(dt)
+
+        def in_closed_form() -> tuple[Scalar, ...]:
+            moments = _exponential_moments(unit, tau / dt)
+            return *_quadratic_nodes(moments), _decay(unit, tau / dt)
+
+        def by_series() -> tuple[Scalar, ...]:
+            ratio = dt / tau
+            return *(_power_series(terms, ratio) for terms in _LAG_NODES), jnp.exp(-ratio)
+
+        is_long = jax.lax.stop_gradient(dt > LARGEST_RATIO * tau)
+        shares = jax.lax.cond(_in_any_lane(is_long), in_closed_form, by_series)
+        return Response(*(target + (executed - target) * share for share in shares))
 
     @staticmethod
     def usable_length(dt: Scalar) -> Scalar:
@@ -153,10 +197,7 @@ class Servo(eqx.Module):
         """Response over a step of `usable_length` to the orders of its segments."""
         targets = [self.target(order) for order in orders]
         moments, final = self._moments(executed, targets, breaks, dt)
-        # The quadratic with these moments, by shifted Legendre polynomials, at its nodes.
-        m0, m1, m2 = moments
-        c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
-        return Response(m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2, final)
+        return Response(*_quadratic_nodes(moments), final)
 
     def order_segments(
         self, history: OrderHistory, t: Scalar, dt: Scalar
@@ -228,6 +269,34 @@ class Servo(eqx.Module):
         return moments, value
 
 
+def _quadratic_nodes(moments: Moments) -> tuple[Scalar, Scalar, Scalar]:
+    """Begin, middle and end of the quadratic with these moments: shifted Legendre polynomials."""
+    m0, m1, m2 = moments
+    c1, c2 = 3 * (2 * m1 - m0), 5 * (6 * m2 - 6 * m1 + m0)
+    return m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2
+
+
+# Nodes of the quadratic with the moments of exp(-z s) on the unit interval, by powers of z: those of
+# order k have the integrals of s^(j + k) over j!.
+_LAG_NODES = tuple(
+    zip(
+        *(
+            _quadratic_nodes(tuple((-1) ** j / (math.factorial(j) * (j + k + 1)) for k in range(3)))
+            for j in range(13)
+        ),
+        strict=True,
+    )
+)
+
+
+def _power_series(coefficients: Sequence[float], x: Scalar) -> Scalar:
+    """Sum of coefficients times powers of x, by Horner's rule."""
+    total: Scalar = 0.0
+    for coefficient in reversed(coefficients):
+        total = coefficient + x * total
+    return total
+
+
 def _moments_from(moments: Moments, by: Scalar) -> Moments:
     """Moments about an origin `by` earlier than the one of `moments`."""
     m0, m1, m2 = moments
@@ -287,10 +356,7 @@ def _exponential_moments(span: Scalar, tau: Scalar) -> Moments:
     zeroth = short * (1 - left)
     first = short * (zeroth - span * left)
     upwards = zeroth, first, short * (2 * first - span**2 * left)
-    ratio, series = jnp.where(flat, span, 0.0) / long, 0.0
-    for coefficient in reversed(_SERIES):
-        series = coefficient + ratio * series
-    second = span**3 * series
+    second = span**3 * _power_series(_SERIES, jnp.where(flat, span, 0.0) / long)
     first = 0.5 * (second / long + span**2 * left)
     downwards = first / long + span * left, first, second
     zeroth, first, second = (
