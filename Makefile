@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup demo test quick lint experiments proof clean
+.PHONY: setup demo test quick lint experiments proof bench clean
 
 setup: $(BIN)/.installed
 
@@ -18,8 +18,8 @@ demo: setup
 	  --test examples/demo/held_out/*.csv -o out/demo
 
 lint: setup
-	$(BIN)/ruff check src tests experiments
-	$(BIN)/ruff format --check src tests experiments
+	$(BIN)/ruff check src tests experiments benchmarks
+	$(BIN)/ruff format --check src tests experiments benchmarks
 	$(BIN)/pyright --threads 2
 	$(BIN)/lint-imports
 
@@ -28,7 +28,7 @@ test: lint
 	  -m "not proof and not experiment"
 
 quick: setup
-	$(BIN)/ruff check src tests experiments
+	$(BIN)/ruff check src tests experiments benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not experiment and not proof"
 
@@ -41,6 +41,10 @@ proof: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "proof or experiment"
 	$(BIN)/python -m experiments.concealed_real.run
 	$(BIN)/python -m experiments.concealed_real.score
+
+# Speeds beside what the machine can do; BENCH=engine|jacobian|fit|diagnosis|sweep|startup for a part.
+bench: setup
+	$(BIN)/python -m benchmarks.run $(BENCH)
 
 clean:
 	rm -rf $(VENV) out

@@ -147,7 +147,7 @@ def sweep(
 
 
 def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
-    """The plan with time limits of twice and of eight times what the vessel itself needs.
+    """The plan with time limits of half as much again as the vessel itself needs, and of six times.
 
     A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
     """
@@ -158,7 +158,7 @@ def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     before = float(trial.execute_time)
     after = float(np.max(np.asarray(run.t)[np.asarray(run.valid)])) - before
     plans = []
-    for factor in (2.0, 8.0):
+    for factor in (1.5, 6.0):
         seconds = planning.round_up(factor * after)
         if seconds > 0.7 * plan.settings.seconds:  # timed stages end by the clock
             seconds = plan.settings.seconds

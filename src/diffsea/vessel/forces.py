@@ -32,6 +32,8 @@ class Force(eqx.Module):
 
         x is forward of amidships, y to starboard of the centreline.
         """
+        if is_absent(angle):
+            return cls(thrust, 0.0, -y * thrust)
         X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
         return cls(X, Y, x * Y - y * X)
 

@@ -276,8 +276,8 @@ def _quadratic_nodes(moments: Moments) -> tuple[Scalar, Scalar, Scalar]:
     return m0 - c1 + c2, m0 - 0.5 * c2, m0 + c1 + c2
 
 
-# Nodes of the quadratic with the moments of exp(-z s) on the unit interval, by powers of z: those of
-# order k have the integrals of s^(j + k) over j!.
+# Nodes of the quadratic with the moments of exp(-z s) on the unit interval, by powers of z: that of
+# order k has the integrals of s^(j + k) over j!.
 _LAG_NODES = tuple(
     zip(
         *(

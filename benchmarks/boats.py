@@ -1,0 +1,53 @@
+"""The boats of the engine's benchmarks: one twin-thruster hull, its numbers ten per cent apart."""
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+
+# The 4.9 m twin-hull craft of the demo with a thrust lag, by the names that the C reference takes.
+HULL = {
+    "mass": 180.0, "I_z": 446.0, "X_udot": -12.0, "Y_vdot": -120.0, "N_rdot": -240.0,
+    "X_u": -52.0, "X_uu": -72.0, "Y_v": -260.0, "N_r": -900.0, "N_rr": -600.0,
+}  # fmt: skip
+LENGTH, ARM, MOST, LEAST = 4.9, 1.03, 250.0, -180.0
+THRUST, LAG = 120.0, 0.3  # N of each thruster, s
+SPREAD = 0.1  # of every number, to both sides at most
+ANGLE = CHECK = math.radians(20)  # of the zig-zag
+SECONDS, STEP, STEPS = 60.0, 0.05, 1200
+HARD_OVER = math.radians(35)  # rudder-equivalent angle at which one side gives all
+EXECUTES = 12  # more than any boat has in a minute
+PARAMETERS = (*HULL, "thrust", "time_constant", "speed")
+
+Rows = Float[np.ndarray, "parameter boat"]
+
+
+def document() -> dict[str, Any]:
+    """The craft as a vessel file."""
+    thruster = {
+        "x": -2.3, "max_force": MOST, "min_force": LEAST, "time_constant": LAG,
+    }  # fmt: skip
+    sides = (("port", -ARM), ("starboard", ARM))
+    return {
+        "format": 1,
+        "name": "twin-thruster boat",
+        "source": "round numbers",
+        "hull": {"length": LENGTH, "beam": 2.4, "draught": 0.2, "x_G": 0.0, **HULL},
+        "thruster": [{"name": name, "y": y, **thruster} for name, y in sides],
+    }
+
+
+def draw(count: int, seed: int = 0) -> Rows:
+    """Numbers of so many boats, in the order of `PARAMETERS`.
+
+    Each runs at the speed at which its drag is its thrust.
+    """
+    rng = np.random.default_rng(seed)
+    middle = np.array([*HULL.values(), THRUST, LAG])
+    rows = middle[:, None] * (1 + SPREAD * rng.uniform(-1, 1, (len(middle), count)))
+    named = dict(zip(PARAMETERS, rows, strict=False))
+    linear, square = -named["X_u"], -named["X_uu"]
+    speed = (np.sqrt(linear**2 + 8 * square * named["thrust"]) - linear) / (2 * square)
+    return np.vstack([rows, speed])
