@@ -11,6 +11,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool
 
 from diffsea.scales import Scalar as Scalar
 from diffsea.trajectory import Trajectory
@@ -51,6 +52,23 @@ def as_inputs(tree: Tree) -> Tree:
     """
     numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
     return jax.tree.map(lambda leaf: 0.0 if leaf.ndim == 0 and leaf == 0 else leaf, numbers)
+
+
+@jax.custom_batching.custom_vmap
+def in_any_lane(condition: Bool[Array, ""]) -> Bool[Array, ""]:
+    """The condition; under `vmap` whether it holds in any lane.
+
+    A `jax.lax.cond` on it stays a branch there, skipped where no lane needs it, and does not become
+    a choice between both results in every lane.
+    """
+    return condition
+
+
+@in_any_lane.def_vmap
+def _reduced_over_lanes(
+    axis_size: int, in_batched: list[bool], condition: Bool[Array, "lane"]
+) -> tuple[Bool[Array, ""], bool]:
+    return jnp.any(condition, axis=0), False
 
 
 class State(eqx.Module):

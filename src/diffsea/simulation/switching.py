@@ -16,7 +16,7 @@ from diffsea.scales import plausible_motion
 from diffsea.simulation.control import AbstractSpeedLaw, ControlAllocation, FixedThrottle
 from diffsea.simulation.integrate import SimulationState, advance
 from diffsea.simulation.manoeuvres import Stages
-from diffsea.types import Environment, Scalar, State
+from diffsea.types import Environment, Scalar, State, in_any_lane
 from diffsea.vessel.base import Vessel
 
 
@@ -143,7 +143,6 @@ class _StageRun(eqx.Module):
         active = ~finished & ~wild
         crossing = active & (carry.mode == _NORMAL) & (g >= 0)
         probing = active & ((carry.mode == _PROBE) | (carry.mode == _PROBE_AGAIN))
-        corrected = self.corrected(carry, motion, g, dt)
         landing = active & (carry.mode == _LAND)
         stepping = active & (carry.mode == _NORMAL) & ~crossing
         accepted = stepping | landing
@@ -158,10 +157,14 @@ class _StageRun(eqx.Module):
             began=jnp.where(landing, t, carry.began),
             grid=carry.grid + stepping.astype(int),
             mode=jnp.where(crossing, _PROBE, jnp.where(probing, carry.mode + 1, _NORMAL)),
-            planned=jnp.where(
-                crossing,
-                self.first_guess(carry, motion, g, dt),
-                jnp.where(probing, corrected, carry.planned),
+            planned=jax.lax.cond(
+                in_any_lane(crossing | probing),
+                lambda: jnp.where(
+                    crossing,
+                    self.first_guess(carry, motion, g, dt),
+                    jnp.where(probing, self.corrected(carry, motion, g, dt), carry.planned),
+                ),
+                lambda: carry.planned,
             ),
             switch_times=jnp.where(
                 landing & (jnp.arange(self.stages.count) == carry.stage), t, carry.switch_times

@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from diffsea.types import Scalar
+from diffsea.types import Scalar, in_any_lane
 from diffsea.vessel.characteristics import Characteristic, dead_zone
 from diffsea.vessel.tables import Table, optional_number
 
@@ -32,22 +32,6 @@ _SERIES = tuple((-1) ** j / (math.factorial(j) * (j + 3)) for j in range(11))
 
 Moments = tuple[Scalar, ...]  # of order 0, 1 and 2
 _Reached = tuple[Scalar, Moments]  # value, and moments of the response so far
-
-
-@jax.custom_batching.custom_vmap
-def _in_any_lane(condition: Bool[Array, ""]) -> Bool[Array, ""]:
-    """The condition; under `vmap` whether it holds in any lane.
-
-    Not a choice in every lane, so that `cond` stays a branch there.
-    """
-    return condition
-
-
-@_in_any_lane.def_vmap
-def _reduced(
-    axis_size: int, in_batched: list[bool], condition: Bool[Array, "lane"]
-) -> tuple[Bool[Array, ""], bool]:
-    return jnp.any(condition, axis=0), False
 
 
 class OrderHistory(eqx.Module):
@@ -178,7 +162,7 @@ class Servo(eqx.Module):
             return *(_power_series(terms, ratio) for terms in _LAG_NODES), jnp.exp(-ratio)
 
         is_long = jax.lax.stop_gradient(dt > LARGEST_RATIO * tau)
-        shares = jax.lax.cond(_in_any_lane(is_long), in_closed_form, by_series)
+        shares = jax.lax.cond(in_any_lane(is_long), in_closed_form, by_series)
         return Response(*(target + (executed - target) * share for share in shares))
 
     @staticmethod
