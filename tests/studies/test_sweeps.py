@@ -83,6 +83,21 @@ def test_a_design_that_fails_spoils_only_its_row(swept):
     assert summary["metrics"]["overshoot_1"]["designs"] == 8
 
 
+def test_designs_of_a_vessel_that_cannot_do_the_trial_are_run_for_its_time_only_where_they_must():
+    """Its own yaw is unstable: nothing tells beforehand how long the others take."""
+    document = tomllib.loads(BOAT)
+    document["hull"]["N_r"] = 60000.0
+    vessel = build(document)
+    plan = planning.plan_trial(vessel, "zigzag", speed=1.2, executes=2, step=0.1)
+    told = []
+    designs = sweep.Designs(("N_r",), np.array([[-300.0], [60000.0], [-600.0]]))
+    table = sweep.sweep(vessel, plan, designs, told.append).table
+    assert list(table["outcome"]) == ["completed", "diverged", "completed"] and not told
+    for row, N_r in ((0, -300.0), (2, -600.0)):
+        alone = single(1.2, N_r=N_r)
+        assert table["overshoot_1"][row] == pytest.approx(alone["overshoot_1"], rel=1e-9)
+
+
 def test_a_map_leaves_failed_designs_white(tmp_path):
     names, values = sweep.grid({"mass": (1.0, 3.0, 3), "x_G": (0.0, 1.0, 4)})
     table = pd.DataFrame(values, columns=list(names))

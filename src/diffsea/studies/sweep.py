@@ -149,16 +149,17 @@ def sweep(
 def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     """The plan with time limits of half as much again as the vessel itself needs, and of six times.
 
-    A batch runs for as long as it may, whenever its lanes end; last comes the plan itself.
+    A batch runs for as long as it may, whenever its lanes end; last comes the plan itself. Where
+    the vessel does not complete the trial, an eighth of the plan's limits comes first.
     """
-    trial, _ = planning.run_and_measure(vessel, plan)
-    run = trial.trajectory
-    if int(run.outcome) != Outcome.COMPLETED:
-        return [plan]
-    before = float(trial.execute_time)
-    after = float(np.max(np.asarray(run.t)[np.asarray(run.valid)])) - before
+    run, _ = planning.run_and_measure(vessel, plan)
+    before, after, factors = plan.approach_seconds, plan.settings.seconds, (1 / 8,)
+    if int(run.trajectory.outcome) == Outcome.COMPLETED:
+        rows = np.asarray(run.trajectory.valid)
+        before, factors = float(run.execute_time), (1.5, 6.0)
+        after = float(np.max(np.asarray(run.trajectory.t)[rows])) - before
     plans = []
-    for factor in (1.5, 6.0):
+    for factor in factors:
         seconds = planning.round_up(factor * after)
         if seconds > 0.7 * plan.settings.seconds:  # timed stages end by the clock
             seconds = plan.settings.seconds
