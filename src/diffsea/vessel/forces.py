@@ -32,8 +32,8 @@ class Force(eqx.Module):
 
         x is forward of amidships, y to starboard of the centreline.
         """
-        if is_absent(angle):
-            return cls(thrust, 0.0, -y * thrust)
+        # Alike for every angle, even none: so the moments of equal thrusts on both sides cancel to
+        # the last bit, and what is not measured of a straight run stays zero.
         X, Y = thrust * jnp.cos(angle), thrust * jnp.sin(angle)
         return cls(X, Y, x * Y - y * X)
 
