@@ -5,6 +5,7 @@ A VESSEL is a TOML file, or the name of a vessel that ships with the package:
 A RECORDING is one run as CSV or Parquet; --mapping reads files with other columns.
 
 examples:
+  diffsea show otter
   diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
   diffsea metrics run1.csv run2.csv --length 4.9
   diffsea audit field/*.csv --mapping field.toml
@@ -36,7 +37,7 @@ from diffsea.runtime import prepare_jax
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-COMMAND_MODULES = ("trial", "recordings", "identification", "studies", "segments")
+COMMAND_MODULES = ("trial", "recordings", "identification", "studies", "segments", "vessels")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -28,13 +28,18 @@ Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyE
 
 
 def add_command(
-    commands: Commands, name: str, run: Callable[[argparse.Namespace], None], summary: str
+    commands: Commands,
+    name: str,
+    run: Callable[[argparse.Namespace], None],
+    summary: str,
+    writes: bool = True,
 ) -> argparse.ArgumentParser:
     """A sub-command with the options that every command has: `-o`, `--json`, `--debug`.
 
     Arguments:
         run: does the work; its docstring is the description, with examples under `examples:`.
         summary: one line for the list of commands.
+        writes: whether it writes files; without, there is no `-o`.
     """
     description, _, examples = (inspect.getdoc(run) or "").partition("\nexamples:\n")
     parser = commands.add_parser(
@@ -47,9 +52,10 @@ def add_command(
     )
     parser.set_defaults(run=run)
     output = parser.add_argument_group("output")
-    folder = pathlib.Path("out") / name
-    flags, text = ("-o", "--output"), "folder for the results (default: %(default)s)"
-    output.add_argument(*flags, metavar="DIR", type=pathlib.Path, default=folder, help=text)
+    if writes:
+        folder = pathlib.Path("out") / name
+        flags, text = ("-o", "--output"), "folder for the results (default: %(default)s)"
+        output.add_argument(*flags, metavar="DIR", type=pathlib.Path, default=folder, help=text)
     add_flag(output, "--json", "print the result as JSON, and nothing else, on stdout")
     add_flag(output, "--debug", "show the traceback of a bug")
     return parser

@@ -84,7 +84,7 @@ class Outputs:
         Arguments:
             data: dictionaries, lists, numbers, arrays; numbers that are not finite become null.
         """
-        self._result = json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
+        self._result = json_text(data)
         self.text(name, self._result + "\n")
 
     def __exit__(
@@ -114,6 +114,11 @@ class Outputs:
             print(self._result)
         else:
             print(f"{summary}\n\nwritten: {', '.join(str(file) for file in self.files)}")
+
+
+def json_text(data: Any) -> str:
+    """The data as JSON."""
+    return json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _json_value(data: Any) -> Any:

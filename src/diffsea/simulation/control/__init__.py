@@ -3,6 +3,7 @@
 from diffsea.simulation.control.allocation import ControlAllocation as ControlAllocation
 from diffsea.simulation.control.allocation import full_throttle as full_throttle
 from diffsea.simulation.control.allocation import require_steering as require_steering
+from diffsea.simulation.control.allocation import settled_acceleration as settled_acceleration
 from diffsea.simulation.control.allocation import speed_for as speed_for
 from diffsea.simulation.control.allocation import throttle_for as throttle_for
 from diffsea.simulation.control.allocation import throttle_for_thrust as throttle_for_thrust
