@@ -246,7 +246,7 @@ class Vessel(eqx.Module):
         """Elements 11, 22, 23, 32 and 33 of the mass matrix at time `t` of a run."""
         body = self.rigid_body.at(t)
         added = self.added_mass.in_depth(environment.shallowness)
-        moment = 0.0 if is_absent(body.x_G) else body.mass * body.x_G
+        moment = body.mass * body.x_G
         return (
             body.mass - added.X_udot,
             body.mass - added.Y_vdot,
@@ -303,13 +303,10 @@ class Vessel(eqx.Module):
         """
         tau = sum(self.breakdown(state, executed, environment, t).values(), Force())
         m11, m22, m23, m32, m33 = self._inertia(environment, t)
+        determinant = m22 * m33 - m23 * m32
         u_dot = tau.X / m11
-        if is_absent(m23, m32):
-            v_dot, r_dot = tau.Y / m22, tau.N / m33
-        else:  # in a form that without coupling is that above to the last bit
-            sway, yaw = m23 / m33, m32 / m22
-            v_dot = (tau.Y - sway * tau.N) / (m22 - sway * m32)
-            r_dot = (tau.N - yaw * tau.Y) / (m33 - yaw * m23)
+        v_dot = (m33 * tau.Y - m23 * tau.N) / determinant
+        r_dot = (m22 * tau.N - m32 * tau.Y) / determinant
         current = environment.current_north, environment.current_east
         if not is_absent(*current):
             flow = to_body(*current, state.psi)

@@ -43,8 +43,6 @@ class RigidBody(eqx.Module):
         `water` has velocities through the water, m/s and rad/s.
         """
         u, v, r, m = water.u, water.v, water.r, self.mass
-        if is_absent(self.x_G):
-            return Force(m * r * v, -m * u * r, 0.0)
         return Force(m * r * (v + self.x_G * r), -m * u * r, -m * self.x_G * u * r)
 
 
@@ -81,11 +79,9 @@ class AddedMass(eqx.Module):
         if self.coriolis_terms == "none":
             return Force()
         u, v, r = water.u, water.v, water.r
-        munk = (self.Y_vdot - self.X_udot) * u * v if self.coriolis_terms == "full" else 0.0
-        if is_absent(self.Y_rdot, self.N_vdot):
-            return Force(r * (-self.Y_vdot * v), self.X_udot * u * r, munk)
         coupling = -0.5 * (self.Y_rdot + self.N_vdot)
         lateral = -self.Y_vdot * v + coupling * r
+        munk = (self.Y_vdot - self.X_udot) * u * v if self.coriolis_terms == "full" else 0.0
         return Force(r * lateral, self.X_udot * u * r, munk - coupling * u * r)
 
 
