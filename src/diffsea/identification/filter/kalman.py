@@ -51,6 +51,7 @@ from diffsea.vessel.servo import OrderHistory, Response
 
 NO_GATE = 1e9  # standard deviations: no measurement is further off
 _HEADING = np.arange(6) == MOTION_CHANNELS.index("psi")
+_AHEAD = tuple(float(name in ("x", "u")) for name in MOTION_CHANNELS)  # of a straight run
 
 
 class Gains(eqx.Module):
@@ -88,6 +89,7 @@ class FilterRow(eqx.Module):
     starts: Bool[Array, "*row"]
     first: Float[Array, "*row 6"]
     response: dict[str, Response]
+    straight: Bool[Array, "*row"] | bool = False  # nothing tells of drift, heading or turning
 
     @property
     def actuation(self) -> dict[str, Scalar]:
@@ -98,6 +100,7 @@ class FilterRow(eqx.Module):
 def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterRow:
     """All rows of a data set, with what the actuators do in them."""
     flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
+    turning = jnp.any(dataset.known[:, np.array(_AHEAD) == 0])
     return FilterRow(
         with_heel(flow, flow.heel + dataset.heel),
         dataset.dt,
@@ -107,6 +110,7 @@ def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterR
         dataset.starts,
         dataset.first,
         {channel: _actuator_response(vessel, channel, dataset) for channel in vessel.channels},
+        jnp.broadcast_to(~turning, dataset.dt.shape),
     )
 
 
@@ -140,13 +144,17 @@ def _actuator_response(vessel: Vessel, channel: str, dataset: Dataset) -> Respon
 def propagate(
     vessel: Vessel, x: Float[Array, "6"], row: FilterRow, substeps: int
 ) -> Float[Array, "6"]:
-    """The vessel's state at the next row."""
+    """The vessel's state at the next row.
+
+    Where the data say nothing of drift, heading and turning, the run is taken as straight. A hull
+    that is unstable there would let rounding grow to any turn, which nothing corrects.
+    """
     state = State(*x)
     dt = row.dt / substeps
     for k in range(substeps):
         part = {c: _part_of(r, k / substeps, 1 / substeps) for c, r in row.response.items()}
         state = rk4_looped(vessel, state, part, row.flow, row.run_time + k * dt, dt)
-    return jnp.stack(jax.tree.leaves(state))
+    return jnp.stack(jax.tree.leaves(state)) * jnp.where(row.straight, jnp.array(_AHEAD), 1.0)
 
 
 def _part_of(response: Response, start: float, share: float) -> Response:
