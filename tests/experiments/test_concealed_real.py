@@ -100,6 +100,17 @@ def test_what_the_page_says_of_injected_cases_is_what_was_found():
     assert f"by {100 * bound:.0f} %" in section
 
 
+@real
+def test_what_the_page_says_of_retellings_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    unchanged = results.read("unchanged", FOLDER / "results")
+    lines = results.read("told", FOLDER / "results").values()
+    assert lines
+    for one in (judging.compare(line, unchanged[line["set"]]) for line in lines):
+        holds = "yes" if one.holds else "**no**"
+        assert f"| {one.id} | {holds} | {one.apart:.2g} | {100 * one.misfit:.2g} % |" in text
+
+
 # Independence
 
 
