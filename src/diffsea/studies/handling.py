@@ -63,7 +63,8 @@ def handling(vessel: Vessel) -> Handling:
     throttle = throttle_for(vessel, speed)
 
     def rates(motion: jax.Array) -> jax.Array:
-        return jnp.stack(settled_acceleration(vessel, *motion, throttle, jnp.zeros(())))
+        u, v, r = motion
+        return jnp.stack(settled_acceleration(vessel, u, v, r, throttle, jnp.zeros(())))
 
     slopes = np.asarray(jax.jacfwd(rates)(jnp.array([speed, 0.0, 0.0])))
     poles = np.linalg.eigvals(slopes[1:, 1:])

@@ -205,7 +205,7 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
         if name == "origin":
             value = [float(np.degrees(angle)) for angle in value]
         if name == "times":
-            lines.append(f"times = {{ {', '.join(_column_lines(value))} }}")
+            lines.append(f"times = {{ {', '.join(_column_lines(mapping.times))} }}")
         else:
             lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
     lines += ["", "[columns]", *_column_lines(mapping.channels)]
