@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import json_text, table
-from diffsea.scales import GRAVITY
 
 
 if TYPE_CHECKING:
@@ -89,6 +88,8 @@ def _actuator_words(vessel: "Vessel") -> str:
 
 def _sentences(vessel: "Vessel", found: "Handling") -> list[str]:
     """The vessel in words."""
+    from diffsea.scales import froude_speed
+
     body = vessel.rigid_body
     length = float(body.length)
     sizes = ", ".join(
@@ -97,7 +98,7 @@ def _sentences(vessel: "Vessel", found: "Handling") -> list[str]:
             (length, "m long"), (body.beam, "m wide"), (body.draught, "m deep"), (body.mass, "kg"),
         )
     )  # fmt: skip
-    froude = found.speed / math.sqrt(GRAVITY * length)
+    froude = found.speed / froude_speed(length)
     limits = "no limit is stated" if math.isinf(found.top_speed) else f"{found.top_speed:.3g} m/s"
     lines = [
         f"{vessel.name}: {sizes}",
