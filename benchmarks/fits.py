@@ -11,7 +11,7 @@ from experiments.fit_benchmark.run import asked
 
 OURS = {"fit": "diffsea free run", "innovations": "diffsea innovations"}
 PEER = "casadi ipopt"
-PROCESSES = 3
+PROCESSES = 2
 
 
 def measure() -> list[Figure]:
