@@ -10,7 +10,6 @@ from experiments.fit_benchmark.outcome import Outcome
 
 import numpy as np
 
-from diffsea.identification.estimates import ShootingState
 from diffsea.runtime import prepare_jax
 
 
@@ -25,7 +24,7 @@ import optimistix as optx
 
 from diffsea import Trajectory, read_vessel
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, ShootingState
 from diffsea.identification.filter import kalman
 from diffsea.identification.fit import estimate
 from diffsea.identification.least_squares import with_known_jacobian
