@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from benchmarks import boats
-from benchmarks.record import Figure, in_turns
+from benchmarks.record import Figure, in_turns, seconds
 from benchmarks.reference.c_boats import CBoats
 
 import numpy as np
@@ -35,7 +35,14 @@ def measure() -> list[Figure]:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     figures = [Figure(**one) for one in json.loads(narrow.stdout.splitlines()[-1])]
-    return [batch("engine-float64", "double"), *figures, *one_vessel()]
+    return [batch("engine-float64", "double"), *figures, *one_vessel(), core_peak()]
+
+
+def core_peak() -> Figure:
+    """Multiplications and additions that one core does at most, in a loop without waits."""
+    reference = CBoats()
+    spent = [(reference.peak(), seconds(reference.peak)) for _ in range(5)]
+    return Figure("core-peak", "operations/s", [done / time for done, time in spent])
 
 
 def _flags() -> dict[str, str]:

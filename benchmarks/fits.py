@@ -1,4 +1,4 @@
-"""A fit of twelve unknowns a run to six recordings, warm and cold, beside CasADi with IPOPT."""
+"""A fit of eight derivatives to six recordings, warm and cold, beside CasADi with IPOPT."""
 
 import os
 import tempfile

@@ -9,6 +9,7 @@ from tests.paths import ORACLE
 
 from diffsea import Trajectory
 from diffsea.identification.problem import make_problem
+from diffsea.report.words import straight_sentence
 from diffsea.vessel.files import build
 
 
@@ -35,3 +36,16 @@ def test_what_nothing_measures_does_not_grow(turning):
     assert np.isfinite(np.asarray(run.innovation)).all()
     assert turning or np.abs(lateral).max() < 1e-9
     assert np.abs(np.asarray(run.innovation)[5:300, 3]).max() < 0.2
+
+
+def test_runs_are_told_apart():
+    """Beside a run that shows turning, one of speeds alone is still taken as straight."""
+    vessel = build(load(str(ORACLE / "usv.toml")))
+    dataset = make_problem(vessel, [speeds(True), speeds(False)], ("X_u",)).dataset
+    assert list(np.asarray(dataset.shows_turning)[:2]) == [True, False]
+    assert dataset.straight_runs == 1
+    assert (
+        straight_sentence(1)
+        == "Nothing tells of drift and turning in one run, taken as straight ahead."
+    )
+    assert straight_sentence(0) == ""

@@ -92,6 +92,7 @@ def summary(
             "diagnosed": _misfits(diagnosis, final) | _free(horizons, "diagnosed"),
         },
         "one_sample_in": dict(data.one_sample_in),
+        "straight_runs": data.train.dataset.straight_runs,
         "insufficient": [str(one) for one in diagnosis.shortfalls],
         "parameters": [one.as_dict() for one in fitted],
         "held_out": held_out | ({} if horizons is None else {"horizons": horizons}),

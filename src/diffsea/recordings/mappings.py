@@ -209,10 +209,6 @@ class Mapping:
             for name, column in self.channels.items()
         }
 
-    def with_columns(self, columns: dict[str, Column]) -> "Mapping":
-        """The same file through other channels."""
-        return dataclasses.replace(self, channels=columns)
-
     def channel_of(self, column: str) -> str:
         """The channel under which the mapping has a column, before a frame turned it."""
         return next(name for name, entry in self.channels.items() if entry.column == column)

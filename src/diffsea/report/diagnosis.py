@@ -98,7 +98,12 @@ def diagnosis_report(
         unimproved=words.unimproved_sentence(summary),
         remainder=words.remainder_sentence(summary),
         incomplete=words.incomplete_sentence(summary),
-        sampling=words.sampling_sentence(summary.get("one_sample_in")),
+        sampling=" ".join(
+            (
+                words.sampling_sentence(summary.get("one_sample_in")),
+                words.straight_sentence(summary.get("straight_runs", 0)),
+            )
+        ).strip(),
         location=location_section(summary, recordings, most),
         effects=found_effects(summary),
         ranking=candidate_ranking(summary),

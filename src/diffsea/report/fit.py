@@ -160,6 +160,8 @@ def _open_questions(study: Study) -> list[str]:
         sentences.append(f"lone outliers left out of the fit: {lost}")
     if study.objective.one_sample_in:
         sentences.append(words.sampling_sentence(study.objective.one_sample_in).removesuffix("."))
+    if study.problem is not None and (runs := study.problem.dataset.straight_runs):
+        sentences.append(words.straight_sentence(runs).removesuffix("."))
     if study.agreement is not None:
         sentences.append(study.agreement.sentence)
     if study.next is not None:

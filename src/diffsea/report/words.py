@@ -238,6 +238,14 @@ def sampling_sentence(every: Mapping[str, int] | None) -> str:
     return f"Successive samples err alike, so that only {used} counted."
 
 
+def straight_sentence(runs: int) -> str:
+    """That nothing tells of the turning of so many runs; nothing where there are none."""
+    if not runs:
+        return ""
+    which = "one run" if runs == 1 else f"{runs} runs"
+    return f"Nothing tells of drift and turning in {which}, taken as straight ahead."
+
+
 def remainder_sentence(summary: Record) -> str:
     """What the final model still does not explain, in one sentence."""
     p = summary.get("remainder_p_value")
@@ -388,7 +396,11 @@ def verdict_text(summary: Record) -> str:
             single_step_sentence(summary),
             incomplete_sentence(summary),
         ],
-        "data": [*audit, sampling_sentence(summary.get("one_sample_in"))],
+        "data": [
+            *audit,
+            sampling_sentence(summary.get("one_sample_in")),
+            straight_sentence(summary.get("straight_runs", 0)),
+        ],
         "next": [following],
     }
     head = [prediction_sentence(summary), verdict_sentence(summary)]

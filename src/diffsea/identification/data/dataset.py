@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -16,7 +17,7 @@ from diffsea.identification.data.heel import predicted_heel
 from diffsea.scales import time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.coordinates import TimeSpan
 
@@ -28,6 +29,9 @@ PADDING = 256  # rows are padded to a multiple, so that similar cases share a pr
 LEAST_ROWS = 10  # of a run: with fewer nothing can be estimated
 LONGEST_DELAY = 1.5  # of a channel, in sqrt(L / g), within which its past state is known
 FIRST_VALUES = 20  # of a position, from which a first velocity is estimated
+
+
+_LATERAL = np.array([name not in ("x", "u") for name in MOTION_CHANNELS])
 
 
 class DatasetShape(NamedTuple):
@@ -71,6 +75,18 @@ class Dataset(eqx.Module):
     def recorded_rows(self) -> Bool[np.ndarray, "row"]:
         """Which rows have any measurement; the others fill the data set up."""
         return np.count_nonzero(np.asarray(self.known), axis=1) > 0
+
+    @property
+    def shows_turning(self) -> Bool[Array, "run"]:
+        """Which runs have any measurement that tells of drift, heading or turning."""
+        lateral = jnp.any(self.known[:, _LATERAL], axis=1)
+        return jnp.zeros(self.runs, bool).at[self.run].max(lateral)
+
+    @property
+    def straight_runs(self) -> int:
+        """How many recorded runs tell nothing of it, and are taken as straight ahead."""
+        shown = np.asarray(self.shows_turning)
+        return sum(len(rows) > 0 and not shown[k] for k, rows in enumerate(self.rows_of_runs))
 
     @property
     def rows_of_runs(self) -> list[Int[np.ndarray, "own"]]:

@@ -100,7 +100,6 @@ class FilterRow(eqx.Module):
 def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterRow:
     """All rows of a data set, with what the actuators do in them."""
     flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
-    turning = jnp.any(dataset.known[:, np.array(_AHEAD) == 0])
     return FilterRow(
         with_heel(flow, flow.heel + dataset.heel),
         dataset.dt,
@@ -110,7 +109,7 @@ def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterR
         dataset.starts,
         dataset.first,
         {channel: _actuator_response(vessel, channel, dataset) for channel in vessel.channels},
-        jnp.broadcast_to(~turning, dataset.dt.shape),
+        ~dataset.shows_turning[dataset.run],
     )
 
 

@@ -1,5 +1,6 @@
 """A folder of tables of one run: every table a stream on its own rows, all on one clock."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +78,7 @@ def _stream(file: Path, topic: str, mapping: Mapping) -> Stream:
     clock = _clock(topic, mapping)
     names = sorted({*fields, clock.column})
     wanted = {name: Column(name) for name in names}
-    table, first_line = read_table(file, mapping.with_columns(wanted))
+    table, first_line = read_table(file, dataclasses.replace(mapping, channels=wanted))
     missing = [name for name in names if name not in table.columns]
     if missing:
         has = list_fields({topic: [str(name) for name in table.columns]})
