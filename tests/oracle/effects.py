@@ -182,8 +182,11 @@ def change_actuators(data: dict[str, list[dict]], name: str, values: dict) -> No
         for t in data["thruster"]:
             t[key] = t.get(key, 0.0) + values[parameter]
     elif name == "thrust-curve":
-        for t in data["thruster"]:
-            t["acts_as"] = values
+        curve = {key: values[key] for key in values.keys() - {"gain", "slope", "actuators"}}
+        for t in chosen(data, values.get("actuators")):
+            t["acts_as"] = curve
+            t["gain"] = t.get("gain", 1.0) * values.get("gain", 1.0)
+            t["loss_speed"] = t.get("loss_speed", 0.0) + values.get("slope", 0.0)
     elif name == "thrust-asymmetry":
         for t in data["thruster"]:
             side = (t["y"] > 0) - (t["y"] < 0)

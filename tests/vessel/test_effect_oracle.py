@@ -120,6 +120,8 @@ CASES = [
                               "limit": 140.0}),
     ("boat", "thrust-curve", {"deadband": 0.4, "exponent": 0.8, "astern_ratio": 0.5}),
     ("boat", "thrust-curve", {"limit": 5.0}),
+    ("twin", "thrust-curve", {"deadband": 12.0, "exponent": 1.3, "gain": 1.6, "slope": 0.2}),
+    ("twin", "thrust-curve", {"gain": 0.7, "slope": 0.1, "actuators": ["port"]}),
     ("twin", "thrust-asymmetry", {"ratio": 0.12}),
     ("twin", "thruster-misalignment", {"angle": 0.07}),
     ("twin", "thrust-loss-with-speed", {"slope": 0.08}),

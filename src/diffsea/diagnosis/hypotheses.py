@@ -271,7 +271,7 @@ def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
     out = np.tile(np.array(point.at, float), (len(step), 1))
     out[:, list(point.directions)] = step
     if point.secant:
-        out[:, 0] = point.at[0]
+        out[:] = point.at
     for place, one in enumerate(EFFECTS[point.effect].coordinates):
         if isinstance(one, Size) and one.positive:
             out[:, place] = np.maximum(out[:, place], 0.1)

@@ -239,11 +239,14 @@ class LinearisedModel:
         return [out[number] for number in range(len(points))]
 
     def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:
-        """Change of the innovations from `base` for each prior size; the prior's by its tangent."""
+        """Change of the innovations from `base` by prior size of the first amount that is not zero.
+
+        The prior's is by its tangent.
+        """
         change = innovations_at(self.problem, self.gains, self._coordinates_at([point])) - base
         prior, index = np.zeros(self.problem.layout.size), self._differentiated_index(point)
         prior[index] = 1 / self.problem.layout.spreads()[index]
-        return np.concatenate([change / point.at[0], prior])[:, None]
+        return np.concatenate([change / point.at[point.directions[0]], prior])[:, None]
 
     def _coordinates_at(self, points: list[ExpansionPoint]) -> Float[np.ndarray, "coordinate"]:
         """Coordinates with some effects at expansion points, each at the same one in every run."""
@@ -303,8 +306,10 @@ class Constancy(NamedTuple):
 def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
 
-    Its coefficients and its time are the same in all parts. Of the two tests, the one that speaks
-    more against one size. How the innovations depend on one another in time is taken from what is
+    Its coefficients and its time are the same in all parts, and of an effect that is several laws
+    in one their proportion: where a part has but one order, say, these would be bent anew until
+    they fit whatever else is missing there. Of the two tests, the one that speaks more against one
+    size. How the innovations depend on one another in time is taken from what is
     left with those sizes: with one size, what comes and goes would pass for coloured gusts.
 
     Arguments:
@@ -317,6 +322,9 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     J = nuisance[:, [owner == effect for owner in owners]]
     amounts = EFFECTS[effect].amounts
     sizes = J[:, np.tile(amounts, J.shape[1] // len(amounts))]
+    if EFFECTS[effect].parts:
+        found = fitted.coordinates[problem.layout.indices((effect,))]
+        sizes = (J @ found)[:, None]
     # All parts together are the effect but for its prior, which says nothing of constancy.
     own = np.array(J)
     own[: 6 * len(run)] = 0.0

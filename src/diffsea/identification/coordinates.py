@@ -213,7 +213,8 @@ class ExpansionPoint:
     """One point at which the residuals are expanded in an effect.
 
     `at` are its coordinates in noticeable sizes: amounts are zero, unless this is a `secant` from
-    the effect's absence to its size there. `directions` are the coordinates to differentiate by.
+    the effect's absence to its size there. `directions` are the coordinates to differentiate by; of
+    a secant, the first that is not zero there, by whose size its change is measured.
     """
 
     effect: str
@@ -253,5 +254,9 @@ def expansion_points(
         secants += itertools.product(*(one.secants for one in effect.sized))
     return [
         *(ExpansionPoint(effect.name, point, amounts) for point in tangents),
-        *(ExpansionPoint(effect.name, point, (0,), True) for point in secants),
+        *(
+            ExpansionPoint(effect.name, point, (int(np.flatnonzero(point)[0]),), True)
+            for point in dict.fromkeys(secants)
+            if any(point)
+        ),
     ]

@@ -154,7 +154,7 @@ def _largest(vessel: Vessel) -> Scalar:
 
 def _with_curve(vessel: Vessel, channels: Iterable[str], at: CoordinateValues) -> Vessel:
     """The vessel with one characteristic more on each of some channels, before its own law."""
-    most = _largest(vessel)
+    most, at = _largest(vessel), _possible_curve(at)
 
     def change(servo: Servo, actuator: AbstractActuator) -> Servo:
         turned = isinstance(actuator, AbstractThruster) and actuator.drive.reversed
@@ -164,8 +164,20 @@ def _with_curve(vessel: Vessel, channels: Iterable[str], at: CoordinateValues) -
     return change_servos(vessel, channels, change)
 
 
+def _possible_curve(at: CoordinateValues) -> CoordinateValues:
+    """Coordinates of a curve with neither dead band nor loss below zero.
+
+    Below, nothing changes any more: a fit that would go there ends with none, and the other numbers
+    as they are best then. At zero the derivative is that of what is possible.
+    """
+    at = jnp.asarray(at)
+    amounts = jnp.array([0, 3])
+    return at.at[amounts].set(jnp.where(at[amounts] < 0, 0.0, at[amounts]))
+
+
 def _curve_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     """Dead band, exponent, astern ratio and limit; the last as far as there is one."""
+    at = _possible_curve(at)
     # The derivative is that at the least loss: there a limit is hardly known, and its error wide.
     loss = at[3] + jax.lax.stop_gradient(jnp.maximum(at[3], LEAST_LOSS) - at[3])
     limit = limit_of_loss(loss, _largest(vessel))
@@ -181,35 +193,57 @@ def _curve_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     return numbers.get("deadband", 0.0), exponent - 1, ratio - 1, loss
 
 
+# Bent in several ways at once it looks like none of them alone: a dead band of a tenth of the
+# largest order, an exponent of 1.5 and a limit at 0.7 of it are tried in all combinations.
+_CURVE = (
+    Size(
+        "deadband",
+        ORDER_UNIT,
+        lambda v: 0.05 * _largest(v),
+        lambda v: (0.0, float(_largest(v))),
+        secants=(0.0, 2.0),
+    ),
+    Size("exponent - 1", "1", 0.2, (LEAST_EXPONENT - 1, math.inf), secants=(0.0, 2.5)),
+    Size("astern_ratio - 1", "1", 0.2, ALL_LOST_AT_MOST, secants=(0.0,)),
+    Size("loss at the largest order", "1", 0.3, (0.0, math.inf), secants=(0.0, 1.4)),
+)
+_CURVE_UNITS = {"deadband": ORDER_UNIT, "exponent": "1", "astern_ratio": "1", "limit": ORDER_UNIT}
+_CURVE_WORDS = (
+    "a thrust with a dead band of {deadband}, that goes with the order to the power of "
+    "{exponent} and is {astern_ratio} times as strong astern"
+)
+
+
 def _read_curve(vessel: Vessel, table: Table, variants: Sequence[Effect], where: str) -> Vessel:
     """The curve on the propulsors that a table names, on all of them where it names none."""
-    (effect,) = variants
-    check_keys(table, ("name", "actuators", *effect.units), where)
-    values = numbers(table, effect.units, where)
+    curve, law = variants
+    check_keys(table, ("name", "actuators", *law.units), where)
+    values = numbers(table, law.units, where)
     for key, value in values.items():
-        if value < 0 or (value == 0 and key in ("exponent", "limit")):
+        if value < 0 or (value == 0 and key in ("exponent", "limit", "gain")):
             raise UserError(f"{where}: {key} = {value:g} must be positive")
     channels = chosen_channels(vessel, table, where) & set(PROPULSION.all_on(vessel))
     if not channels:
         raise UserError(f"{where}: none of its actuators drives the vessel ahead")
-    return _with_curve(vessel, channels, np.asarray(effect.encode(vessel, values)))
+    for loss, amount in (
+        ("asymmetry", values.get("gain", 1.0) - 1),
+        ("with_speed", values.get("slope", 0.0)),
+    ):
+
+        def on_chosen(part: AbstractPropulsor, amount: float = amount) -> float:
+            return amount if channels & set(part.servos) else 0.0
+
+        vessel = _add_loss(vessel, loss, on_chosen)
+    return _with_curve(vessel, channels, np.asarray(curve.encode(vessel, values)))
 
 
 @thrust_effect(
     "thrust-curve",
-    Size("deadband", ORDER_UNIT, lambda v: 0.05 * _largest(v), lambda v: (0.0, float(_largest(v)))),
-    Size("exponent - 1", "1", 0.2, (LEAST_EXPONENT - 1, math.inf)),
-    Size("astern_ratio - 1", "1", 0.2, ALL_LOST_AT_MOST),
-    Size("loss at the largest order", "1", 0.3, (0.0, math.inf)),
-    phrase="a thrust with a dead band of {deadband}, that goes with the order to the power of "
-    "{exponent} and is {astern_ratio} times as strong astern",
+    *_CURVE,
+    phrase=_CURVE_WORDS,
     confusables=("deadband", "thrust-saturation", "thrust-loss-with-speed", "thrust-asymmetry"),
     possible=lambda vessel: bool(vessel.propulsors),
-    parametrisation=Parametrisation(
-        {"deadband": ORDER_UNIT, "exponent": "1", "astern_ratio": "1", "limit": ORDER_UNIT},
-        _curve_parameters,
-        _curve_coordinates,
-    ),
+    parametrisation=Parametrisation(_CURVE_UNITS, _curve_parameters, _curve_coordinates),
     place=PROPULSION,
     read=_read_curve,
     parts=("deadband", "thrust-saturation"),
@@ -220,6 +254,43 @@ def thrust_curve(vessel: Vessel, at: CoordinateValues) -> Vessel:
     p, n_3 = N sgn(n_2) (|n_2| / N)^p; a ratio a, n' = a n_3 astern and n_3 ahead.
     """
     return _with_curve(vessel, PROPULSION.all_on(vessel), at)
+
+
+def _law_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
+    """Those of the curve, and what the law has besides."""
+    return _curve_parameters(vessel, at) | {"gain": 1 + at[4], "slope": at[5]}
+
+
+def _law_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
+    besides = numbers.get("gain", 1.0) - 1, numbers.get("slope", 0.0)
+    return *_curve_coordinates(vessel, numbers), *besides
+
+
+@thrust_effect(
+    "thrust-curve:law",
+    # Tried together as well, with fewer combinations of what the curve alone is tried with.
+    dataclasses.replace(_CURVE[0], secants=(2.0,)),
+    dataclasses.replace(_CURVE[1], secants=(0.0,)),
+    *_CURVE[2:],
+    Size("gain - 1", "1", 0.2, ALL_LOST_AT_MOST, secants=(0.0, 2.5)),
+    dataclasses.replace(thrust_loss_with_speed.leading, secants=(0.0, 2.0)),
+    phrase=f"{_CURVE_WORDS}; {{gain}} times what is stated, and {{slope:%}} "
+    "{slope:less|more} for every m/s of speed",
+    confusables=(*thrust_curve.confusables, "quadratic-damping", "mass-change", "drag-change"),
+    possible=thrust_loss_with_speed.possible,
+    parametrisation=Parametrisation(
+        _CURVE_UNITS | {"gain": "1", "slope": "s/m"}, _law_parameters, _law_coordinates
+    ),
+    place=PROPULSION,
+    read=_read_curve,
+    parts=(*thrust_curve.parts, "thrust-curve", "thrust-loss-with-speed"),
+)
+def thrust_law(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """The thrust curve times gain (1 - slope u_r): a law stated in advance is off in its scale
+    as well, and one measured at a bollard says nothing of the speed of advance.
+    """
+    vessel = _add_loss(vessel, "asymmetry", lambda part: at[4])
+    return thrust_loss_with_speed.apply(thrust_curve.apply(vessel, at[:4]), at[5:])
 
 
 def _lacks(kind: type[AbstractActuator]) -> Callable[[Vessel, Numbers], str]:
@@ -307,6 +378,7 @@ THRUST = (
     thrust_loss_in_turns,
     thrust_change,
     thrust_curve,
+    thrust_law,
     propeller_side_force,
     rudder_interaction,
 )
