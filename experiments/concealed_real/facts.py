@@ -107,9 +107,9 @@ FACTS: dict[str, Fact] = {
         any_of("dead band 0.1 to 0.2 of full",
                within("", ("thrust-curve",), "deadband", 2.0, 4.0),
                within("", ("deadband",), "width", 2.0, 4.0)),
-        # 20 N of thrust, or orders that count no further than 0.7 of full, 14 N.
+        # Orders that count no further than 0.7 of full, 14 N.
         any_of("no gain above 0.7",
-               within("", ("thrust-curve",), "limit", 17.0, 23.0),
+               within("", ("thrust-curve",), "limit", 12.0, 16.0),
                within("", ("thrust-saturation",), "limit", 12.0, 16.0)),
         within("dead time 1.0 to 1.25 s", _DELAY, "delay", 1.0, 1.25),
         Check("thrust within 20 % of the bollard curve ahead", measured.thrust_is_measured),

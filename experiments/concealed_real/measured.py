@@ -14,26 +14,26 @@ DEGREE = math.pi / 180
 
 
 def thrust_of(document: Document, order: float) -> float:
-    """Thrust (N) of Kingfisher's port thruster ahead at an order in N, after a diagnosis.
+    """Thrust (N) at rest of Kingfisher's port thruster at an order ahead in N, after a diagnosis.
 
-    By `full_thrust ((order - deadband) / (full order - deadband))^exponent`, up to the limit.
+    By the laws that the catalogue of effects states.
     """
     part = next(p for p in document["thruster"] if p["name"] == "port")
-    curve = {"deadband": part.get("deadband", 0.0), "exponent": 1.0, "limit": part["max_force"]}
-    curve |= part.get("thrust_curve", {})
+    acting = max(order - part.get("deadband", 0.0), 0.0)
+    gain, full = 1.0, part["max_force"]
     for effect in document.get("effect", []):
         if "port" not in effect.get("actuators", ["port"]):
             continue
-        if effect["name"] == "thrust-curve":
-            curve |= effect
-        elif effect["name"] == "deadband":
-            curve["deadband"] += effect["width"]
+        if effect["name"] == "deadband":
+            acting = max(acting - effect["width"], 0.0)
         elif effect["name"] == "thrust-saturation":
-            curve["limit"] = min(curve["limit"], effect["limit"])
-    reach = logs.AHEAD - curve["deadband"]
-    beyond = max(order - curve["deadband"], 0.0)
-    full = curve.get("full_thrust", reach if curve["exponent"] == 1.0 else logs.AHEAD)
-    return float(min(full * (beyond / reach) ** curve["exponent"], curve["limit"]))
+            acting = min(acting, effect["limit"])
+        elif effect["name"] == "thrust-curve":
+            acting *= (1 + (acting / effect.get("limit", math.inf)) ** 8) ** (-1 / 8)
+            acting = max(acting - effect.get("deadband", 0.0), 0.0)
+            acting = full * (acting / full) ** effect.get("exponent", 1.0)
+            gain *= effect.get("gain", 1.0)
+    return gain * acting
 
 
 def thrust_is_measured(line: Line) -> bool:
