@@ -21,7 +21,12 @@ HARD_OVER = math.radians(35)  # rudder-equivalent angle at which one side gives 
 EXECUTES = 12  # more than any boat has in a minute
 PARAMETERS = (*HULL, "thrust", "time_constant", "speed")
 
+BATCH = 4096
+STRAY = 1e-3  # share of boats that may flip at another sample: a heading lies next to its limit
+AGREEMENT = 1e-5  # rad and s, in 64 bits, between methods that answer the lag differently
+
 Rows = Float[np.ndarray, "parameter boat"]
+Ends = tuple[Float[np.ndarray, "boat"], Float[np.ndarray, "boat execute"]]  # last psi, switches
 
 
 def document() -> dict[str, Any]:
@@ -51,3 +56,29 @@ def draw(count: int, seed: int = 0) -> Rows:
     linear, square = -named["X_u"], -named["X_uu"]
     speed = (np.sqrt(linear**2 + 8 * square * named["thrust"]) - linear) / (2 * square)
     return np.vstack([rows, speed])
+
+
+def located_difference(ours: Ends, theirs: Ends) -> float:
+    """The largest difference of last headings (rad) and of times of located switches (s).
+
+    Raises:
+        AssertionError: a boat has not as many switches in both.
+    """
+    assert np.array_equal(np.isfinite(ours[1]), np.isfinite(theirs[1])), "other switches"
+    return max(np.abs(ours[0] - theirs[0]).max(), np.nanmax(np.abs(ours[1] - theirs[1])))
+
+
+def sampled_difference(ours: Ends, theirs: Ends) -> float:
+    """The largest difference of last headings (rad) where boats flip at the same samples.
+
+    Raises:
+        AssertionError: more than one boat in a thousand flips at others.
+    """
+    same = np.isclose(ours[1], theirs[1], rtol=0, atol=0.1 * STEP, equal_nan=True).all(1)
+    assert same.mean() >= 1 - STRAY, f"{(~same).sum()} boats flip at other samples"
+    return np.abs(ours[0] - theirs[0])[same].max()
+
+
+def agree(peer: str, off: float, tolerance: float = AGREEMENT) -> None:
+    """Raise `AssertionError` where library and peer differ by more than the tolerance."""
+    assert off < tolerance, f"library and {peer} differ by {off:g}"

@@ -4,7 +4,6 @@ python -m benchmarks.engine            # a part of `python -m benchmarks.run eng
 python -m benchmarks.engine float      # in 32 bits, which a process of its own is for
 """
 
-import concurrent.futures
 import json
 import os
 import subprocess
@@ -12,20 +11,19 @@ import sys
 import time
 from collections.abc import Callable
 
-from benchmarks import boats
-from benchmarks.record import Figure, in_turns, seconds
+from benchmarks import boats, peers
+from benchmarks.boats import AGREEMENT, BATCH, agree
+from benchmarks.record import UNIT, Figure, in_turns, seconds
 from benchmarks.reference.c_boats import CBoats
 
 import numpy as np
 
 
-BATCH, LANES = 4096, 64
-AGREEMENT = 1e-5  # rad and s between library and C, which takes a lag's exponential at the nodes
-UNIT = "vessel-steps/s"
+AGREEMENTS = {"double": AGREEMENT, "float": 1e-3}  # rad and s, of library and C
 
 
 def measure() -> list[Figure]:
-    """Both precisions, one vessel, and compiling."""
+    """Both precisions and ways of switching, peers, one vessel, and compiling."""
     import diffsea
 
     diffsea.prepare_jax()
@@ -35,7 +33,14 @@ def measure() -> list[Figure]:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     figures = [Figure(**one) for one in json.loads(narrow.stdout.splitlines()[-1])]
-    return [batch("engine-float64", "double"), *figures, *one_vessel(), core_peak()]
+    wide = [batch(*one) for one in batches("double")]
+    return [*wide, *figures, *peers.measure(), *one_vessel(), core_peak()]
+
+
+def batches(kind: str) -> list[tuple[str, str, bool]]:
+    """Name, kind of number and way of switching of the figures in one precision."""
+    name = {"double": "engine-float64", "float": "engine-float32"}[kind]
+    return [(name, kind, True), (f"{name}-flip", kind, False)]
 
 
 def core_peak() -> Figure:
@@ -51,44 +56,24 @@ def _flags() -> dict[str, str]:
     return {"XLA_FLAGS": XLA_FLAGS}
 
 
-def batch(name: str, kind: str) -> Figure:
-    """A batch in blocks of lanes by every core; checked against C.
+def batch(name: str, kind: str, located: bool = True) -> Figure:
+    """A batch in blocks of lanes by every core, in numbers of C's `double` or `float`.
 
     Raises:
         AssertionError: library and C do not agree.
     """
-    from benchmarks.lanes import zigzags
-
-    import jax
-    import jax.numpy as jnp
+    from benchmarks.lanes import in_blocks, sampled_zigzag_ends, zigzag_ends
 
     rows, reference = boats.draw(BATCH), CBoats(kind)
-    run = zigzags()
-
-    def end(row: jax.Array) -> tuple:
-        carry = run(row)
-        return carry.motion.state, carry.switch_times
-
-    program = jax.jit(jax.vmap(end))
-    blocks = jnp.split(jnp.asarray(rows.T), BATCH // LANES)
-
-    def ours() -> list:
-        with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda block: jax.block_until_ready(program(block)), blocks))
-
-    found, told = ours(), reference.run(rows)
-    psi = np.concatenate([np.asarray(state.psi) for state, _ in found])
-    off = np.abs(psi - told.final[2]).max()
-    if kind == "double":
-        switches = np.concatenate([np.asarray(times) for _, times in found])
-        assert np.array_equal(np.isfinite(switches), np.isfinite(told.switches))
-        off = max(off, np.nanmax(np.abs(switches - told.switches)))
-    assert off < (AGREEMENT if kind == "double" else 0.05), f"library and C differ by {off:g}"
-    mine, c = in_turns(ours, lambda: reference.run(rows))
+    ours = in_blocks(zigzag_ends() if located else sampled_zigzag_ends(), rows)
+    told = reference.run(rows, located)
+    ends = told.final[2], told.switches
+    difference = boats.located_difference if located else boats.sampled_difference
+    agree("C", difference(ours(), ends), AGREEMENTS[kind])
+    mine, c = in_turns(ours, lambda: reference.run(rows, located))
     steps = BATCH * boats.STEPS
-    return Figure(
-        name, UNIT, [steps / s for s in mine], [steps / s for s in c], f"C, {kind}, every core"
-    )
+    against = f"C, {kind}, every core" + ("" if located else ", flip at the sample")
+    return Figure(name, UNIT, [steps / s for s in mine], [steps / s for s in c], against)
 
 
 def one_vessel() -> list[Figure]:
@@ -113,7 +98,7 @@ def one_vessel() -> list[Figure]:
     compiling = Figure("compile-trial", "s", ours, by_it, "JAX by hand")
     programs = [compiled(one)[0] for one in (mine, other)]
     a, b = (np.asarray(program(row)) for program in programs)
-    assert np.nanmax(np.abs(a - b)) < AGREEMENT
+    agree("JAX by hand", float(np.nanmax(np.abs(a - b))))
     many = 20
     repeated = [lambda p=p: [jax.block_until_ready(p(row)) for _ in range(many)] for p in programs]
     ours, by_it = in_turns(repeated[0], repeated[1])
@@ -126,7 +111,7 @@ def one_vessel() -> list[Figure]:
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["float"]:
-        print(json.dumps([vars(batch("engine-float32", "float"))]))
+        print(json.dumps([vars(batch(*one)) for one in batches("float")]))
     else:
         from benchmarks.record import keep
 

@@ -9,14 +9,19 @@ import statistics
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 
 HERE = Path(__file__).resolve().parent
 RESULTS, README = HERE / "results.json", HERE / "README.md"
+UNIT = "vessel-steps/s"
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
-PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy")
+PACKAGES = (
+    "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy", "casadi", "numba", "diffrax",
+    "shipmmg",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +133,7 @@ def machine() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "system": platform.system(),
         "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {name: version(name) for name in PACKAGES if find_spec(name)},
     }
 
 

@@ -1,7 +1,8 @@
 """A sweep of designs through a whole trial, beside the engine alone on the same boats."""
 
 from benchmarks import boats
-from benchmarks.engine import BATCH, batch
+from benchmarks.boats import BATCH
+from benchmarks.engine import batch
 from benchmarks.record import Figure
 
 

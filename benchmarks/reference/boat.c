@@ -1,5 +1,6 @@
-/* Zig-zags of many twin-thruster boats, every switch located inside its step: the reference of the
- * part `engine`. Compiled twice, with REAL as double and as float.
+/* Zig-zags of many twin-thruster boats, every switch located inside its step or made at the first
+ * sample beyond the check heading: the reference of the part `engine`. Compiled twice, with REAL as
+ * double and as float.
  *
  * Boats lie side by side in blocks of LANES, each number in an array of its own, so that a step of a
  * block is vector instructions throughout; blocks are shared out among threads. What switches within
@@ -161,8 +162,8 @@ static REAL switching_step(Boat b, State *s, REAL *side, REAL angle, REAL check,
     return to;
 }
 
-static void block(const Boats *boats, long steps, REAL dt, REAL angle, REAL check, long most,
-                  States *now, REAL *switches)
+static void block(const Boats *boats, int located, long steps, REAL dt, REAL angle, REAL check,
+                  long most, States *now, REAL *switches)
 {
     REAL side[LANES], half[LANES], whole[LANES];
     int count[LANES];
@@ -187,6 +188,11 @@ static void block(const Boats *boats, long steps, REAL dt, REAL angle, REAL chec
         if (passed)
             for (int i = 0; i < LANES; i++)
                 if (side[i] * next.s[PSI][i] >= check && count[i] < most) {
+                    if (!located) {
+                        side[i] = -side[i];
+                        switches[i * most + count[i]++] = (n + 1) * dt;
+                        continue;
+                    }
                     State s = state_of(now, i);
                     REAL to = switching_step(boat_of(boats, i), &s, &side[i], angle, check, dt);
                     switches[i * most + count[i]++] = n * dt + to;
@@ -196,10 +202,10 @@ static void block(const Boats *boats, long steps, REAL dt, REAL angle, REAL chec
     }
 }
 
-/* parameters: [PARAMETERS][boats], boats a multiple of LANES; final: [STATES][boats];
- * switches: [boats][most], s, untouched where there is none. */
-void zigzags(const REAL *parameters, long boats, long steps, REAL dt, REAL angle, REAL check, long most,
-             REAL *final, REAL *switches)
+/* parameters: [PARAMETERS][boats], boats a multiple of LANES; located: whether switches are;
+ * final: [STATES][boats]; switches: [boats][most], s, untouched where there is none. */
+void zigzags(const REAL *parameters, long boats, int located, long steps, REAL dt, REAL angle,
+             REAL check, long most, REAL *final, REAL *switches)
 {
 #pragma omp parallel for schedule(dynamic)
     for (long first = 0; first < boats; first += LANES) {
@@ -219,7 +225,7 @@ void zigzags(const REAL *parameters, long boats, long steps, REAL dt, REAL angle
             now.s[U][i] = some.p[SPEED][i];
             now.s[PORT][i] = now.s[STARBOARD][i] = some.p[THRUST][i];
         }
-        block(&some, steps, dt, angle, check, most, &now, switches + first * most);
+        block(&some, located, steps, dt, angle, check, most, &now, switches + first * most);
         for (int j = 0; j < STATES; j++)
             for (int i = 0; i < LANES; i++) final[j * boats + first + i] = now.s[j][i];
     }

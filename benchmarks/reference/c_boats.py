@@ -44,15 +44,18 @@ class CBoats:
         self.library.multiply_adds.restype = ctypes.c_double
         self.number, self.c_number = KINDS[kind]
 
-    def run(self, rows: boats.Rows) -> CResult:
-        """The zig-zags of boats, whose number is a multiple of `LANES`, by every core."""
+    def run(self, rows: boats.Rows, located: bool = True) -> CResult:
+        """The zig-zags of boats, whose number is a multiple of `LANES`, by every core.
+
+        A switch is located inside its step, or made at the first sample beyond the check heading.
+        """
         numbers = np.ascontiguousarray(rows, dtype=self.number)
         count = numbers.shape[1]
         final = np.zeros((STATES, count), self.number)
         switches = np.full((count, boats.EXECUTES), np.nan, self.number)
         at = lambda array: array.ctypes.data_as(ctypes.c_void_p)
         self.library.zigzags(
-            at(numbers), ctypes.c_long(count), ctypes.c_long(boats.STEPS),
+            at(numbers), ctypes.c_long(count), ctypes.c_int(located), ctypes.c_long(boats.STEPS),
             *(self.c_number(number) for number in (boats.STEP, boats.ANGLE, boats.CHECK)),
             ctypes.c_long(boats.EXECUTES), at(final), at(switches),
         )  # fmt: skip
