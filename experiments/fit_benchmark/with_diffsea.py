@@ -1,5 +1,7 @@
 """The library's contestants: its free-run fit, one shot over its simulator, its likelihood.
 
+Beside them optimistix as it comes, over the library's simulator.
+
 Reading the vessel's file and setting up the problem count as part of a fit.
 """
 
@@ -84,6 +86,32 @@ def one_shot(data: Data) -> Outcome:
     z = np.asarray(z)
     first = data.measured[:, 0] + SIGMA * z[len(NAMES) :].reshape(-1, 6)
     return Outcome(decoded(problem, z[: len(NAMES)]), first, int(steps), int(steps))
+
+
+def optimistix_alone(data: Data) -> Outcome:
+    """The common cost from the simulator to optimistix, which differentiates it by itself."""
+    problem = problem_of(data)
+    given = problem.base, problem.dataset, jnp.asarray(data.measured[:, 0])
+    begin = jnp.zeros(len(NAMES) + data.measured[:, 0].size)
+    z, steps = _descended_alone(begin, given, problem.layout)
+    z = np.asarray(z)
+    first = data.measured[:, 0] + SIGMA * z[len(NAMES) :].reshape(-1, 6)
+    return Outcome(decoded(problem, z[: len(NAMES)]), first, int(steps), int(steps))
+
+
+@eqx.filter_jit
+def _descended_alone(
+    begin: jax.Array, given: tuple, layout: CoordinateLayout
+) -> tuple[jax.Array, jax.Array]:
+    """Where its Levenberg-Marquardt ends with its defaults, and after how many steps."""
+
+    def residual(z: jax.Array, given: tuple) -> jax.Array:
+        at = z[: len(NAMES)], given[2] + SIGMA * z[len(NAMES) :].reshape(-1, 6)
+        return _misfits(at, given, layout).ravel()
+
+    solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
+    found = optx.least_squares(residual, solver, begin, given, max_steps=STEPS, throw=False)
+    return found.value, found.stats["num_steps"]
 
 
 def _misfits(at: tuple, given: tuple, layout: CoordinateLayout) -> jax.Array:
