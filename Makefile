@@ -42,7 +42,8 @@ proof: setup
 	$(BIN)/python -m experiments.concealed_real.run
 	$(BIN)/python -m experiments.concealed_real.score
 
-# Speeds beside what the machine can do; BENCH=engine|jacobian|fit|diagnosis|sweep|startup for a part.
+# Speeds beside what the machine can do; BENCH=engine|jacobian|fit|diagnosis|sweep|startup|growth
+# for a part.
 bench: setup
 	$(BIN)/python -m benchmarks.run $(BENCH)
 

@@ -32,6 +32,7 @@ class Figure:
         samples: ours, in `unit`; a speed where that is "per s", else a time.
         reference: samples of the reference, taken in turns with ours; none without one.
         against: what the reference is, in words.
+        more: what else results.json is to have of it.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Figure:
     samples: list[float]
     reference: list[float] = dataclasses.field(default_factory=list)
     against: str = ""
+    more: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def ratio(self) -> float | None:
@@ -63,6 +65,7 @@ class Figure:
             "samples": self.samples,
             "reference_samples": self.reference,
             "against": self.against,
+            **self.more,
         }
 
 
@@ -119,6 +122,8 @@ def table(record: dict[str, Any]) -> str:
     for one in record["figures"]:
         spread = f"{min(one['samples']):.3g} to {max(one['samples']):.3g}"
         beside = "-" if one["reference"] is None else f"{one['reference']:.3g}, {one['against']}"
+        if "interval" in one:
+            beside = "95 %: {:.2f} to {:.2f}".format(*one["interval"])
         ratio = "-" if one["ratio"] is None else f"{one['ratio']:.2f}"
         lines.append(
             f"| {one['name']} | {one['value']:.3g} {one['unit']} | {spread} | {beside} | {ratio} |"

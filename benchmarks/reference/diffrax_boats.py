@@ -4,7 +4,7 @@ diffrax has no classical Runge-Kutta method; its tableau is given. Thrusts answe
 differential equation, as one would write it there.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from benchmarks import boats
 
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractERK, ButcherTableau, ODETerm
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 
 TABLEAU = ButcherTableau(
@@ -35,7 +35,7 @@ class ClassicalRungeKutta(AbstractERK):
         return 4
 
 
-def _rate(t: Array, s: tuple, args: tuple) -> tuple:
+def _rate(t: Any, s: PyTree, args: PyTree) -> tuple:
     """Derivatives of x, y, psi, u, v, r and both thrusts, under ordered thrusts."""
     p, to_port, to_starboard = args
     mass, I_z, X_udot, Y_vdot, N_rdot, X_u, X_uu, Y_v, N_r, N_rr, _, lag, _ = p
