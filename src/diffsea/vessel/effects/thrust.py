@@ -145,6 +145,7 @@ def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
 
 PROPULSION = OrderedChannels("propulsion")
 LEAST_EXPONENT = 0.1  # of a thrust curve: below, every order is full ahead or full astern
+LEAST_GAIN = 0.1  # of the thrust that a file states: less is another thruster
 LEAST_LOSS = 1e-3  # at the largest order: a limit that takes less is reported as one that takes it
 
 
@@ -272,7 +273,7 @@ def _law_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
     dataclasses.replace(_CURVE[0], secants=(2.0,)),
     dataclasses.replace(_CURVE[1], secants=(0.0,)),
     *_CURVE[2:],
-    Size("gain - 1", "1", 0.2, ALL_LOST_AT_MOST, secants=(0.0, 2.5)),
+    Size("gain - 1", "1", 0.2, (LEAST_GAIN - 1, math.inf), secants=(0.0, 2.5)),
     dataclasses.replace(thrust_loss_with_speed.leading, secants=(0.0, 2.0)),
     phrase=f"{_CURVE_WORDS}; {{gain}} times what is stated, and {{slope:%}} "
     "{slope:less|more} for every m/s of speed",
