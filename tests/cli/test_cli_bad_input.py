@@ -23,9 +23,10 @@ COMMANDS = {
     "fit": lambda vessel, recording: [vessel, recording],
     "diagnose": lambda vessel, recording: [vessel, recording],
     "segment": lambda vessel, recording: [recording],
+    "export": lambda vessel, recording: [vessel, "--to", "mss"],
 }
 OF_TRIALS = ("trial", "sensitivity", "sweep")
-OF_VESSELS = ("trial", "sensitivity", "sweep", "predict", "fit", "diagnose")
+OF_VESSELS = ("trial", "sensitivity", "sweep", "predict", "fit", "diagnose", "export")
 OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "segment")
 OF_ORDERS = ("predict", "fit", "diagnose")
 

@@ -14,6 +14,7 @@ examples:
   diffsea diagnose usv.toml run*.csv
   diffsea sensitivity kvlcc2 --manoeuvre zigzag
   diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
+  diffsea export otter --to mss
 
 diffsea COMMAND --help tells more. Exit status: 0 done, 1 the work failed (the message says
 what to do), 2 bad usage.
@@ -37,7 +38,9 @@ from diffsea.runtime import prepare_jax
 
 
 # Modules with a `register(commands)`; the order is that of the help.
-COMMAND_MODULES = ("trial", "recordings", "identification", "studies", "segments", "vessels")
+COMMAND_MODULES = (
+    "trial", "recordings", "identification", "studies", "segments", "export", "vessels",
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
