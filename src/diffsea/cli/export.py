@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def register(commands: options.Commands) -> None:
     """Add the command."""
-    text = "a vessel for FMI or MATLAB"
+    text = "a vessel for Gazebo, FMI or MATLAB"
     parser = options.add_command(commands, "export", export_command, text)
     options.add_vessel(parser)
     targets = options.one_of(tuple(_WRITERS), "target")
@@ -25,6 +25,7 @@ def register(commands: options.Commands) -> None:
 def export_command(args: argparse.Namespace) -> None:
     """Write a vessel as another tool's file.
 
+    gazebo a model (SDF) with mass, added mass, Hydrodynamics and Thruster systems
     fmu    a unit for co-simulation by FMI 3.0 (needs the extra `fmu`), which runs without diffsea
     mss    a MATLAB function as in Fossen's Marine Systems Simulator, which GNU Octave runs too
 
@@ -44,6 +45,18 @@ def export_command(args: argparse.Namespace) -> None:
         print(json_text(head | found))
     else:
         out.present(args, f"{vessel.name} for {args.to}")
+
+
+def _write_gazebo(vessel: "Vessel", args: argparse.Namespace, out: Outputs) -> dict[str, Any]:
+    from diffsea.exports.equations import equations_of, require_nothing_lost
+    from diffsea.exports.fmu import identifier
+    from diffsea.exports.gazebo import gazebo_losses, gazebo_model
+
+    equations = equations_of(vessel)
+    losses = gazebo_losses(equations)
+    require_nothing_lost(losses, args.to, args.allow_loss)
+    out.text(f"{identifier(equations.name)}.sdf", gazebo_model(equations, losses))
+    return {"left_out": losses}
 
 
 def _write_fmu(vessel: "Vessel", args: argparse.Namespace, out: Outputs) -> dict[str, Any]:
@@ -68,4 +81,4 @@ def _write_mss(vessel: "Vessel", args: argparse.Namespace, out: Outputs) -> dict
     return {"left_out": losses}
 
 
-_WRITERS = {"fmu": _write_fmu, "mss": _write_mss}
+_WRITERS = {"gazebo": _write_gazebo, "fmu": _write_fmu, "mss": _write_mss}
