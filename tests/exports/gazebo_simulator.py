@@ -44,7 +44,7 @@ class GazeboModel:
         M = np.array([[mass, 0, -mass * y], [0, mass, mass * x], [-mass * y, mass * x, about]])
         added = body.find("fluid_added_mass")
         if added is not None:
-            value = lambda name: float(added.findtext(name, "0"))
+            value = lambda name, of=added: float(of.findtext(name, "0"))
             M += np.array([[value("xx"), value("xy"), value("xr")],
                            [value("xy"), value("yy"), value("yr")],
                            [value("xr"), value("yr"), value("rr")]])  # fmt: skip
@@ -71,7 +71,7 @@ class GazeboModel:
             joint = system.findtext("joint_name")
             child = self.joints[joint].findtext("child")
             assert self.joints[joint].findtext("axis/xyz") == "1 0 0"
-            value = lambda name, default, of=system: float(of.findtext(name, default))
+            value = lambda name, default, of=system: float(of.findtext(name) or default)
             order = min(commands[joint], value("max_thrust_cmd", "1000"))
             order = max(order, value("min_thrust_cmd", "-1000"))
             if system.findtext("use_angvel_cmd") == "true":
