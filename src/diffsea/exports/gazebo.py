@@ -25,7 +25,7 @@ from diffsea.exports.fmu import identifier
 
 
 BASE = "base_link"
-_PROPELLER_SHARE = 1e-3  # of the mass: Gazebo needs some at each thruster's joint
+PROPELLER_SHARE = 1e-3  # of the mass: Gazebo needs some at each thruster's joint
 _UNLIMITED = 1e12  # N or rad/s: Gazebo's own default is 1000
 
 _Coefficients = dict[str, float]  # by the name of an element of the Hydrodynamics system
@@ -161,7 +161,7 @@ class _Body:
 
 
 def _propeller_body(part: dict[str, Any], equations: Equations) -> _Body:
-    mass = _PROPELLER_SHARE * equations.body["mass"]
+    mass = PROPELLER_SHARE * equations.body["mass"]
     radius = 0.02 * equations.body["length"]
     return _Body(mass, part["x"], -part["y"], 0.4 * mass * radius**2)
 

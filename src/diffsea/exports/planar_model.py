@@ -11,7 +11,7 @@ import math
 
 
 STATES = ("x", "y", "psi", "u", "v", "r")
-_LONGEST_STEP = 0.05  # s of the integrator's own, far below any vessel's time constants
+LONGEST_STEP = 0.05  # s of the integrator's own, far below any vessel's time constants
 _SMALL = 1e-12  # m^2/s^2, keeps square roots and angles defined at rest
 _SMALLEST_SHARE = 1e-6  # of full order: power laws are linear below
 
@@ -43,7 +43,7 @@ class PlanarVessel:
         takes_effect = (given + delay for given in self._times[1:] for delay in delays)
         breaks = [t, *sorted(at for at in takes_effect if t < at < end), end]
         for begin, until in itertools.pairwise(breaks):
-            steps = max(1, math.ceil((until - begin) / _LONGEST_STEP))
+            steps = max(1, math.ceil((until - begin) / LONGEST_STEP))
             for _ in range(steps):
                 self._step(begin, (until - begin) / steps, current)
         oldest = end - max(delays, default=0.0)
