@@ -147,3 +147,15 @@ def test_a_prime_set_is_refused_whatever_is_allowed(capsys, tmp_path):
     assert main(words) == 1
     assert "non-dimensional hull" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("mass, added, settles", [(15.0, 24.0, False), (15.0, 9.0, True)])
+def test_added_mass_as_a_force_of_the_step_before_diverges_where_it_exceeds_mass(
+    mass, added, settles
+):
+    """What the page says of Gazebo's own, `m a_k = F - A (v_k - v_(k-1)) / dt`."""
+    velocity, before, step = 0.0, 0.0, 0.001
+    for _ in range(200):
+        change = (10.0 - 20.0 * velocity - added * (velocity - before) / step) / mass * step
+        velocity, before = velocity + change, velocity
+    assert (abs(velocity) < 1.0) == settles
