@@ -213,11 +213,22 @@ def read_priors(path: str | Path, known: Mapping[str, Parameter]) -> dict[str, P
         raise UserError(f"cannot read priors from {path}: {error}") from error
     if document.pop("format", 1) != 1:
         raise UserError(f"{path}: this version reads format = 1")
-    return {name: _prior_of(path, name, entry, known) for name, entry in document.items()}
+    return priors_of_tables(document, known, str(path))
+
+
+def priors_of_tables(
+    tables: Mapping[str, object], known: Mapping[str, Parameter], where: str
+) -> dict[str, Parameter | None]:
+    """Priors from tables by name, with the keys of `read_priors`.
+
+    Raises:
+        UserError: an unknown name or key, a value out of bounds; the message begins with `where`.
+    """
+    return {name: _prior_of(where, name, entry, known) for name, entry in tables.items()}
 
 
 def _prior_of(
-    path: str | Path, name: str, entry: object, known: Mapping[str, Parameter]
+    path: str, name: str, entry: object, known: Mapping[str, Parameter]
 ) -> Parameter | None:
     if name not in known:
         raise UserError(f"{path}: the vessel has no parameter {name!r}{nearest(name, known)}")
@@ -259,6 +270,8 @@ def parameter_unit(name: str, nondimensional: bool = False) -> str:
         return "1"
     if name in _UNITS:
         return _UNITS[name]
+    if name.endswith(".full_thrust"):
+        return "N"
     match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
     if match is None:
         return ""

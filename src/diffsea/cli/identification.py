@@ -15,7 +15,9 @@ from diffsea.errors import UserError
 
 if TYPE_CHECKING:
     from diffsea.identification.study import Study
+    from diffsea.parameters import Parameter
     from diffsea.trajectory import Trajectory
+    from diffsea.vessel.files import VesselFile
     from diffsea.workflows.identification import FitResult
 
 
@@ -31,10 +33,6 @@ def register(commands: options.Commands) -> None:
     objectives = options.LibraryNames("objective", "diffsea.identification.study:OBJECTIVES")
     objective = "%(choices)s (default: innovation; trial-numbers for a sheet)"
     add_option(fit, "--objective", "O", objectives, objective, choices=objectives)
-    priors = "TOML file of starts, prior widths and bounds by parameter"
-    add_option(fit, "--priors", "FILE", pathlib.Path, priors)
-    anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
-    add_choice(fit, "--anchor", ANCHORS, anchor)
     starts = "starts drawn from the priors, explored at once"
     add_option(fit, "--starts", "N", options.count, starts, default=1)
     profile = (
@@ -60,10 +58,15 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     """What both are given: a vessel, recordings, what is free and held out."""
     options.add_vessel(parser)
     options.add_recordings(parser)
-    free = "parameters to estimate, separated by commas (default: the hull's derivatives)"
+    free = "parameters to estimate, separated by commas (default: the hull's derivatives, and "
+    free += "what has a prior)"
     add_option(parser, "--free", "NAMES", options.names, free)
     held_out = "recordings to hold out for judging"
     add_option(parser, "--test", "RECORDING", pathlib.Path, held_out, nargs="+", default=[])
+    priors = "TOML file of starts, prior widths and bounds by parameter; else the vessel's own"
+    add_option(parser, "--priors", "FILE", pathlib.Path, priors)
+    anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
+    add_choice(parser, "--anchor", ANCHORS, anchor)
     environment = "whether wind and current are the same in all recordings"
     add_choice(parser, "--environment", ("shared", "per-recording"), environment)
 
@@ -86,8 +89,6 @@ def fit_command(args: argparse.Namespace) -> None:
       diffsea fit ship.toml sea_trial.toml log.csv --test other.csv
     """
     with Outputs(args.output) as out:
-        from diffsea.identification.problem import default_priors
-        from diffsea.parameters import read_priors
         from diffsea.report.fit import fit_report
         from diffsea.report.predictions import horizon_table
         from diffsea.vessel.files import dump
@@ -109,7 +110,7 @@ def fit_command(args: argparse.Namespace) -> None:
             objective=args.objective,
             free=args.free,
             anchor=args.anchor,
-            priors=read_priors(args.priors, default_priors(file.vessel)) if args.priors else {},
+            priors=_read_priors(args, file),
             starts=args.starts,
             effects=args.effects,
             per_recording=args.environment == "per-recording",
@@ -138,6 +139,14 @@ def _read_data(args: argparse.Namespace) -> "tuple[list[Any], list[Trajectory]]"
     check_held_out(args.test, bool(recordings))
     runs = options.read_recordings([*recordings, *args.test], args.mapping)
     return [*runs[: len(recordings)], *sheets], runs[len(recordings) :]
+
+
+def _read_priors(args: argparse.Namespace, file: "VesselFile") -> "dict[str, Parameter | None]":
+    """Priors of the file that `--priors` names."""
+    from diffsea.parameters import read_priors
+    from diffsea.vessel.files import default_priors
+
+    return read_priors(args.priors, default_priors(file.vessel)) if args.priors else {}
 
 
 def _fit_record(found: "FitResult") -> dict[str, Any]:
@@ -238,6 +247,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
 
     examples:
       diffsea diagnose usv.toml run*.csv --test other*.csv
+      diffsea diagnose boat.toml run*.csv --priors known.toml
       diffsea diagnose ship.toml a.csv b.csv --environment per-recording
     """
     with Outputs(args.output) as out:
@@ -263,6 +273,8 @@ def diagnose_command(args: argparse.Namespace) -> None:
                 bootstrap=args.bootstrap,
                 progress=tell,
                 seconds=math.inf if args.minutes is None else 60.0 * args.minutes,
+                priors=_read_priors(args, file),
+                anchor=args.anchor,
             )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train

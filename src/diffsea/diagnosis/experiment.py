@@ -114,13 +114,15 @@ def expected_evidence(
     coordinates = first_run_coordinates(train, true.estimate.coordinates)
     vessel = vessel_in_environment(train, coordinates)
     measured = train.dataset.recorded_channels
-    parameters = tuple(parameter.name for parameter in train.layout.parameters)
+    priors = {parameter.name: parameter for parameter in train.layout.parameters}
     run, capacity = (
         design.simulate_manoeuvre(vessel, schedule, measured),
-        train.directions - len(parameters),
+        train.directions - len(priors),
     )
     effects, least = train.layout.effects, train.dataset.shape
-    problem = make_problem(train.base, [run], parameters, effects, capacity=capacity, least=least)
+    problem = make_problem(
+        train.base, [run], tuple(priors), effects, False, capacity, priors, least
+    )
     onset = EFFECTS[other.effect].scanned
     if onset is not None:
         scanned = problem.layout.indices((other.effect,))[onset[0]]

@@ -7,7 +7,7 @@ until nothing is left to explain or nothing explains it, and each is then asked 
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
@@ -35,6 +35,7 @@ from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.holdout import Split, has_own_environment, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
+from diffsea.parameters import Parameter
 from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -117,6 +118,7 @@ def diagnose(
     draws: int = 0,
     findings: Sequence[Finding] = (),
     deadline: Deadline = NO_DEADLINE,
+    priors: Mapping[str, Parameter] | None = None,
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -129,6 +131,7 @@ def diagnose(
         draws: data sets to simulate and refit for the chance of what is seen; 0: to first order.
         findings: what an audit found in the recordings; held-out ones count, too.
         deadline: after which what was found until then is reported as it is.
+        priors: of parameters that have one other than `default_priors`.
 
     Raises:
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
@@ -143,7 +146,9 @@ def diagnose(
     effects = candidate_effects(vessel, [*recordings, *test], per_run)
 
     def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
-        return make_problem(vessel, runs, free, effects, per_run, EFFECT_COORDINATES, least=least)
+        return make_problem(
+            vessel, runs, free, effects, per_run, EFFECT_COORDINATES, priors, least=least
+        )
 
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the nominal model")

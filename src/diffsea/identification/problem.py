@@ -16,10 +16,11 @@ from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
-from diffsea.parameters import Parameter, check_names, hull_prior, named
+from diffsea.parameters import Parameter, check_names, named
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
+from diffsea.vessel.files import default_priors as default_priors
 
 
 Coordinates = Float[np.ndarray, "coordinate"]
@@ -126,24 +127,6 @@ def free_by_default(vessel: Vessel) -> tuple[str, ...]:
         for name, value in named(vessel).items()
         if (name in hull or name in added) and float(value) != 0.0
     )
-
-
-def default_priors(vessel: Vessel) -> dict[str, Parameter]:
-    """Priors around every number of the vessel, half of it wide.
-
-    Ends and middle of a scale of orders may be anywhere within half of the scale's reach.
-    """
-    prime = getattr(vessel.forces.get("damping"), "scaling", None) is not None
-    values = {name: float(value) for name, value in named(vessel).items()}
-    priors = {name: hull_prior(name, x, nondimensional=prime) for name, x in values.items()}
-    for name in values:
-        actuator, _, key = name.rpartition(".")
-        astern, ahead = (values.get(f"{actuator}.full_{way}") for way in ("astern", "ahead"))
-        ends = ("neutral", "full_astern", "full_ahead")
-        if key in ends and astern is not None and ahead is not None:
-            reach = 0.5 * (ahead - astern)
-            priors[name] = Parameter(name, values[name], reach, 0.5)
-    return priors
 
 
 def make_problem(

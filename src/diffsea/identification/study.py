@@ -303,18 +303,36 @@ def require_possible(problem: Problem | None, fitted: Estimate) -> None:
         )
 
 
+def with_priors(
+    vessel: Vessel,
+    free: tuple[str, ...] | None,
+    priors: Mapping[str, Parameter | None],
+    anchor: str = "mass",
+) -> tuple[Parameter, ...]:
+    """The parameters to estimate.
+
+    Arguments:
+        free: their names; `free_by_default` and those with a prior if None.
+        priors: of those that have one other than `default_priors`; None for what stays as it is.
+        anchor: with "thrust" mass and moment of inertia are free by default.
+
+    Raises:
+        UserError: a name that the vessel does not have, or an unknown anchor.
+    """
+    if anchor not in ANCHORS:
+        raise UserError(f"the anchor is one of {', '.join(ANCHORS)}, not {anchor!r}")
+    known = default_priors(vessel) | dict(priors)
+    if free is None:
+        free = free_by_default(vessel) + (INERTIA if anchor == "thrust" else ())
+        free += tuple(name for name, prior in priors.items() if prior is not None)
+    check_names(vessel, free)
+    chosen = (known[name] for name in dict.fromkeys(free))
+    return tuple(one for one in chosen if one is not None)
+
+
 def free_parameters(vessel: Vessel, settings: FitSettings) -> tuple[Parameter, ...]:
     """The free parameters with their priors."""
-    if settings.anchor not in ANCHORS:
-        raise UserError(f"the anchor is one of {', '.join(ANCHORS)}, not {settings.anchor!r}")
-    known = default_priors(vessel) | dict(settings.priors)
-    names = settings.free
-    if names is None:
-        names = free_by_default(vessel) + (INERTIA if settings.anchor == "thrust" else ())
-        names += tuple(n for n, p in settings.priors.items() if p is not None and n not in names)
-    check_names(vessel, names)
-    free = tuple(known[name] for name in dict.fromkeys(names))
-    left = tuple(p for p in free if p is not None)
+    left = with_priors(vessel, settings.free, settings.priors, settings.anchor)
     unfree = [name for name in settings.profiles or () if name not in [p.name for p in left]]
     if unfree:
         raise UserError(f"{', '.join(unfree)} cannot be profiled: only what is fitted can")

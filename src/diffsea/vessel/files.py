@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import tomli_w
 
 from diffsea.errors import UserError, nearest
+from diffsea.parameters import Parameter, hull_prior, named, priors_of_tables
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import ACTUATORS
 from diffsea.vessel.base import Vessel
@@ -25,6 +26,7 @@ from diffsea.vessel.tables import Table as Table
 from diffsea.vessel.tables import check_keys, needed, numbers, positive, tables_of
 
 
+_TABLES = ("format", "name", "source", "hull", "effect", "prior", *ACTUATORS)
 _NEEDED = ("mass", "I_z", "length", "beam", "draught")
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
@@ -40,6 +42,36 @@ class VesselFile:
     vessel: Vessel
     document: Table
     path: str
+
+    @property
+    def priors(self) -> dict[str, Parameter | None]:
+        """What the file's `[prior]` says of its numbers; None for one that stays as it is.
+
+        Raises:
+            UserError: no table, an unknown name or key, or a value out of bounds.
+        """
+        tables = self.document.get("prior", {})
+        if not isinstance(tables, dict):
+            raise UserError("[prior] is a table, for example X_u = { spread = 0.5 }")
+        return priors_of_tables(tables, default_priors(self.vessel), "[prior]")
+
+
+def default_priors(vessel: Vessel) -> dict[str, Parameter]:
+    """Priors around every number of the vessel, half of it wide.
+
+    Ends and middle of a scale of orders may be anywhere within half of the scale's reach.
+    """
+    prime = getattr(vessel.forces.get("damping"), "scaling", None) is not None
+    values = {name: float(value) for name, value in named(vessel).items()}
+    priors = {name: hull_prior(name, x, nondimensional=prime) for name, x in values.items()}
+    for name in values:
+        actuator, _, key = name.rpartition(".")
+        astern, ahead = (values.get(f"{actuator}.full_{way}") for way in ("astern", "ahead"))
+        ends = ("neutral", "full_astern", "full_ahead")
+        if key in ends and astern is not None and ahead is not None:
+            reach = 0.5 * (ahead - astern)
+            priors[name] = Parameter(name, values[name], reach, 0.5)
+    return priors
 
 
 def shipped_vessels() -> dict[str, pathlib.Path]:
@@ -61,7 +93,9 @@ def read_vessel(source: str | pathlib.Path) -> VesselFile:
         path = shipped_vessels()[str(source)]
     document = _parse(path)
     try:
-        return VesselFile(build(document), document, str(source))
+        file = VesselFile(build(document), document, str(source))
+        file.priors  # noqa: B018  # so that a mistake in it is told now
+        return file
     except UserError as error:
         raise UserError(f"{source}: {error}") from None
 
@@ -89,7 +123,7 @@ def build(document: Table) -> Vessel:
     """The vessel a document describes, checked. Raises `UserError` as `read_vessel` does."""
     if document.get("format", 1) != 1:
         raise UserError(f"format = {document['format']!r}; this version reads format = 1")
-    check_keys(document, ("format", "name", "source", "hull", "effect", *ACTUATORS), "the file")
+    check_keys(document, _TABLES, "the file")
     hull = document.get("hull")
     if not isinstance(hull, dict):
         raise UserError("there is no [hull] table; it holds length, beam, draught, mass, I_z ...")
@@ -186,10 +220,17 @@ def updated_document(document: Table, values: Mapping[str, float], effects: list
     `values` are by parameter name: `X_u`, `exponents.X_u`, or `port.max_force` and
     `port.thrust_curve.exponent` of an actuator.
 
+    A prior of theirs keeps the mean that it had: another fit with the same recordings then comes
+    to the same end, and they do not count twice.
+
     Raises:
         UserError: no table of the document is that of the actuator.
     """
     new = copy.deepcopy(document)
+    stated = new.get("prior", {}).keys() & values.keys()
+    before = named(build(document)) if stated else {}
+    for name in stated:
+        new["prior"][name].setdefault("value", float(before[name]))
     for name, value in values.items():
         place, _, key = name.rpartition(".")
         if place == "":

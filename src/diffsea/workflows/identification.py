@@ -21,7 +21,7 @@ from diffsea.identification.objectives.trial_numbers import (
     is_trial_table,
     read_trial_table,
 )
-from diffsea.identification.study import FitSettings, Study, identify
+from diffsea.identification.study import FitSettings, Study, identify, with_priors
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
 from diffsea.recordings import Mapping as ColumnMapping
@@ -168,7 +168,8 @@ def fit(
             alone).
         free: parameters to estimate; the hull's derivatives and added masses if None.
         anchor: `mass` or `thrust`: what fixes the common factor of mass, drag and thrust.
-        priors: of parameters that have another than the usual one; None keeps a number fixed.
+        priors: of parameters that have another than the vessel file's own, or the usual one; None
+            keeps a number fixed.
         starts: how many starts are drawn from the priors.
         effects: names of the catalogue to estimate besides.
         per_recording: whether wind and current are each recording's own.
@@ -186,7 +187,7 @@ def fit(
         objective,
         None if free is None else tuple(free),
         anchor,
-        dict(priors or {}),
+        file.priors | dict(priors or {}),
         starts,
         None if profiles is None else tuple(profiles),
         tuple(effects),
@@ -277,6 +278,8 @@ def diagnose(
     bootstrap: int = 0,
     progress: Progress = no_progress,
     seconds: float = math.inf,
+    priors: Mapping[str, Parameter | None] | None = None,
+    anchor: str = "mass",
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -284,10 +287,12 @@ def diagnose(
         recordings: what is fitted.
         test: recordings held out for judging; parts of the others where none are given.
         per_recording: whether wind and current are each recording's own.
-        free: parameters that are fitted besides; the hull's derivatives if None.
+        free: parameters that are fitted besides; the hull's derivatives and those with a prior if
+            None.
         bootstrap: judge chance by so many simulated and refitted data sets (100 or more).
         seconds: after which no further step of the search is begun; the record then says that it
             is not complete.
+        priors, anchor: as for `fit`.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -301,8 +306,18 @@ def diagnose(
     audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
     findings = [finding.as_dict() for finding in audited]
     names = None if free is None else tuple(free)
+    parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
     found = search_effects(
-        file.vessel, runs, held_out, per_recording, names, progress, bootstrap, audited, deadline
+        file.vessel,
+        runs,
+        held_out,
+        per_recording,
+        tuple(one.name for one in parameters),
+        progress,
+        bootstrap,
+        audited,
+        deadline,
+        {one.name: one for one in parameters},
     )
     progress("looking for the manoeuvre that would tell more")
     experiment = next_experiment(found)
