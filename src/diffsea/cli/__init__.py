@@ -5,6 +5,7 @@ A VESSEL is a TOML file, or the name of a vessel that ships with the package:
 A RECORDING is one run as CSV or Parquet; --mapping reads files with other columns.
 
 examples:
+  diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66
   diffsea show otter
   diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
   diffsea metrics run1.csv run2.csv --length 4.9
@@ -39,7 +40,7 @@ from diffsea.runtime import prepare_jax
 
 # Modules with a `register(commands)`; the order is that of the help.
 COMMAND_MODULES = (
-    "trial", "recordings", "identification", "studies", "segments", "export", "vessels",
+    "new", "trial", "recordings", "identification", "studies", "segments", "export", "vessels",
 )  # fmt: skip
 
 

@@ -1,0 +1,255 @@
+"""What drives an estimated vessel: thrusters of unknown thrust, or a propeller and a rudder.
+
+Each gives the tables of the vessel file, what every number of them rests on, and the priors of
+those that a fit frees. The thrust of a motor whose orders are pulse widths is not known: full
+thrust is the drag at the top speed, with the width of both.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+from diffsea.errors import UserError, nearest
+from diffsea.vessel.actuators.thrust_curve import SCALES
+from diffsea.vessel.base import OrderUnit
+from diffsea.vessel.estimates.outline import Outline
+from diffsea.vessel.estimates.scatter import WIDEST, Estimate
+
+
+THRUST_UNITS: tuple[OrderUnit, ...] = ("us", "percent", "normalised", "N")
+EXPONENT, EXPONENT_WIDTH = 1.5, 0.3  # between thrust in proportion to orders and to their square
+ASTERN, ASTERN_WIDTH = 0.7, 0.4  # thrust full astern over ahead (Fossen 2021: 0.58 of the Otter)
+KNOWN_THRUST_WIDTH = 0.15  # of a stated full thrust
+TOP_SPEED_WIDTHS = {True: 0.1, False: 0.3}  # by whether the top speed is known
+MAX_ANGLE = math.radians(35)
+K_T = (0.40, -0.33, -0.10)  # about Wageningen B4-55 at pitch ratio 0.9
+PROPELLER_SHARE = 0.65  # of the draught
+THRUST_DEDUCTION = 0.16
+BOAT_RUDDER = 50  # L T over the area of a boat's rudder
+ASTERN_SPEED = 0.7  # largest shaft speed astern over that ahead
+
+
+@dataclasses.dataclass(frozen=True)
+class MotorScale:
+    """Orders of one motor: neutral and ends in their unit, and whether they are turned round."""
+
+    neutral: float
+    full_ahead: float
+    full_astern: float
+    reversed: bool = False
+    said_by: str = "usual"
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One actuator of the vessel file: its kind, its numbers and what they rest on."""
+
+    kind: str
+    table: dict[str, object]
+    reasons: dict[str, str]  # by key, `thrust_curve.exponent` for one further in
+    widths: dict[str, float]  # relative prior widths, by key
+
+
+@dataclasses.dataclass(frozen=True)
+class Thrusters:
+    """Fixed thrusters that push ahead: one to each side, or a single one amidships.
+
+    `spacing` (m) is the distance of their axes; None takes that of the demihulls, or half the beam
+    of a single hull. `full_thrust` (N) is that of one of them. `scales` are by name; `reversed` are
+    the names of those whose larger orders are astern, where there is no scale.
+    """
+
+    names: tuple[str, ...] = ("port", "starboard")
+    spacing: float | None = None
+    unit: OrderUnit = "us"
+    full_thrust: float | None = None
+    astern_ratio: float | None = None
+    scales: Mapping[str, MotorScale] = dataclasses.field(default_factory=dict)
+    reversed: tuple[str, ...] = ()
+
+    def parts(
+        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+    ) -> list[Part]:
+        """The thrusters' tables.
+
+        Raises:
+            UserError: a unit that estimates cannot do with, or thrusters outside the beam.
+        """
+        if self.unit not in THRUST_UNITS:
+            raise UserError(
+                f"thrusters are ordered in {', '.join(THRUST_UNITS)} here, not in {self.unit}; "
+                "change the file for another unit"
+            )
+        spacing, why = self.spacing, "as given"
+        if spacing is None:
+            spacing = outline.spacing or 0.5 * outline.beam
+            why = "assumed: behind the demihulls" if outline.spacing else "assumed: half the beam"
+        if spacing > 1.5 * outline.beam:
+            raise UserError(
+                f"thrusters {spacing:g} m apart do not fit a beam of {outline.beam:g} m (m both)"
+            )
+        if unknown := [name for name in self.reversed if name not in self.names]:
+            raise UserError(
+                f"no motor {unknown[0]!r} can be reversed{nearest(unknown[0], self.names)}; "
+                f"there are: {', '.join(self.names)}"
+            )
+        sides = {"port": -0.5, "starboard": 0.5}
+        thrust, width, said = self._thrust(outline, hull, top_speed_known)
+        made = []
+        for name in self.names:
+            y = sides.get(name, 0.0) * spacing
+            table: dict[str, object] = {"name": name, "x": -0.5 * outline.length, "y": y}
+            reasons = {"x": "assumed: at the stern; a push straight ahead does not depend on it"}
+            reasons |= {"y": f"half of {spacing:.4g} m, {why}"} if y else {}
+            if self.unit == "N":
+                table |= {"unit": "N"}
+                table |= {} if self.full_thrust is None else {"max_force": thrust}
+                made.append(Part("thruster", table, reasons, {}))
+                continue
+            curve, told = self._curve(thrust, said)
+            widths = {"full_thrust": width, "exponent": EXPONENT_WIDTH}
+            widths["astern_ratio"] = ASTERN_WIDTH
+            of_scale, of_ends = self._scale(name)
+            made.append(
+                Part(
+                    "thruster",
+                    table | of_scale | {"thrust_curve": curve},
+                    reasons | of_ends | {f"thrust_curve.{k}": text for k, text in told.items()},
+                    {f"thrust_curve.{key}": one for key, one in widths.items()},
+                )
+            )
+        return made
+
+    def _thrust(
+        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+    ) -> tuple[float, float, str]:
+        """Full thrust (N) of one, its relative width, and what it rests on."""
+        if self.full_thrust is not None:
+            return self.full_thrust, KNOWN_THRUST_WIDTH, "as given"
+        drag, count = drag_at(outline.top_speed, hull), len(self.names)
+        width = math.hypot(hull["X_uu"].spread, 2 * TOP_SPEED_WIDTHS[top_speed_known])
+        known = "as given" if top_speed_known else "assumed"
+        share = f" over {count}" if count > 1 else ""
+        said = f"the drag at the top speed of {outline.top_speed:.3g} m/s ({known}){share}"
+        return drag / count, min(width, WIDEST), said
+
+    def _curve(self, thrust: float, said: str) -> tuple[dict[str, float], dict[str, str]]:
+        """The thrust curve and what it rests on."""
+        astern = ASTERN if self.astern_ratio is None else self.astern_ratio
+        told = {"full_thrust": said, "exponent": "assumed: between linear and quadratic"}
+        given = self.astern_ratio is not None
+        told["astern_ratio"] = "1 / MOT_THST_ASYM of the log" if given else "assumed"
+        return {"full_thrust": thrust, "exponent": EXPONENT, "astern_ratio": astern}, told
+
+    def _scale(self, name: str) -> tuple[dict[str, object], dict[str, str]]:
+        """Unit, neutral and ends of the orders, and what they rest on."""
+        usual = MotorScale(*SCALES[self.unit], reversed=name in self.reversed)
+        scale = self.scales.get(name, usual)
+        ends = {key: getattr(scale, key) for key in ("neutral", "full_ahead", "full_astern")}
+        table: dict[str, object] = {"unit": self.unit, **ends}
+        table |= {"reversed": True} if scale.reversed else {}
+        return table, dict.fromkeys(ends, f"{self.unit}, {scale.said_by}")
+
+
+@dataclasses.dataclass(frozen=True)
+class RudderDrive:
+    """A rudder behind a propeller (orders in rev/s), or behind one thruster of orders in a unit.
+
+    `area` (m^2) and `diameter` (m) are assumed where they are None.
+    """
+
+    area: float | None = None
+    diameter: float | None = None
+    thruster: Thrusters | None = None  # in the propeller's place
+
+    def parts(
+        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+    ) -> list[Part]:
+        """The tables of propeller or thruster, and rudder."""
+        if self.thruster is not None:
+            driving = self.thruster.parts(outline, hull, top_speed_known)
+            return [*driving, self._rudder(outline, None)]
+        return [self._propeller(outline, hull), self._rudder(outline, "propeller")]
+
+    def _propeller(self, outline: Outline, hull: Mapping[str, Estimate]) -> Part:
+        D, why = self.diameter, "as given"
+        if D is None:
+            D, why = PROPELLER_SHARE * outline.draught, "assumed: 0.65 of the draught"
+        wake = max(0.5 * outline.block_coefficient - 0.05, 0.0)
+        advance = (1 - wake) * outline.top_speed / D
+        drag = drag_at(outline.top_speed, hull)
+        square = drag / ((1 - THRUST_DEDUCTION) * outline.water_density * D**4)
+        k0, k1, k2 = K_T
+        rest = k2 * advance**2 - square
+        n = (-k1 * advance + math.sqrt((k1 * advance) ** 2 - 4 * k0 * rest)) / (2 * k0)
+        table: dict[str, object] = {
+            "name": "propeller",
+            "x": -0.47 * outline.length,
+            "diameter": D,
+            "k_T": list(K_T),
+            "wake_fraction": wake,
+            "thrust_deduction": THRUST_DEDUCTION,
+            "max_speed": n,
+            "min_speed": -ASTERN_SPEED * n,
+        }
+        reasons = {
+            "x": "assumed",
+            "diameter": f"{why}; its prior stands for the thrust's",
+            "k_T": "about Wageningen B4-55 at pitch ratio 0.9",
+            "wake_fraction": "0.5 C_B - 0.05 (Taylor)",
+            "thrust_deduction": "assumed",
+            "max_speed": f"rev/s, holds the top speed of {outline.top_speed:.3g} m/s",
+            "min_speed": "assumed",
+        }
+        return Part("propeller", table, reasons, {"diameter": 0.15})
+
+    def _rudder(self, outline: Outline, propeller: str | None) -> Part:
+        L, B, T = outline.length, outline.beam, outline.draught
+        area, why = self.area, "as given"
+        if area is None and outline.is_streamlined:
+            area, why = L * T / 100 * (1 + 25 * (B / L) ** 2), "Det Norske Veritas"
+        elif area is None:
+            area, why = L * T / BOAT_RUDDER, f"assumed: L T / {BOAT_RUDDER}"
+        aspect = 1.6
+        table: dict[str, object] = {
+            "name": "rudder",
+            "area": area,
+            "height": math.sqrt(aspect * area),
+            "x": -0.5 * L,
+            "max_angle": MAX_ANGLE,
+            "lift_slope": 6.13 * aspect / (aspect + 2.25),
+        }
+        reasons = {
+            "area": why,
+            "height": "assumed: aspect ratio 1.6",
+            "x": "assumed: at the stern",
+            "max_angle": "rad, assumed: 35 deg",
+            "lift_slope": "6.13 A / (A + 2.25) at aspect ratio A (Fujii)",
+        }
+        if propeller is not None:
+            table["propeller"] = propeller
+        if outline.is_streamlined:
+            more, told = _interaction(outline)
+            table, reasons = table | more, reasons | told
+        return Part("rudder", table, reasons, {"area": 0.4 if propeller else 0.7})
+
+
+def _interaction(outline: Outline) -> tuple[dict[str, object], dict[str, str]]:
+    """How hull and rudder of a ship act on one another (Kijima et al. 1990), and its sources."""
+    C_B, L = outline.block_coefficient, outline.length
+    q = C_B * outline.hull_beam / L
+    gamma = max(0.68 + 0.02 * q - 22.2 * q**2, 0.2)
+    table: dict[str, object] = {
+        "t_R": max(0.45 - 0.28 * C_B, 0.0),
+        "a_H": max(0.627 * C_B - 0.153, 0.0),
+        "x_H": -0.45 * L,
+        "l_R": -0.9 * L,
+        "gamma_R_port": gamma,
+        "gamma_R_starboard": gamma,
+    }
+    return table, dict.fromkeys(table, "Kijima et al. 1990") | {"x_H": "-0.45 L", "l_R": "-0.9 L"}
+
+
+def drag_at(speed: float, hull: Mapping[str, Estimate]) -> float:
+    """The estimated drag ahead (N) at a speed (m/s)."""
+    return -(hull["X_u"].value * speed + hull["X_uu"].value * speed**2)

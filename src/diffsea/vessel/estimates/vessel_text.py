@@ -1,0 +1,113 @@
+"""The text of an estimated vessel's file: every number with what it rests on, and the priors."""
+
+from collections.abc import Mapping, Sequence
+
+import tomli_w
+
+from diffsea.vessel.estimates import added_mass, lateral, resistance
+from diffsea.vessel.estimates.drives import Part
+from diffsea.vessel.estimates.outline import Outline
+from diffsea.vessel.estimates.scatter import COUPLINGS, Estimate
+
+
+SOURCE = (
+    "estimated from its dimensions by `diffsea new`; none of the derivatives was measured: a "
+    "starting point for a fit, whose prior widths stand under [prior]"
+)
+
+
+def vessel_text(
+    name: str, outline: Outline, hull: Mapping[str, Estimate], parts: Sequence[Part]
+) -> str:
+    """A vessel file (TOML) of an outline, its derivatives and its actuators.
+
+    Arguments:
+        name: of the vessel.
+        hull: derivatives and added masses by name.
+        parts: the actuators, each under a name of its own.
+    """
+    lines = ["format = 1", tomli_w.dumps({"name": name, "source": SOURCE})]
+    lines += [f"# A {outline.form}. Taken where nothing was said:"] if outline.assumed else []
+    lines += [f"#   {text}" for text in outline.assumed.values()]
+    lines += ["", "[hull]", *_body_lines(outline), ""]
+    lines += ["# Each derivative is the middle of these estimates:"]
+    lines += [f"#   {short}: {source}" for short, source in _sources(hull).items()]
+    lines += [_line(one.name, one.value, reason(one)) for one in hull.values()]
+    for part in parts:
+        lines += ["", f"[[{part.kind}]]", *_part_lines(part)]
+    lines += [
+        "",
+        "# What is known of these numbers before any recording, for `diffsea fit` and `diagnose`:",
+        "# spread is relative, std is in the number's unit; value, lower, upper and free = false",
+        "# may stand beside them, as in a file for --priors.",
+        "[prior]",
+    ]
+    for one in hull.values():
+        width = {"std": one.std} if one.name in COUPLINGS else {"spread": one.spread}
+        lines.append(_prior_line(one.name, width))
+    for part in parts:
+        for key, width in part.widths.items():
+            lines.append(_prior_line(f"{part.table['name']}.{key}", {"spread": width}))
+    return "\n".join(lines) + "\n"
+
+
+def reason(one: Estimate) -> str:
+    """What a derivative rests on: its methods with what each gives, and what its width holds."""
+    given = "; ".join(f"{source} {value:.3g}" for source, value in one.methods.items())
+    return f"{given}; {one.note}" if one.note else given
+
+
+def _sources(hull: Mapping[str, Estimate]) -> dict[str, str]:
+    """The sources that the methods of some derivatives name."""
+    used = " ".join(method for one in hull.values() for method in one.methods)
+    known = added_mass.SOURCES | resistance.SOURCES | lateral.SOURCES
+    return {short: source for short, source in known.items() if short in used}
+
+
+def _body_lines(outline: Outline) -> list[str]:
+    said = lambda key: "assumed, see above" if key in outline.assumed else "as given"
+    rows = (
+        ("water_density", outline.water_density, "kg/m^3"),
+        ("length", outline.length, "m, as given"),
+        ("beam", outline.beam, "m, over all, as given"),
+        ("draught", outline.draught, f"m, {said('draught')}"),
+        ("mass", outline.mass, f"kg, {said('mass')}"),
+        ("x_G", 0.0, "m, assumed amidships"),
+        ("I_z", outline.I_z, "kg m^2, assumed: radius of gyration 0.25 L, half the mass in hulls"),
+    )
+    return [_line(*row) for row in rows]
+
+
+def _part_lines(part: Part) -> list[str]:
+    """The lines of an actuator's table, those of tables further in last."""
+    lines, inner = [], []
+    for key, value in part.table.items():
+        if isinstance(value, dict):
+            inner.append(f"[{part.kind}.{key}]")
+            inner += [_line(k, x, part.reasons.get(f"{key}.{k}", "")) for k, x in value.items()]
+        else:
+            lines.append(_line(key, value, part.reasons.get(key, "")))
+    return [*lines, *inner]
+
+
+def _line(key: str, value: object, told: str) -> str:
+    written = f"{key} = {_written(value)}"
+    return f"{written:<24}# {told}" if told else written
+
+
+def _prior_line(name: str, width: dict[str, float]) -> str:
+    key = f'"{name}"' if "." in name else name
+    ((kind, value),) = width.items()
+    return f"{key} = {{ {kind} = {value:.3g} }}"
+
+
+def _written(value: object) -> str:
+    """A value as TOML has it, numbers with five digits."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list):
+        return f"[{', '.join(map(_written, value))}]"
+    text = f"{value:.5g}"
+    return text if any(mark in text for mark in ".e") else f"{text}.0"
