@@ -23,7 +23,7 @@ from diffsea.errors import UserError
 from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation import planning
 from diffsea.simulation.integrate import SimulationState, advance, begin, history_lengths
-from diffsea.types import State, as_inputs
+from diffsea.types import Scalar, State, as_inputs
 from diffsea.vessel.base import Vessel
 
 
@@ -81,7 +81,8 @@ class _Boats:
 
     def _at_rest(self, heading: Float[np.ndarray, "boat"]) -> SimulationState:
         """Boats at the origin whose actuators have long been neutral."""
-        neutral = {c: jnp.asarray(self.ends[k, 1]) for k, c in enumerate(self.vessel.channels)}
+        middle = jnp.asarray(self.ends[:, 1])
+        neutral: dict[str, Scalar] = {c: middle[k] for k, c in enumerate(self.vessel.channels)}
 
         def one(psi: Float[Array, ""]) -> SimulationState:
             zero = jnp.zeros(())
