@@ -58,6 +58,8 @@ class ReadReport:
     empty_rows: RowsLeftOut | None = None  # without any value, not even a time stamp
     # Merged into one of the same time stamp; of logs, in each topic that has such.
     repeated_times: tuple[RowsLeftOut, ...] = ()
+    # The mapping that was chosen by what a log contains, what it lacks, and how to choose another.
+    recognised: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
-from diffsea.cli.options import add_choice, add_option
+from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.errors import UserError
 
@@ -67,6 +67,7 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--priors", "FILE", pathlib.Path, priors)
     anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
     add_choice(parser, "--anchor", ANCHORS, anchor)
+    add_flag(parser, "--keep-idle", "keep stretches of logs at rest, disarmed or carried about")
     environment = "whether wind and current are the same in all recordings"
     add_choice(parser, "--environment", ("shared", "per-recording"), environment)
 
@@ -137,8 +138,9 @@ def _read_data(args: argparse.Namespace) -> "tuple[list[Any], list[Trajectory]]"
     if len(set(sheets)) < len(sheets):
         raise UserError("a sheet of trial numbers is named twice; name each only once")
     check_held_out(args.test, bool(recordings))
-    runs = options.read_recordings([*recordings, *args.test], args.mapping)
-    return [*runs[: len(recordings)], *sheets], runs[len(recordings) :]
+    runs = options.read_recordings([*recordings, *args.test], args)
+    fitted, test = runs[: len(recordings)], runs[len(recordings) :]
+    return [*options.used_parts(fitted, args), *sheets], options.used_parts(test, args)
 
 
 def _read_priors(args: argparse.Namespace, file: "VesselFile") -> "dict[str, Parameter | None]":

@@ -96,12 +96,19 @@ def add_vessel(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> None:
-    """The positional argument RECORDING, and `--mapping`."""
+    """The positional argument RECORDING, and how recordings are read."""
     name, number = ("recordings", "+") if several else ("recording", None)
-    text = "run as CSV or Parquet, or a log (needs --mapping)"
+    text = "run as CSV or Parquet, or a log"
     parser.add_argument(name, metavar="RECORDING", type=pathlib.Path, nargs=number, help=text)
-    mapping = "TOML file that says which columns are which, and in which unit"
+    add_reading(parser)
+
+
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """How recordings are read: `--mapping`, `--start` and `--end`."""
+    mapping = "TOML file that says which columns are which, and in which unit (default: by content)"
     add_option(parser, "--mapping", "M", pathlib.Path, mapping)
+    add_option(parser, "--start", "S", number, "leave out what is before, s on the clock recorded")
+    add_option(parser, "--end", "S", number, "leave out what is after, s on the clock recorded")
 
 
 # Types of arguments. A bad value is bad usage: argparse tells it and ends with status 2.
@@ -215,10 +222,10 @@ def read_vessel(args: argparse.Namespace) -> "VesselFile":
     return files.read_vessel(args.vessel)
 
 
-def read_recordings(
-    paths: Sequence[pathlib.Path], mapping: pathlib.Path | None
-) -> "list[Trajectory]":
-    """The recordings, under names that tell them apart.
+def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> "list[Trajectory]":
+    """The recordings, under names that tell them apart, as `add_reading` has it.
+
+    Which mapping was chosen for a log by its content is told on standard error.
 
     Raises:
         UserError: a file cannot be read, or is named twice.
@@ -227,22 +234,54 @@ def read_recordings(
 
     from diffsea import recordings
 
-    table = None if mapping is None else recordings.read_mapping(mapping)
-    runs = [recordings.read_recording(path, table) for path in paths]
+    mapping = None if args.mapping is None else recordings.read_mapping(args.mapping)
+    runs = [recordings.read_recording(path, mapping, args.start, args.end) for path in paths]
     if len({run.name for run in runs}) < len(runs):
         if len(set(paths)) < len(paths):
             raise UserError("a recording is named twice; name each only once")
         named = zip(runs, paths, strict=True)
         runs = [dataclasses.replace(run, name=str(path)) for run, path in named]
+    tell_mappings(runs)
     return runs
+
+
+def tell_mappings(runs: "Sequence[Trajectory]") -> None:
+    """Tell which mappings were chosen by content, each once, with what the logs lack."""
+    told: dict[tuple[str, ...], list[str]] = {}
+    for run in runs:
+        if run.read.recognised:
+            told.setdefault(run.read.recognised, []).append(run.name)
+    for sentences, names_of_runs in told.items():
+        progress(f"{', '.join(names_of_runs)}: " + "\n  ".join(sentences))
 
 
 def read_fitted_and_held_out(
     args: argparse.Namespace,
 ) -> "tuple[list[Trajectory], list[Trajectory]]":
-    """The recordings to fit, and those held out."""
-    runs = read_recordings([*args.recordings, *args.test], args.mapping)
-    return runs[: len(args.recordings)], runs[len(args.recordings) :]
+    """The recordings to fit, and those held out; see `used_parts`."""
+    runs = read_recordings([*args.recordings, *args.test], args)
+    count = len(args.recordings)
+    return used_parts(runs[:count], args), used_parts(runs[count:], args)
+
+
+def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[Trajectory]":
+    """The recordings without the idle stretches of logs that are read by what they contain.
+
+    What is left out, and how to keep it, is told on standard error.
+    """
+    from diffsea.recordings.idle import without_idle
+
+    parts: list[Trajectory] = []
+    for run in runs:
+        if args.keep_idle or not run.read.recognised:
+            parts.append(run)
+            continue
+        used, idle = without_idle(run)
+        parts += used
+        if idle:
+            told = ", ".join(f"{one.start:.0f} s to {one.end:.0f} s ({one.why})" for one in idle)
+            progress(f"{run.name}: left out as idle: {told}; --keep-idle keeps them")
+    return parts
 
 
 def progress(message: str) -> None:

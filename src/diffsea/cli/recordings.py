@@ -66,7 +66,7 @@ def metrics_command(args: argparse.Namespace) -> None:
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
-    runs = options.read_recordings(args.recordings, args.mapping)
+    runs = options.read_recordings(args.recordings, args)
     with Outputs(args.output) as out:
         made = {} if vessel is None else vessel.thrusts_at_rest
         thrusts = [as_thrust(run, made) for run in runs] if made else runs
@@ -125,6 +125,7 @@ def _audit_or_propose(
     Raises:
         UserError: none of the recordings can be read, one is named twice, or the mapping is wrong.
     """
+    from diffsea.recordings import Finding
     from diffsea.recordings.mapping_proposal import foreign_layouts
     from diffsea.workflows.audits import audit_readable, read_readable
 
@@ -132,12 +133,13 @@ def _audit_or_propose(
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
     layouts = foreign_layouts(paths) if args.mapping is None else []
-    read = dict(zip(paths, read_readable(paths, args.mapping), strict=True))
+    read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
     for group in layouts:
-        found, text = _read_through_proposal(group, out)
+        found, text = _read_through_proposal(group, out, args)
         read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
         texts.append(text)
+    options.tell_mappings([one for one in read.values() if not isinstance(one, Finding)])
     return audit_readable(list(read.values())), "".join(texts)
 
 
@@ -154,7 +156,7 @@ def _under_the_same_name(
 
 
 def _read_through_proposal(
-    paths: "Sequence[pathlib.Path]", out: Outputs
+    paths: "Sequence[pathlib.Path]", out: Outputs, args: argparse.Namespace
 ) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str]":
     """Files of one foreign layout through the mapping that is proposed, and what was proposed.
 
@@ -190,7 +192,7 @@ def _read_through_proposal(
     found: dict[pathlib.Path, Trajectory | Finding]
     if proposal.timed:
         lines.append("The audit below is of the recordings read through the proposed mapping.")
-        found = dict(zip(paths, read_readable(paths, written), strict=True))
+        found = dict(zip(paths, read_readable(paths, written, args.start, args.end), strict=True))
     else:
         lines.append("Not audited: without a time step nothing read through it means anything.")
         why = "the file has no time, and nothing tells its sampling interval; it was not audited"
@@ -214,7 +216,7 @@ def _repair(args: argparse.Namespace) -> None:
         if stems.count(stem) > 1:
             raise UserError(f"two recordings would be repaired into {written}; do them in turn")
     mapping = read_mapping(args.mapping) if args.mapping else None
-    runs = options.read_recordings(args.recordings, args.mapping)
+    runs = options.read_recordings(args.recordings, args)
     with Outputs(args.output) as out:
         repairs = [repair(run, mapping) for run in runs]
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
@@ -276,7 +278,7 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.trajectory import Outcome
 
     vessel = options.read_vessel(args).vessel
-    (recording,) = options.read_recordings([args.recording], args.mapping)
+    (recording,) = options.read_recordings([args.recording], args)
     require_order_units(vessel, [recording])
     environment = None
     if args.environment_from is not None:

@@ -65,7 +65,7 @@ def segment_command(args: argparse.Namespace) -> None:
     from diffsea.segments.traceability import checks_of
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
-    runs = options.read_recordings(args.recordings, args.mapping)
+    runs = options.read_recordings(args.recordings, args)
     stems = [Path(run.name).stem for run in runs]
     for stem in stems:
         if stems.count(stem) > 1:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.errors import UserError
-from diffsea.recordings.mappings import ACTUATOR_PREFIXES, native_channels, with_channels
+from diffsea.recordings.mappings import is_held, native_channels, with_channels
 from diffsea.series import between_samples, hold_at, median_interval
 from diffsea.trajectory import Samples, Trajectory
 
@@ -33,6 +33,15 @@ def cut(trajectory: Trajectory, start: float, end: float) -> Trajectory:
         )
     note = f"cut to t = {start:g} s ... {end:g} s"
     return dataclasses.replace(trajectory.rows(rows), provenance=(*trajectory.provenance, note))
+
+
+def cut_between(trajectory: Trajectory, start: float | None, end: float | None) -> Trajectory:
+    """The rows from `start` to `end` (s), where either is given; see `cut`."""
+    if start is None and end is None:
+        return trajectory
+    t = np.asarray(trajectory.t, float)
+    first, last = (float(t[0]), float(t[-1]))
+    return cut(trajectory, first if start is None else start, last if end is None else end)
 
 
 def resample(trajectory: Trajectory, interval: float, max_gap: float | None = None) -> Trajectory:
@@ -61,7 +70,7 @@ def resample(trajectory: Trajectory, interval: float, max_gap: float | None = No
         )
     even = native_channels(run) | {"t": new}
     for name, series in even.items():
-        if name.startswith(ACTUATOR_PREFIXES):
+        if is_held(name):
             even[name] = hold_at(old, series, new + 1e-6 * interval)
         elif name in _ANGLES:
             circle = _local_lines(old, np.exp(1j * series), new, interval, max_gap)

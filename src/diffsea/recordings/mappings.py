@@ -12,6 +12,8 @@ file, one per data set, so that nobody edits data in order to read it:
     decimal = ","               # default "."
     columns = ["time", "yaw"]   # names, where the file has none
     time_step = 0.1             # s, where the file has no time column
+    start = 12.0                # s on the recording's clock: what is before is left out
+    end = 300.0                 # s: what is after is left out
     velocity_axes = "earth"     # u and v are velocities north and east; default "body"
     frame = "ENU"               # x east, y north, yaw anticlockwise from east; default "NED"
     origin = [63.44, 10.39]     # deg, of x and y that come from latitude and longitude
@@ -69,6 +71,7 @@ UNITS: dict[str, tuple[str, float]] = {
 CHANNEL_DIMENSIONS = {"t": "time", "x": "length", "y": "length", "psi": "angle"}
 CHANNEL_DIMENSIONS |= {"u": "speed", "v": "speed", "r": "angular rate"}
 _EXTRA = {"wind_speed": "speed", "wind_direction": "angle", "phi": "angle", "p": "angular rate"}
+_EXTRA |= {"armed": "ratio"}  # one where the autopilot lets orders reach the actuators, else zero
 CHANNEL_DIMENSIONS |= _EXTRA
 EXTRA_CHANNELS = tuple(_EXTRA)  # beside motion and actuation
 ACTUATOR_PREFIXES = ("cmd_", "exec_")
@@ -99,6 +102,11 @@ def is_channel(name: str) -> bool:
     return name in CHANNEL_DIMENSIONS or any(
         name.startswith(prefix) and len(name) > len(prefix) for prefix in ACTUATOR_PREFIXES
     )
+
+
+def is_held(channel: str) -> bool:
+    """Whether a channel holds from its time stamp until the next, as orders do."""
+    return channel.startswith(ACTUATOR_PREFIXES) or channel == "armed"
 
 
 def native_channels(run: Trajectory) -> dict[str, Samples]:
@@ -188,6 +196,8 @@ class Mapping:
     decimal: str = "."
     columns: tuple[str, ...] | None = None
     time_step: float | None = None  # s
+    start: float | None = None  # s on the recording's clock
+    end: float | None = None
     velocity_axes: str = "body"  # or "earth"
     frame: str = "NED"  # or "ENU": what the channels are as they stand in the file
     origin: tuple[float, float] | None = None  # latitude and longitude, rad
@@ -229,6 +239,15 @@ def read_mapping(path: str | Path) -> Mapping:
         raise UserError(f"the mapping {path} is not UTF-8 text: {error.reason}") from error
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"the mapping {path} is not valid TOML: {error}") from error
+    return mapping_from(table, path)
+
+
+def mapping_from(table: dict[str, Any], path: Path) -> Mapping:
+    """The mapping in the tables of a mapping file; `path` is its place in messages and its name.
+
+    Raises `UserError` as `read_mapping` does.
+    """
+    table = dict(table)
     _check_keys(table, ("format", "file", "columns"), f"{path}: ")
     if table.get("format", 1) != 1:
         raise UserError(f"{path}: format = {table['format']!r} is unknown; this reads format 1")
@@ -267,6 +286,10 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
         settings["time_step"] = _number(step, f"{where} time_step")
         if settings["time_step"] <= 0:
             raise UserError(f"{where} time_step must be above zero seconds, got {step}")
+    for key in ("start", "end"):
+        if key in settings:
+            settings[key] = _number(settings[key], f"{where} {key}")
+    check_span(settings.get("start"), settings.get("end"), where)
     lines = settings.get("header_lines")
     if lines is not None and (not isinstance(lines, int) or lines < 0):
         raise UserError(f"{where} header_lines must be a whole number, got {lines!r}")
@@ -304,6 +327,12 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
             raise UserError(f"{where} origin {place} is no place; latitude comes first")
         settings["origin"] = math.radians(latitude), math.radians(longitude)
     return settings
+
+
+def check_span(start: float | None, end: float | None, where: str) -> None:
+    """Raises `UserError`, beginning with `where`, unless the start (s) is before the end."""
+    if start is not None and end is not None and not start < end:
+        raise UserError(f"{where} start = {start:g} s must be before end = {end:g} s")
 
 
 def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path: Path) -> None:

@@ -4,6 +4,7 @@ Everything that leaves this module is in SI units and radians and NED axes as fa
 file's labels are right; whether they are is for the audit to find out.
 """
 
+import dataclasses
 import hashlib
 import math
 import os
@@ -16,7 +17,9 @@ from jaxtyping import Int
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings import logs
+from diffsea.recordings.conditioning import cut_between
 from diffsea.recordings.geodesy import place_fixes
+from diffsea.recordings.known import recognise
 from diffsea.recordings.mappings import (
     ACTUATOR_PREFIXES,
     EMPTY_ROWS,
@@ -24,6 +27,7 @@ from diffsea.recordings.mappings import (
     REPEATED_TIMES,
     Column,
     Mapping,
+    check_span,
     is_channel,
     native_channels,
     read_mapping,
@@ -44,13 +48,18 @@ _FRAME = "<DataFrame>"  # the place that messages name for a table in memory
 
 
 def read_recording(
-    source: str | Path | pd.DataFrame, mapping: Mapping | str | Path | None = None
+    source: str | Path | pd.DataFrame,
+    mapping: Mapping | str | Path | None = None,
+    start: float | None = None,
+    end: float | None = None,
 ) -> Trajectory:
     """Read one run from a CSV or Parquet file, from a log, or from a data frame in memory.
 
     Logs are ROS bags (`.bag`, `.db3`, `.mcap` or the folder of a ROS 2 bag), ArduPilot's `.bin`,
-    PX4's `.ulg` and MATLAB's `.mat`; they need a mapping, and `logs.read_log` says what becomes
-    of their several clocks.
+    MAVLink's `.tlog`, PX4's `.ulg` and MATLAB's `.mat`; without a mapping that for their format is
+    chosen by what they contain, and `read` says which. `logs.read_log` says what becomes of their
+    several clocks. Only rows from `start` to `end` (s on the recording's clock) are kept, by
+    default those that the mapping says.
 
     Without a mapping a table must have the native columns (`t`, `x`, `psi`, `cmd_...`); the
     index of a data frame is a column where it has a name.
@@ -65,19 +74,31 @@ def read_recording(
     """
     if isinstance(mapping, str | Path):
         mapping = read_mapping(mapping)
+    if mapping is not None:
+        start = mapping.start if start is None else start
+        end = mapping.end if end is None else end
+    check_span(start, end, "what is to be read:")
+    return cut_between(_read_whole(source, mapping), start, end)
+
+
+def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> Trajectory:
+    """The run of a file, a log or a data frame, through a mapping where there is one."""
     through = [] if mapping is None else [f"through mapping {mapping.name}"]
     if isinstance(source, pd.DataFrame):
         table = source if source.index.name is None else source.reset_index()
         origin = f"read {_FRAME} of {len(table)} rows"
         return _from_table(table.rename(columns=str), mapping, _FRAME, 1, [origin, *through])
     path = Path(source)
-    if logs.is_log(path):
-        log = logs.read_log(path, mapping)
-        notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *log.notes]
-        return _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
-    table, first_line = read_table(path, mapping)
-    notes = [f"read {path.name}, sha256 {_digest(path)}", *through]
-    return _from_table(table, mapping, str(path), first_line, notes, path.name)
+    if not logs.is_log(path):
+        table, first_line = read_table(path, mapping)
+        notes = [f"read {path.name}, sha256 {_digest(path)}", *through]
+        return _from_table(table, mapping, str(path), first_line, notes, path.name)
+    known = recognise(path) if mapping is None else None
+    log = logs.read_log(path, known.mapping if known else mapping)
+    told = (known.sentence, *known.others, *known.missing) if known else ()
+    notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *told, *log.notes]
+    run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
+    return dataclasses.replace(run, read=dataclasses.replace(run.read, recognised=told))
 
 
 def to_frame(trajectory: Trajectory) -> pd.DataFrame:

@@ -91,14 +91,17 @@ class Findings(Tabulated, Sequence[Finding]):
 
 
 def as_recording(
-    given: Recording, mapping: Mapping | str | pathlib.Path | None = None
+    given: Recording,
+    mapping: Mapping | str | pathlib.Path | None = None,
+    start: float | None = None,
+    end: float | None = None,
 ) -> Trajectory:
-    """A recording as it is, or read from a file or a DataFrame.
+    """A recording as it is, or read from a file or a DataFrame, from `start` to `end` (s).
 
     Raises:
         UserError: it cannot be read; says what is wrong, where, and what to do.
     """
-    return given if isinstance(given, Trajectory) else read_recording(given, mapping)
+    return given if isinstance(given, Trajectory) else read_recording(given, mapping, start, end)
 
 
 def as_recordings(
@@ -110,9 +113,14 @@ def as_recordings(
 
 
 def read_readable(
-    given: Iterable[Recording], mapping: Mapping | str | pathlib.Path | None = None
+    given: Iterable[Recording],
+    mapping: Mapping | str | pathlib.Path | None = None,
+    start: float | None = None,
+    end: float | None = None,
 ) -> list[Trajectory | Finding]:
     """Each recording, or where it cannot be read the finding that says why; under unlike names.
+
+    Files are read from `start` to `end` (s on their clocks), where these are given.
 
     Raises:
         UserError: the mapping cannot be read.
@@ -122,7 +130,7 @@ def read_readable(
     several, read = list(given), []
     for one in several:
         try:
-            read.append(as_recording(one, mapping))
+            read.append(as_recording(one, mapping, start, end))
         except UserError as error:
             name = pathlib.Path(one).name if isinstance(one, str | pathlib.Path) else "<DataFrame>"
             read.append(unreadable(name, str(error)))

@@ -6,6 +6,7 @@ packages that formats are read with are optional and imported when a log of thei
 
 from diffsea.recordings.logs.reading import FORMATS as FORMATS
 from diffsea.recordings.logs.reading import contents as contents
+from diffsea.recordings.logs.reading import format_of as format_of
 from diffsea.recordings.logs.reading import is_log as is_log
 from diffsea.recordings.logs.reading import read_log as read_log
 from diffsea.recordings.logs.streams import LogFormat as LogFormat

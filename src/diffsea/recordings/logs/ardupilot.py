@@ -61,6 +61,16 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     return streams
 
 
+def parameters(path: Path) -> dict[str, float]:
+    """The autopilot's parameters as they were set last (PARM), by name."""
+    log, _ = _open_log(path)
+    found = {}
+    with unreadable(path, "an ArduPilot log"):
+        while (message := log.recv_match(type=["PARM"])) is not None:
+            found[message.Name] = float(message.Value)
+    return found
+
+
 def _open_log(path: Path) -> tuple[Any, tuple[str, ...]]:
     """The log, and a note where some of the file is damaged."""
     from pymavlink import DFReader

@@ -12,22 +12,37 @@ from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.geodesy import place_fixes
-from diffsea.recordings.logs import ardupilot, folder, matlab, px4, ros
+from diffsea.recordings.logs import ardupilot, folder, matlab, mcap_json, px4, ros, tlog
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
-from diffsea.recordings.mappings import ACTUATOR_PREFIXES, Column, Mapping
+from diffsea.recordings.mappings import Column, Mapping, is_held
 from diffsea.series import between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
 
 # Every format of log there is.
 FORMATS = (
-    LogFormat((".bin",), ardupilot.contents, ardupilot.streams, extra="ardupilot"),
-    LogFormat((".ulg",), px4.contents, px4.streams, extra="px4"),
-    LogFormat((".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
+    LogFormat("ardupilot-bin", (".bin",), ardupilot.contents, ardupilot.streams, "ardupilot"),
+    LogFormat("mavlink-tlog", (".tlog",), tlog.contents, tlog.streams, "ardupilot"),
+    LogFormat("px4-ulg", (".ulg",), px4.contents, px4.streams, "px4"),
+    LogFormat("matlab", (".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
     LogFormat(
-        (".bag", ".db3", ".mcap"), ros.contents, ros.streams, extra="ros", is_folder=ros.is_folder
+        "mcap-json",
+        (".mcap",),
+        mcap_json.contents,
+        mcap_json.streams,
+        "mcap",
+        holds=mcap_json.is_json,
     ),
     LogFormat(
+        "ros-bag",
+        (".bag", ".db3", ".mcap"),
+        ros.contents,
+        ros.streams,
+        "ros",
+        is_folder=ros.is_folder,
+    ),
+    LogFormat(
+        "folder",
         (),
         folder.contents,
         folder.streams,
@@ -59,7 +74,7 @@ class LogChannels(NamedTuple):
 
 def is_log(path: Path) -> bool:
     """Whether a file is named like a log, or a folder is a ROS 2 bag or has tables of one run."""
-    return _format(path) is not None
+    return format_of(path) is not None
 
 
 def contents(path: Path) -> dict[str, list[str]]:
@@ -136,10 +151,12 @@ def _check_columns(
             )
 
 
-def _format(path: Path) -> LogFormat | None:
+def format_of(path: Path) -> LogFormat | None:
+    """The format of a log by its name, and where that does not tell by its content."""
     if path.is_dir():
         return next((form for form in FORMATS if form.is_folder and form.is_folder(path)), None)
-    return next((form for form in FORMATS if path.suffix.lower() in form.suffixes), None)
+    named = (form for form in FORMATS if path.suffix.lower() in form.suffixes)
+    return next((form for form in named if form.holds is None or form.holds(path)), None)
 
 
 def _checked_format(path: Path) -> LogFormat:
@@ -154,9 +171,9 @@ def _checked_format(path: Path) -> LogFormat:
             raise UserError(f"cannot read {path}: {error.strerror}") from error
         if not first:
             raise UserError(f"{path} is empty; copy the log again")
-    form = _format(path)
+    form = format_of(path)
     if form is None:
-        suffixes = ", ".join(suffix for form in FORMATS for suffix in form.suffixes)
+        suffixes = ", ".join(dict.fromkeys(end for form in FORMATS for end in form.suffixes))
         raise UserError(
             f"{path} is no log; logs are named {suffixes}, or are folders of bags or tables"
         )
@@ -201,7 +218,9 @@ def _mapped_streams(
                 + nearest(topic, known)
                 + f". It has\n{list_fields(found)}"
             )
-    return {topic: merge_repeated_times(streams[topic], path) for topic in topics}
+    sampled = {c.topic_and_field[0] for name, c in columns.items() if not is_held(name)}
+    fewest = {topic: 2 if topic in sampled else 1 for topic in topics}
+    return {t: merge_repeated_times(streams[t], path, fewest[t]) for t in topics}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -275,7 +294,8 @@ def join_channels(
     values, notes = {}, []
     lines: dict[str, Rows] = {}
     for name, channel in channels.items():
-        if channel.t[-1] < rows[0] or channel.t[0] > rows[-1]:
+        is_state = name == "armed"  # it is told where it changes, perhaps once, before all rows
+        if not is_state and (channel.t[-1] < rows[0] or channel.t[0] > rows[-1]):
             raise UserError(
                 f"{where}: the clocks do not overlap: the recording's runs from {rows[0]:.10g} s "
                 f"to {rows[-1]:.10g} s, but {name} from {channel.topic} has samples from "
@@ -284,7 +304,7 @@ def join_channels(
             )
         finite = np.isfinite(channel.values)
         t, known = channel.t[finite], channel.values[finite]
-        if name.startswith(ACTUATOR_PREFIXES):
+        if is_held(name):
             values[name] = hold_at(t, known, rows)
             continue
         lines[name], there = np.full(rows.shape, np.nan), np.zeros(rows.shape, dtype=bool)

@@ -80,21 +80,26 @@ class LogFormat:
     a file that is damaged or no such log.
 
     Attributes:
+        name: for programs, as `check.json` has it.
         suffixes: of file names, in small letters.
         contents: of a path, gives the names of the numeric fields of every topic.
         streams: of a path, a mapping and topics, gives the streams of those that the log has.
         extra: what brings the packages, `pip install 'diffsea[extra]'`; None where none is needed.
         time_is_mapped: whether the mapping names the time, as it stands among the fields.
         is_folder: whether a folder is such a log; None where only files are.
+        holds: whether a file of such a name is such a log by its content; None where the name
+            tells.
         told: what it is, before "needs a mapping" in a message.
     """
 
+    name: str
     suffixes: tuple[str, ...]
     contents: Callable[[Path], dict[str, list[str]]]
     streams: Callable[[Path, Mapping, list[str]], dict[str, Stream]]
     extra: str | None = None
     time_is_mapped: bool = False
     is_folder: Callable[[Path], bool] | None = None
+    holds: Callable[[Path], bool] | None = None
     told: str = "a log and"
 
     @contextlib.contextmanager
@@ -109,11 +114,11 @@ class LogFormat:
             ) from error
 
 
-def merge_repeated_times(stream: Stream, path: Path) -> Stream:
+def merge_repeated_times(stream: Stream, path: Path, fewest: int = 2) -> Stream:
     """The stream with rows of one time stamp made one, of the last value of each field.
 
     Raises:
-        UserError: there are fewer than two samples, or time is missing or runs backwards.
+        UserError: there are fewer than `fewest` samples, or time is missing or runs backwards.
     """
     where = f"{path}: {stream.title}"
     missing = np.sum(~np.isfinite(stream.t))
@@ -127,7 +132,7 @@ def merge_repeated_times(stream: Stream, path: Path) -> Stream:
             f"{stream.t[at + 1]:.10g} s; split the log if it holds two runs"
         )
     samples = 1 + int(np.sum(steps > 0)) if stream.t.size else 0
-    if samples < 2:
+    if samples < fewest:
         raise UserError(
             f"{where} has {samples} sample(s), and a channel needs at least two; leave it out of "
             "the mapping, or record it longer"

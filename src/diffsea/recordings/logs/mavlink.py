@@ -1,0 +1,90 @@
+"""What MAVLink messages have in common, whatever file they stand in: clock, arming, no fix."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from diffsea.recordings.logs.streams import Stream
+from diffsea.trajectory import Samples
+
+
+_ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HEARTBEAT.base_mode
+_WRAPPED = 2.0**32  # us at which the time of SERVO_OUTPUT_RAW begins again, every 71 min
+_ALIKE = 1.0  # s: stamps within it of the autopilot's clock are of that clock
+_RESTARTED = 1.0  # s by which the time since boot falls where the autopilot was restarted
+
+
+def mavlink_streams(
+    received: Mapping[str, Samples], fields: Mapping[str, dict[str, Samples]], file: str
+) -> dict[str, Stream]:
+    """Streams of MAVLink messages on the autopilot's clock, seconds since boot.
+
+    Messages with `time_boot_ms` have that time, those with `time_usec` this one where it is of the
+    same clock, and all others the time of reception less the median delay of the clocks. A file in
+    which the autopilot was restarted has times of reception throughout, counted from the first.
+
+    Arguments:
+        received: times of reception, s, by topic.
+        fields: series of the same lengths by topic; their names may be paths that end in the
+            names of MAVLink's fields.
+        file: for the note on a restart.
+    """
+    boots = {topic: _field(own, "time_boot_ms") for topic, own in fields.items()}
+    since_boot = {topic: ms * 1e-3 for topic, ms in boots.items() if ms is not None}
+    restarted = any(np.any(np.diff(t) < -_RESTARTED) for t in since_boot.values())
+    if restarted or not since_boot:
+        first = min(float(t[0]) for t in received.values()) if received else 0.0
+        times = {topic: t - first for topic, t in received.items()}
+        clock = "time of reception"
+        notes = (f"{file}: the autopilot was restarted, so times are those of reception",)
+        notes = notes if restarted else ()
+    else:
+        delays = [received[topic] - t for topic, t in since_boot.items()]
+        zero = float(np.median(np.concatenate(delays)))
+        times = {
+            t: _boot_time(received[t], own, since_boot.get(t), zero) for t, own in fields.items()
+        }
+        clock, notes = "the autopilot's time since boot", ()
+    return {topic: _stream(topic, times[topic], fields[topic], clock, notes) for topic in fields}
+
+
+def _boot_time(
+    received: Samples, fields: dict[str, Samples], since_boot: Samples | None, zero: float
+) -> Samples:
+    """Seconds since boot of one topic's messages; `zero` is when the autopilot booted, received."""
+    if since_boot is not None:
+        return since_boot
+    stamps = _field(fields, "time_usec")
+    if stamps is not None:
+        candidate = np.unwrap(stamps, period=_WRAPPED) * 1e-6
+        if abs(float(np.median(received - candidate)) - zero) < _ALIKE:
+            return candidate
+    return received - zero
+
+
+def _stream(
+    topic: str, t: Samples, fields: dict[str, Samples], clock: str, notes: tuple[str, ...]
+) -> Stream:
+    """The stream in the order of its times, with what the messages say of themselves."""
+    order = np.argsort(t, kind="stable")
+    fields = {name: series[order] for name, series in fields.items()}
+    mode = _field(fields, "base_mode")
+    mode = _field(fields, "base_mode.bits") if mode is None else mode
+    if mode is not None:
+        fields["armed"] = np.where(mode.astype(int) & _ARMED, 1.0, 0.0)
+    places = [_name(fields, name) for name in ("lat", "lon")]
+    if all(places):  # zero and zero stand for no fix
+        none = np.all([fields[name] == 0 for name in places], axis=0)
+        fields |= {name: np.where(none, np.nan, fields[name]) for name in places}
+    return Stream(topic, t[order], fields, clock, notes)
+
+
+def _name(fields: Mapping[str, Samples], name: str) -> str:
+    """The full name of a field that is named by its end, empty where there is none."""
+    ends = (full for full in fields if full == name or full.endswith(f".{name}"))
+    return next(ends, "")
+
+
+def _field(fields: Mapping[str, Samples], name: str) -> Samples | None:
+    full = _name(fields, name)
+    return fields[full] if full else None

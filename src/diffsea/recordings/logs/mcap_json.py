@@ -1,0 +1,120 @@
+"""MCAP files with JSON messages, as BlueOS records: every topic a stream, objects flattened."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsea.recordings.logs.mavlink import mavlink_streams
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
+from diffsea.recordings.mappings import Mapping
+
+
+_LOOKED_AT = 1 << 20  # bytes at either end of a file, where its channels are told
+_CODED = re.compile(rb"[\x03\x04]\x00\x00\x00(json|cdr|ros1)")  # length and name of an encoding
+
+
+def is_json(path: Path) -> bool:
+    """Whether an MCAP file has messages in JSON and none of ROS, by the names of encodings."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        found = set(_CODED.findall(file.read(_LOOKED_AT)))
+        file.seek(max(path.stat().st_size - _LOOKED_AT, 0))
+        found |= set(_CODED.findall(file.read()))
+    return found == {b"json"}
+
+
+def contents(path: Path) -> dict[str, list[str]]:
+    """The numeric fields of every topic with messages in JSON."""
+    return {topic: list(stream.fields) for topic, stream in sorted(_streams(path).items())}
+
+
+def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
+    """The streams of those of the topics that the file has.
+
+    A field is named by its path, `message.yaw`. Topics that carry MAVLink messages of several
+    types are parted by type, `mavlink/out/ATTITUDE`. Time is that since boot where MAVLink
+    messages tell it, else that at which the recorder received the message.
+
+    Raises:
+        UserError: the file is no MCAP file, or a message is no JSON.
+    """
+    del mapping
+    found = _streams(path)
+    return {topic: found[topic] for topic in topics if topic in found}
+
+
+def parameters(path: Path) -> dict[str, float]:
+    """The parameters of a vehicle as they were told last (PARAM_VALUE of MAVLink), by name."""
+    found = {}
+    for topic, _, content in _messages(path):
+        if topic.endswith("PARAM_VALUE"):
+            message = content.get("message", content)
+            name = message["param_id"]
+            name = name if isinstance(name, str) else "".join(map(str, name))
+            found[name.rstrip("\x00")] = float(message["param_value"])
+    return found
+
+
+def _streams(path: Path) -> dict[str, Stream]:
+    rows: dict[str, list[dict[str, float]]] = {}
+    received: dict[str, list[float]] = {}
+    for topic, stamp, content in _messages(path):
+        fields: dict[str, float] = {}
+        _flatten(content, "", fields)
+        rows.setdefault(topic, []).append(fields)
+        received.setdefault(topic, []).append(stamp)
+    times, series = {}, {}
+    for topic, own in rows.items():
+        stamps = np.array(received[topic])
+        order = np.argsort(stamps, kind="stable")  # of several writers
+        times[topic] = stamps[order]
+        series[topic] = {
+            name: np.array([row.get(name, np.nan) for row in own], dtype=float)[order]
+            for name in dict.fromkeys(name for row in own for name in row)
+        }
+        for base in [name[:-2] for name in series[topic] if name.endswith(".w")]:
+            parts = [series[topic].get(f"{base}.{part}") for part in "wxyz"]
+            if all(part is not None for part in parts):
+                w, x, y, z = (part for part in parts if part is not None)
+                angles = euler_angles(w, x, y, z)
+                series[topic] |= {f"{base}.{name}": angle for name, angle in angles.items()}
+    return mavlink_streams(times, series, path.name)
+
+
+def _messages(path: Path) -> Iterator[tuple[str, float, Any]]:
+    """Topics, receive times (s) and objects, in the order of their times."""
+    from mcap.reader import make_reader
+
+    with unreadable(path, "an MCAP file with JSON messages"), path.open("rb") as file:
+        every = []
+        for _, channel, message in make_reader(file).iter_messages():
+            if channel.message_encoding == "json":
+                content = json.loads(message.data)
+                every.append((_topic(channel.topic, content), message.log_time * 1e-9, content))
+    yield from every
+
+
+def _topic(topic: str, content: Any) -> str:
+    """The topic, with the type of a MAVLink message where it carries several types."""
+    message = content.get("message") if isinstance(content, dict) else None
+    kind = message.get("type") if isinstance(message, dict) else None
+    if not isinstance(kind, str) or kind in topic.split("/"):
+        return topic
+    return f"{topic}/{kind}"
+
+
+def _flatten(value: Any, name: str, found: dict[str, float]) -> None:
+    """Adds the numbers of a value to what was `found`, under their paths."""
+    if isinstance(value, bool | int | float):
+        found[name] = float(value)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _flatten(item, f"{name}.{key}" if name else key, found)
+    elif isinstance(value, list) and len(value) <= LONGEST_ARRAY:
+        for index, item in enumerate(value):
+            _flatten(item, f"{name}.{index}", found)

@@ -1,0 +1,176 @@
+"""Logs without a mapping: what they hold is recognised, and comes out true."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.recordings import driven_boat
+from tests.recordings.driven_boat import BOOT, PARAMETERS, drive
+from tests.recordings.test_logs import bag  # noqa: F401  a fixture
+
+from diffsea import UserError, read_mapping, read_recording
+from diffsea.cli import main
+from diffsea.recordings.known import recognise
+from diffsea.recordings.logs import contents
+
+
+@pytest.fixture(scope="module")
+def boat():
+    return drive()
+
+
+@pytest.fixture
+def log(tmp_path, boat, request):
+    """A function that writes the log of a kind and returns its path."""
+
+    def write(kind, **options):
+        path = tmp_path / f"boat.{kind}"
+        if kind == "bin":
+            pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+            path.write_bytes(driven_boat.ardupilot_log(boat, **options))
+        elif kind == "tlog":
+            pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+            driven_boat.telemetry_log(boat, path)
+        elif kind == "mcap":
+            pytest.importorskip("mcap", reason="needs diffsea[mcap]")
+            driven_boat.json_log(boat, path)
+        elif kind == "ulg":
+            pytest.importorskip("pyulog", reason="needs diffsea[px4]")
+            path.write_bytes(driven_boat.px4_log(boat))
+        else:
+            make = request.getfixturevalue("bag")
+            path = make(driven_boat.ros_messages(boat, kind), kind)
+        return path
+
+    return write
+
+
+def recognised(path):
+    """What a log is recognised as."""
+    known = recognise(path)
+    assert known is not None
+    return known
+
+
+NAMES = {"bin": "ardupilot-bin", "tlog": "mavlink-tlog", "mcap": "mcap-json", "ulg": "px4-ulg"}
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap", "ulg", "ros1", "db3"])
+def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, kind):
+    path = log(kind)
+    run = read_recording(path)
+    assert recognised(path).log == NAMES.get(kind, "ros-bag")
+    zero = 0.0 if kind in ("ros1", "db3") else BOOT
+    rows = np.interp(run.t - zero, boat.t, np.arange(boat.t.size))
+    truth = lambda name: np.interp(rows, np.arange(boat.t.size), getattr(boat, name))
+    for name, tolerance in {
+        "x": 0.1,
+        "y": 0.1,
+        "psi": 0.03,
+        "u": 0.06,
+        "v": 0.06,
+        "r": 0.04,
+    }.items():
+        known = np.isfinite(getattr(run, name))
+        assert np.mean(known) > 0.9
+        np.testing.assert_allclose(
+            getattr(run, name)[known], truth(name)[known], atol=tolerance, err_msg=name
+        )
+    held = np.searchsorted(boat.t, run.t - zero + 1e-6) - 1
+    scale, neutral = (1.0, 0.0) if kind in ("bin", "tlog", "mcap") else (400.0, 1500.0)
+    for side in ("port", "starboard"):
+        orders = run.commanded[side] * scale + neutral
+        same = np.isclose(orders, getattr(boat, side)[held], atol=0.5)
+        assert np.mean(same[5:]) > 0.99  # but for a sample at a change
+
+
+def test_a_mapping_that_was_chosen_is_told_written_and_overridden(log, tmp_path, capsys):
+    path = log("bin")
+    assert main(["audit", str(path), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().err
+    assert "read as ArduPilot Rover (ardupilot-bin)" in told and "--mapping FILE overrides" in told
+    assert "cmd_starboard from RCOU:C1" in told and "cmd_port from RCOU:C3" in told
+    file = tmp_path / "own.toml"
+    file.write_text(recognised(path).text)
+    assert "port: output 3" in file.read_text()
+    chosen, own = read_recording(path), read_recording(path, read_mapping(file))
+    np.testing.assert_array_equal(chosen.u, own.u)
+    np.testing.assert_array_equal(chosen.commanded["port"], own.commanded["port"])
+    assert own.read.recognised == ()
+    file.write_text(file.read_text().replace("RCOU:C3", "RCOU:C2"))
+    assert np.all(read_recording(path, read_mapping(file)).commanded["port"][5:] == 1500)
+
+
+@pytest.mark.parametrize(
+    ("without", "named"),
+    [
+        (("RCOU",), "there are no orders (RCOU): set bit 14"),
+        (("IMU",), "there is no yaw rate (IMU): set bit 7"),
+        (("ATT",), "there is no heading (ATT): set bit 0"),
+        (("XKF1",), "there is no velocity (XKF1)"),
+    ],
+)
+def test_what_a_log_lacks_is_named_with_its_setting(log, without, named):
+    known = recognised(log("bin", without=without))
+    assert [line for line in known.missing if line.startswith(named)] == list(known.missing)
+    assert any(named in line for line in known.missing)
+
+
+def test_a_course_is_never_taken_for_a_heading(log):
+    known = recognised(log("bin", without=("ATT", "XKF1")))
+    assert "psi" not in known.mapping.channels and "latitude" in known.mapping.channels
+    assert not any("GCrs" in column.column for column in known.mapping.channels.values())
+
+
+def test_a_log_without_motion_names_all_that_is_to_be_recorded(log):
+    with pytest.raises(UserError, match="no motion is in it") as told:
+        recognised(log("bin", without=("ATT", "XKF1", "GPS", "IMU")))
+    assert "LOG_BITMASK" in str(told.value) and "AHRS_EKF_TYPE" in str(told.value)
+
+
+def test_outputs_without_a_function_are_not_guessed(log):
+    other = {name: value for name, value in PARAMETERS.items() if "FUNCTION" not in name}
+    known = recognised(log("bin", parameters=other))
+    assert not any(name.startswith("cmd_") for name in known.mapping.channels)
+    assert any("SERVOn_FUNCTION must be 73 (port) and 74" in line for line in known.missing)
+
+
+def test_a_rudder_is_an_angle_to_starboard_and_reversal_counts(log):
+    steered = PARAMETERS | {"SERVO1_FUNCTION": 26.0, "SERVO3_FUNCTION": 70.0}
+    first = read_recording(log("bin")).commanded["starboard"]
+    turned = read_recording(log("bin", parameters=steered | {"SERVO1_REVERSED": 1.0}))
+    path = log("bin", parameters=steered)
+    run = read_recording(path)
+    np.testing.assert_allclose(run.commanded["rudder"], np.radians((first - 1500) / 400 * 35))
+    np.testing.assert_allclose(turned.commanded["rudder"], -run.commanded["rudder"], atol=1e-12)
+    assert recognised(path).craft == "boat with a propeller and a rudder"
+
+
+def test_telemetry_counts_on_the_autopilots_clock_and_leaves_the_station_out(log):
+    path = log("tlog")
+    run = read_recording(path)
+    np.testing.assert_allclose(run.t[:3], BOOT + np.array([0, 0.1, 0.2]), atol=1e-3)
+    assert set(np.unique(run.extra["armed"][10:])) == {0.0, 1.0}
+    assert "armed" in contents(path)["HEARTBEAT"]
+
+
+def test_only_the_time_asked_for_is_read(log, tmp_path, capsys):
+    path = log("ulg")
+    part = read_recording(path, start=60.0, end=80.0)
+    assert (part.t[0], part.t[-1]) == pytest.approx((60.0, 80.0), abs=0.11)
+    file = tmp_path / "part.toml"
+    file.write_text(recognised(path).text.replace("[file]", "[file]\nstart = 60.0\nend = 80"))
+    np.testing.assert_array_equal(read_recording(path, file).t, part.t)
+    assert read_recording(path, file, end=70.0).t[-1] == pytest.approx(70.0, abs=0.11)
+    file.write_text("[file]\nstart = 9\nend = 3\n" + '[columns]\nr = "a:b"\n')
+    with pytest.raises(UserError, match="start = 9 s must be before end = 3 s"):
+        read_mapping(file)
+    assert main(["metrics", str(path), "--start", "1e6", "-o", str(tmp_path / "m")]) == 1
+    assert "0 samples" in capsys.readouterr().err
+
+
+def test_an_mcap_file_is_of_ros_or_of_json_by_its_content(log, bag, boat):  # noqa: F811
+    ros = bag(driven_boat.ros_messages(dataclasses.replace(boat), "mcap"), "mcap")
+    (file,) = ros.glob("*.mcap")
+    assert recognised(file).log == "ros-bag"
+    assert recognised(log("mcap")).log == "mcap-json"
