@@ -60,6 +60,8 @@ class ReadReport:
     repeated_times: tuple[RowsLeftOut, ...] = ()
     # The mapping that was chosen by what a log contains, what it lacks, and how to choose another.
     recognised: tuple[str, ...] = ()
+    # Samples per second by channel, of logs whose topics have clocks of their own.
+    rates: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -50,9 +50,9 @@ def shares(t):
     """Orders to port and starboard, from -1 to 1, of the time since the start of the plan."""
     mean, turn = np.zeros_like(t), np.zeros_like(t)
     plan = [(0, 25, 0.3, 0.0), (25, 50, 0.5, 0.0), (50, 75, 0.7, 0.0), (75, 100, 0.9, 0.0)]
-    plan += [(100 + 8 * k, 108 + 8 * k, 0.6, 0.2 * (-1) ** k) for k in range(8)]
-    plan += [(164, 180, 0.6, 0.0), (180, 225, 0.6, 0.25), (225, 240, 0.6, 0.0)]
-    plan += [(240, 285, 0.6, -0.25), (285, 300, 0.6, 0.0), (300, 320, 0.9, 0.05)]
+    plan += [(100 + 4 * k, 104 + 4 * k, 0.6, 0.1 * (-1) ** k) for k in range(8)]
+    plan += [(132, 180, 0.6, 0.0), (180, 225, 0.6, 0.12), (225, 240, 0.6, 0.0)]
+    plan += [(240, 285, 0.6, -0.12), (285, 300, 0.6, 0.0), (300, 320, 0.9, 0.05)]
     plan += [(320, 340, 0.4, -0.1), (340, 360, 0.8, 0.1)]
     for start, end, both, difference in plan:
         rows = (t >= start) & (t < end)

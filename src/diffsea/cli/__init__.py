@@ -8,6 +8,7 @@ examples:
   diffsea new boat.toml --length 1.4 --beam 0.93 --mass 22 --thrusters 0.66
   diffsea show otter
   diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
+  diffsea check boat.bin
   diffsea metrics run1.csv run2.csv --length 4.9
   diffsea audit field/*.csv --mapping field.toml
   diffsea predict usv.toml run1.csv
@@ -40,8 +41,16 @@ from diffsea.runtime import prepare_jax
 
 # Modules with a `register(commands)`; the order is that of the help.
 COMMAND_MODULES = (
-    "new", "trial", "recordings", "identification", "studies", "segments", "export", "vessels",
-)  # fmt: skip
+    "new",
+    "trial",
+    "check",
+    "recordings",
+    "identification",
+    "studies",
+    "segments",
+    "export",
+    "vessels",
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -341,7 +341,8 @@ def find_swings(angle: Samples, least: float, breaks: tuple[int, ...] = ()) -> l
 def alternating_chains(plateaus: list[Plateau], t: Samples, least: float) -> list[list[Plateau]]:
     """Consecutive plateaus of alternating side and like size, above `least` rad."""
     chains: list[list[Plateau]] = []
-    for before, plateau in zip([None, *plateaus[:-1]], plateaus, strict=True):
+    befores = [None, *plateaus][: len(plateaus)]
+    for before, plateau in zip(befores, plateaus, strict=True):
         if abs(plateau.level) < least:
             continue
         follows = False

@@ -98,7 +98,9 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
     told = (known.sentence, *known.others, *known.missing) if known else ()
     notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *told, *log.notes]
     run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
-    return dataclasses.replace(run, read=dataclasses.replace(run.read, recognised=told))
+    return dataclasses.replace(
+        run, read=dataclasses.replace(run.read, recognised=told, rates=log.rates)
+    )
 
 
 def to_frame(trajectory: Trajectory) -> pd.DataFrame:

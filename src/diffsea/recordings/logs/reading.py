@@ -65,11 +65,13 @@ class LogChannels(NamedTuple):
         values: by channel, with `t` in s.
         notes: what was done to them, in words.
         repeated_times: of every topic that had such.
+        rates: samples per second, by channel.
     """
 
     values: dict[str, Samples]
     notes: list[str]
     repeated_times: tuple[RowsLeftOut, ...]
+    rates: dict[str, float]
 
 
 def is_log(path: Path) -> bool:
@@ -123,7 +125,9 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     notes.insert(0, f"rows are the {clock.t.size} samples of {clock.title} ({why})")
     values, lost = join_channels(channels, clock.t, mapping.velocity_axes == "earth", str(path))
     merged = [stream.repeated_times for stream in streams.values()]
-    return LogChannels({"t": clock.t} | values, [*notes, *lost], tuple(m for m in merged if m))
+    rates = {name: channel.rate for name, channel in channels.items()}
+    repeated = tuple(one for one in merged if one)
+    return LogChannels({"t": clock.t} | values, [*notes, *lost], repeated, rates)
 
 
 def _check_columns(
@@ -230,6 +234,13 @@ class LogChannel:
     topic: str
     t: Samples
     values: Samples
+
+    @property
+    def rate(self) -> float:
+        """Valid samples per second; NaN of fewer than two."""
+        times = self.t[np.isfinite(self.values)]
+        span = float(times[-1] - times[0]) if times.size > 1 else 0.0
+        return (times.size - 1) / span if span > 0 else float("nan")
 
 
 def _pick_channels(

@@ -8,10 +8,23 @@
   // Without its bar of tools: dragging zooms, a double click goes back.
   const config = { responsive: true, displayModeBar: false };
 
+  // Pages that follow the reader's colours have plots without a ground of their own.
+  const dark =
+    document.documentElement.classList.contains("auto") &&
+    matchMedia("(prefers-color-scheme: dark)").matches;
+
+  function darken(layout) {
+    const style = layout.template.layout;
+    style.paper_bgcolor = style.plot_bgcolor = "rgba(0,0,0,0)";
+    style.font.color = "#e4e9ee";
+    for (const axis of [style.xaxis, style.yaxis]) axis.gridcolor = "#323b45";
+  }
+
   async function draw(holder) {
     if (holder.dataset.drawn) return;
     holder.dataset.drawn = "yes";
     const { data, layout } = JSON.parse(holder.nextElementSibling.textContent);
+    if (dark) darken(layout);
     if (touch) layout.dragmode = false; // a finger scrolls the page
     await Plotly.newPlot(holder, data, layout, config);
     const meta = layout.meta || {};

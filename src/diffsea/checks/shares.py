@@ -1,0 +1,133 @@
+"""Orders as shares of full order, and what of them drives and what turns a vessel."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diffsea.metrics.orders import steers
+from diffsea.recordings.known import Output
+from diffsea.scales import HARD_OVER
+from diffsea.series import hold_last
+from diffsea.trajectory import Samples, Trajectory
+
+
+_PULSES = (700.0, 2300.0)  # us
+_PULSE_NEUTRAL, _PULSE_SPAN = 1500.0, 400.0
+_NEAR_NEUTRAL = 60.0  # us: a pulse that stands for a twentieth of the time there is the neutral one
+_COMMON = 0.05
+_ROUNDING = 1.05  # of full order, that normalised orders may exceed
+_LARGEST = 0.995  # quantile of sizes that stands for the largest order
+_PORT, _STARBOARD = ("port", "left"), ("starboard", "stbd", "right")
+
+
+@dataclasses.dataclass(frozen=True)
+class OrderScale:
+    """What of an order is none and what is full, in its own `unit`, and how that is known."""
+
+    unit: str
+    neutral: float
+    full_ahead: float
+    full_astern: float
+    why: str
+
+    def share(self, orders: Samples) -> Samples:
+        """Shares of full order, from -1 astern to 1 ahead; a pulse of no length is none."""
+        sign = 1.0 if self.full_ahead > self.neutral else -1.0
+        above = sign * (orders - self.neutral)
+        ahead, astern = abs(self.full_ahead - self.neutral), abs(self.full_astern - self.neutral)
+        share = np.where(above >= 0, above / ahead, above / astern)
+        return np.where((self.unit == "us") & (orders < _PULSES[0]), 0.0, share)
+
+
+def order_scales(run: Trajectory, outputs: Sequence[Output] = ()) -> dict[str, OrderScale]:
+    """The scale of every order that is no angle, by the autopilot's parameters or by its values.
+
+    Of executed actuation where no order was recorded.
+    """
+    stated = {output.channel: output for output in outputs}
+    found = {}
+    for name, series in (run.commanded or run.executed).items():
+        values = np.asarray(series, float)
+        values = values[np.isfinite(values)]
+        if steers(name) or not values.size or not np.any(values):
+            continue
+        if name in stated:
+            one = stated[name]
+            ends = (one.neutral, one.full_ahead, one.full_astern)
+            found[name] = OrderScale("us", *ends, f"parameters of output {one.number}")
+        else:
+            found[name] = _scale_of(values)
+    return found
+
+
+def _scale_of(values: Samples) -> OrderScale:
+    """The scale that values look like."""
+    largest = float(np.quantile(np.abs(values), _LARGEST))
+    pulses = values[values > 0]
+    if pulses.size and pulses.min() >= _PULSES[0] and pulses.max() <= _PULSES[1]:
+        near = pulses[np.abs(pulses - _PULSE_NEUTRAL) <= _NEAR_NEUTRAL]
+        levels, counts = np.unique(near, return_counts=True)
+        neutral = _PULSE_NEUTRAL
+        if counts.size and counts.max() >= _COMMON * pulses.size:
+            neutral = float(levels[np.argmax(counts)])
+        ends = neutral, neutral + _PULSE_SPAN, neutral - _PULSE_SPAN
+        return OrderScale("us", *ends, "pulse widths by their values")
+    if largest <= _ROUNDING:
+        return OrderScale("normalised", 0.0, 1.0, -1.0, "shares by their values")
+    return OrderScale("own", 0.0, largest, -largest, "shares of the largest order recorded")
+
+
+def in_shares(run: Trajectory, scales: Mapping[str, OrderScale]) -> Trajectory:
+    """The run with its orders as shares of full order; angles stay."""
+
+    def scaled(group: Mapping[str, Samples]) -> dict[str, Samples]:
+        return {
+            name: scales[name].share(np.asarray(series, float)) if name in scales else series
+            for name, series in group.items()
+        }
+
+    return dataclasses.replace(run, commanded=scaled(run.commanded), executed=scaled(run.executed))
+
+
+@dataclasses.dataclass(frozen=True)
+class Orders:
+    """What is ordered, as shares of full order in every row.
+
+    Attributes:
+        ahead: the mean of the propulsors.
+        turning: half of port less starboard, or the rudder's angle over 35 deg to starboard; None
+            where nothing steers.
+        sides: port and starboard of a pair of thrusters.
+    """
+
+    ahead: Samples
+    turning: Samples | None
+    sides: tuple[Samples, Samples] | None
+
+
+def orders_of(run: Trajectory) -> Orders | None:
+    """The orders of a run whose orders are shares; None without any, and of azimuth thrusters."""
+    group = {
+        name: np.nan_to_num(hold_last(np.asarray(series, float)))
+        for name, series in (run.commanded or run.executed).items()
+        if np.any(np.isfinite(np.asarray(series, float)))
+    }
+    if any(name.lower().endswith(".angle") for name in group):
+        return None
+    rudders = [series for name, series in group.items() if steers(name)]
+    driving = {name: series for name, series in group.items() if not steers(name)}
+    sides = [
+        next((driving[n] for n in driving if any(word in n.lower() for word in side)), None)
+        for side in (_PORT, _STARBOARD)
+    ]
+    if not group:
+        return None
+    none = np.zeros(run.t.shape)
+    ahead = np.mean(list(driving.values()), axis=0) if driving else none
+    if rudders:
+        return Orders(ahead, np.mean(rudders, axis=0) / HARD_OVER, None)
+    port, starboard = sides
+    if port is not None and starboard is not None:
+        return Orders(ahead, (port - starboard) / 2, (port, starboard))
+    return Orders(ahead, None, None)

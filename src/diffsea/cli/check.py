@@ -1,0 +1,107 @@
+"""`diffsea check`: what is in a log, whether it is sound, and what it shows."""
+
+import argparse
+import pathlib
+import shlex
+from typing import TYPE_CHECKING
+
+from diffsea.cli import options
+from diffsea.cli.options import add_flag
+from diffsea.cli.outputs import Outputs, table
+from diffsea.errors import UserError
+
+
+if TYPE_CHECKING:
+    from diffsea.checks import LogCheck
+    from diffsea.recordings import Finding
+
+
+def register(commands: options.Commands) -> None:
+    """Add the command."""
+    summary = "what is in a log, whether it is sound, what it shows"
+    parser = options.add_command(commands, "check", check_command, summary)
+    text = "a log as it was recorded, or a table"
+    parser.add_argument("logs", metavar="LOG", type=pathlib.Path, nargs="+", help=text)
+    options.add_reading(parser)
+    add_flag(parser, "--hide-place", "write no coordinates: positions count from the first one")
+
+
+def check_command(args: argparse.Namespace) -> None:
+    """Says what is in logs of one boat, without a mapping and without a vessel: craft and format,
+    channels, gaps and faults, idle stretches that are left out, trials, speed and turning rate by
+    order, lag, difference of the sides, what the logs cannot tell and which three minutes would.
+    Writes check.json, check.html, and where a mapping was chosen or proposed STEM.mapping.toml.
+    With several logs check.json holds {"logs": {name: ...}}. A log that cannot be read is a row.
+
+    examples:
+      diffsea check boat.bin
+      diffsea check day1.tlog day2.tlog --hide-place
+      diffsea check logged_by_others.csv --start 60 --end 660
+    """
+    paths = args.logs
+    if len(set(paths)) < len(paths):
+        raise UserError("a log is named twice; name each only once")
+    with Outputs(args.output) as out:
+        from diffsea.recordings import Finding
+        from diffsea.report.check import check_report
+        from diffsea.workflows.checks import check_logs, choose_mappings, mapping_file
+
+        chosen = choose_mappings(paths, args.mapping)
+        hows = [chosen[path] for path in paths]
+        told = [how.message if isinstance(how, Finding) else how.told for how in hows]
+        for path, sentence in zip(paths, told, strict=True):
+            options.progress(f"{path.name}: {sentence}")
+        checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
+        for path, how in chosen.items():
+            text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)
+            name = f"{path.stem}.mapping.toml"
+            if text is not None and out.folder / name not in out.files:
+                out.text(name, text)
+        records = [_record(one) for one in checks]
+        names = [path.name for path in paths]
+        keys = names if len(set(names)) == len(names) else [str(path) for path in paths]
+        several = {"format": 1, "logs": dict(zip(keys, records, strict=True))}
+        out.json("check.json", records[0] if len(records) == 1 else several)
+        command = "diffsea check " + " ".join(shlex.quote(str(path)) for path in paths)
+        source = {"command": command, "logs": keys}
+        out.text("check.html", check_report(checks, told, source))
+    out.present(args, "\n\n".join(_check_text(one) for one in checks))
+
+
+def _record(one: "LogCheck | Finding") -> dict[str, object]:
+    """What check.json has of a log; one that could not be read has its finding alone."""
+    from diffsea.recordings import Finding
+
+    if not isinstance(one, Finding):
+        return one.as_dict()
+    lists = ("used", "trials", "cannot_tell")
+    empty: dict[str, object] = {name: [] for name in lists}
+    known = {"format": 1, "file": one.recording, "log": None, "craft": None, "channels": {}}
+    return known | {"audit": [one.as_dict()]} | empty
+
+
+def _check_text(one: "LogCheck | Finding") -> str:
+    """A check for a person at a terminal."""
+    from diffsea.recordings import Finding
+    from diffsea.report.check import headlines
+
+    if isinstance(one, Finding):
+        return f"{one.recording}: not read: {one.message}"
+    duration = one.run.t[-1] - one.run.t[0]
+    used = sum(end - start for start, end in one.used)
+    lines = [
+        f"{one.name}: {one.craft}; {one.title}",
+        f"{duration:.0f} s recorded, {used:.0f} s used",
+        *(f"idle: {s.start:.0f} s to {s.end:.0f} s, {s.why}" for s in one.idle),
+        *(f"missing: {sentence}" for sentence in one.missing),
+        *(f"finding: {finding.kind}: {finding.message}" for finding in one.audit),
+        *headlines(one),
+    ]
+    rows = [
+        (trial.kind, f"{trial.onset:.1f}", f"{trial.end:.1f}", trial.group) for trial in one.trials
+    ]
+    lines += [table(rows, ("trial", "onset s", "end s", ""))] if rows else []
+    lines += [f"cannot tell {q.what}: {q.why}" for q in one.cannot_tell]
+    if one.next:
+        lines.append("the next three minutes: " + "; ".join(q.record or "" for q in one.next))
+    return "\n".join([*lines, *(f"note: {note}" for note in one.notes)])

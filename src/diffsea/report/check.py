@@ -1,0 +1,367 @@
+"""A log's check as one page for people: content, soundness, trials, answers, open questions."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from diffsea.checks import LogCheck
+from diffsea.checks.answers import Estimate, LagOfAnswer, SteadyPoint
+from diffsea.recordings import Finding
+from diffsea.report.page import Plot, Table, Verbatim, provenance, render
+from diffsea.report.plots import (
+    DIAGNOSED,
+    MEASURED,
+    NOMINAL,
+    TRACK_LAYOUT,
+    add_time_cursor,
+    add_track_markers,
+    figure,
+    numbers,
+)
+from diffsea.report.quantities import for_people, round_to_error, significant
+from diffsea.report.words import Record, capital, enumeration
+
+
+DRAWN_ROWS = 1500  # of a run: more cannot be told apart
+DRAWN_SAMPLES = 800  # behind the points of a curve
+LEAST_RATIO = 0.005  # of sides, one per cent between them
+LEAST_AHEAD = 0.05  # of full order, from which on a speed is worth a sentence
+ROW_HEIGHT = 26  # pixels, of a channel in the picture of quality
+COLOURS = {  # of trials, told apart with any kind of colour vision
+    "turning": DIAGNOSED,
+    "zigzag": NOMINAL,
+    "coasting": "#cc79a7",
+    "straight": "#56b4e9",
+}
+_SOUND, _DOUBTFUL, _IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
+_QUALITY_KEY = {"known": _SOUND, "a finding concerns it": _DOUBTFUL, "idle, left out": _IDLE}
+
+
+def check_report(checks: Sequence[LogCheck | Finding], told: Sequence[str], source: Record) -> str:
+    """The page.
+
+    Arguments:
+        checks: of each log, a finding where it could not be read.
+        told: of each log, which mapping it is read through.
+        source: what was run on what; shown as it is.
+    """
+    read = [one for one in checks if isinstance(one, LogCheck)]
+    logs = [_log(one, how) for one, how in zip(checks, told, strict=True)]
+    kinds = enumeration(list(dict.fromkeys(one.title for one in read)))
+    return render(
+        "check.html.j2",
+        title=f"Check of {enumeration([log['name'] for log in logs])}",
+        subtitle=f"{len(logs)} log{'s' * (len(logs) != 1)}, {kinds}",
+        dark=True,
+        logs=logs,
+        provenance=provenance(source, [(one.run, "checked") for one in read]),
+    )
+
+
+def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
+    """What the template shows of one log."""
+    if isinstance(one, Finding):
+        return {
+            "name": one.recording,
+            "is_read": False,
+            "tone": "unexplained",
+            "verdict": "not read",
+            "lead": f"{one.recording} could not be read.",
+            "sentences": (),
+            "warnings": [one.message],
+        }
+    faults = len(one.audit)
+    duration = one.run.t[-1] - one.run.t[0]
+    used = sum(end - start for start, end in one.used)
+    verdict = "sound as far as it shows" if not faults else f"{faults} finding{'s' * (faults > 1)}"
+    return {
+        "name": one.name,
+        "is_read": True,
+        "tone": "ambiguous" if faults or one.missing else "consistent",
+        "verdict": verdict,
+        "lead": f"{capital(one.craft)}. {duration:.0f} s recorded, {used:.0f} s of it used.",
+        "sentences": headlines(one),
+        "warnings": [*one.missing, *one.notes],
+        "quality": _quality_plot(one),
+        "quality_key": _QUALITY_KEY,
+        "faults": _fault_table(one.audit),
+        "idle": _idle_table(one),
+        "channels": _channel_table(one),
+        "mapping": told,
+        "plots": _run_plots(one),
+        "trials": _trial_table(one),
+        "lags": _lag_table(one),
+        "answers": _answer_plots(one),
+        "scales": _scale_sentence(one),
+        "questions": _question_table(one),
+        "next": [capital(question.record or "") + "." for question in one.next],
+        "next_seconds": f"{sum(question.seconds for question in one.next):.0f}",
+    }
+
+
+def headlines(one: LogCheck) -> list[str]:
+    """What the log shows, in sentences."""
+    answers, told = one.answers, []
+    fastest = max(answers.speed, key=lambda point: point.order, default=None)
+    if fastest is not None and fastest.order > LEAST_AHEAD:
+        speed = round_to_error(fastest.answer.value, 0.005, "m/s")
+        told.append(f"At {100 * fastest.order:.0f} % of full order ahead it makes {speed}.")
+    if answers.lag_of_turning is not None:
+        delay = answers.lag_of_turning.delay
+        span = f"{significant(delay.low, 2)} to {significant(delay.high, 2)} s"
+        after = "the order" if one.run.commanded else "what was executed"
+        told.append(f"It begins to turn {significant(delay.value, 2)} s after {after} ({span}).")
+        if answers.lag_of_turning.opposite:
+            told.append("A positive order turns it to port: the sign, or the sides, are exchanged.")
+    if answers.asymmetry is not None:
+        told.append(_asymmetry_sentence(answers.asymmetry))
+    return told
+
+
+def _asymmetry_sentence(asymmetry: Estimate) -> str:
+    """Which side is stronger, and how surely."""
+    if asymmetry.low <= 0 <= asymmetry.high or abs(asymmetry.value) < LEAST_RATIO:
+        return "No difference between port and starboard is seen beyond chance and one per cent."
+    ratio = asymmetry.value
+    stronger, weaker = ("starboard", "port") if ratio > 0 else ("port", "starboard")
+    less = 100 * (1 - (1 - abs(ratio)) / (1 + abs(ratio)))
+    return f"{capital(weaker)} does {less:.0f} % less than {stronger} for the same order."
+
+
+def _quality_plot(one: LogCheck) -> Plot | None:
+    """A row for each channel, drawn where it is known, and idle stretches across all."""
+    if not one.channels:
+        return None
+    doubtful = {name for finding in one.audit for name in finding.channels}
+    names = list(one.channels)[::-1]
+    traces = []
+    for row, name in enumerate(names):
+        x: list[float | None] = []
+        for start, end in one.channels[name].spans:
+            x += [round(start, 2), round(end, 2), None]
+        colour = _DOUBTFUL if name in doubtful else _SOUND
+        line = go.Scatter(x=x, y=[row] * len(x), mode="lines", showlegend=False)
+        line.update(line={"width": 10, "color": colour})
+        line.update(hovertemplate=f"{name}: %{{x:.1f}} s<extra></extra>")
+        traces.append(line)
+    axis = {
+        "tickvals": list(range(len(names))),
+        "ticktext": names,
+        "range": [-0.6, len(names) - 0.4],
+    }
+    drawn = figure(*traces, xaxis={"title": {"text": "time (s)"}}, yaxis=axis)
+    drawn.update_layout(hovermode="closest", margin={"t": 10})
+    for stretch in one.idle:
+        _shade(drawn, (stretch.start, stretch.end), _IDLE)
+    gaps = sum(len(channel.spans) - 1 for channel in one.channels.values())
+    caption = f"{gaps} gap{'s' * (gaps != 1)} in {len(names)} channels" if gaps else "No gaps"
+    height = 70 + ROW_HEIGHT * len(names)
+    return Plot(drawn, "Where each channel is known, over time", height, caption + ".")
+
+
+def _shade(drawn: go.Figure, span: tuple[float, float], fill: str, opacity: float = 1.0) -> None:
+    """Colours a span of time (s) through all panels."""
+    place = {"x0": span[0], "x1": span[1], "xref": "x", "y0": 0, "y1": 1, "yref": "paper"}
+    look = {"fillcolor": fill, "opacity": opacity, "line": {"width": 0}, "layer": "below"}
+    drawn.add_shape(type="rect", **place, **look)
+
+
+def _fault_table(audit: Sequence[Finding]) -> Table:
+    rows = []
+    for finding in audit:
+        size = round_to_error(finding.value, finding.std, finding.unit)
+        what = [finding.kind, ", ".join(finding.channels)]
+        rows.append([what, size if math.isfinite(finding.value) else "", finding.message])
+    return Table(["finding", "size", "what it is"], rows, "Faults that the log shows by itself")
+
+
+def _idle_table(one: LogCheck) -> Table:
+    rows = [[f"{s.start:.0f} s", f"{s.end:.0f} s", s.why] for s in one.idle]
+    return Table(["from", "to", "left out because"], rows, "Idle stretches")
+
+
+def _channel_table(one: LogCheck) -> Table:
+    rows = []
+    for name, channel in one.channels.items():
+        rate = "" if math.isnan(channel.rate) else significant(channel.rate, 3)
+        rows.append([Verbatim(name), Verbatim(channel.source), channel.unit, rate])
+    return Table(["channel", "column", "unit", "samples per second"], rows, numeric=(3,))
+
+
+def _thinned(count: int, most: int) -> slice:
+    return slice(None, None, max(1, math.ceil(count / most)))
+
+
+def _run_plots(one: LogCheck) -> list[Plot]:
+    """The track with its trials, and speed, heading, rate and orders over time."""
+    run, group = one.run, f"run-{one.name}"
+    rows = _thinned(run.t.size, DRAWN_ROWS)
+    plots = []
+    if run.has("x") and run.has("y"):
+        known = np.isfinite(run.x) & np.isfinite(run.y)
+        used = np.any([(run.t >= a) & (run.t <= b) for a, b in one.used], axis=0)
+        chosen = np.flatnonzero(known & used)[_thinned(int(np.sum(known & used)), DRAWN_ROWS)]
+        if chosen.size:
+            plots.append(_track_plot(one, chosen, group))
+    panels = [("speed", "m/s"), ("turning rate", "deg/s"), ("orders", "%")]
+    t, traces = numbers(run.t[rows], 6), []
+    speed = np.hypot(run.u, np.where(np.isfinite(run.v), run.v, 0.0))
+    series = [("speed", speed, 1, MEASURED), ("turning rate", np.degrees(run.r), 2, MEASURED)]
+    for k, (name, scale) in enumerate(one.scales.items()):
+        orders = (run.commanded or run.executed)[name]
+        colour = (DIAGNOSED, NOMINAL, "#009e73", "#cc79a7")[k % 4]
+        series.append((name, 100 * scale.share(np.asarray(orders, float)), 3, colour))
+    for name, values, panel, colour in series:
+        known = np.isfinite(values)
+        if not known.any():
+            continue
+        line = go.Scatter(x=t, y=numbers(values[rows]), name=name, mode="lines", connectgaps=True)
+        line.update(line={"color": colour, "width": 1.4, "shape": "hv" if panel == 3 else "linear"})
+        line.update(yaxis="y" if panel == 1 else f"y{panel}", showlegend=panel == 3)
+        traces.append(line)
+    layout: dict[str, Any] = {"xaxis": {"title": {"text": "time (s)"}, "anchor": "y3"}}
+    for k, (name, unit) in enumerate(panels):
+        key = "yaxis" if k == 0 else f"yaxis{k + 1}"
+        top = 1 - k / 3
+        layout[key] = {"title": {"text": f"{name} ({unit})"}, "domain": [top - 0.29, top - 0.02]}
+    drawn = add_time_cursor(figure(*traces, **layout), group)
+    drawn.update_layout(hovermode="x", legend={"y": 1.0})
+    for trial in one.trials:
+        _shade(drawn, (trial.onset, trial.end), COLOURS[trial.kind], 0.14)
+    plots.append(Plot(drawn, "Speed, turning rate and orders over time", 460))
+    return plots
+
+
+def _track_plot(one: LogCheck, chosen: np.ndarray, group: str) -> Plot:
+    """North up, the trials coloured."""
+    run = one.run
+    x, y, t = numbers(run.y[chosen]), numbers(run.x[chosen]), numbers(run.t[chosen], 6)
+    path = go.Scatter(x=x, y=y, customdata=t, mode="lines", line={"color": MEASURED, "width": 1.5})
+    path.update(hovertemplate="%{customdata:.1f} s<extra></extra>", name="track")
+    traces = [path]
+    for kind, colour in COLOURS.items():
+        inside = np.zeros(chosen.size, dtype=bool)
+        for trial in one.trials:
+            if trial.kind == kind:
+                inside |= (run.t[chosen] >= trial.onset) & (run.t[chosen] <= trial.end)
+        if not inside.any():
+            continue
+        own = [[v if there else None for v, there in zip(s, inside, strict=True)] for s in (x, y)]
+        part = go.Scatter(x=own[0], y=own[1], mode="lines", name=kind, hoverinfo="skip")
+        traces.append(part.update(line={"color": colour, "width": 3}))
+    drawn = add_track_markers(figure(*traces, **TRACK_LAYOUT), group, [0], [DIAGNOSED])
+    drawn.update_layout(showlegend=True)
+    return Plot(drawn, "The track, north up, with trials coloured", 460)
+
+
+def _trial_table(one: LogCheck) -> Table:
+    rows = []
+    for trial in one.trials:
+        order = f"{math.degrees(trial.order):.1f} deg" if math.isfinite(trial.order) else ""
+        turned = f"{math.degrees(trial.heading_change):.0f} deg"
+        times = f"{trial.onset:.0f} to {trial.end:.0f} s"
+        speed = trial.approach.speed
+        pace = f"{significant(speed, 3)} m/s" if math.isfinite(speed) else ""
+        rows.append(
+            [trial.kind, times, trial.side or "", order, turned, pace, trial.approach.verdict]
+        )
+    columns = ["trial", "time", "side", "order", "turned by", "approach", "approach is"]
+    caption = "Trials; orders of a pair of thrusters as the rudder angle that would be equivalent"
+    return Table(columns, rows, caption)
+
+
+def _lag_table(one: LogCheck) -> Table:
+    answers, rows = one.answers, []
+    for what, lag in (
+        ("order to turn, to turning rate", answers.lag_of_turning),
+        ("order ahead, to speed", answers.lag_of_speed),
+    ):
+        if lag is not None:
+            rows += _lag_rows(what, lag)
+    if answers.asymmetry is not None:
+        words = "starboard over port, as in (1 - ratio) : (1 + ratio)"
+        rows.append(["ratio of sides", words, *_cells(answers.asymmetry), ""])
+    columns = ["number", "of", "value", "90 % interval", "explained"]
+    return Table(columns, rows, numeric=(2, 3, 4))
+
+
+def _lag_rows(what: str, lag: LagOfAnswer) -> list[list[str]]:
+    share = f"{100 * lag.explained:.0f} %"
+    return [
+        ["dead time", what, *_cells(lag.delay), share],
+        ["time constant", what, *_cells(lag.time_constant), share],
+    ]
+
+
+def _cells(one: Estimate) -> tuple[str, str]:
+    """A value and its interval, with as many digits as the interval allows."""
+    error = max((one.high - one.low) / 3.3, 1e-9)
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    low, high = (round_to_error(end, 0.3 * error) for end in (one.low, one.high))
+    return round_to_error(one.value, error) + unit, f"{low} to {high}"
+
+
+def _answer_plots(one: LogCheck) -> list[Plot]:
+    """Speed by the order ahead, and turning rate by the order to turn."""
+    answers, plots = one.answers, []
+    pairs = (
+        ("speed", "order ahead (%)", answers.ahead, answers.speeds, answers.speed),
+        (
+            "turning rate",
+            "order to turn, to starboard (%)",
+            answers.turn,
+            answers.rates,
+            answers.turning,
+        ),
+    )
+    for name, label, order, values, points in pairs:
+        known = np.isfinite(order) & np.isfinite(values)
+        if not points or not known.any():
+            continue
+        unit = points[0].answer.unit
+        plots.append(_answer_plot(name, label, order[known], values[known], points, unit))
+    return plots
+
+
+def _answer_plot(
+    name: str,
+    label: str,
+    order: np.ndarray,
+    values: np.ndarray,
+    points: Sequence[SteadyPoint],
+    unit: str,
+) -> Plot:
+    """All samples, and the means where an order stood, with their intervals."""
+    shown = lambda value: for_people(value, unit)[0]
+    rows = _thinned(order.size, DRAWN_SAMPLES)
+    cloud = go.Scatter(x=numbers(100 * order[rows], 3), mode="markers", name="all samples")
+    cloud.update(y=numbers([shown(v) for v in values[rows]], 3), hoverinfo="skip")
+    cloud.update(marker={"color": MEASURED, "size": 3, "opacity": 0.45})
+    means = [shown(point.answer.value) for point in points]
+    ends = [(shown(point.answer.low), shown(point.answer.high)) for point in points]
+    above = [high - mean for mean, (_, high) in zip(means, ends, strict=True)]
+    below = [mean - low for mean, (low, _) in zip(means, ends, strict=True)]
+    steady = go.Scatter(x=[100 * point.order for point in points], y=means, name="order stood")
+    steady.update(mode="lines+markers", line={"color": DIAGNOSED})
+    steady.update(error_y={"array": above, "arrayminus": below, "symmetric": False})
+    steady.update(hovertemplate="%{x:.0f} %: %{y:.3g}<extra></extra>")
+    people = for_people(0.0, unit)[1]
+    axes = {"xaxis": {"title": {"text": label}}, "yaxis": {"title": {"text": f"{name} ({people})"}}}
+    return Plot(figure(cloud, steady, **axes), f"{capital(name)} by order", 340)
+
+
+def _scale_sentence(one: LogCheck) -> str:
+    told = []
+    for name, scale in one.scales.items():
+        unit = "" if scale.unit in ("own", "normalised") else f" {scale.unit}"
+        ends = f"{scale.neutral:g} is none and {scale.full_ahead:g}{unit} full ahead"
+        told.append(f"{name}: {ends} ({scale.why})")
+    return f"Orders are shares of full order. {'; '.join(told)}." if told else ""
+
+
+def _question_table(one: LogCheck) -> Table:
+    rows = [[q.what, q.why, q.record or ""] for q in one.cannot_tell]
+    return Table(["cannot be told", "because", "what would tell"], rows)

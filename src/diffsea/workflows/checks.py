@@ -1,0 +1,194 @@
+"""Logs checked as they are, without a mapping or a vessel."""
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+from diffsea.checks import LogCheck, check_run
+from diffsea.errors import UserError
+from diffsea.recordings import (
+    Finding,
+    Mapping,
+    audit_set,
+    logs,
+    read_mapping,
+    read_recording,
+    unreadable,
+)
+from diffsea.recordings.known import Recognised, recognise
+from diffsea.recordings.mapping_proposal import foreign_layouts, propose_mapping
+from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, mapping_from
+from diffsea.runtime import one_blas_thread
+from diffsea.trajectory import Trajectory
+
+
+_SI = {"time": "s", "length": "m", "angle": "rad", "angular rate": "rad/s", "speed": "m/s"}
+_SI |= {"ratio": "1"}
+_PLACES = re.compile(
+    r"^.*(of the first valid fix|of \[file\] origin|First fix|first fix).*$\n?", re.M
+)
+_ORIGIN = re.compile(r"^origin *=.*$\n?", re.M)
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenMapping:
+    """How a log is read.
+
+    Attributes:
+        mapping: None of a table with native columns.
+        text: the mapping as a file, None where the user or nobody gave it.
+        told: which it is, for people.
+        known: what the log was recognised as.
+    """
+
+    mapping: Mapping | None
+    text: str | None
+    told: str
+    known: Recognised | None = None
+
+
+def choose_mappings(
+    paths: Sequence[Path], mapping: Path | None = None
+) -> dict[Path, ChosenMapping | Finding]:
+    """How each log is read: the mapping that is given, else one by content, else a proposed one.
+
+    A log that cannot be read at all has the finding that says why.
+
+    Raises:
+        UserError: the mapping that is given cannot be read.
+    """
+    if mapping is not None:
+        given = read_mapping(mapping)
+        return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
+    chosen: dict[Path, ChosenMapping | Finding] = {}
+    for path in paths:
+        try:
+            known = recognise(path)
+        except UserError as error:
+            chosen[path] = unreadable(path.name, str(error))
+            continue
+        if known is not None:
+            chosen[path] = ChosenMapping(known.mapping, known.text, known.sentence, known)
+        else:
+            chosen[path] = ChosenMapping(None, None, "native columns")
+    for group in foreign_layouts([p for p in paths if isinstance(chosen[p], ChosenMapping)]):
+        try:
+            proposal = propose_mapping(group)
+        except UserError as error:
+            chosen |= {path: unreadable(path.name, str(error)) for path in group}
+            continue
+        if not proposal.timed:
+            why = (
+                "the file has no time, and nothing tells its sampling interval: propose a mapping "
+                f"by `diffsea audit {group[0]}`, put the interval (s) into its [file] time_step, "
+                "and name it with --mapping"
+            )
+            chosen |= {path: unreadable(path.name, why) for path in group}
+            continue
+        table = mapping_from(tomllib.loads(proposal.text), Path("the proposed mapping"))
+        told = "through a mapping proposed from names and kinematics:\n" + proposal.summary
+        chosen |= {path: ChosenMapping(table, proposal.text, told) for path in group}
+    return chosen
+
+
+@one_blas_thread
+def check_logs(
+    paths: Sequence[Path],
+    chosen: dict[Path, ChosenMapping | Finding],
+    start: float | None = None,
+    end: float | None = None,
+    hide_place: bool = False,
+) -> list[LogCheck | Finding]:
+    """The check of each log of one boat, in order; a broken one is the finding that says why.
+
+    With `hide_place` positions count from the first one, and no origin is told.
+
+    Raises:
+        UserError: none of the logs can be read.
+    """
+    read: list[tuple[Trajectory, ChosenMapping] | Finding] = []
+    for path in paths:
+        how = chosen[path]
+        if isinstance(how, Finding):
+            read.append(how)
+            continue
+        try:
+            run = read_recording(path, how.mapping, start, end)
+        except UserError as error:
+            read.append(unreadable(path.name, str(error)))
+            continue
+        read.append((_without_place(run) if hide_place else run, how))
+    broken = [one.message for one in read if isinstance(one, Finding)]
+    if len(broken) == len(read):
+        several = f"none of the {len(broken)} logs can be read:\n  " if len(broken) > 1 else ""
+        raise UserError(several + "\n  ".join(broken))
+    judged = iter(audit_set([one[0] for one in read if not isinstance(one, Finding)]))
+    checks: list[LogCheck | Finding] = []
+    for path, one in zip(paths, read, strict=True):
+        if isinstance(one, Finding):
+            checks.append(one)
+            continue
+        run, how = one
+        outputs = how.known.outputs if how.known else ()
+        missing = how.known.missing if how.known else ()
+        named = _format_of(path, how)
+        checks.append(check_run(run, next(judged), named, _sources(run, how), outputs, missing))
+    return checks
+
+
+def mapping_file(how: ChosenMapping, hide_place: bool) -> str | None:
+    """The text of the mapping that was chosen, without the origin where the place is hidden."""
+    if how.text is None or not hide_place:
+        return how.text
+    return _ORIGIN.sub("", _PLACES.sub("", how.text))
+
+
+def _without_place(run: Trajectory) -> Trajectory:
+    """The run from where it began, without the origin among its notes."""
+    notes = tuple(note for note in run.provenance if not _PLACES.match(note + "\n"))
+    moved = {}
+    for axis in ("x", "y"):
+        series = getattr(run, axis)
+        known = [value for value in series if value == value]
+        moved[axis] = series - known[0] if known else series
+    return dataclasses.replace(run, **moved, provenance=notes)
+
+
+def _format_of(path: Path, how: ChosenMapping) -> tuple[str, str, str]:
+    """The name of a log's format, the same for people, and the craft."""
+    if how.known is not None:
+        return how.known.log, how.known.title, how.known.craft
+    form = logs.format_of(path)
+    name = form.name if form else path.suffix.lower().removeprefix(".") or "table"
+    channels = {} if how.mapping is None else how.mapping.channels
+    title = "a table with native columns" if how.mapping is None else "a table through a mapping"
+    return name, f"{title} ({name})" if form is None else name, craft_of(tuple(channels))
+
+
+def craft_of(channels: Sequence[str]) -> str:
+    """The kind of vessel by the names of its channels."""
+    names = {name.partition("_")[2] for name in channels if name.startswith(("cmd_", "exec_"))}
+    if {"port", "starboard"} <= names:
+        return "vessel with two thrusters, port and starboard"
+    if any("rudder" in name for name in names):
+        return "vessel with a rudder"
+    return f"vessel with actuators {', '.join(sorted(names))}" if names else "vessel"
+
+
+def _sources(run: Trajectory, how: ChosenMapping) -> dict[str, tuple[str, str]]:
+    """Column and unit of each channel, as they stand in the log."""
+    if how.mapping is None:
+        return {name: (name, _SI.get(unit, "")) for name, unit in CHANNEL_DIMENSIONS.items()}
+    found = {}
+    orders = (
+        {}
+        if how.known is None
+        else dict.fromkeys((f"cmd_{output.channel}" for output in how.known.outputs), "us")
+    )
+    swapped = {"latitude": "x", "longitude": "y"}
+    for name, column in how.mapping.ned_channels.items():
+        unit = column.unit or orders.get(name) or _SI.get(CHANNEL_DIMENSIONS.get(name, ""), "")
+        found[swapped.get(name, name)] = (" and ".join(column.names), unit)
+    return found

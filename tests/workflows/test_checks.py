@@ -1,0 +1,215 @@
+"""`diffsea check`: what it says of a log is what the boat that wrote it did."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from tests.recordings import driven_boat
+from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
+
+from diffsea.checks import check_run
+from diffsea.checks.answers import answers_of
+from diffsea.checks.shares import in_shares, order_scales
+from diffsea.cli import main
+from diffsea.trajectory import Trajectory
+
+
+DELAY, WEAKER = 0.4, 0.06
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """A folder with a log of each kind that can be written."""
+    pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+    folder = tmp_path_factory.mktemp("logs")
+    boat = noisy(drive(DELAY, WEAKER, upside_down=40.0))
+    (folder / "boat.bin").write_bytes(driven_boat.ardupilot_log(boat))
+    (folder / "fixes.bin").write_bytes(driven_boat.ardupilot_log(boat, without=("XKF1", "ARM")))
+    (folder / "cut.bin").write_bytes(b"\xa3\x95 nothing that is a log")
+    driven_boat.telemetry_log(boat, folder / "boat.tlog")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def checked(logs, tmp_path_factory):
+    """check.json of the dataflash log and the folder with the other files."""
+    out = tmp_path_factory.mktemp("checked")
+    assert main(["check", str(logs / "boat.bin"), "-o", str(out)]) == 0
+    return json.loads((out / "check.json").read_text()), out
+
+
+def recorded(boat, orders=None, step=0.1):
+    """A boat as a recording with orders in us, or in others."""
+    slow = boat.every(step)
+    motion = {name: getattr(slow, name) for name in ("x", "y", "psi", "u", "v", "r")}
+    orders = {"port": slow.port, "starboard": slow.starboard} if orders is None else orders(slow)
+    everything = np.ones(slow.t.shape, bool)
+    return Trajectory(slow.t, **motion, commanded=orders, executed={}, extra={}, valid=everything)
+
+
+def answers(boat, **options):
+    run = recorded(boat, **options)
+    return answers_of(in_shares(run, order_scales(run)), [(float(run.t[0]), float(run.t[-1]))])
+
+
+def test_format_craft_channels_and_what_is_used_are_told(checked):
+    record, _ = checked
+    assert record["format"] == 1 and record["log"] == "ardupilot-bin"
+    assert record["craft"] == "boat with two thrusters, port and starboard"
+    assert record["channels"]["r"] | {"rate": 0} == {
+        "source": "IMU:GyrZ", "unit": "rad/s", "rate": 0
+    }  # fmt: skip
+    assert record["channels"]["r"]["rate"] == pytest.approx(25, rel=0.01)
+    assert record["channels"]["cmd_port"]["unit"] == "us"
+    assert record["orders"]["port"]["why"] == "parameters of output 3"
+    ((start, end),) = record["used"]
+    assert start == pytest.approx(30 + 34, abs=2) and end == pytest.approx(30 + 408, abs=4)
+    assert [one["why"] for one in record["idle"]][-1] == "upside down"
+    assert record["audit"] == [] and record["missing"] == []
+
+
+def test_dead_time_and_sides_of_the_log_hold_the_truth(checked):
+    shows = checked[0]["shows"]
+    low, high = shows["lag"]["turning"]["delay"]["interval"]
+    assert low - 0.02 <= DELAY <= high + 0.02 and high - low < 0.3
+    assert shows["asymmetry"]["value"] == pytest.approx(-WEAKER / (2 - WEAKER), abs=0.01)
+    assert shows["asymmetry"]["interval"][1] < 0
+    speeds = {round(point["order"], 1): point["value"] for point in shows["speed_against_order"]}
+    for order in (0.3, 0.5, 0.7, 0.9):
+        force = 40 * order * (2 - WEAKER)  # of the steady balance with 18 u^2 + 6 u
+        steady = (-6 + np.sqrt(36 + 4 * 18 * force)) / 36
+        assert speeds[order] == pytest.approx(steady, rel=0.04)
+
+
+def test_circles_are_found_where_they_were_run(checked):
+    circles = [one for one in checked[0]["trials"] if one["kind"] == "turning"]
+    long = [one for one in circles if one["end"] - one["onset"] > 40]
+    assert [one["side"] for one in long] == ["starboard", "port"]
+    for one, start in zip(long, (180, 240), strict=True):
+        assert one["onset"] == pytest.approx(30 + 40 + start, abs=0.5)
+        assert one["end"] == pytest.approx(30 + 40 + start + 45, abs=2)
+
+
+def test_what_is_not_in_a_log_is_asked_for_within_three_minutes(checked):
+    record, _ = checked
+    open_now = {one["what"]: one for one in record["cannot_tell"]}
+    assert open_now["thrust astern and stopping"]["why"] == "no order astern is in it"
+    assert not any(what.startswith("steady turning") for what in open_now)
+    assert record["next"]["record"] == ["from half ahead to half astern until it stops"]
+    straight = recorded(noisy(drive(dock=0.0, after=0.0).every(0.02)))
+    rows = straight.t < 95
+    part = check_run(straight.rows(rows), (), ("csv", "a table", "vessel"), {})
+    asked = [one.what for one in part.cannot_tell]
+    assert "how fast it answers an order to turn" in asked
+    assert "steady turning to port, and so drift" in asked
+    assert "resistance by speed" not in asked
+    assert sum(one.seconds for one in part.next) <= 180
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.8])
+def test_the_dead_time_is_the_one_that_was_given(delay):
+    found = answers(noisy(drive(delay, dock=0.0, after=0.0))).lag_of_turning
+    assert found is not None and not found.opposite
+    assert found.delay.low <= delay <= found.delay.high and found.delay.high < delay + 0.2
+
+
+def test_exchanged_sides_are_said_to_be_exchanged():
+    swapped = lambda slow: {"port": slow.starboard, "starboard": slow.port}
+    found = answers(noisy(drive(DELAY, WEAKER, dock=0.0, after=0.0)), orders=swapped)
+    assert found.lag_of_turning is not None and found.lag_of_turning.opposite
+
+
+def test_equal_sides_are_not_told_apart_and_no_answer_is_none():
+    boat = noisy(drive(DELAY, dock=0.0, after=0.0))
+    equal = answers(boat).asymmetry
+    assert equal is not None and abs(equal.value) < 0.005 and equal.high - equal.low < 0.05
+    rng = np.random.default_rng(3)
+
+    def guess(slow):
+        drawn = rng.uniform(-1, 1, (2, slow.t.size // 20 + 1))
+        held = NEUTRAL + FULL * np.repeat(drawn, 20, axis=1)[:, : slow.t.size]
+        return {"port": held[0], "starboard": held[1]}
+
+    assert answers(boat, orders=guess).lag_of_turning is None
+
+
+@pytest.mark.parametrize(
+    ("scaled", "unit"),
+    [
+        (lambda us: us, "us"),
+        (lambda us: (us - NEUTRAL) / FULL, "normalised"),
+        (lambda us: (us - NEUTRAL) / FULL * 37.0, "own"),
+    ],
+)
+def test_orders_of_any_unit_are_the_same_shares(scaled, unit):
+    boat = drive(dock=0.0, after=0.0)
+    orders = lambda slow: {"port": scaled(slow.port), "starboard": scaled(slow.starboard)}
+    run = recorded(boat, orders)
+    scales = order_scales(run)
+    assert {one.unit for one in scales.values()} == {unit}
+    share = in_shares(run, scales).commanded["port"]
+    truth = (boat.every(0.1).port - NEUTRAL) / FULL
+    largest = 1.0 if unit != "own" else np.quantile(np.abs(truth), 0.995)
+    np.testing.assert_allclose(share, truth / largest, atol=0.01)
+
+
+def test_a_pulse_of_no_length_is_no_order():
+    boat = drive(dock=0.0, after=10.0)
+    silent = lambda slow: {
+        side: np.where(slow.t > 362, 0.0, getattr(slow, side)) for side in ("port", "starboard")
+    }
+    run = recorded(boat, silent)
+    assert in_shares(run, order_scales(run)).commanded["port"][-1] == 0
+
+
+def test_the_page_is_one_file_and_shows_what_the_record_has(checked):
+    record, out = checked
+    page = (out / "check.html").read_text()
+    assert "Check of boat.bin" in page and 'http-equiv="Content-Security-Policy"' in page
+    for one in record["cannot_tell"]:
+        assert one["what"] in page
+    assert "upside down" in page and "IMU:GyrZ" in page and 'class="auto"' in page
+
+
+def test_a_place_that_is_hidden_is_in_nothing_that_is_written(logs, tmp_path):
+    args = ["check", str(logs / "fixes.bin"), "-o"]
+    assert main([*args, str(tmp_path / "told")]) == 0
+    assert main([*args, str(tmp_path / "hidden"), "--hide-place"]) == 0
+    written = lambda folder: "".join(f.read_text() for f in (tmp_path / folder).iterdir())
+    place = r"63\.4[34]\d*, 10\.[34]\d*"
+    hidden = written("hidden")
+    assert re.search(place, written("told")) and not re.search(place, hidden)
+    assert "there is no velocity (XKF1)" in hidden
+
+
+def test_a_log_that_is_broken_is_a_row_and_all_broken_an_error(logs, tmp_path, capsys):
+    both = [str(logs / "cut.bin"), str(logs / "boat.tlog")]
+    assert main(["check", *both, "--json", "-o", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["logs"]["cut.bin"]["audit"][0]["kind"] == "unreadable"
+    assert told["logs"]["boat.tlog"]["log"] == "mavlink-tlog"
+    assert "could not be read" in (tmp_path / "check.html").read_text()
+    assert main(["check", both[0], "-o", str(tmp_path / "none")]) == 1
+    assert "cannot be read" in capsys.readouterr().err and not (tmp_path / "none").exists()
+
+
+def test_only_the_time_asked_for_is_checked(logs, tmp_path):
+    args = ["check", str(logs / "boat.tlog"), "--start", "100", "--end", "200"]
+    assert main([*args, "-o", str(tmp_path)]) == 0
+    record = json.loads((tmp_path / "check.json").read_text())
+    assert record["used"][0][0] >= 99.9 and record["used"][-1][1] <= 200.1
+
+
+def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path):
+    slow = noisy(drive(DELAY, dock=0.0, after=0.0)).every(0.2)
+    columns = {"time_ms": slow.t * 1e3, "Yaw": np.degrees(slow.psi) % 360, "North": slow.x,
+               "East": slow.y, "fwd": slow.u, "side": slow.v, "Gyro Z": np.degrees(slow.r),
+               "thr_left": slow.port, "thr_right": slow.starboard}  # fmt: skip
+    table = np.stack(list(columns.values()), axis=1)
+    path = tmp_path / "logger.csv"
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    assert main(["check", str(path), "-o", str(tmp_path / "out")]) == 0
+    record = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert record["log"] == "csv" and (tmp_path / "out" / "logger.mapping.toml").exists()
+    assert record["channels"]["psi"] | {"rate": 0} == {"source": "Yaw", "unit": "deg", "rate": 0}
