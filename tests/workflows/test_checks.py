@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from tests import chromium
 from tests.recordings import driven_boat
 from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
 
@@ -194,6 +195,16 @@ def test_a_log_that_is_broken_is_a_row_and_all_broken_an_error(logs, tmp_path, c
     assert "cannot be read" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
+def test_the_page_fits_a_phone_and_asks_for_nothing(checked, tmp_path):
+    if chromium.installed() is None:
+        pytest.skip("no Chromium")
+    with chromium.opened(checked[1] / "check.html", tmp_path, width=400) as page:
+        assert page.run("document.documentElement.scrollWidth") <= 400
+        assert page.run("document.querySelectorAll('.plot .main-svg').length") >= 5
+        assert page.complaints == []
+        assert all(address.startswith(("file:", "blob:", "data:")) for address in page.requests)
+
+
 def test_only_the_time_asked_for_is_checked(logs, tmp_path):
     args = ["check", str(logs / "boat.tlog"), "--start", "100", "--end", "200"]
     assert main([*args, "-o", str(tmp_path)]) == 0
@@ -213,3 +224,19 @@ def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path):
     record = json.loads((tmp_path / "out" / "check.json").read_text())
     assert record["log"] == "csv" and (tmp_path / "out" / "logger.mapping.toml").exists()
     assert record["channels"]["psi"] | {"rate": 0} == {"source": "Yaw", "unit": "deg", "rate": 0}
+
+
+def test_a_ground_course_is_no_heading_and_columns_that_may_be_orders_are_named(tmp_path):
+    slow = noisy(drive(DELAY, dock=0.0, after=0.0)).every(0.2)
+    course = np.degrees(np.angle(slow.north_east)) % 360
+    columns = {"timestamp": slow.t, "yaw": np.degrees(slow.psi) % 360, "groundcourse": course,
+               "groundspeed": np.abs(slow.north_east), "north": slow.x, "east": slow.y,
+               "ch1out": slow.starboard, "ch3out": slow.port}  # fmt: skip
+    table = np.stack(list(columns.values()), axis=1)
+    path = tmp_path / "planner.csv"
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    assert main(["check", str(path), "-o", str(tmp_path / "out")]) == 0
+    record = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert record["channels"]["psi"]["source"] == "yaw"
+    assert "groundcourse" not in [one["source"] for one in record["channels"].values()]
+    assert "columns not used" in record["missing"][0] and "ch3out" in record["missing"][0]

@@ -22,6 +22,7 @@ from diffsea.recordings.geodesy import place_fixes
 from diffsea.recordings.known import recognise
 from diffsea.recordings.mappings import (
     ACTUATOR_PREFIXES,
+    COLUMNS_NOT_USED,
     EMPTY_ROWS,
     EXTRA_CHANNELS,
     REPEATED_TIMES,
@@ -174,7 +175,7 @@ def _from_table(
     used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
-        notes.append("columns not used: " + ", ".join(unused))
+        notes.append(f"{COLUMNS_NOT_USED}: " + ", ".join(unused))
     if mapping is None:
         return _assemble(values, place, first_line, notes, name)
     if mapping.time_step is not None:

@@ -19,7 +19,7 @@ from diffsea.recordings import (
 )
 from diffsea.recordings.known import Recognised, recognise
 from diffsea.recordings.mapping_proposal import foreign_layouts, propose_mapping
-from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, mapping_from
+from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, COLUMNS_NOT_USED, mapping_from
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 
@@ -132,7 +132,7 @@ def check_logs(
             continue
         run, how = one
         outputs = how.known.outputs if how.known else ()
-        missing = how.known.missing if how.known else ()
+        missing = how.known.missing if how.known else _unmapped_orders(run)
         named = _format_of(path, how)
         checks.append(check_run(run, next(judged), named, _sources(run, how), outputs, missing))
     return checks
@@ -154,6 +154,16 @@ def _without_place(run: Trajectory) -> Trajectory:
         known = [value for value in series if value == value]
         moved[axis] = series - known[0] if known else series
     return dataclasses.replace(run, **moved, provenance=notes)
+
+
+def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
+    """Which columns of a table may be the orders, where none is known as one."""
+    unused = [note for note in run.provenance if note.startswith(COLUMNS_NOT_USED)]
+    if run.commanded or run.executed or not unused:
+        return ()
+    why = "no column is known as an order or as executed actuation"
+    how = "if one is, name it in the mapping as cmd_port, cmd_starboard, cmd_rudder"
+    return (f"{why}; {unused[0]}; {how}",)
 
 
 def _format_of(path: Path, how: ChosenMapping) -> tuple[str, str, str]:
