@@ -1,5 +1,6 @@
 """Logs without a mapping: what they hold is recognised, and comes out true."""
 
+import argparse
 import dataclasses
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.recordings.test_logs import bag  # noqa: F401  a fixture
 
 from diffsea import UserError, read_mapping, read_recording
 from diffsea.cli import main
+from diffsea.cli.options import used_parts
 from diffsea.recordings.known import recognise
 from diffsea.recordings.logs import contents
 
@@ -167,6 +169,24 @@ def test_only_the_time_asked_for_is_read(log, tmp_path, capsys):
         read_mapping(file)
     assert main(["metrics", str(path), "--start", "1e6", "-o", str(tmp_path / "m")]) == 1
     assert "0 samples" in capsys.readouterr().err
+
+
+def test_fits_leave_idle_stretches_of_known_logs_out_and_say_so(log, tmp_path, capsys):
+    """And keep them where they are told to, or where the mapping is the user's."""
+    path = log("bin")
+    run = read_recording(path)
+    args = argparse.Namespace(keep_idle=False)
+    (piece,) = used_parts([run], args)
+    told = capsys.readouterr().err
+    assert "at rest without orders" in told and "--keep-idle keeps them" in told
+    assert piece.t[0] > BOOT + 25 and piece.t[-1] < BOOT + 420
+    args.keep_idle = True
+    assert used_parts([run], args) == [run]
+    file = tmp_path / "own.toml"
+    file.write_text(recognised(path).text)
+    own = read_recording(path, file)
+    args.keep_idle = False
+    assert used_parts([own], args) == [own] and capsys.readouterr().err == ""
 
 
 def test_an_mcap_file_is_of_ros_or_of_json_by_its_content(log, bag, boat):  # noqa: F811

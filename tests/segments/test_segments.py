@@ -25,6 +25,7 @@ from diffsea import (
 )
 from diffsea.cli import main
 from diffsea.cli import segments as command
+from diffsea.metrics.orders import alternating_chains
 from diffsea.segments import SEGMENT_KINDS, SegmentSettings, cut_out, group_repeats, traceability
 from diffsea.segments.free_motion import quarter_turn_window
 from diffsea.segments.signals import signals_of
@@ -358,6 +359,10 @@ def test_a_flicker_of_the_steering_does_not_part_a_trial():
     assert circle.onset == pytest.approx(log.truth[1]["start"], abs=0.11)
     assert circle.end == pytest.approx(log.truth[2]["end"], abs=0.3)
     assert len(circle.switches) == 1
+
+
+def test_steering_that_never_swings_makes_no_chain():
+    assert alternating_chains([], np.arange(5.0), 0.1) == []
 
 
 def test_the_window_is_the_time_of_a_quarter_turn():
