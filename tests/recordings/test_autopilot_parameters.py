@@ -66,15 +66,19 @@ def test_what_a_log_does_not_say_is_the_autopilots_default_and_the_last_value_co
     assert found.thrust_asymmetry == 1.0
 
 
-def test_logs_that_say_nothing_are_refused(log, tmp_path):
-    with pytest.raises(UserError, match="holds no parameters"):
-        read_parameters(log())
-    with pytest.raises(UserError, match="SERVO1_TRIM = 1100 us is not between"):
-        read_parameters(log(("SERVO1_FUNCTION", 73), ("SERVO1_TRIM", 1100)))
+def test_a_log_that_tells_none_has_none_and_one_that_is_damaged_is_refused(log, tmp_path):
+    found = read_parameters(log())
+    assert not found.values and found.outputs == ()
     other = tmp_path / "other.bin"
     other.write_bytes(b"no log at all")
     with pytest.raises(UserError, match="other.bin"):
         read_parameters(other)
+
+
+def test_a_motor_with_its_neutral_at_an_end_is_refused(log):
+    (output,) = read_parameters(log(("SERVO1_FUNCTION", 73), ("SERVO1_TRIM", 1100))).outputs
+    with pytest.raises(UserError, match="boat.bin: SERVO1_TRIM = 1100 us is not between"):
+        output.check_ends("boat.bin")
 
 
 def test_without_the_package_its_extra_is_named(tmp_path, monkeypatch):

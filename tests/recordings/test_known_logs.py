@@ -145,7 +145,7 @@ def test_a_rudder_is_an_angle_to_starboard_and_reversal_counts(log):
     run = read_recording(path)
     np.testing.assert_allclose(run.commanded["rudder"], np.radians((first - 1500) / 400 * 35))
     np.testing.assert_allclose(turned.commanded["rudder"], -run.commanded["rudder"], atol=1e-12)
-    assert recognised(path).craft == "boat with a propeller and a rudder"
+    assert recognised(path).craft == "boat with a motor and a rudder"
 
 
 def test_telemetry_counts_on_the_autopilots_clock_and_leaves_the_station_out(log):

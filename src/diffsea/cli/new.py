@@ -49,7 +49,7 @@ def register(commands: options.Commands) -> None:
     add_option(new, "--unit", "UNIT", options.one_of(UNITS, "unit"), unit)
     turned = "motors whose larger orders are astern: port, starboard, motor (default: by the log)"
     add_option(new, "--reversed", "NAMES", options.names, turned, default=())
-    log = "ArduPilot .bin log: outputs, neutral, ends and sense of the motors are read from it"
+    log = "log of ArduPilot: outputs, neutral, ends and sense of the motors are read from it"
     add_option(new, "--log", "LOG", pathlib.Path, log)
     add_flag(new, "--force", "write over a file that is there")
 
@@ -137,6 +137,8 @@ def _parameters(args: argparse.Namespace, told: list[str]) -> "AutopilotParamete
     from diffsea.recordings.logs.autopilot_parameters import FUNCTIONS, THROTTLE, read_parameters
 
     found = read_parameters(args.log)
+    if not found.values:
+        raise UserError(f"{args.log} holds no parameters of an autopilot; leave --log out")
     if args.unit not in (None, "us"):
         raise UserError(f"{args.log} has orders as pulse widths; leave --unit {args.unit} out")
     for one in found.outputs:
@@ -219,6 +221,7 @@ def _scale(output: "ServoOutput", log: pathlib.Path) -> "MotorScale":
     """Orders of a motor as the log's parameters have them."""
     from diffsea.vessel.estimates import MotorScale
 
+    output.check_ends(str(log))
     said = f"SERVO{output.channel} of {log.name}"
     return MotorScale(output.trim, output.full_ahead, output.full_astern, output.is_reversed, said)
 

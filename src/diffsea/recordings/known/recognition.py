@@ -11,7 +11,8 @@ from typing import Any
 from diffsea.errors import UserError
 from diffsea.recordings import logs
 from diffsea.recordings.auditing.repair import mapping_text
-from diffsea.recordings.known.outputs import Output, assigned_outputs, autopilot_parameters
+from diffsea.recordings.known.outputs import Output, assigned_outputs
+from diffsea.recordings.logs.autopilot_parameters import read_parameters
 from diffsea.recordings.mappings import Column, Mapping, mapping_from
 from diffsea.trajectory import MOTION_CHANNELS
 
@@ -80,8 +81,9 @@ def recognise(path: str | Path) -> Recognised | None:
     parameters: dict[str, float] = {}
     outputs: list[Output] = []
     if "outputs" in layout:
-        parameters = autopilot_parameters(path, form.name)
-        outputs, columns = _outputs(layout["outputs"], assigned_outputs(parameters), found)
+        told = read_parameters(path)
+        parameters = dict(told.values)
+        outputs, columns = _outputs(layout["outputs"], assigned_outputs(told.outputs), found)
         channels |= columns
     for group in _GROUPS:
         chosen = _first_that_fits(layout.get(group, []), found, channels)
@@ -218,5 +220,5 @@ def _craft(channels: dict[str, Any], parameters: dict[str, float]) -> str:
     if {"port", "starboard"} <= names:
         return f"{kind} with two thrusters, port and starboard"
     if "rudder" in names:
-        return f"{kind} with {'a propeller and ' if 'propeller' in names else ''}a rudder"
+        return f"{kind} with {'a motor and ' if 'motor' in names else ''}a rudder"
     return f"{kind} with one thruster" if names else f"{kind} whose actuators were not recorded"

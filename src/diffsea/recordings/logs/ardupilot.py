@@ -61,13 +61,13 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     return streams
 
 
-def parameters(path: Path) -> dict[str, float]:
-    """The autopilot's parameters as they were set last (PARM), by name."""
+def parameters(path: Path) -> list[tuple[str, float]]:
+    """The autopilot's parameters as they were told (PARM), in the order of the file."""
     log, _ = _open_log(path)
-    found = {}
+    found = []
     with unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=["PARM"])) is not None:
-            found[message.Name] = float(message.Value)
+            found.append((message.Name, float(message.Value)))
     return found
 
 

@@ -1,14 +1,15 @@
-"""Parameters in an ArduPilot log: which output is which motor, its zero, its ends, its sense.
+"""Parameters in a log of ArduPilot: which output is which motor, its zero, its ends, its sense.
 
-The autopilot writes its parameters as PARM messages when logging starts, and again what is changed
-later. `SERVOn_FUNCTION` says what output n (RCOU:Cn) drives, by numbers of ArduPilot's list.
+The autopilot tells its parameters when logging starts, and again what is changed later.
+`SERVOn_FUNCTION` says what output n (RCOU:Cn) drives, by numbers of ArduPilot's list.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import unreadable
+from diffsea.recordings.logs.reading import format_of
 
 
 THROTTLE_LEFT, THROTTLE_RIGHT, THROTTLE, GROUND_STEERING = 73, 74, 70, 26
@@ -36,6 +37,15 @@ class ServoOutput:
     trim: float
     is_reversed: bool
 
+    def check_ends(self, where: str) -> None:
+        """Raises `UserError` where neutral is not between both ends, as of a motor it has to be."""
+        if not self.minimum < self.trim < self.maximum:
+            raise UserError(
+                f"{where}: SERVO{self.channel}_TRIM = {self.trim:g} us is not between its MIN = "
+                f"{self.minimum:g} and MAX = {self.maximum:g}; a motor that runs both ways has "
+                "its neutral between them"
+            )
+
     @property
     def full_ahead(self) -> float:
         """Full order ahead, above neutral whatever the sense: us.
@@ -55,12 +65,14 @@ class AutopilotParameters:
     """What the parameters of a log say of a boat's actuators.
 
     Attributes:
+        values: of all parameters, by name, as they were told last.
         outputs: those of a known function, by channel.
         thrust_asymmetry: thrust full ahead over full astern that the autopilot mixes with.
         changed: names of parameters of these outputs that changed in the log; the last value is
             used.
     """
 
+    values: Mapping[str, float]
     outputs: tuple[ServoOutput, ...]
     thrust_asymmetry: float
     changed: tuple[str, ...] = ()
@@ -71,56 +83,39 @@ class AutopilotParameters:
 
 
 def read_parameters(path: Path) -> AutopilotParameters:
-    """What the parameters in an ArduPilot `.bin` log say of its actuators.
+    """What the parameters in a log say of a boat's actuators: none of a format that has none.
 
     Raises:
-        UserError: the file is no such log or holds no parameters, an output has impossible ends,
-            or the package that reads it is absent.
+        UserError: the log cannot be read, or the package that reads it is absent.
     """
-    values, changed = _values(path)
-    if not values:
-        raise UserError(f"{path} holds no parameters (PARM messages); leave --log out")
-    outputs = []
+    form, told = format_of(path), list[tuple[str, float]]()
+    if form is not None and form.parameters is not None:
+        with form.packages(path):
+            told = form.parameters(path)
+    values: dict[str, float] = {}
+    changed = dict[str, None]()
+    for name, value in told:
+        if values.get(name, value) != value:
+            changed[name] = None
+        values[name] = value
+    outputs = _outputs(values)
+    of_outputs = tuple(f"SERVO{one.channel}_" for one in outputs)
+    return AutopilotParameters(
+        values,
+        outputs,
+        max(values.get("MOT_THST_ASYM", 1.0), 1.0),
+        tuple(name for name in changed if name.startswith(of_outputs)),
+    )
+
+
+def _outputs(values: Mapping[str, float]) -> tuple[ServoOutput, ...]:
+    """The outputs of a known function, by their number."""
+    found = []
     for channel in range(1, OUTPUTS + 1):
         function = int(values.get(f"SERVO{channel}_FUNCTION", 0))
         if function in FUNCTIONS:
-            outputs.append(_output(channel, function, values, path))
-    of_outputs = [f"SERVO{one.channel}_" for one in outputs]
-    return AutopilotParameters(
-        tuple(outputs),
-        max(values.get("MOT_THST_ASYM", 1.0), 1.0),
-        tuple(name for name in changed if any(name.startswith(one) for one in of_outputs)),
-    )
-
-
-def _values(path: Path) -> tuple[dict[str, float], list[str]]:
-    """The last value of every parameter, and the names of those that changed."""
-    try:
-        from pymavlink import DFReader
-    except ImportError as error:
-        raise UserError(
-            f"reading {path} needs the package pymavlink: pip install 'diffsea[ardupilot]'"
-        ) from error
-    values: dict[str, float] = {}
-    changed: list[str] = []
-    with unreadable(path, "an ArduPilot log"):
-        log = DFReader.DFReader_binary(str(path))
-        while (message := log.recv_match(type=["PARM"])) is not None:
-            name, value = message.Name, float(message.Value)
-            if values.get(name, value) != value and name not in changed:
-                changed.append(name)
-            values[name] = value
-    return values, changed
-
-
-def _output(channel: int, function: int, values: dict[str, float], path: Path) -> ServoOutput:
-    said = {key: values.get(f"SERVO{channel}_{key}", usual) for key, usual in _DEFAULTS.items()}
-    if not said["MIN"] < said["TRIM"] < said["MAX"]:
-        raise UserError(
-            f"{path}: SERVO{channel}_TRIM = {said['TRIM']:g} us is not between its MIN = "
-            f"{said['MIN']:g} and MAX = {said['MAX']:g}; a motor that runs both ways has its "
-            "neutral between them"
-        )
-    return ServoOutput(
-        channel, function, said["MIN"], said["MAX"], said["TRIM"], bool(said["REVERSED"])
-    )
+            least, most, trim, turned = (
+                values.get(f"SERVO{channel}_{key}", usual) for key, usual in _DEFAULTS.items()
+            )
+            found.append(ServoOutput(channel, function, least, most, trim, bool(turned)))
+    return tuple(found)

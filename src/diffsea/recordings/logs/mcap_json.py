@@ -48,15 +48,15 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     return {topic: found[topic] for topic in topics if topic in found}
 
 
-def parameters(path: Path) -> dict[str, float]:
-    """The parameters of a vehicle as they were told last (PARAM_VALUE of MAVLink), by name."""
-    found = {}
+def parameters(path: Path) -> list[tuple[str, float]]:
+    """The parameters of a vehicle as they were told (PARAM_VALUE of MAVLink), in that order."""
+    found = []
     for topic, _, content in _messages(path):
         if topic.endswith("PARAM_VALUE"):
             message = content.get("message", content)
             name = message["param_id"]
             name = name if isinstance(name, str) else "".join(map(str, name))
-            found[name.rstrip("\x00")] = float(message["param_value"])
+            found.append((name.rstrip("\x00"), float(message["param_value"])))
     return found
 
 

@@ -21,8 +21,22 @@ from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
 # Every format of log there is.
 FORMATS = (
-    LogFormat("ardupilot-bin", (".bin",), ardupilot.contents, ardupilot.streams, "ardupilot"),
-    LogFormat("mavlink-tlog", (".tlog",), tlog.contents, tlog.streams, "ardupilot"),
+    LogFormat(
+        "ardupilot-bin",
+        (".bin",),
+        ardupilot.contents,
+        ardupilot.streams,
+        "ardupilot",
+        parameters=ardupilot.parameters,
+    ),
+    LogFormat(
+        "mavlink-tlog",
+        (".tlog",),
+        tlog.contents,
+        tlog.streams,
+        "ardupilot",
+        parameters=tlog.parameters,
+    ),
     LogFormat("px4-ulg", (".ulg",), px4.contents, px4.streams, "px4"),
     LogFormat("matlab", (".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
     LogFormat(
@@ -32,6 +46,7 @@ FORMATS = (
         mcap_json.streams,
         "mcap",
         holds=mcap_json.is_json,
+        parameters=mcap_json.parameters,
     ),
     LogFormat(
         "ros-bag",

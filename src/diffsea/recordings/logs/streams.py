@@ -90,6 +90,8 @@ class LogFormat:
         holds: whether a file of such a name is such a log by its content; None where the name
             tells.
         told: what it is, before "needs a mapping" in a message.
+        parameters: of a path, gives an autopilot's parameters as they were told, in order; None of
+            a format without.
     """
 
     name: str
@@ -101,6 +103,7 @@ class LogFormat:
     is_folder: Callable[[Path], bool] | None = None
     holds: Callable[[Path], bool] | None = None
     told: str = "a log and"
+    parameters: Callable[[Path], list[tuple[str, float]]] | None = None
 
     @contextlib.contextmanager
     def packages(self, path: Path) -> Iterator[None]:

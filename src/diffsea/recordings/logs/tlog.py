@@ -36,13 +36,13 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     return {topic: found[topic] for topic in topics if topic in found}
 
 
-def parameters(path: Path) -> dict[str, float]:
-    """The vehicle's parameters as they were told last (PARAM_VALUE), by name."""
-    return {
-        message.param_id.rstrip("\x00"): float(message.param_value)
+def parameters(path: Path) -> list[tuple[str, float]]:
+    """The vehicle's parameters as they were told (PARAM_VALUE), in the order of the file."""
+    return [
+        (message.param_id.rstrip("\x00"), float(message.param_value))
         for message in _vehicle_messages(path)
         if message.get_type() == "PARAM_VALUE"
-    }
+    ]
 
 
 def _streams(path: Path) -> dict[str, Stream]:
