@@ -39,8 +39,8 @@ class VesselSlave(Fmi3Slave):
         for name in self.values:
             given = {"causality": Fmi3Causality.input}
             if name.endswith("_start"):
-                given = {"causality": Fmi3Causality.parameter}
-                given["variability"] = Fmi3Variability.fixed
+                fixed = {"variability": Fmi3Variability.fixed}
+                given = {"causality": Fmi3Causality.parameter} | fixed
             self._register(name, self.values, given)
         made = {"causality": Fmi3Causality.output, "initial": Fmi3Initial.calculated}
         for name in self.outputs:
