@@ -178,7 +178,8 @@ def _possible_curve(at: CoordinateValues) -> CoordinateValues:
 
 def _curve_parameters(vessel: Vessel, at: CoordinateValues) -> dict[str, Scalar]:
     """Dead band, exponent, astern ratio and limit; the last as far as there is one."""
-    at = _possible_curve(at)
+    # An estimate that ends where there is none has the error that its coordinate has.
+    at = at + jax.lax.stop_gradient(_possible_curve(at) - at)
     # The derivative is that at the least loss: there a limit is hardly known, and its error wide.
     loss = at[3] + jax.lax.stop_gradient(jnp.maximum(at[3], LEAST_LOSS) - at[3])
     limit = limit_of_loss(loss, _largest(vessel))
