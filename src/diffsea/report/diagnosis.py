@@ -90,6 +90,7 @@ def diagnosis_report(
         method["the same, every simulated data set fitted anew"] = null["bootstrap"]
     return render(
         "diagnosis.html.j2",
+        bundle="cartesian",
         title=f"Diagnosis of {vessel_name}",
         subtitle=f"{words.count_recordings(len(recordings))}, {kept_back} held out",
         verdict=summary["verdict"],

@@ -7,14 +7,15 @@ Every page ends with what was fitted and where the results come from.
 
 import dataclasses
 import importlib.metadata
+import importlib.resources
 import math
 import platform
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 import jinja2
 import plotly.graph_objects as go
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from diffsea.report.quantities import round_to_error, typeset, with_error
 from diffsea.report.words import Record, as_words
@@ -90,16 +91,22 @@ TEMPLATES = jinja2.Environment(
 TEMPLATES.filters["verbatim"] = Verbatim
 
 
-def render(template: str, **page: object) -> str:
+ASSETS = importlib.resources.files("diffsea.report") / "assets"
+Bundle = Literal["basic", "cartesian"]
+
+
+def render(template: str, bundle: Bundle = "basic", **page: object) -> str:
     """A page from its template (`diagnosis.html.j2`) and what it shows.
 
     Arguments:
+        bundle: of Plotly's script: lines and bars alone, or heat maps as well.
         page: what the template finds in `page`; has at least `title` and `subtitle`.
 
     Raises:
         jinja2.UndefinedError: the template asks for what is not given.
     """
-    return TEMPLATES.get_template(template).render(page=page, plotly=Markup(get_plotlyjs()))
+    script = (ASSETS / f"plotly-{bundle}.min.js").read_text(encoding="utf-8")
+    return TEMPLATES.get_template(template).render(page=page, plotly=Markup(script))
 
 
 # -- what every page ends with
