@@ -8,7 +8,6 @@ edits the model.
 import dataclasses
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -18,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.documents import read_toml
 from diffsea.types import Scalar
 
 
@@ -207,10 +207,7 @@ def read_priors(path: str | Path, known: Mapping[str, Parameter]) -> dict[str, P
     Raises:
         UserError: a file that cannot be read, an unknown name or key, a value out of bounds.
     """
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(f"cannot read priors from {path}: {error}") from error
+    document = read_toml(path, "priors from")
     if document.pop("format", 1) != 1:
         raise UserError(f"{path}: this version reads format = 1")
     return priors_of_tables(document, known, str(path))
@@ -237,7 +234,8 @@ def _prior_of(
     for key, value in entry.items():
         if key not in _KEYS:
             raise UserError(f"{path}, [{name}]: unknown key {key!r}{nearest(key, _KEYS)}")
-        if not isinstance(value, bool if key == "free" else (int, float)):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (isinstance(value, bool) if key == "free" else is_number and value == value):
             raise UserError(f"{path}, [{name}]: {key} = {value!r} is not what it should be")
     if not entry.get("free", True):
         return None
@@ -253,8 +251,8 @@ def _prior_of(
         )
     made = Parameter(name, value, abs(value) or 1.0, 1.0, lower, upper, default.unit)
     spread = entry["std"] / made.slope(0.0) if "std" in entry else entry.get("spread", 0.5)
-    if not spread > 0:
-        raise UserError(f"{path}, [{name}]: the prior's width must be above zero")
+    if not (spread > 0 and math.isfinite(spread)):
+        raise UserError(f"{path}, [{name}]: the prior's width must be a finite number above zero")
     return dataclasses.replace(made, spread=float(spread))
 
 

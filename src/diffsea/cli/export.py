@@ -1,13 +1,13 @@
 """`diffsea export`: a vessel for other tools."""
 
 import argparse
-import json
 import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import Outputs, json_text
 from diffsea.errors import UserError
+from diffsea.outside.documents import read_json
 
 
 if TYPE_CHECKING:
@@ -93,12 +93,7 @@ def _write_ardupilot(file: "VesselFile", args: argparse.Namespace, out: Outputs)
 
 def _read_fit(path: pathlib.Path) -> dict[str, Any]:
     """The content of a fit.json."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"--fit: {path} cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise UserError(f"--fit: {path} is not JSON; give the fit.json of `diffsea fit`") from None
+    content = read_json(path, "the fit.json of `diffsea fit` that --fit names,")
     if not isinstance(content, dict):
         raise UserError(f"--fit: {path} is not the fit.json of `diffsea fit`")
     return content

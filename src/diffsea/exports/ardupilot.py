@@ -166,6 +166,7 @@ def withheld_by_fit(
     reasons: dict[str, str] = {}
     largest: dict[str, float] = {}
     for symbol, row in rows.items():
+        _check_row(symbol, row)
         _check_same_vessel(document, symbol, float(row["value"]))
         for end in row["interval"]:
             for name, change in _changes(document, symbol, float(end), found).items():
@@ -177,6 +178,20 @@ def withheld_by_fit(
                         f"data determine {share:.0f} % of {symbol}"
                     )
     return reasons
+
+
+def _check_row(symbol: str, row: object) -> None:
+    """Raise `UserError` unless a row of fit.json has its value, its interval and its share."""
+    interval = row.get("interval") if isinstance(row, dict) else None
+    if isinstance(row, dict) and isinstance(interval, list) and len(interval) == 2:
+        given = (row.get("value"), row.get("determined"), *interval)
+        numbers = [x for x in given if isinstance(x, int | float) and not isinstance(x, bool)]
+        if len(numbers) == len(given) and all(abs(x) < 1e100 for x in numbers):
+            return
+    raise UserError(
+        f"--fit: not the fit.json of `diffsea fit`: {symbol!r} lacks a finite value, determined, "
+        "or interval of two numbers"
+    )
 
 
 def _check_same_vessel(document: Table, symbol: str, value: float) -> None:

@@ -36,7 +36,7 @@ of tables, where the topic is the table's file name without its ending.
 
 import dataclasses
 import math
-import tomllib
+import string
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.documents import read_toml
 from diffsea.trajectory import Samples, Series, Trajectory
 
 
@@ -89,6 +90,8 @@ _GEODETIC = {"latitude": "angle", "longitude": "angle"}
 _TURNED = {"psi": math.pi / 2, "wind_direction": math.pi / 2, "v": 0.0, "r": 0.0}
 _SWAPPED = {"x": "y", "y": "x"}
 
+MOST_HEADER_LINES = 100_000
+_ASCII = string.printable.encode("ascii")
 _CHOICES = {
     "velocity_axes": ("body", "earth"),
     "frame": ("NED", "ENU"),
@@ -232,15 +235,7 @@ def read_mapping(path: str | Path) -> Mapping:
     unit that does not fit the channel, and for a mapping that yields no time.
     """
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"cannot read the mapping {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"the mapping {path} is not UTF-8 text: {error.reason}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"the mapping {path} is not valid TOML: {error}") from error
-    return mapping_from(table, path)
+    return mapping_from(read_toml(path, "the mapping"), path)
 
 
 def mapping_from(table: dict[str, Any], path: Path) -> Mapping:
@@ -292,11 +287,14 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
             settings[key] = _number(settings[key], f"{where} {key}")
     check_span(settings.get("start"), settings.get("end"), where)
     lines = settings.get("header_lines")
-    if lines is not None and (not isinstance(lines, int) or lines < 0):
-        raise UserError(f"{where} header_lines must be a whole number, got {lines!r}")
+    if lines is not None and not (type(lines) is int and 0 <= lines <= MOST_HEADER_LINES):
+        raise UserError(
+            f"{where} header_lines must be a whole number up to {MOST_HEADER_LINES}, got {lines!r}"
+        )
     for key, what in _TEXTS.items():
         if key in settings and not (isinstance(settings[key], str) and settings[key]):
             raise UserError(f"{where} {key} must be {what}, got {settings[key]!r}")
+    _check_separators(settings, where)
     for key, choices in _CHOICES.items():
         if settings.get(key, choices[0]) not in choices:
             raise UserError(
@@ -328,6 +326,24 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
             raise UserError(f"{where} origin {place} is no place; latitude comes first")
         settings["origin"] = math.radians(latitude), math.radians(longitude)
     return settings
+
+
+def _check_separators(settings: dict[str, Any], where: str) -> None:
+    """Raises `UserError` for a delimiter, decimal sign or encoding that parts no numbers."""
+    delimiter, decimal = settings.get("delimiter", ","), settings.get("decimal", ".")
+    if delimiter != "whitespace" and (set(delimiter) & set('\r\n\x00"') or len(delimiter) > 8):
+        raise UserError(f'{where} delimiter must be a sign or "whitespace", got {delimiter!r}')
+    if len(decimal) != 1 or decimal.isalnum() or decimal in '+-"\r\n\x00' or ord(decimal) > 127:
+        raise UserError(f'{where} decimal must be one sign such as ",", got {decimal!r}')
+    try:
+        alike = string.printable.encode(settings.get("encoding", "utf-8")).endswith(_ASCII)
+    except (LookupError, ValueError):  # unknown; or no encoding of text such as this
+        alike = False
+    if not alike:
+        raise UserError(
+            f"{where} encoding = {settings['encoding']!r} is not known as one that has ASCII in "
+            "it; use for instance 'utf-8' or 'cp1252'"
+        )
 
 
 def check_span(start: float | None, end: float | None, where: str) -> None:

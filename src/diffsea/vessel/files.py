@@ -8,12 +8,13 @@ import copy
 import dataclasses
 import importlib.resources
 import pathlib
-import tomllib
 from collections.abc import Mapping
 
 import tomli_w
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.documents import read_toml
+from diffsea.outside.durable import written_beside
 from diffsea.parameters import Parameter, hull_prior, named, priors_of_tables
 from diffsea.types import Scalar
 from diffsea.vessel.actuators import ACTUATORS
@@ -109,14 +110,7 @@ def _parse(path: pathlib.Path) -> Table:
             f"{path}: no such vessel file{nearest(path.stem, shipped_vessels())}; "
             f"give the path of a TOML file or one of the shipped vessels: {names}"
         )
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not a text file; a vessel is a TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    return read_toml(path, "the vessel")
 
 
 def build(document: Table) -> Vessel:
@@ -267,7 +261,5 @@ def dump(document: Table) -> str:
 
 def write_vessel(file: VesselFile, path: str | pathlib.Path) -> None:
     """Write a vessel's document as a TOML file, whole or not at all."""
-    target = pathlib.Path(path)
-    part = target.with_name(f".{target.name}.part")
-    part.write_text(dump(file.document), encoding="utf-8")
-    part.replace(target)
+    with written_beside(pathlib.Path(path)) as part:
+        part.write_text(dump(file.document), encoding="utf-8")

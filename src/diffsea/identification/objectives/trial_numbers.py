@@ -26,7 +26,6 @@ numbers: compiling is most of the time that it takes.
 
 import dataclasses
 import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -53,6 +52,7 @@ from diffsea.identification.least_squares import (
 )
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, NumberResidual
+from diffsea.outside.documents import read_toml
 from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
@@ -97,10 +97,7 @@ def read_trial_table(path: str | Path, vessel: Vessel) -> tuple[MeasuredTrial, .
     Raises:
         UserError: a file that cannot be read, an unknown key, manoeuvre, number or unit.
     """
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(f"cannot read trial numbers from {path}: {error}") from error
+    document = read_toml(path, "trial numbers from")
     trials = document.get("trial")
     if document.get("format", 1) != 1 or not isinstance(trials, list) or not trials:
         raise UserError(
