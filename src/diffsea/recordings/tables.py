@@ -1,18 +1,25 @@
 """Tables as they stand in files: names, rows and numbers, before anybody knows what they mean."""
 
 import itertools
+import mmap
+import re
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.sizes import check_size
 from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, Column, Mapping
 from diffsea.trajectory import Samples
 
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
+MOST_COLUMNS = 20_000
+# pandas 2 ends the process on it: its parser of numbers counts the exponent in 32 bits.
+_LONG_EXPONENT = re.compile(rb"[0-9.][eE][+-]?[0-9]{9,}")
 _HALF_A_DAY = 43_200.0  # s by which a time of day falls where the next day begins
 
 
@@ -25,13 +32,45 @@ def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
     _check_file(path)
     if path.suffix.lower() in PARQUET_SUFFIXES:
         try:
-            table = pd.read_parquet(path)
+            table = _read_parquet(path)
+        except (UserError, MemoryError):
+            raise
         except Exception as error:  # pyarrow raises many kinds for a broken file
             raise UserError(f"{path} cannot be read as Parquet: {error}") from error
         return table.rename(columns=str), 1
     mapping = Mapping(channels={}) if mapping is None else mapping
     names, skipped = _find_header(path, mapping)
     return _read_csv(path, mapping, names, skipped), skipped + 1
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    """The table of a Parquet file, whose size is known before it is expanded.
+
+    Columns of text are read as the distinct texts and numbers of them, so that one long text in
+    many rows is seen before it is repeated. Raises `UserError` above the limit.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    parts = pq.ParquetFile(path).metadata
+    groups = [parts.row_group(k) for k in range(parts.num_row_groups)]
+    chunks = [group.column(k) for group in groups for k in range(group.num_columns)]
+    numbers = sum(max(chunk.total_uncompressed_size, 8 * chunk.num_values) for chunk in chunks)
+    check_size(path, max(numbers, 8 * parts.num_rows * parts.num_columns))
+    schema = pq.read_schema(path)
+    is_text = lambda kind: pa.types.is_string(kind) or pa.types.is_binary(kind)
+    texts = [field.name for field in schema if is_text(field.type)]
+    table = pq.ParquetFile(path, read_dictionary=texts).read()
+    size = numbers
+    for name in set(texts):
+        for column in (table.column(k) for k in table.schema.get_all_field_indices(name)):
+            for chunk in column.chunks:
+                if pa.types.is_dictionary(chunk.type):
+                    lengths = pc.binary_length(chunk.dictionary).take(chunk.indices)
+                    size += (pc.sum(lengths).as_py() or 0) + 64 * len(chunk)
+    check_size(path, size)
+    return table.cast(schema).to_pandas()
 
 
 def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) -> Samples:
@@ -44,7 +83,7 @@ def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) 
     if column.dtype == bool or pd.api.types.is_numeric_dtype(column):
         values = column.to_numpy(dtype=float, na_value=np.nan)
     else:
-        values = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=float)
+        values = to_numbers(column)
         bad = np.flatnonzero(np.isnan(values) & ~column.isna().to_numpy())
         if bad.size:
             cell = column.iloc[bad[0]]
@@ -64,6 +103,13 @@ def numeric_column(table: pd.DataFrame, name: str, place: str, first_line: int) 
             "infinite; leave the cell empty where a sample is missing"
         )
     return values
+
+
+def to_numbers(column: pd.Series) -> Samples:
+    """Cells of text as floats, NaN where one is no number."""
+    text = column.astype(str)
+    long = text.str.contains(_LONG_EXPONENT.pattern.decode(), regex=True, na=False)
+    return np.asarray(pd.to_numeric(column.mask(long), errors="coerce"), dtype=float)
 
 
 def clock_column(table: pd.DataFrame, column: Column, place: str, first_line: int) -> Samples:
@@ -144,6 +190,7 @@ def _check_file(path: Path) -> None:
             start = file.read(4096)
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}") from error
+    check_size(path, size)
     if size == 0:
         raise UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
     if path.suffix.lower() not in PARQUET_SUFFIXES and b"\x00" in start:
@@ -166,13 +213,8 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     try:
         with path.open(encoding=mapping.encoding) as file:
             first = [line.split(separator) for line in itertools.islice(file, count + 1)]
-    except UnicodeDecodeError as error:
+    except UnicodeError as error:
         raise _encoding_error(path, mapping, error) from error
-    except LookupError as error:
-        raise UserError(
-            f"{mapping.name}: [file] encoding = {mapping.encoding!r} is not known; use for "
-            "instance 'utf-8' or 'cp1252'"
-        ) from error
     lines = [[cell.strip().strip('"').strip() for cell in cells] for cells in first]
     mapped = (column.names for column in mapping.channels.values())
     wanted = set(itertools.chain(*mapped)) or CHANNEL_DIMENSIONS
@@ -190,24 +232,46 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     return names, max(count, best + 1)
 
 
-def _encoding_error(path: Path, mapping: Mapping, error: UnicodeDecodeError) -> UserError:
+def _check_exponents(path: Path) -> None:
+    """Raises `UserError` for a number whose exponent has more digits than any number means."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        found = _LONG_EXPONENT.search(content)
+        if found is not None:
+            line = content[: found.start()].count(b"\n") + 1
+            raise UserError(
+                f"{path}, line {line}: {found[0][:20].decode()} has an exponent that no number "
+                "has; leave the cell empty where a sample is missing"
+            )
+
+
+def _encoding_error(path: Path, mapping: Mapping, error: UnicodeError) -> UserError:
     name = mapping.encoding.removesuffix("-sig")
+    at = f"byte {error.start}: " if isinstance(error, UnicodeDecodeError) else ""
+    reason = error.reason if isinstance(error, UnicodeDecodeError) else str(error)
     return UserError(
-        f"{path} is not {name} text (byte {error.start}: {error.reason}); say which with "
+        f"{path} is not {name} text ({at}{reason}); say which with "
         "[file] encoding of a mapping, often 'cp1252'"
     )
 
 
 def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> pd.DataFrame:
     """The rows below the header; a name that stands there twice gets its place as a suffix."""
-    labels = [name if names.count(name) == 1 else f"{name} #{i}" for i, name in enumerate(names)]
+    counts = Counter(names)
+    if len(names) > MOST_COLUMNS:
+        raise UserError(
+            f"{path} has {len(names)} columns, and this reads at most {MOST_COLUMNS}; check the "
+            f"delimiter ({mapping.delimiter!r})"
+        )
+    labels = [name if counts[name] == 1 else f"{name} #{i}" for i, name in enumerate(names)]
+    _check_exponents(path)
+    delimiter = mapping.delimiter if len(mapping.delimiter) == 1 else re.escape(mapping.delimiter)
     try:
         with warnings.catch_warnings():
             # A delimiter at the end of every line is common and harmless.
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
             return pd.read_csv(
                 path,
-                sep=r"\s+" if mapping.delimiter == "whitespace" else mapping.delimiter,
+                sep=r"\s+" if mapping.delimiter == "whitespace" else delimiter,
                 skiprows=skipped,
                 header=None,
                 names=labels,
@@ -217,9 +281,9 @@ def _read_csv(path: Path, mapping: Mapping, names: list[str], skipped: int) -> p
                 skip_blank_lines=False,
                 skipinitialspace=True,
             )
-    except UnicodeDecodeError as error:
+    except UnicodeError as error:
         raise _encoding_error(path, mapping, error) from error
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
         raise UserError(
             f"{path} cannot be read as a table: {str(error).strip()}; check the delimiter "
             f"({mapping.delimiter!r}) and the number of header lines ({skipped})"

@@ -17,7 +17,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
-from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table, stamp_seconds
+from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table, stamp_seconds, to_numbers
 from diffsea.trajectory import Samples
 
 
@@ -84,12 +84,15 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
         if not isinstance(column, pd.Series):
             continue
         stamps = stamp_seconds(column)
-        numbers = pd.to_numeric(column, errors="coerce") if stamps is None else stamps
-        values = np.array(numbers, dtype=float)
+        values = np.array(_numbers(column) if stamps is None else stamps, dtype=float)
         values[np.isinf(values)] = np.nan
         if np.any(np.isfinite(values)):
             found[name] = values
     return found
+
+
+def _numbers(column: pd.Series) -> Samples:
+    return column.to_numpy(float) if pd.api.types.is_numeric_dtype(column) else to_numbers(column)
 
 
 def _first_lines(path: Path) -> tuple[list[str], str]:
