@@ -1,14 +1,23 @@
 """MATLAB's `.mat` files: every structure a stream, with the vectors in it as fields."""
 
 import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, list_fields, unreadable
+from diffsea.outside.sizes import check_size, current_limit
+from diffsea.recordings.logs import mat_child
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, list_fields
 from diffsea.recordings.mappings import Mapping
+
+
+_SECONDS = 120.0  # that reading a file may take
 
 
 @dataclasses.dataclass
@@ -69,35 +78,45 @@ def _groups(path: Path) -> dict[str, _Group]:
             f"{path} is a MATLAB 7.3 file (HDF5), which this does not read; load it in MATLAB and "
             "save it with save(name, '-v7')"
         )
-    from scipy import io  # slow to import, and for such files alone
+    return _groups_of_child(path)
 
-    with unreadable(path, "a MATLAB file"):
-        variables = io.loadmat(path, simplify_cells=True)
-    groups: dict[str, _Group] = {}
-    for name, value in variables.items():
-        if not name.startswith("__"):
-            _gather("", name, value, groups)
+
+def _groups_of_child(path: Path) -> dict[str, _Group]:
+    """What a process of its own reads, so that a file which ends the reader is a message.
+
+    Raises:
+        UserError: the file is damaged, expands beyond the limit, or takes too long.
+    """
+    words = [sys.executable, "-P", mat_child.__file__, str(path.resolve()), str(current_limit())]
+    quiet = {"OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}  # threads reserve memory
+    with tempfile.TemporaryFile() as output:
+        try:
+            ended = subprocess.run(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.PIPE,
+                env=os.environ | quiet,
+                timeout=_SECONDS,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise UserError(
+                f"{path} cannot be read as a MATLAB file: it takes longer than {_SECONDS} s"
+            ) from error
+        told = ended.stderr.decode(errors="replace").strip()
+        if ended.returncode == mat_child.TOO_LARGE:
+            check_size(path, int(told))
+        if ended.returncode != 0:
+            said = told if ended.returncode == mat_child.UNREADABLE else "it is damaged"
+            raise UserError(f"{path} cannot be read as a MATLAB file: {said}")
+        output.seek(0)
+        groups: dict[str, _Group] = {}
+        for topic, names, unread in json.loads(output.readline()):
+            read = np.lib.format.read_array
+            arrays = {name: read(output, allow_pickle=False) for name in names}
+            groups[topic] = _Group(arrays, unread)
     return groups
-
-
-def _gather(topic: str, name: str, value: Any, groups: dict[str, _Group]) -> None:
-    """Puts a variable, and what stands in it, into the groups of their structures."""
-    inner = f"{topic}.{name}" if topic else name
-    if isinstance(value, dict):
-        for field, item in value.items():
-            _gather(inner, field, item, groups)
-        return
-    group = groups.setdefault(topic, _Group())
-    array = np.asarray(value) if not isinstance(value, list) else np.array(value, dtype=object)
-    if array.dtype == object:
-        for index, item in enumerate(array.ravel()[:LONGEST_ARRAY]):
-            if isinstance(item, dict):
-                _gather(inner, str(index), item, groups)
-        group.unread[name] = "is no numeric array; timeseries, tables and cells are not read"
-    elif array.dtype.kind in "biuf" and array.size > 1 and array.ndim <= 2:
-        group.arrays[name] = array.astype(float)
-    else:
-        group.unread[name] = "is no series of numbers"
 
 
 def _stream(topic: str, groups: dict[str, _Group], mapping: Mapping) -> Stream:

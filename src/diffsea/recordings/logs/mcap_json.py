@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from diffsea.outside.sizes import Meter
+from diffsea.recordings.logs.chunks import check_chunks
 from diffsea.recordings.logs.mavlink import mavlink_streams
 from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
 from diffsea.recordings.mappings import Mapping
@@ -90,11 +92,14 @@ def _messages(path: Path) -> Iterator[tuple[str, float, Any]]:
     """Topics, receive times (s) and objects, in the order of their times."""
     from mcap.reader import make_reader
 
+    check_chunks(path)
+    meter = Meter(path)
     with unreadable(path, "an MCAP file with JSON messages"), path.open("rb") as file:
         every = []
         for _, channel, message in make_reader(file).iter_messages():
             if channel.message_encoding == "json":
-                content = json.loads(message.data)
+                meter.add(len(message.data))
+                content = json.loads(message.data, parse_int=float)
                 every.append((_topic(channel.topic, content), message.log_time * 1e-9, content))
     yield from every
 

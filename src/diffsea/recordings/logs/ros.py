@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
+from diffsea.outside.sizes import Meter
+from diffsea.recordings.logs.chunks import check_chunks
 from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
+_MOST_VALUES = 10_000  # of a message, those of arrays of numbers counted as one
 _LOOKED_AT = 50  # messages of a topic in which its fields are looked for
 # A message overtaken on its way comes a few of its topic's intervals late; what falls back
 # further is a clock that was set, or a second publisher.
@@ -90,14 +93,67 @@ def _open_bag(path: Path) -> Iterator[Any]:
         )
     tool = "rosbag reindex" if path.suffix.lower() == ".bag" else "ros2 bag reindex"
     hint = f"; if its recording was cut off, `{tool}` may restore it"
+    check_chunks(path)
     with unreadable(path, "a ROS bag", hint):
         reader = AnyReader([path], default_typestore=default)
+        _check_types(reader.readers, path)
         reader.open()
     try:
         with unreadable(path, "a ROS bag", hint):
             yield reader
     finally:
         reader.close()
+
+
+def _check_types(readers: Any, path: Path) -> None:
+    """Raises `UserError` where a message type holds more values than any message has.
+
+    Each type may hold several of another one, which hold several of a third: the number of values
+    grows by powers with the number of types, and reading with it.
+    """
+    from rosbags.typesys import get_types_from_msg
+
+    for reader in readers:
+        with reader as opened:
+            connections = list(opened.connections)
+        definitions = {
+            (one.msgdef.data, one.msgtype, one.msgdef.format.name) for one in connections
+        }
+        for text, kind, form in definitions:
+            if form == "MSG":
+                fields = {name: own for name, (_, own) in get_types_from_msg(text, kind).items()}
+                if _values_of(fields) > _MOST_VALUES:
+                    raise UserError(
+                        f"{path}: a message of type {kind} would have more than {_MOST_VALUES} "
+                        "fields; no sensor sends such"
+                    )
+
+
+def _values_of(types: dict[str, Any]) -> int:
+    """Values in one message of the largest type, arrays of a fixed size with all their elements.
+
+    Found by growing estimates, so that types that hold one another end too.
+    """
+    sizes = dict.fromkeys(types, 1)
+    for _ in range(len(types) + 1):
+        before = dict(sizes)
+        for name, fields in types.items():
+            sizes[name] = 1 + sum(_field_values(kind, before) for _, kind in fields)
+        if sizes == before or max(sizes.values(), default=0) > _MOST_VALUES:
+            break
+    return max(sizes.values(), default=0)
+
+
+def _field_values(kind: Any, sizes: dict[str, int]) -> int:
+    """Values of one field: a base type, a name, or an array or sequence of these."""
+    node, inner = int(kind[0]), kind[1]
+    if node == 2:  # a type by its name
+        return sizes.get(str(inner), 1)
+    if node in (3, 4):  # an array of a fixed size, a sequence
+        element, count = inner
+        own = _field_values(element, sizes)
+        return own * (count if node == 3 and own > 1 else 1)
+    return 1
 
 
 def _topics(reader: Any) -> list[str]:
@@ -121,7 +177,9 @@ def _messages(
     if not connections:  # rosbags would read them all
         return
     every = reader.messages(connections=connections)
+    meter = Meter(path)
     for connection, received, raw in itertools.islice(every, most):
+        meter.add(len(raw))
         yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 
 
