@@ -36,6 +36,8 @@ import traceback
 from collections.abc import Sequence
 
 from diffsea.errors import UserError
+from diffsea.outside.printable import printable
+from diffsea.outside.sizes import DEFAULT_LIMIT, size_limit
 from diffsea.runtime import prepare_jax
 
 
@@ -67,13 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = make_parser().parse_args(argv)
         debug = args.debug
         prepare_jax()  # the settings alone; a command that needs JAX starts it by importing it
-        args.run(args)
+        with size_limit(getattr(args, "max_size", None) or DEFAULT_LIMIT):
+            args.run(args)
         sys.stdout.flush()
         return 0
     except SystemExit as ended:  # after help, or a usage error that argparse has told
         return int(ended.code or 0)
     except UserError as error:
-        print(f"diffsea: error: {error}", file=sys.stderr)
+        print(printable(f"diffsea: error: {error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("diffsea: interrupted; nothing was written", file=sys.stderr)
@@ -81,15 +84,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone: no message, no traceback
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError:
+        print("diffsea: error: not enough memory; read less, or lower --max-size", file=sys.stderr)
+        return 1
+    except OSError as error:  # a name too long, a disk that is full or fails
+        if debug or error.strerror is None:
+            traceback.print_exc()
+        where = "" if error.filename is None else f"{error.filename}: "
+        told = f"diffsea: error: {where}{error.strerror or error}; nothing was written"
+        print(printable(told), file=sys.stderr)
+        return 1
     except Exception as error:
         if debug:
             traceback.print_exc()
         hint = "" if debug else " Run it again with --debug for the whole traceback."
-        print(
+        told = (
             f"diffsea: this is a bug: {type(error).__name__}: {error}\n"
-            f"Nothing was written. Please report it.{hint}",
-            file=sys.stderr,
+            f"Nothing was written. Please report it.{hint}"
         )
+        print(printable(told), file=sys.stderr)
         return 1
 
 

@@ -11,6 +11,8 @@ from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import json_text, table
 from diffsea.cli.questions import HULLS, UNITS, ask_what_is_missing
 from diffsea.errors import UserError
+from diffsea.outside.durable import written_beside
+from diffsea.outside.printable import printable
 
 
 if TYPE_CHECKING:
@@ -103,7 +105,7 @@ def new_command(args: argparse.Namespace) -> None:
     assert file.priors
     _write(args.file, text)
     record = _record(args.file, file.vessel.units, outline, hull, told)
-    print(json_text(record) if args.json else _summary(record))
+    print(json_text(record) if args.json else printable(_summary(record)))
 
 
 def check_target(file: pathlib.Path, force: bool) -> None:
@@ -116,12 +118,10 @@ def check_target(file: pathlib.Path, force: bool) -> None:
 
 def _write(file: pathlib.Path, text: str) -> None:
     """Write the file, whole or not at all."""
-    part = file.with_name(f".{file.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(file)
+        with written_beside(file) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise UserError(f"cannot write {file}: {error.strerror}") from None
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.errors import UserError
+from diffsea.outside.printable import printable
 from diffsea.runtime import prepare_jax
 
 
@@ -108,6 +109,8 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     mapping = "TOML file that says which columns are which, and in which unit (default: by content)"
     add_option(parser, "--mapping", "M", pathlib.Path, mapping)
     add_option(parser, "--start", "S", number, "leave out what is before, s on the clock recorded")
+    limit = "bytes to which a file may expand, such as 4GB (default: 1GB)"
+    add_option(parser, "--max-size", "SIZE", size, limit)
     add_option(parser, "--end", "S", number, "leave out what is after, s on the clock recorded")
 
 
@@ -138,6 +141,13 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
     return int(text)
+
+
+def size(text: str) -> int:
+    """Bytes, such as `4GB`, `500 MB` or `1e9`."""
+    factors = {"KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "B": 1.0}
+    unit = next((unit for unit in factors if text.upper().endswith(unit)), "")
+    return round(positive(text[: len(text) - len(unit)].strip()) * factors.get(unit, 1.0))
 
 
 def angle(text: str) -> float:
@@ -286,4 +296,4 @@ def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[
 
 def progress(message: str) -> None:
     """A line for the person who waits, on standard error."""
-    print(message, file=sys.stderr, flush=True)
+    print(printable(message), file=sys.stderr, flush=True)

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import errno
 import json
 import math
 import os
@@ -14,6 +15,11 @@ from types import TracebackType
 from typing import Any
 
 from diffsea.errors import UserError
+from diffsea.outside.durable import move_for_good, replace_for_good
+from diffsea.outside.printable import escaped_json, printable
+
+
+_LONGEST_NAME = 255  # bytes of a file's name on the usual file systems
 
 
 class Outputs:
@@ -53,7 +59,13 @@ class Outputs:
                 folder.rmdir()
 
     def path(self, name: str) -> pathlib.Path:
-        """Where to write the file `name` for now."""
+        """Where to write the file `name` for now.
+
+        Raises:
+            UserError: the name is longer than file systems take.
+        """
+        if len(os.fsencode(name)) > _LONGEST_NAME:
+            raise UserError(f"the file name {name} is too long to be written; shorten the input's")
         self.files.append(self.folder / name)
         return self._temporary / name
 
@@ -73,9 +85,12 @@ class Outputs:
         return self._elsewhere[file]
 
     def text(self, name: str, text: str) -> pathlib.Path:
-        """Write a file of text; returns where it is for now."""
+        """Write a file of text; returns where it is for now.
+
+        Halves of characters, of names that are not UTF-8, are written as their codes.
+        """
         path = self.path(name)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
         return path
 
     def json(self, name: str, data: Any) -> None:
@@ -93,10 +108,13 @@ class Outputs:
         try:
             if kind is None:
                 for file in self.files:
-                    os.replace(self._temporary / file.name, file)
+                    if file.is_dir():
+                        raise IsADirectoryError(errno.EISDIR, f"{file.name} is a folder there")
+                for file in self.files:
+                    replace_for_good(self._temporary / file.name, file)
                 for file, temporary in self._elsewhere.items():
                     if temporary.exists():
-                        shutil.move(temporary, file)
+                        move_for_good(temporary, file)
                         self.files.append(file)
         except OSError as failed:
             raise UserError(f"cannot write into {self.folder}: {failed.strerror}") from None
@@ -113,12 +131,14 @@ class Outputs:
         if args.json:
             print(self._result)
         else:
-            print(f"{summary}\n\nwritten: {', '.join(str(file) for file in self.files)}")
+            written = ", ".join(str(file) for file in self.files)
+            print(printable(f"{summary}\n\nwritten: {written}"))
 
 
 def json_text(data: Any) -> str:
     """The data as JSON."""
-    return json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(_json_value(data), indent=2, ensure_ascii=False, allow_nan=False)
+    return escaped_json(text)
 
 
 def _json_value(data: Any) -> Any:

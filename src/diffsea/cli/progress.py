@@ -10,6 +10,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Column
 
 from diffsea.identification.estimates import PartialProgress
+from diffsea.outside.printable import printable
 
 
 class StagedProgress:
@@ -64,9 +65,12 @@ class StagedProgress:
 
     def __call__(self, message: str) -> None:
         """Say what is being done."""
-        share, stage = 0.0, str(message)
+        share, stage = 0.0, printable(message)
         if isinstance(message, PartialProgress):
-            share, stage = min(max(message.share, 0.0), 1.0), message.stage or self._stage
+            share, stage = (
+                min(max(message.share, 0.0), 1.0),
+                printable(message.stage) or self._stage,
+            )
         if stage != self._stage:
             self._stage, self._number = stage, min(self._number + 1, self.total - 1)
             if not self._live:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import json_text, table
+from diffsea.outside.printable import printable
 
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def show_command(args: argparse.Namespace) -> None:
     if args.json:
         print(json_text(_particulars(vessel) | {"handling": found.as_dict()}))
     else:
-        print("\n".join(_sentences(vessel, found)))
+        print(printable("\n".join(_sentences(vessel, found))))
 
 
 def _particulars(vessel: "Vessel") -> dict[str, Any]:

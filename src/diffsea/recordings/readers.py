@@ -7,8 +7,6 @@ file's labels are right; whether they are is for the audit to find out.
 import dataclasses
 import hashlib
 import math
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ import pandas as pd
 from jaxtyping import Int
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.durable import written_beside
 from diffsea.recordings import logs
 from diffsea.recordings.conditioning import cut_between
 from diffsea.recordings.geodesy import place_fixes
@@ -117,8 +116,9 @@ def to_frame(trajectory: Trajectory) -> pd.DataFrame:
 def write_recording(trajectory: Trajectory, path: str | Path) -> None:
     """Write the valid rows of a run with native columns at full precision.
 
-    The suffix chooses CSV or Parquet. The file appears whole or not at all: it is written
-    beside its destination and renamed. Channels without any value are left out.
+    The suffix chooses CSV or Parquet. The file appears whole or not at all, even after a
+    power cut: it is written beside its destination, flushed and renamed. Channels without any
+    value are left out.
 
     Raises `UserError` for a suffix that is neither, or a folder that cannot be written.
     """
@@ -128,21 +128,13 @@ def write_recording(trajectory: Trajectory, path: str | Path) -> None:
     table = to_frame(trajectory)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        os.close(handle)
+        with written_beside(path) as beside:
+            if path.suffix.lower() == ".csv":
+                table.to_csv(beside, index=False)
+            else:
+                table.to_parquet(beside, index=False)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from error
-    try:
-        if path.suffix.lower() == ".csv":
-            table.to_csv(temporary, index=False)
-        else:
-            table.to_parquet(temporary, index=False)
-        os.chmod(temporary, 0o644)  # mkstemp makes files that only their owner can read
-        os.replace(temporary, path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        Path(temporary).unlink(missing_ok=True)
 
 
 def _digest(path: Path) -> str:
