@@ -43,6 +43,8 @@ from .vessel.forces import Force as Force
 from .vessel.sensors import Sensors as Sensors
 from .workflows.audits import Findings as Findings
 from .workflows.audits import audit as audit
+from .workflows.campaigns import CampaignResult as CampaignResult
+from .workflows.campaigns import campaign as campaign
 from .workflows.identification import DiagnosisResult as DiagnosisResult
 from .workflows.identification import FitResult as FitResult
 from .workflows.identification import diagnose as diagnose

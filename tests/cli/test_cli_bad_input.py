@@ -15,6 +15,7 @@ TRIAL = ["--manoeuvre", "zigzag"]
 # Words after the command, of a vessel and a recording.
 COMMANDS = {
     "trial": lambda vessel, recording: [vessel, *TRIAL],
+    "campaign": lambda vessel, recording: [vessel, "--trials", "zigzag"],
     "sensitivity": lambda vessel, recording: [vessel, *TRIAL],
     "sweep": lambda vessel, recording: [vessel, *TRIAL, "--grid", "mass=1:2:2"],
     "metrics": lambda vessel, recording: [recording],
@@ -26,7 +27,7 @@ COMMANDS = {
     "export": lambda vessel, recording: [vessel, "--to", "mss"],
 }
 OF_TRIALS = ("trial", "sensitivity", "sweep")
-OF_VESSELS = ("trial", "sensitivity", "sweep", "predict", "fit", "diagnose", "export")
+OF_VESSELS = ("trial", "campaign", "sensitivity", "sweep", "predict", "fit", "diagnose", "export")
 OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "segment")
 OF_ORDERS = ("predict", "fit", "diagnose")
 
@@ -208,6 +209,31 @@ def test_an_unknown_manoeuvre_is_bad_usage(command, ends):
     status, told = ends(command, None, None, "--manoeuvre", "zigzak")
     assert status == 2 and "no manoeuvre 'zigzak' (did you mean 'zigzag'?)" in told
     assert "turning-circle" in told
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("zigzak:20/20", "no manoeuvre 'zigzak'; did you mean 'zigzag'?"),
+        ("turning-circle:35/10", "too many angles: write for example turning-circle:35"),
+        ("zigzag:ten", "the angles are numbers, in deg"),
+        ("zigzag:0/10", "above zero and at most 180 deg"),
+    ],
+)
+def test_a_trial_of_a_campaign_that_is_none_is_bad_usage(text, message, ends):
+    status, told = ends("campaign", None, None, "--trials", text)
+    assert status == 2 and message in told
+
+
+def test_a_campaign_without_any_result_says_why(ends, tmp_path):
+    (tmp_path / "barge.toml").write_text(BOAT[: BOAT.index("[[thruster]]")])
+    status, told = ends("campaign", tmp_path / "barge.toml")
+    assert status == 1 and "no trial of 'boat' has a result" in told and "cannot be steered" in told
+
+
+def test_a_trial_named_twice_in_a_campaign_is_refused(ends):
+    status, told = ends("campaign", None, None, "--trials", "zigzag", "zigzag:20/20")
+    assert status == 1 and "zigzag-20-20 is named twice" in told
 
 
 def test_an_unknown_recorded_manoeuvre_is_bad_usage(ends):

@@ -9,6 +9,7 @@ examples:
   diffsea show otter
   diffsea trial otter --manoeuvre zigzag --angle 20 --heading 20
   diffsea check boat.bin
+  diffsea campaign otter
   diffsea metrics run1.csv run2.csv --length 4.9
   diffsea audit field/*.csv --mapping field.toml
   diffsea predict usv.toml run1.csv

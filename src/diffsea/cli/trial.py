@@ -1,4 +1,4 @@
-"""`diffsea trial`: run a standard trial, and the options that describe one."""
+"""`diffsea trial` and `diffsea campaign`: standard trials, and the options that describe one."""
 
 import argparse
 import math
@@ -9,18 +9,33 @@ from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.errors import UserError
+from diffsea.runtime import prepare_jax
 
 
 if TYPE_CHECKING:
     from diffsea.simulation.planning import TrialPlan
     from diffsea.simulation.trials import Trial
     from diffsea.vessel.base import Vessel
+    from diffsea.workflows.campaigns import PlannedTrial
+
+RUN_OPTIONS = ("speed", "thrust", "seconds", "step", "executes", "keep_speed")
 
 
 def register(commands: options.Commands) -> None:
     """Add the command."""
     summary = "run a standard trial: recording, metrics, IMO verdict, plots"
     add_trial_command(commands, "trial", trial_command, summary)
+    summary = "the standard trials both ways with their verdicts"
+    parser = options.add_command(commands, "campaign", campaign_command, summary)
+    options.add_vessel(parser)
+    group = parser.add_argument_group("trials")
+    trials = (
+        "what to run, with other angles than the usual ones where they are given, for example "
+        "zigzag:10/10 (default: turning-circle:35 zigzag:10/10 zigzag:20/20)"
+    )
+    form = "NAME[:ANGLE[/HEADING]]"
+    add_option(group, "--trials", form, planned_trial, trials, nargs="+")
+    _add_run_options(group)
 
 
 def add_trial_command(
@@ -43,6 +58,12 @@ def add_trial_command(
     heading = "heading change at which a zig-zag switches (default: 20; modified: 1)"
     add_option(group, "--heading", "DEG", options.angle, heading)
     add_choice(group, "--side", ("starboard", "port"), "side of the first order")
+    _add_run_options(group)
+    return parser
+
+
+def _add_run_options(group: argparse._ArgumentGroup) -> None:
+    """How trials are run: speed or thrust, time limit, step, executes."""
     start = group.add_mutually_exclusive_group()
     speed = "approach speed, held until the execute (default: Froude number 0.2)"
     add_option(start, "--speed", "M/S", options.positive, speed)
@@ -59,7 +80,6 @@ def add_trial_command(
     add_option(group, "--step", "S", options.positive, step)
     executes = "rudder executions of a zig-zag"
     add_option(group, "--executes", "N", options.count, executes, default=4)
-    return parser
 
 
 def trial_plan(args: argparse.Namespace, vessel: "Vessel") -> "TrialPlan":
@@ -142,6 +162,55 @@ def trial_command(args: argparse.Namespace) -> None:
         save_trial_track(trial, out.path("track.png"), title)
         save_trial_series(trial, out.path("series.png"), title, vessel)
     out.present(args, metrics_text(metrics))
+
+
+def planned_trial(text: str) -> "PlannedTrial":
+    """A type of argument: a trial of a campaign, such as `zigzag:10/10`."""
+    prepare_jax()
+    from diffsea.workflows.campaigns import PlannedTrial
+
+    try:
+        return PlannedTrial.from_text(text)
+    except UserError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def campaign_command(args: argparse.Namespace) -> None:
+    """Run the standard trials to both sides: turning circle, zig-zags 10/10 and 20/20, or others.
+    Judges them by IMO MSC.137(76), says how steadily each was begun, checks what was executed of
+    what was ordered, and compares both sides. A trial that fails is told and the others go on.
+    Writes campaign.json, campaign.html, and of every trial its recording and its log with derived
+    quantities (headings wrapped and relative, reconstructed yaw rate, steering angles, thrusts,
+    yaw moment), time from the onset.
+
+    examples:
+      diffsea campaign otter
+      diffsea campaign kvlcc2 --speed 1.179
+      diffsea campaign usv.toml --trials turning-circle zigzag:5/5 stopping --thrust 120
+    """
+    import pandas as pd
+
+    from diffsea.cli.progress import StagedProgress
+    from diffsea.recordings import write_recording
+    from diffsea.workflows.campaigns import USUAL_TRIALS, campaign
+
+    vessel = options.read_vessel(args).vessel
+    asked = args.trials or USUAL_TRIALS
+    run_options = {key: getattr(args, key) for key in RUN_OPTIONS}
+    with Outputs(args.output) as out:
+        with StagedProgress(sum(len(one.sides) for one in asked)) as tell:
+            found = campaign(vessel, asked, tell, **run_options)
+        for one in found.trials:
+            if one.run is not None:
+                write_recording(one.run, out.path(f"{one.file_name}.csv"))
+                log = pd.DataFrame(one.log)
+                log.to_csv(out.path(f"{one.file_name}-log.csv"), index=False, float_format="%.8g")
+        out.json("campaign.json", found.record)
+        out.text("campaign.html", found.html())
+    header = tuple(found.rows()[0])
+    rows = table([tuple(row.values()) for row in found.rows()], header)
+    notes = [f"note: {note}" for note in found.notes()]
+    out.present(args, "\n".join([found.headline(), rows, *notes]))
 
 
 def metrics_text(metrics: dict[str, Any]) -> str:

@@ -1,0 +1,241 @@
+"""A campaign as one page: criteria, numbers to both sides, tracks, approaches and actuation."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from diffsea.report import plots
+from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
+from diffsea.report.quantities import for_people, significant
+from diffsea.report.words import Record, capital
+from diffsea.trajectory import Samples, Trajectory
+
+
+DRAWN_ROWS = 1200  # of a run: more cannot be told apart
+SIDE_COLOURS = {"starboard": plots.DIAGNOSED, "port": plots.NOMINAL}
+_PANELS = (
+    ("psi_relative", "change of heading (deg)", math.degrees(1.0)),
+    ("delta_exec", "executed steering (deg), order thin", math.degrees(1.0)),
+    ("r", "yaw rate (deg/s)", math.degrees(1.0)),
+    ("u", "speed ahead u (m/s)", 1.0),
+)
+_NUMBER_UNITS = (  # of a number of metrics.json by a word in its name, the first that fits
+    ("speed_loss", "1"),
+    ("speed", "m/s"),
+    ("yaw_rate", "rad/s"),
+    ("time", "s"),
+    ("period", "s"),
+    ("overshoot", "rad"),
+    ("angle", "rad"),
+    ("heading", "rad"),
+)
+_CONDITIONS = ("order_angle", "switching_heading", "execute_time")  # no results of the trial
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialRun:
+    """A trial to one side as it is drawn: its run, and its log with time from the onset."""
+
+    trial: str
+    side: str
+    run: Trajectory
+    log: Mapping[str, Samples]
+
+
+def campaign_page(record: Record, runs: Sequence[TrialRun], source: Record) -> str:
+    """The page.
+
+    Arguments:
+        record: the content of campaign.json.
+        runs: the trials that have a result.
+        source: what was run; shown as it is.
+    """
+    by_trial: dict[str, list[TrialRun]] = {}
+    for one in runs:
+        by_trial.setdefault(one.trial, []).append(one)
+    entries = [e for sides in record["trials"].values() for e in sides.values()]
+    done = sum("failed" not in entry for entry in entries)
+    length = f"length {significant(record['length'], 3)} m"
+    return render(
+        "campaign.html.j2",
+        title=f"Trials of {record['vessel']}",
+        subtitle=f"{done} of {len(entries)} trials done, {length}",
+        lead=_verdict_sentence(record),
+        verdict=record["verdict"],
+        criteria=_criteria_table(record["criteria"]),
+        notes=[f"{capital(note)}." for note in record["notes"]],
+        numbers=[_number_table(name, sides) for name, sides in record["trials"].items()],
+        runs=[_trial_plots(name, found) for name, found in by_trial.items()],
+        approaches=_approach_table(record["trials"]),
+        checks=_check_table(record["trials"]),
+        provenance=provenance(source, [(one.run, "simulated") for one in runs]),
+    )
+
+
+def _verdict_sentence(record: Record) -> str:
+    """What the criteria say, in one sentence."""
+    criteria = record["criteria"]
+    if not criteria:
+        return "No criterion of IMO MSC.137(76) applies to these trials."
+    failed = [row for row in criteria if row["verdict"] == "fail"]
+    if not failed:
+        return f"All {len(criteria)} criteria of IMO MSC.137(76) that apply are met."
+    names = dict.fromkeys(f"{_words(row['number'])} ({row['trial']})" for row in failed)
+    return (
+        f"{len(failed)} of {len(criteria)} criteria of IMO MSC.137(76) that apply "
+        f"{'is' if len(failed) == 1 else 'are'} not met: {', '.join(names)}."
+    )
+
+
+def _words(number: str) -> str:
+    return number.replace("_", " ")
+
+
+def _criteria_table(criteria: Sequence[Record]) -> Table:
+    columns = ["trial", "criterion", "number", "starboard", "port", "limit", "unit", "verdict"]
+    rows = []
+    for row in criteria:
+        limit, unit = for_people(row["limit"], row["unit"])
+        values = [
+            significant(for_people(row["values"][side], row["unit"])[0], 3)
+            if side in row["values"]
+            else ""
+            for side in SIDE_COLOURS
+        ]
+        if not any(values):  # of a trial that turns to no side
+            values[0] = significant(for_people(*_only(row))[0], 3)
+        cells = [Verbatim(row["trial"]), Verbatim(row["criterion"]), _words(row["number"])]
+        rows.append([*cells, *values, significant(limit, 3), unit, row["verdict"]])
+    return Table(columns, rows, "Criteria of IMO MSC.137(76); L is the ship's length", (3, 4, 5))
+
+
+def _only(row: Record) -> tuple[float, str]:
+    return next(iter(row["values"].values())), row["unit"]
+
+
+def number_unit(name: str) -> str:
+    """The SI unit of a number of metrics.json: `m` where its name says no other."""
+    return next((unit for word, unit in _NUMBER_UNITS if word in name), "m")
+
+
+def _number_table(trial: str, sides: Mapping[str, Record]) -> Table:
+    """Numbers of a trial to each side, and over the ship's length where that is a number."""
+    names = dict.fromkeys(
+        name
+        for metrics in sides.values()
+        for name, value in metrics.items()
+        if isinstance(value, float) and not name.endswith("_over_L") and name not in _CONDITIONS
+    )
+    rows = []
+    for name in names:
+        unit = for_people(0.0, number_unit(name))[1]
+        cells = [_number_cell(metrics, name) for metrics in sides.values()]
+        rows.append([_words(name), *cells, unit])
+    columns = ["number", *sides, "unit"]
+    return Table(columns, rows, trial, range(1, len(sides) + 1))
+
+
+def _number_cell(metrics: Record, name: str) -> str:
+    if not isinstance(metrics.get(name), float):
+        return ""
+    text = significant(for_people(metrics[name], number_unit(name))[0], 3)
+    over = metrics.get(f"{name}_over_L")
+    return text if over is None else f"{text} ({significant(over, 3)} L)"
+
+
+def _approach_table(trials: Mapping[str, Mapping[str, Record]]) -> Table:
+    """How steadily every trial was begun, or why it has no result."""
+    rows = []
+    for trial, sides in trials.items():
+        for side, metrics in sides.items():
+            if "failed" in metrics:
+                rows.append([Verbatim(trial), side, "failed", Verbatim(metrics["failed"])])
+            else:
+                approach = metrics["approach"]
+                rows.append([Verbatim(trial), side, approach["verdict"], approach["why"]])
+    return Table(["trial", "side", "approach", "why"], rows)
+
+
+def _check_table(trials: Mapping[str, Mapping[str, Record]]) -> Table:
+    """Checks from order to motion; those of both sides that say the same stand once."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for trial, sides in trials.items():
+        for side, metrics in sides.items():
+            for check in metrics.get("checks", ()):
+                key = trial, check["name"], check["verdict"], check["why"]
+                rows.setdefault(key, []).append(side)
+    cells = [
+        [Verbatim(trial), ", ".join(sides), Verbatim(name), verdict, why]
+        for (trial, name, verdict, why), sides in rows.items()
+    ]
+    return Table(["trial", "side", "check", "verdict", "why"], cells)
+
+
+def _trial_plots(trial: str, runs: Sequence[TrialRun]) -> RunPlots:
+    """Tracks and histories of a trial to both sides, under one cursor."""
+    who = " and ".join(one.side for one in runs)
+    track = f"Track of {trial} to {who}, the execute at the origin and the approach upwards."
+    series = f"Heading, steering, yaw rate and speed of {trial} to {who} since the onset."
+    drawn = [
+        Plot(_tracks(runs, trial), track, 460),
+        Plot(_histories(runs, trial), series, 560),
+    ]
+    return RunPlots(trial, drawn)
+
+
+def _colour(one: TrialRun) -> str:
+    return SIDE_COLOURS.get(one.side, plots.DIAGNOSED)
+
+
+def _tracks(runs: Sequence[TrialRun], group: str) -> go.Figure:
+    """Tracks in the axes of the approach: ahead upwards, to starboard to the right (m)."""
+    layout = {"xaxis": {"title": {"text": "to starboard (m)"}}, "showlegend": True}
+    layout["yaxis"] = plots.TRACK_LAYOUT["yaxis"] | {"title": {"text": "ahead (m)"}}
+    drawn = plots.figure(**plots.TRACK_LAYOUT | layout)
+    for one in runs:
+        log, rows = one.log, _thinned(one)
+        t = log["t"]
+        x, y, psi = (float(np.interp(0.0, t, log[name])) for name in ("x", "y", "psi_unwrapped"))
+        north, east = log["x"][rows] - x, log["y"][rows] - y
+        ahead = math.cos(psi) * north + math.sin(psi) * east
+        starboard = math.cos(psi) * east - math.sin(psi) * north
+        drawn.add_scatter(
+            x=plots.numbers(starboard), y=plots.numbers(ahead), name=one.side, mode="lines",
+            customdata=plots.numbers(t[rows], plots.TIME_DIGITS),
+            line={"color": _colour(one), "width": 2},
+        )  # fmt: skip
+    drawn.update_traces(hovertemplate="%{customdata} s: %{x} m to starboard, %{y} m ahead")
+    return plots.add_track_markers(drawn, group, range(len(runs)), [_colour(one) for one in runs])
+
+
+def _histories(runs: Sequence[TrialRun], group: str) -> go.Figure:
+    """Heading, executed and ordered steering, yaw rate and speed against time from the onset."""
+    panels = [panel for panel in _PANELS if all(panel[0] in one.log for one in runs)]
+    margin = {"t": 24, "b": 36, "l": 48, "r": 8}
+    drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
+    for k, (column, title, scale) in enumerate(panels):
+        axis = {"xaxis": "x", "yaxis": f"y{k + 1}" if k else "y", "mode": "lines"}
+        for one in runs:
+            rows = _thinned(one)
+            x = plots.numbers(one.log["t"][rows], plots.TIME_DIGITS)
+            if column == "delta_exec" and "delta_cmd" in one.log:
+                ordered: dict[str, Any] = {"color": _colour(one), "width": 0.8, "shape": "hv"}
+                y = plots.numbers(one.log["delta_cmd"][rows] * scale)
+                drawn.add_scatter(x=x, y=y, name=one.side, line=ordered, hoverinfo="skip", **axis)
+            y = plots.numbers(one.log[column][rows] * scale)
+            line = {"color": _colour(one), "width": 1.8}
+            drawn.add_scatter(x=x, y=y, name=one.side, line=line, **axis)
+        domain = plots.panel_of(k, len(panels), 0.06)
+        drawn.update_layout({f"yaxis{k + 1}": {"domain": domain, "nticks": 5}})
+        drawn.add_annotation(plots.heading(title, domain[1]))
+    title = {"text": "time since the onset (s)"}
+    drawn.update_layout(xaxis={"title": title, "anchor": f"y{len(panels)}"})
+    return plots.add_time_cursor(drawn, group)
+
+
+def _thinned(one: TrialRun) -> slice:
+    return slice(None, None, max(1, math.ceil(len(one.log["t"]) / DRAWN_ROWS)))
