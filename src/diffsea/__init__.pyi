@@ -49,6 +49,8 @@ from .workflows.identification import DiagnosisResult as DiagnosisResult
 from .workflows.identification import FitResult as FitResult
 from .workflows.identification import diagnose as diagnose
 from .workflows.identification import fit as fit
+from .workflows.missions import MissionResult as MissionResult
+from .workflows.missions import run_mission as run_mission
 from .workflows.trials import PredictionResult as PredictionResult
 from .workflows.trials import SensitivityResult as SensitivityResult
 from .workflows.trials import TrialResult as TrialResult

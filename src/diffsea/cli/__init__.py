@@ -17,6 +17,7 @@ examples:
   diffsea diagnose usv.toml run*.csv
   diffsea sensitivity kvlcc2 --manoeuvre zigzag
   diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
+  diffsea run examples/missions/survey_in_a_tide.toml
   diffsea export otter --to mss
 
 diffsea COMMAND --help tells more. Exit status: 0 done, 1 the work failed (the message says

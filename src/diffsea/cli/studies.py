@@ -1,7 +1,8 @@
-"""Commands for designing: `diffsea sensitivity` and `diffsea sweep`."""
+"""Commands for designing: `diffsea sensitivity`, `diffsea sweep` and `diffsea run`."""
 
 import argparse
 import math
+import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
@@ -37,6 +38,10 @@ def register(commands: options.Commands) -> None:
     add_option(group, "--sample", ("N", "NAME=FROM:TO"), str, sample, nargs="+")
     add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
     sweep.set_defaults(usage_error=sweep.error)
+    summary = "a mission in closed loop: vessel, controller, waypoints, weather"
+    run = options.add_command(commands, "run", run_command, summary)
+    mission = "TOML file of the mission"
+    run.add_argument("mission", metavar="MISSION", type=pathlib.Path, help=mission)
 
 
 def sensitivity_command(args: argparse.Namespace) -> None:
@@ -197,3 +202,29 @@ def _sweep_summary(found: "pd.DataFrame", designs: "Designs") -> dict[str, Any]:
         "metrics": metrics,
         "imo": imo,
     }
+
+
+def run_command(args: argparse.Namespace) -> None:
+    """Run a mission in closed loop. Its file names the vessel, the controller with its limits,
+    waypoints or timed steps, and may have weather that varies, sensors with noise, and a model
+    that the controller believes in instead of the vessel.
+    Writes recording.csv (as the sensors show it), truth.csv (the motion itself, where there are
+    sensors), run.json with path and time errors, closest approaches and orders against limits,
+    and run.html.
+
+    examples:
+      diffsea run examples/missions/survey_in_a_tide.toml
+      diffsea run mission.toml -o out/mission --json
+    """
+    from diffsea.recordings import write_recording
+    from diffsea.workflows.missions import run_mission
+
+    with Outputs(args.output) as out:
+        found = run_mission(args.mission)
+        write_recording(found.recorded, out.path("recording.csv"))
+        if found.run.mission.sensors is not None:
+            write_recording(found.true, out.path("truth.csv"))
+        out.json("run.json", found.numbers)
+        out.text("run.html", found.html())
+    rows = [(row["number"], f"{row['value']:.3g}", row["unit"]) for row in found.rows()]
+    out.present(args, f"{found.headline()}\n{table(rows)}")

@@ -1,6 +1,7 @@
 """A vessel under a controller: orders at the controller's period, motion in finer steps."""
 
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -34,7 +35,7 @@ def run_controlled(
     seconds: float,
     period: float,
     step: float | None = None,
-    environment: Environment | None = None,
+    environment: Environment | Callable[[Scalar], Environment] | None = None,
     longest_delay: float | None = None,
 ) -> ClosedLoop:
     """Run a vessel under a controller. Pure: jit, vmap and differentiate it.
@@ -45,7 +46,8 @@ def run_controlled(
         period: s between the controller's steps; its orders hold from one to the next.
         step: of integration, s; `period` by default, and divided so that whole steps fill a
             period.
-        environment: water and air; the vessel's own by default.
+        environment: water and air, or a function of the time (s) that gives them: as steady
+            within a step as they are at its start; the vessel's own by default.
         longest_delay: s; needed under jit where an actuator's delay is traced.
 
     Rows after the end are not `valid`. The outcome is `COMPLETED` where the controller finished,
@@ -74,7 +76,9 @@ def run_controlled(
         row = (t, motion.state, orders, executed_now(vessel, motion, orders), ~over)
 
         def part(motion: SimulationState, number: Scalar) -> tuple[SimulationState, None]:
-            return advance(vessel, motion, orders, environment, t + number * dt, dt), None
+            now = t + number * dt
+            around = environment(now) if callable(environment) else environment
+            return advance(vessel, motion, orders, around, now, dt), None
 
         new, _ = jax.lax.scan(part, motion, jnp.arange(parts, dtype=float))
         diverged = diverged | (~over & ~is_plausible(vessel, new.state))

@@ -8,6 +8,7 @@ from diffsea.simulation.control.allocation import speed_for as speed_for
 from diffsea.simulation.control.allocation import throttle_for as throttle_for
 from diffsea.simulation.control.allocation import throttle_for_thrust as throttle_for_thrust
 from diffsea.simulation.control.autopilot import AbstractController as AbstractController
+from diffsea.simulation.control.autopilot import AbstractGuidance as AbstractGuidance
 from diffsea.simulation.control.autopilot import AbstractHeadingLaw as AbstractHeadingLaw
 from diffsea.simulation.control.autopilot import AbstractSpeedLaw as AbstractSpeedLaw
 from diffsea.simulation.control.autopilot import Autopilot as Autopilot
@@ -27,6 +28,9 @@ from diffsea.simulation.control.lqr import discretise as discretise
 from diffsea.simulation.control.lqr import riccati as riccati
 from diffsea.simulation.control.lqr import steering_model as steering_model
 from diffsea.simulation.control.lqr import track_keeper as track_keeper
+from diffsea.simulation.control.timed import TimedCourse as TimedCourse
+from diffsea.simulation.control.timed import TimedOrders as TimedOrders
+from diffsea.simulation.control.timed import TimedSpeed as TimedSpeed
 from diffsea.simulation.control.waypoints import DynamicPD as DynamicPD
 from diffsea.simulation.control.waypoints import WaypointLogic as WaypointLogic
 from diffsea.simulation.control.waypoints import dynamic_pd as dynamic_pd

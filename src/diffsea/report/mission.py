@@ -1,0 +1,229 @@
+"""A mission as one page: the track beside the path, errors, orders against limits, weather."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from diffsea.report import plots
+from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
+from diffsea.report.quantities import for_people, round_to_error, significant
+from diffsea.report.words import Record, capital
+from diffsea.simulation.mission import MissionRun
+from diffsea.simulation.mission.scores import held_values, path_offsets
+from diffsea.trajectory import Outcome, Samples
+
+
+DRAWN_ROWS = 1500  # of a run: more cannot be told apart
+_DEGREES = math.degrees(1.0)
+_PATH_LINE = {"color": plots.MEASURED, "width": 2, "dash": "dash"}
+_TRUE_LINE = {"color": plots.DIAGNOSED, "width": 1.8}
+_SEEN_LINE = {"color": plots.MEASURED, "width": 1}
+_WANTED_LINE = {"color": plots.MEASURED, "width": 1.5, "dash": "dash", "shape": "hv"}
+_ORDER_LINE = {"color": plots.NOMINAL, "width": 1.4, "shape": "hv"}
+_LIMIT_LINE = {"color": plots.INK, "width": 1, "dash": "dot"}
+
+Panel = tuple[str, Sequence[tuple[str, Samples, dict[str, Any]]]]  # heading, and its curves
+
+
+def mission_page(run: MissionRun, numbers: Record) -> str:
+    """The page.
+
+    Arguments:
+        numbers: the content of run.json.
+    """
+    mission, outcome = run.mission, run.outcome
+    believed = (
+        "itself" if mission.model is mission.vessel else f"a model of it, {mission.model.name}"
+    )
+    return render(
+        "mission.html.j2",
+        title=mission.name,
+        subtitle=f"{mission.vessel.name} under {mission.controller.kind}{believed}",
+        completed=outcome is Outcome.COMPLETED,
+        word="completed" if outcome is Outcome.COMPLETED else "not completed",
+        lead=f"{capital(outcome.sentence)}, after {significant(numbers['time'], 4)} s "
+        f"and {significant(numbers['distance'], 4)} m.",
+        errors=_error_sentences(numbers),
+        runs=[_plots(run, "run")],
+        waypoints=_waypoint_table(numbers["waypoints"]) if "waypoints" in numbers else None,
+        orders=_order_table(numbers["orders"]),
+        provenance=provenance(
+            _source(run, numbers), [(run.recorded, "simulated, as the sensors show it")]
+        ),
+    )
+
+
+def _error_sentences(numbers: Record) -> list[str]:
+    named = (("path_error", "Distance from the path", "m"), ("heading_error", "Heading", "rad"),
+             ("speed_error", "Speed", "m/s"))  # fmt: skip
+    sentences = []
+    for key, what, unit in named:
+        if key in numbers:
+            rms, largest = (round_to_error(numbers[key][n], None, unit) for n in ("rms", "largest"))
+            off = "" if key == "path_error" else " off"
+            sentences.append(f"{what}{off} by {rms} root mean square, {largest} at most.")
+    points = numbers.get("waypoints", [])
+    if points:
+        reached = sum(point["reached"] for point in points)
+        sentences.append(f"{reached} of {len(points)} waypoints were reached.")
+    busy = {c: o["at_limit"] for c, o in numbers["orders"].items() if o["at_limit"] > 0}
+    if busy:
+        shares = ", ".join(f"{c} {100 * share:.0f} %" for c, share in busy.items())
+        sentences.append(f"Orders were at a limit for a share of the time: {shares}.")
+    return sentences
+
+
+def _source(run: MissionRun, numbers: Record) -> Record:
+    mission, made = run.mission, run.setup
+    told = lambda value: "none" if value is None else significant(value, 4)
+    differs = {
+        name: f"{told(both['model'])} in place of {told(both['vessel'])}"
+        for name, both in numbers["model_differs"].items()
+    }
+    source = {
+        "vessel": mission.vessel.name,
+        "model": mission.model.name,
+        "controller": mission.controller.kind,
+        "period": f"{made.period:g} s",
+        "time step": f"{made.time_step:g} s",
+        "seed": mission.seed,
+    }
+    source |= {"the model differs in": differs} if differs else {}
+    return source | ({"numbers from": mission.vessel.source} if mission.vessel.source else {})
+
+
+def _waypoint_table(points: Sequence[Record]) -> Table:
+    planned = any("planned_time" in point for point in points)
+    rows = []
+    for number, point in enumerate(points, start=1):
+        place = f"{significant(point['x'], 4)}, {significant(point['y'], 4)}"
+        reached = "yes" if point["reached"] else "no"
+        nearest = significant(point["closest_approach"], 3)
+        row = [str(number), place, reached, significant(point["time"], 4), nearest]
+        if planned:
+            late = point.get("time_error")
+            row.append("" if late is None else f"{late:+.1f}")
+        rows.append(row)
+    columns = ["waypoint", "north, east (m)", "reached", "time (s)", "closest approach (m)"]
+    columns += ["late (s)"] if planned else []
+    return Table(columns, rows, numeric=range(3, len(columns)))
+
+
+def _order_table(orders: Record) -> Table:
+    rows = []
+    for channel, one in orders.items():
+        scale, unit = for_people(1.0, one["unit"])
+
+        def cell(key: str, one: Record = one, scale: float = scale) -> str:
+            return significant(scale * one[key], 3) if math.isfinite(one[key]) else "none"
+
+        extent = f"{cell('least')} to {cell('largest')}"
+        limits = f"{cell('lower')} to {cell('upper')}"
+        share, events = f"{100 * one['at_limit']:.1f} %", str(one["limit_events"])
+        rates = [cell("largest_rate"), cell("rate_limit")]
+        rows.append([Verbatim(channel), unit, extent, limits, share, events, *rates])
+    columns = ["order", "unit", "ordered", "limits", "at a limit", "times reached",
+               "fastest change (per s)", "actuator's rate limit (per s)"]  # fmt: skip
+    return Table(columns, rows, numeric=range(2, len(columns)))
+
+
+def _plots(run: MissionRun, group: str) -> RunPlots:
+    name = run.mission.name
+    track = Plot(_track(run, group), f"Track of {name} beside its path.", 520)
+    panels = [*_motion_panels(run), *_order_panels(run), *_weather_panels(run)]
+    text = f"Errors, motion, orders and weather of {name} over time."
+    return RunPlots(
+        "Track and histories", [track, Plot(_panels(run, panels, group), text, 130 * len(panels))]
+    )
+
+
+def _track(run: MissionRun, group: str) -> go.Figure:
+    """What the sensors showed, the true track, and the path with its waypoints; north up."""
+    drawn = plots.figure(**plots.TRACK_LAYOUT | {"showlegend": True})
+    curves = [("as measured", run.recorded, _SEEN_LINE)] if run.mission.sensors else []
+    curves.append(("track", run.true, _TRUE_LINE))
+    for name, motion, line in curves:
+        north, east, t = (plots.thin_rows(motion, c, DRAWN_ROWS) for c in ("x", "y", "t"))
+        times = plots.numbers(t, plots.TIME_DIGITS)
+        drawn.add_scatter(
+            x=plots.numbers(east), y=plots.numbers(north), customdata=times, mode="lines",
+            name=name, line=line, hovertemplate="%{customdata} s: %{x} m east, %{y} m north",
+        )  # fmt: skip
+    points = run.mission.waypoints
+    if points:
+        marker = {"color": "#fff", "size": 8, "line": {"color": plots.MEASURED, "width": 2}}
+        drawn.add_scatter(
+            x=[one.y for one in points], y=[one.x for one in points], mode="lines+markers",
+            name="path", line=_PATH_LINE, marker=marker,
+            hovertemplate="waypoint: %{x} m east, %{y} m north", hoverinfo="skip",
+        )  # fmt: skip
+    colours = [str(line["color"]) for _, _, line in curves]
+    return plots.add_track_markers(drawn, group, range(len(curves)), colours)
+
+
+def _motion_panels(run: MissionRun) -> list[Panel]:
+    """Path error or heading asked for, heading and speed; what the sensors showed in grey."""
+    mission, true, panels = run.mission, run.true, []
+    if mission.waypoints:
+        off = path_offsets(mission, true)
+        panels.append(("off the path, to starboard (m)", [("off the path", off, _TRUE_LINE)]))
+    for channel, title, scale, wanted in (
+        ("psi", "heading (deg)", _DEGREES, "heading"),
+        ("u", "speed ahead u (m/s)", 1.0, "speed"),
+    ):
+        curves = [(channel, getattr(true, channel) * scale, _TRUE_LINE)]
+        if mission.sensors is not None:
+            curves.insert(0, ("as measured", getattr(run.recorded, channel) * scale, _SEEN_LINE))
+        if mission.controller.kind == "course":
+            asked = held_values(mission, true.t, wanted) * scale
+            curves.append(("asked for", asked, _WANTED_LINE))
+        panels.append((title, curves))
+    return panels
+
+
+def _order_panels(run: MissionRun) -> list[Panel]:
+    """Orders, what was executed of them, and their limits."""
+    panels = []
+    for channel, orders in run.true.commanded.items():
+        scale, unit = for_people(1.0, run.mission.vessel.units[channel])
+        curves = [
+            ("ordered", orders * scale, _ORDER_LINE),
+            ("executed", run.true.executed[channel] * scale, _TRUE_LINE),
+        ]
+        for end in run.limits(channel):
+            if math.isfinite(end):
+                curves.append(("limit", np.full(len(orders), scale * end), _LIMIT_LINE))
+        panels.append((f"{channel} ({unit}): ordered, executed, limits dotted", curves))
+    return panels
+
+
+def _weather_panels(run: MissionRun) -> list[Panel]:
+    panels, extra = [], run.true.extra
+    if "wind_speed" in extra:
+        panels.append(("wind (m/s)", [("wind", extra["wind_speed"], _TRUE_LINE)]))
+    current = run.setup.weather.current_north, run.setup.weather.current_east
+    if not isinstance(current[0], float):
+        speed = np.hypot(*(np.asarray(part)[: len(run.true.t)] for part in current))
+        panels.append(("current (m/s)", [("current", speed, _TRUE_LINE)]))
+    return panels
+
+
+def _panels(run: MissionRun, panels: Sequence[Panel], group: str) -> go.Figure:
+    """Panels one above the other over time, under the cursor of a group."""
+    margin = {"t": 24, "b": 36, "l": 48, "r": 8}
+    drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
+    rows = slice(None, None, max(1, math.ceil(len(run.true.t) / DRAWN_ROWS)))
+    x = plots.numbers(run.true.t[rows], plots.TIME_DIGITS)
+    for k, (title, curves) in enumerate(panels):
+        axis = f"y{k + 1}" if k else "y"
+        for name, values, line in curves:
+            y = plots.numbers(values[rows])
+            drawn.add_scatter(x=x, y=y, mode="lines", name=name, line=line, xaxis="x", yaxis=axis)
+        domain = plots.panel_of(k, len(panels), 0.3 / len(panels))
+        drawn.update_layout({f"yaxis{k + 1}": {"domain": domain, "nticks": 4}})
+        drawn.add_annotation(plots.heading(title, domain[1]))
+    drawn.update_layout(xaxis={"title": {"text": "time (s)"}, "anchor": f"y{len(panels)}"})
+    return plots.add_time_cursor(drawn, group)

@@ -1,0 +1,73 @@
+"""Missions from a script: a file or document run in closed loop, with its numbers and its page."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+from diffsea.report.mission import mission_page
+from diffsea.simulation.mission import Mission, MissionRun, mission_of, read_mission, run, scores
+from diffsea.trajectory import Trajectory
+from diffsea.workflows.audits import Tabulated
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class MissionResult(Tabulated):
+    """A mission that was run; `numbers` is the content of run.json, in SI units and rad."""
+
+    run: MissionRun
+    numbers: dict[str, Any]
+
+    @property
+    def true(self) -> Trajectory:
+        """The motion."""
+        return self.run.true
+
+    @property
+    def recorded(self) -> Trajectory:
+        """The motion as the sensors showed it to the controller."""
+        return self.run.recorded
+
+    def headline(self) -> str:
+        told = self.numbers
+        return f"{told['mission']}: {told['outcome_message']} after {told['time']:.4g} s"
+
+    def rows(self) -> list[dict[str, Any]]:
+        told = self.numbers
+        errors = (("path error", "path_error", "m"), ("heading error", "heading_error", "rad"),
+                  ("speed error", "speed_error", "m/s"))  # fmt: skip
+        rows = [
+            {"number": f"{name}, {part}", "value": told[key][part], "unit": unit}
+            for name, key, unit in errors
+            if key in told
+            for part in ("rms", "largest")
+        ]
+        for number, point in enumerate(told.get("waypoints", ()), start=1):
+            name = f"waypoint {number}, {'reached' if point['reached'] else 'missed'}, closest"
+            rows.append({"number": name, "value": point["closest_approach"], "unit": "m"})
+        for channel, orders in told["orders"].items():
+            name = f"{channel}, at its limit"
+            rows.append(
+                {"number": name, "value": 100 * orders["at_limit"], "unit": "% of the time"}
+            )
+        return rows
+
+    def html(self) -> str:
+        """The page."""
+        return mission_page(self.run, self.numbers)
+
+
+def run_mission(mission: Mission | dict[str, Any] | str | pathlib.Path) -> MissionResult:
+    """Run a mission in closed loop, as `diffsea run` does.
+
+    Arguments:
+        mission: a TOML file, its content as a dictionary, or a mission that has been read.
+
+    Raises:
+        UserError: a mission that cannot be read or run, or that diverged; says what to do.
+    """
+    if isinstance(mission, dict):
+        mission = mission_of(mission)
+    elif not isinstance(mission, Mission):
+        mission = read_mission(mission)
+    found = run(mission)
+    return MissionResult(found, scores(found))

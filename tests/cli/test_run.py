@@ -1,0 +1,128 @@
+"""`diffsea run`: the missions that ship, what they write, and missions that cannot be read."""
+
+import json
+
+import pytest
+from tests.paths import ROOT
+
+import diffsea
+from diffsea.cli import main
+
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+MISSIONS = sorted((ROOT / "examples" / "missions").glob("*.toml"))
+
+
+@pytest.mark.parametrize("mission", MISSIONS, ids=lambda path: path.stem)
+def test_every_mission_that_ships_runs_to_its_end(mission, tmp_path, capsys):
+    assert main(["run", str(mission), "--json", "-o", str(tmp_path)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / "run.json").read_text())
+    assert told["outcome"] == "completed" and told["time"] > 0
+    if "waypoints" in told:
+        assert 0 < told["path_error"]["rms"] < told["path_error"]["largest"]
+        reached = [point["reached"] for point in told["waypoints"]]
+        assert sum(reached) >= len(reached) - 1
+    recorded = diffsea.read_recording(tmp_path / "recording.csv")
+    assert recorded.t[-1] == pytest.approx(told["time"]) and set(recorded.commanded) == set(
+        told["orders"]
+    )
+    page = (tmp_path / "run.html").read_text()
+    assert f"<h1>{told['mission']}</h1>" in page and "Orders against limits" in page
+    sensors = "[sensors]" in mission.read_text()
+    assert (tmp_path / "truth.csv").exists() == sensors
+
+
+def test_a_mission_runs_from_a_script_and_prints_its_numbers():
+    result = diffsea.run_mission(ROOT / "examples" / "missions" / "waypoints_in_a_swell.toml")
+    text = repr(result)
+    assert "path error, rms" in text and "waypoint 3, reached, closest" in text
+    assert result.numbers["vessel"] == "pytheas"
+
+
+GOOD = """
+[vessel]
+name = "otter"
+
+[controller]
+kind = "line-of-sight"
+limits = { port = [-6.0, 12.0] }
+
+[[waypoint]]
+x = 0.0
+y = 0.0
+
+[[waypoint]]
+x = 30.0
+y = 0.0
+"""
+BAD = {
+    "unknown-table": (GOOD + "[wether]\n", "unknown key 'wether' in the file"),
+    "unknown-key": (
+        GOOD.replace('sight"', 'sight"\nlookahed = 3.0'),
+        "unknown key 'lookahed' in [controller] of kind 'line-of-sight'; did you mean 'lookahead'",
+    ),
+    "unknown-kind": (GOOD.replace("line-of-sight", "line-of-site"), "did you mean 'line-of-sight'"),
+    "waypoint-without-number": (GOOD + "[[waypoint]]\nx = 3.0\n", "[[waypoint]] 3: y is missing"),
+    "waypoint-of-text": (GOOD.replace("x = 30.0", 'x = "far"'), "[[waypoint]] 2: x = 'far' is not"),
+    "waypoint-twice": (GOOD.replace("x = 30.0", "x = 0.0"), "2 is where the one before is"),
+    "one-waypoint": (GOOD[: GOOD.rindex("[[way")], "follows [[waypoint]] tables, two or more"),
+    "vessel": (GOOD.replace('"otter"', '"oter"'), "no vessel 'oter' ships; did you mean 'otter'?"),
+    "no-vessel": (GOOD.replace('name = "otter"', ""), "the name of a shipped vessel or a file"),
+    "vessel-file": (GOOD.replace('name = "otter"', 'file = "none.toml"'), "no such vessel file"),
+    "limits-turned": (GOOD.replace("[-6.0, 12.0]", "[12.0, -6.0]"), "turn them round"),
+    "limits-beyond": (GOOD.replace("[-6.0, 12.0]", "[20.0, 30.0]"), "outside what the actuator"),
+    "limits-none": (GOOD.replace("[-6.0, 12.0]", "12.0"), "is not [lowest, highest]"),
+    "limits-channel": (GOOD.replace("port =", "prt ="), "unknown key 'prt' in [controller] limits"),
+    "steps": (GOOD + "[[step]]\ntime = 0.0\nheading = 0.0\nspeed = 1.0\n", "and no [[step]]"),
+    "speed": (GOOD.replace('sight"', 'sight"\nspeed = 30.0'), "does not reach 30 m/s"),
+    "model": (GOOD + '[model]\nname = "pytheas"\n', "[model] is ordered by thruster.angle (rad)"),
+    "parameter": (
+        GOOD.replace('"otter"', '"otter"\nparameters = { X_w = 1.0 }'),
+        "no parameter 'X_w'",
+    ),
+    "impossible-vessel": (
+        GOOD.replace('"otter"', '"otter"\nparameters = { mass = -1.0 }'),
+        "must be positive",
+    ),
+    "seed": ("seed = 1.5\n" + GOOD, "seed = 1.5 is not a whole number"),
+    "period": ("period = 0.0\n" + GOOD, "period = 0 must be positive"),
+    "too-long": ("seconds = 1e9\n" + GOOD, "are too many: take a longer time_step"),
+    "sensors": (GOOD + "[sensors]\nheading = -0.1\n", "[sensors]: heading = -0.1 is negative"),
+    "weather-times": (
+        GOOD + "[weather]\ncurrent = [{speed = 0.1, direction = 0}, {speed = 0, direction = 1}]\n",
+        "[weather] current: time is missing",
+    ),
+    "not-toml": ("[vessel\n", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_mission_that_cannot_be_run_says_why_and_leaves_nothing(kind, tmp_path, capsys):
+    text, message = BAD[kind]
+    (tmp_path / "mission.toml").write_text(text)
+    out = tmp_path / "out"
+    assert main(["run", str(tmp_path / "mission.toml"), "-o", str(out)]) == 1
+    printed = capsys.readouterr()
+    assert message in printed.err and "this is a bug" not in printed.err
+    assert "mission.toml" in printed.err or kind in ("speed", "too-long")
+    assert printed.out == "" and not out.exists()
+
+
+def test_a_mission_that_is_not_there_is_told(tmp_path, capsys):
+    assert main(["run", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]) == 1
+    assert "none.toml: cannot be read" in capsys.readouterr().err
+
+
+def test_a_run_that_diverges_says_what_to_try(tmp_path, capsys):
+    text = """
+seconds = 60.0
+vessel = { name = "otter", parameters = { X_u = 900.0 } }
+controller = { kind = "orders" }
+step = [{ time = 0.0, orders = { port = 9.0, starboard = 9.0 } }]
+"""
+    (tmp_path / "mission.toml").write_text(text)
+    assert main(["run", str(tmp_path / "mission.toml"), "-o", str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert "the run diverged" in told and "Try a time_step below 0.02" in told
