@@ -65,7 +65,9 @@ def test_help_is_quick_and_names_every_command():
 
 
 @pytest.mark.parametrize(
-    "command", ["trial", "metrics", "audit", "predict", "fit", "diagnose", "sensitivity", "sweep"]
+    "command",
+    ["trial", "metrics", "audit", "predict", "fit", "diagnose", "sensitivity", "sweep"]
+    + ["campaign", "run"],
 )
 def test_every_command_helps_with_examples(command, capsys):
     assert run(command, "--help") == 0

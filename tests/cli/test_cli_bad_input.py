@@ -7,17 +7,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.boats import BOAT
+from tests.paths import ROOT
 
 from diffsea.cli import main
 
 
 TRIAL = ["--manoeuvre", "zigzag"]
+MISSION = ROOT / "examples" / "missions" / "waypoints_in_a_swell.toml"
 # Words after the command, of a vessel and a recording.
 COMMANDS = {
     "trial": lambda vessel, recording: [vessel, *TRIAL],
     "campaign": lambda vessel, recording: [vessel, "--trials", "zigzag"],
     "sensitivity": lambda vessel, recording: [vessel, *TRIAL],
     "sweep": lambda vessel, recording: [vessel, *TRIAL, "--grid", "mass=1:2:2"],
+    "run": lambda vessel, recording: [str(MISSION)],
     "metrics": lambda vessel, recording: [recording],
     "audit": lambda vessel, recording: [recording],
     "predict": lambda vessel, recording: [vessel, recording],

@@ -1,12 +1,15 @@
 """`diffsea run`: the missions that ship, what they write, and missions that cannot be read."""
 
 import json
+import re
+import tomllib
 
 import pytest
 from tests.paths import ROOT
 
 import diffsea
 from diffsea.cli import main
+from diffsea.simulation.mission.document import CONTROLLERS
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -30,6 +33,7 @@ def test_every_mission_that_ships_runs_to_its_end(mission, tmp_path, capsys):
     )
     page = (tmp_path / "run.html").read_text()
     assert f"<h1>{told['mission']}</h1>" in page and "Orders against limits" in page
+    assert ("believes in another vessel" in page) == bool(told["model_differs"])
     sensors = "[sensors]" in mission.read_text()
     assert (tmp_path / "truth.csv").exists() == sensors
 
@@ -126,3 +130,12 @@ step = [{ time = 0.0, orders = { port = 9.0, starboard = 9.0 } }]
     assert main(["run", str(tmp_path / "mission.toml"), "-o", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert "the run diverged" in told and "Try a time_step below 0.02" in told
+
+
+def test_the_mission_of_the_documentation_runs():
+    page = (ROOT / "docs" / "missions.md").read_text()
+    text = page[page.index("```toml") + 7 : page.index("```\n", page.index("```toml") + 7)]
+    result = diffsea.run_mission(tomllib.loads(text))
+    assert result.numbers["vessel"] == "otter" and "mass" in result.numbers["model_differs"]
+    kinds = page[page.index("| `kind` |") : page.index("`heading` takes")]
+    assert re.findall(r"^\| `([a-z-]+)` \| ", kinds, re.MULTILINE) == ["kind", *CONTROLLERS]

@@ -303,6 +303,7 @@ def test_courses_and_speeds_are_followed_by_the_clock(folder):
 def test_a_path_that_is_not_finished_is_given_up_after_its_time(folder):
     told = scores(run(mission_of(document(seconds=10.0), folder)))
     assert told["outcome"] == "time-limit" and told["time"] == pytest.approx(10.0)
+    assert told["outcome_message"] == "the time was up before the end of the path was reached"
 
 
 # -- other controllers

@@ -35,16 +35,14 @@ def mission_page(run: MissionRun, numbers: Record) -> str:
         numbers: the content of run.json.
     """
     mission, outcome = run.mission, run.outcome
-    believed = (
-        "itself" if mission.model is mission.vessel else f"a model of it, {mission.model.name}"
-    )
+    believed = ", which believes in another vessel" if numbers["model_differs"] else ""
     return render(
         "mission.html.j2",
         title=mission.name,
         subtitle=f"{mission.vessel.name} under {mission.controller.kind}{believed}",
         completed=outcome is Outcome.COMPLETED,
         word="completed" if outcome is Outcome.COMPLETED else "not completed",
-        lead=f"{capital(outcome.sentence)}, after {significant(numbers['time'], 4)} s "
+        lead=f"{capital(run.sentence)}, after {significant(numbers['time'], 4)} s "
         f"and {significant(numbers['distance'], 4)} m.",
         errors=_error_sentences(numbers),
         runs=[_plots(run, "run")],
@@ -71,7 +69,7 @@ def _error_sentences(numbers: Record) -> list[str]:
         sentences.append(f"{reached} of {len(points)} waypoints were reached.")
     busy = {c: o["at_limit"] for c, o in numbers["orders"].items() if o["at_limit"] > 0}
     if busy:
-        shares = ", ".join(f"{c} {100 * share:.0f} %" for c, share in busy.items())
+        shares = ", ".join(f"{c} {significant(100 * share, 2)} %" for c, share in busy.items())
         sentences.append(f"Orders were at a limit for a share of the time: {shares}.")
     return sentences
 
@@ -99,7 +97,7 @@ def _waypoint_table(points: Sequence[Record]) -> Table:
     planned = any("planned_time" in point for point in points)
     rows = []
     for number, point in enumerate(points, start=1):
-        place = f"{significant(point['x'], 4)}, {significant(point['y'], 4)}"
+        place = f"{point['x']:.4g}, {point['y']:.4g}"
         reached = "yes" if point["reached"] else "no"
         nearest = significant(point["closest_approach"], 3)
         row = [str(number), place, reached, significant(point["time"], 4), nearest]
@@ -134,7 +132,7 @@ def _plots(run: MissionRun, group: str) -> RunPlots:
     name = run.mission.name
     track = Plot(_track(run, group), f"Track of {name} beside its path.", 520)
     panels = [*_motion_panels(run), *_order_panels(run), *_weather_panels(run)]
-    text = f"Errors, motion, orders and weather of {name} over time."
+    text = f"Errors, motion, orders (executed over ordered) and weather of {name} over time."
     return RunPlots(
         "Track and histories", [track, Plot(_panels(run, panels, group), text, 130 * len(panels))]
     )
@@ -196,7 +194,7 @@ def _order_panels(run: MissionRun) -> list[Panel]:
         for end in run.limits(channel):
             if math.isfinite(end):
                 curves.append(("limit", np.full(len(orders), scale * end), _LIMIT_LINE))
-        panels.append((f"{channel} ({unit}): ordered, executed, limits dotted", curves))
+        panels.append((f"{channel} ({unit}), limits dotted", curves))
     return panels
 
 

@@ -64,6 +64,15 @@ class MissionRun:
         timed = outcome is Outcome.TIME_LIMIT and bool(self.mission.steps)
         return Outcome.COMPLETED if timed else outcome
 
+    @property
+    def sentence(self) -> str:
+        """How it ended, in words."""
+        if self.mission.steps:
+            return "the timed steps were run to their end"
+        if self.outcome is Outcome.COMPLETED:
+            return "the end of the path was reached"
+        return "the time was up before the end of the path was reached"
+
     def limits(self, channel: str) -> tuple[float, float]:
         """Lowest and highest order: the narrower of what mission and actuator allow."""
         low, high = self.mission.controller.limits.get(channel, (-math.inf, math.inf))

@@ -35,7 +35,7 @@ def scores(run: MissionRun) -> dict[str, Any]:
         "model_differs": model_differences(mission),
         "controller": mission.controller.kind,
         "outcome": outcome_label(run.outcome),
-        "outcome_message": run.outcome.sentence,
+        "outcome_message": run.sentence,
         "time": float(motion.t[-1]),
         "distance": float(steps.sum()),
     }
