@@ -51,6 +51,8 @@ from .workflows.identification import diagnose as diagnose
 from .workflows.identification import fit as fit
 from .workflows.missions import MissionResult as MissionResult
 from .workflows.missions import run_mission as run_mission
+from .workflows.online import OnlineResult as OnlineResult
+from .workflows.online import online as online
 from .workflows.trials import PredictionResult as PredictionResult
 from .workflows.trials import SensitivityResult as SensitivityResult
 from .workflows.trials import TrialResult as TrialResult

@@ -14,11 +14,13 @@ from tests.boats import BOAT, SWELL
 
 from diffsea import UserError
 from diffsea.cli import identification, main, outputs, recordings, segments
+from diffsea.cli.service import online
 from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metrics import RECORDED_TRIALS
 from diffsea.report.pictures import SEGMENT_COLOURS
 from diffsea.segments import SEGMENT_KINDS
 from diffsea.simulation.standard import STANDARD_TRIALS
+from diffsea.workflows.online import ESTIMATORS
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -59,7 +61,7 @@ def test_help_is_quick_and_names_every_command():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for command in ("trial", "metrics", "audit", "fit", "diagnose", "predict", "sensitivity"):
+    for command in ("trial", "metrics", "audit", "fit", "diagnose", "predict", "online"):
         assert f"\n    {command}" in done.stdout
     assert "examples:" in done.stdout and "kvlcc2" in done.stdout
 
@@ -67,7 +69,7 @@ def test_help_is_quick_and_names_every_command():
 @pytest.mark.parametrize(
     "command",
     ["trial", "metrics", "audit", "predict", "fit", "diagnose", "sensitivity", "sweep"]
-    + ["campaign", "run"],
+    + ["campaign", "run", "online"],
 )
 def test_every_command_helps_with_examples(command, capsys):
     assert run(command, "--help") == 0
@@ -102,6 +104,7 @@ def test_a_parser_does_without_jax():
 
 def test_names_written_out_for_the_help_are_the_librarys():
     assert identification.ANCHORS == ANCHORS
+    assert online.ESTIMATORS == ESTIMATORS
     assert segments.KINDS == SEGMENT_KINDS == tuple(SEGMENT_COLOURS)
 
 

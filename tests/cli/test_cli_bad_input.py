@@ -26,13 +26,17 @@ COMMANDS = {
     "predict": lambda vessel, recording: [vessel, recording],
     "fit": lambda vessel, recording: [vessel, recording],
     "diagnose": lambda vessel, recording: [vessel, recording],
+    "online": lambda vessel, recording: [vessel, recording],
     "segment": lambda vessel, recording: [recording],
     "export": lambda vessel, recording: [vessel, "--to", "mss"],
 }
 OF_TRIALS = ("trial", "sensitivity", "sweep")
-OF_VESSELS = ("trial", "campaign", "sensitivity", "sweep", "predict", "fit", "diagnose", "export")
-OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "segment")
-OF_ORDERS = ("predict", "fit", "diagnose")
+OF_VESSELS = (
+    *("trial", "campaign", "sensitivity", "sweep"),
+    *("predict", "fit", "diagnose", "online", "export"),
+)
+OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "online", "segment")
+OF_ORDERS = ("predict", "fit", "diagnose", "online")
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

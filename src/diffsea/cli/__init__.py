@@ -15,6 +15,7 @@ examples:
   diffsea predict usv.toml run1.csv
   diffsea fit usv.toml run1.csv run2.csv --test run3.csv
   diffsea diagnose usv.toml run*.csv
+  diffsea online usv.toml run1.csv
   diffsea sensitivity kvlcc2 --manoeuvre zigzag
   diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
   diffsea run examples/missions/survey_in_a_tide.toml
@@ -52,6 +53,7 @@ COMMAND_MODULES = (
     "identification",
     "studies",
     "segments",
+    "service.online",
     "export",
     "vessels",
 )

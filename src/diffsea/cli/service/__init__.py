@@ -1,0 +1,1 @@
+"""Commands for boats in service: `diffsea online`."""
