@@ -49,6 +49,8 @@ from .workflows.identification import DiagnosisResult as DiagnosisResult
 from .workflows.identification import FitResult as FitResult
 from .workflows.identification import diagnose as diagnose
 from .workflows.identification import fit as fit
+from .workflows.metamodel import MetamodelResult as MetamodelResult
+from .workflows.metamodel import metamodel as metamodel
 from .workflows.missions import MissionResult as MissionResult
 from .workflows.missions import run_mission as run_mission
 from .workflows.online import OnlineResult as OnlineResult

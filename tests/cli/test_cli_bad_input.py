@@ -27,6 +27,7 @@ COMMANDS = {
     "fit": lambda vessel, recording: [vessel, recording],
     "diagnose": lambda vessel, recording: [vessel, recording],
     "online": lambda vessel, recording: [vessel, recording],
+    "metamodel": lambda vessel, recording: [recording],
     "segment": lambda vessel, recording: [recording],
     "export": lambda vessel, recording: [vessel, "--to", "mss"],
 }
@@ -35,7 +36,10 @@ OF_VESSELS = (
     *("trial", "campaign", "sensitivity", "sweep"),
     *("predict", "fit", "diagnose", "online", "export"),
 )
-OF_RECORDINGS = ("metrics", "audit", "predict", "fit", "diagnose", "online", "segment")
+OF_RECORDINGS = (
+    *("metrics", "audit", "predict", "fit", "diagnose"),
+    *("online", "metamodel", "segment"),
+)
 OF_ORDERS = ("predict", "fit", "diagnose", "online")
 
 pytestmark = pytest.mark.usefixtures("own_cache")

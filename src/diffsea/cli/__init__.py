@@ -54,6 +54,7 @@ COMMAND_MODULES = (
     "studies",
     "segments",
     "service.online",
+    "service.metamodel",
     "export",
     "vessels",
 )

@@ -1,1 +1,1 @@
-"""Commands for boats in service: `diffsea online`."""
+"""Commands for boats in service: `diffsea online`, `diffsea metamodel`."""
