@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 
+import pandas as pd
 import pytest
 from tests.paths import ROOT
 
@@ -130,6 +131,26 @@ step = [{ time = 0.0, orders = { port = 9.0, starboard = 9.0 } }]
     assert main(["run", str(tmp_path / "mission.toml"), "-o", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().err
     assert "the run diverged" in told and "Try a time_step below 0.02" in told
+
+
+def test_a_battery_is_a_table_and_shares_of_its_runs(tmp_path, capsys):
+    (tmp_path / "mission.toml").write_text(GOOD)
+    battery = tmp_path / "battery.toml"
+    battery.write_text("runs = 2\n[vessel]\nmass = [70.0, 90.0]\n")
+    out = tmp_path / "out"
+    words = ["run", str(tmp_path / "mission.toml"), "--battery", str(battery), "-o", str(out)]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((out / "run.json").read_text()) and told["runs"] == 2
+    table = pd.read_csv(out / "battery.csv")
+    assert list(table["seed"]) == [0, 1] and table["mass"].between(70, 90).all()
+    page = (out / "run.html").read_text()
+    assert "2 of 2 runs were finished" in page and "turned further from the path" in page
+    assert {path.name for path in out.iterdir()} == {"run.json", "battery.csv", "run.html"}
+    battery.write_text("runs = 2\n[vessl]\n")
+    assert main([*words[:-1], str(tmp_path / "none")]) == 1
+    assert "battery.toml: unknown key 'vessl'" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
 
 
 def test_the_mission_of_the_documentation_runs():

@@ -156,6 +156,13 @@ def test_waypoints_are_reached_within_the_radius_in_order_and_may_be_late(folder
     assert not third["reached"] and third["closest_approach"] == 12 and third["time"] == 14
 
 
+def test_a_place_that_is_passed_twice_is_reached_a_second_time(folder):
+    mission = path_mission(folder, [(0.0, 0.0), (20.0, 0.0), (0.0, 0.5)])
+    there = np.arange(0.0, 21.0, 2.0)
+    x = np.concatenate([there, there[::-1]])
+    assert [one["time"] for one in approaches(mission, along(x, 0 * x))] == [0.0, 9.0, 20.0]
+
+
 # -- weather
 
 
@@ -255,6 +262,21 @@ def test_the_controller_believes_in_its_model_and_the_numbers_say_where_it_diffe
     orders = found.true.commanded
     np.testing.assert_allclose((orders["port"] + orders["starboard"])[:-1], believed, rtol=1e-6)
     assert scores(found)["model_differs"] == {"X_u": {"vessel": -60.0, "model": -30.0}}
+    for vessel, drag in ((found.setup.controller.inner.allocation.vessel, -30.0),
+                         (found.setup.vessel, -60.0)):  # fmt: skip
+        assert float(vessel.forces["damping"].derivatives["X_u"]) == drag
+
+
+def test_a_vessel_that_is_turned_further_from_its_path_went_the_wrong_way(folder):
+    # In its model the thrusters have changed places: it steers to starboard for port.
+    swapped = copy.deepcopy(SHIP)
+    for thruster in swapped["thruster"]:
+        thruster["y"] *= -1
+    (folder / "swapped.toml").write_text(tomli_w.dumps(swapped))
+    right = scores(run(mission_of(document(), folder)))["wrong_way"]
+    wrong = scores(run(mission_of(document(model={"file": "swapped.toml"}), folder)))["wrong_way"]
+    assert right == {"events": 0, "seconds": 0}
+    assert wrong["events"] >= 1 and wrong["seconds"] > 5 * math.sqrt(4.9 / 9.81)
 
 
 # -- timed steps

@@ -42,6 +42,8 @@ def register(commands: options.Commands) -> None:
     run = options.add_command(commands, "run", run_command, summary)
     mission = "TOML file of the mission"
     run.add_argument("mission", metavar="MISSION", type=pathlib.Path, help=mission)
+    battery = "TOML file: run it so many times with other plants, weathers and seeds"
+    add_option(run, "--battery", "FILE", pathlib.Path, battery)
 
 
 def sensitivity_command(args: argparse.Namespace) -> None:
@@ -210,15 +212,20 @@ def run_command(args: argparse.Namespace) -> None:
     that the controller believes in instead of the vessel.
     Writes recording.csv (as the sensors show it), truth.csv (the motion itself, where there are
     sensors), run.json with path and time errors, closest approaches and orders against limits,
-    and run.html.
+    and run.html. With --battery it writes run.json with the share of runs in which something went
+    wrong, battery.csv with a row for each run, and run.html.
 
     examples:
       diffsea run examples/missions/survey_in_a_tide.toml
+      diffsea run survey.toml --battery examples/missions/batteries/tides_and_loads.toml
       diffsea run mission.toml -o out/mission --json
     """
     from diffsea.recordings import write_recording
     from diffsea.workflows.missions import run_mission
 
+    if args.battery is not None:
+        _run_battery(args)
+        return
     with Outputs(args.output) as out:
         found = run_mission(args.mission)
         write_recording(found.recorded, out.path("recording.csv"))
@@ -228,3 +235,23 @@ def run_command(args: argparse.Namespace) -> None:
         out.text("run.html", found.html())
     rows = [(row["number"], f"{row['value']:.3g}", row["unit"]) for row in found.rows()]
     out.present(args, f"{found.headline()}\n{table(rows)}")
+
+
+def _run_battery(args: argparse.Namespace) -> None:
+    """The mission with what its battery draws, run by run."""
+    from diffsea.cli.progress import StagedProgress
+    from diffsea.identification.estimates import PartialProgress
+    from diffsea.workflows.missions import run_battery
+
+    with Outputs(args.output) as out:
+        with StagedProgress(1) as tell:
+            tell("running the battery")
+            found = run_battery(
+                args.mission,
+                args.battery,
+                lambda share: tell(PartialProgress("running the battery", share)),
+            )
+        found.to_frame().to_csv(out.path("battery.csv"), index=False)
+        out.json("run.json", found.numbers)
+        out.text("run.html", found.html())
+    out.present(args, "\n".join([found.headline(), *found.notes()]))

@@ -1,15 +1,12 @@
 """A trial's log with the quantities derived from it, time counted from the onset."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from diffsea.kinematics import wrap
 from diffsea.segments.signals import Signals
-from diffsea.trajectory import MOTION_CHANNELS, Samples
-from diffsea.types import Scalar, State
+from diffsea.simulation.actuation import yaw_moments
+from diffsea.trajectory import Samples
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.forces import Force
 
 
 def state_log(vessel: Vessel, signals: Signals, onset: float) -> dict[str, Samples]:
@@ -33,12 +30,4 @@ def state_log(vessel: Vessel, signals: Signals, onset: float) -> dict[str, Sampl
         columns |= {} if angle is None else {name: angle}
     for channel, thrust in vessel.thrusts_at_rest.items():
         columns[f"T_{channel}"] = np.asarray(thrust(run.executed[channel]), float)
-    state = State(*(jnp.asarray(getattr(run, channel)) for channel in MOTION_CHANNELS))
-    executed: dict[str, Scalar] = {c: jnp.asarray(run.executed[c]) for c in vessel.channels}
-
-    def yaw_moment(state: State, executed: dict[str, Scalar], t: Scalar) -> Scalar:
-        forces = vessel.breakdown(state, executed, vessel.environment, t)
-        return sum((forces[name] for name in vessel.actuators), Force()).N
-
-    moments = jax.jit(jax.vmap(yaw_moment))(state, executed, jnp.asarray(t))
-    return columns | {"tau_z": np.asarray(moments, float)}
+    return columns | {"tau_z": yaw_moments(vessel, run)}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +10,10 @@ from jaxtyping import Array, Float
 
 from diffsea.errors import UserError
 from diffsea.series import hold_last, interpolate_missing
-from diffsea.trajectory import Samples, Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
+from diffsea.types import Scalar, State, as_inputs
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import OrderHistory, Response, Servo
 
 
@@ -203,3 +206,25 @@ def how_actuated(vessel: Vessel, recordings: Sequence[Trajectory]) -> dict[str, 
         if 0 < len(lacking) < len(done):
             out[channel] += f" (not measured throughout in {', '.join(lacking)})"
     return out
+
+
+@eqx.filter_jit
+def _yaw_moments(
+    vessel: Vessel, state: State, executed: dict[str, Scalar], t: Float[Array, "row"]
+) -> Float[Array, "row"]:
+    def moment(state: State, executed: dict[str, Scalar], t: Scalar) -> Float[Array, ""]:
+        forces = vessel.breakdown(state, executed, vessel.environment, t)
+        return jnp.asarray(sum((forces[name] for name in vessel.actuators), Force()).N, float)
+
+    return jnp.asarray(jax.vmap(moment)(state, executed, t))
+
+
+def yaw_moments(vessel: Vessel, run: Trajectory) -> Samples:
+    """Yaw moment (N m, positive to starboard) of all actuators, in every row of a run.
+
+    They act as executed, in the vessel's own environment.
+    """
+    rows = run.counted()
+    state = State(*(jnp.asarray(getattr(rows, channel)) for channel in MOTION_CHANNELS))
+    executed: dict[str, Scalar] = {c: jnp.asarray(rows.executed[c]) for c in vessel.channels}
+    return np.asarray(_yaw_moments(as_inputs(vessel), state, executed, jnp.asarray(rows.t)), float)

@@ -2,10 +2,23 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Callable
 from typing import Any
 
+from diffsea.report.battery import battery_page, share_sentences
 from diffsea.report.mission import mission_page
-from diffsea.simulation.mission import Mission, MissionRun, mission_of, read_mission, run, scores
+from diffsea.simulation import mission as missions
+from diffsea.simulation.mission import (
+    Battery,
+    BatteryRun,
+    Mission,
+    MissionRun,
+    battery_scores,
+    mission_of,
+    read_battery,
+    read_mission,
+    scores,
+)
 from diffsea.trajectory import Trajectory
 from diffsea.workflows.audits import Tabulated
 
@@ -65,9 +78,51 @@ def run_mission(mission: Mission | dict[str, Any] | str | pathlib.Path) -> Missi
     Raises:
         UserError: a mission that cannot be read or run, or that diverged; says what to do.
     """
-    if isinstance(mission, dict):
-        mission = mission_of(mission)
-    elif not isinstance(mission, Mission):
-        mission = read_mission(mission)
-    found = run(mission)
+    found = missions.run(_as_mission(mission))
     return MissionResult(found, scores(found))
+
+
+def _as_mission(given: Mission | dict[str, Any] | str | pathlib.Path) -> Mission:
+    if isinstance(given, dict):
+        return mission_of(given)
+    return given if isinstance(given, Mission) else read_mission(given)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class BatteryResult(Tabulated):
+    """A battery that was run; `numbers` is the content of its run.json."""
+
+    run: BatteryRun
+    numbers: dict[str, Any]
+
+    def headline(self) -> str:
+        return f"{self.numbers['mission']}: {self.numbers['runs']} runs"
+
+    def rows(self) -> list[dict[str, Any]]:
+        return list(self.run.table)
+
+    def notes(self) -> list[str]:
+        return share_sentences(self.numbers)
+
+    def html(self) -> str:
+        """The page."""
+        return battery_page(self.run, self.numbers)
+
+
+def run_battery(
+    mission: Mission | dict[str, Any] | str | pathlib.Path,
+    battery: Battery | str | pathlib.Path,
+    progress: Callable[[float], None] = lambda share: None,
+) -> BatteryResult:
+    """Run a mission with many plants, weathers and seeds, as `diffsea run --battery` does.
+
+    Arguments:
+        progress: is told the share that is done.
+
+    Raises:
+        UserError: a mission or battery that cannot be read or run.
+    """
+    asked = battery if isinstance(battery, Battery) else read_battery(battery)
+    tell = lambda number: progress(number / asked.runs)
+    found = missions.run_battery(_as_mission(mission), asked, tell)
+    return BatteryResult(found, battery_scores(found))

@@ -10,6 +10,9 @@ from jaxtyping import Float, Int
 
 from diffsea.kinematics import wrap
 from diffsea.parameters import named
+from diffsea.scales import time_scale
+from diffsea.series import stretches
+from diffsea.simulation.actuation import yaw_moments
 from diffsea.simulation.control.timed import in_force
 from diffsea.simulation.mission.controllers import radius_of
 from diffsea.simulation.mission.record import Mission
@@ -20,6 +23,8 @@ from diffsea.trajectory import Samples, Trajectory
 
 Points = Float[np.ndarray, "waypoint 2"]
 
+_NOTICED = 0.05  # of the largest moment: less turns nothing
+_LASTING = 5.0  # sqrt(L / g), that the wrong way must last
 _AT_LIMIT = 1e-6  # of the room between both limits: nearer is at the limit
 
 
@@ -45,6 +50,7 @@ def scores(run: MissionRun) -> dict[str, Any]:
             "time_of_largest": float(motion.t[np.abs(off).argmax()])
         }
         found["waypoints"] = approaches(mission, motion)
+        found["wrong_way"] = wrong_way(run, off)
     elif mission.controller.kind == "course":
         courses, speeds = (held_values(mission, motion.t, name) for name in ("heading", "speed"))
         found["heading_error"] = _size(np.asarray(wrap(motion.psi - courses)))
@@ -138,6 +144,25 @@ def approaches(mission: Mission, motion: Trajectory) -> list[dict[str, Any]]:
         rows.append(entry)
         first = row if reached else first
     return rows
+
+
+def wrong_way(run: MissionRun, off: Samples) -> dict[str, Any]:
+    """How often and for how long (s) a vessel that leaves its path was turned further from it.
+
+    It is off by half a ship length and moving away, its actuators turn it to that side by more
+    than a twentieth of their largest moment, and this lasts for 5 sqrt(L / g).
+
+    Arguments:
+        off: m, from the path, positive to starboard.
+    """
+    vessel, t = run.setup.vessel, run.true.t
+    length, moments = float(vessel.rigid_body.length), yaw_moments(vessel, run.true)
+    least = _NOTICED * np.abs(moments).max()
+    away = (np.abs(off) > 0.5 * length) & (np.gradient(np.abs(off), t) > 0)
+    flags = away & (np.sign(off) * moments > least)
+    seconds = [float(t[rows.stop - 1] - t[rows.start]) for rows in stretches(flags)]
+    lasting = [one for one in seconds if one >= _LASTING * time_scale(length)]
+    return {"events": len(lasting), "seconds": sum(lasting)}
 
 
 def orders_against_limits(run: MissionRun) -> dict[str, dict[str, Any]]:
