@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import plotly.graph_objects as go
 
 from diffsea.report import plots
-from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
+from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import significant
 from diffsea.report.words import Record
 from diffsea.simulation.mission import BatteryRun
@@ -63,7 +63,7 @@ def battery_page(run: BatteryRun, numbers: Record) -> str:
         lead=f"{finished} of {numbers['runs']} runs were finished.",
         shares=_share_table(numbers),
         numbers=_number_table(numbers["numbers"]),
-        runs=[RunPlots("Tracks", [Plot(_tracks(run), "Tracks of the runs beside the path.", 560)])],
+        tracks=Plot(_tracks(run), "Tracks of the runs beside the path, from above.", 560),
         table=_run_table(run.table),
         provenance=provenance(source, []),
     )
