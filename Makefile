@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup demo test quick lint experiments proof bench clean
+.PHONY: setup demo test quick lint experiments proof bench fuzz clean
 
 setup: $(BIN)/.installed
 
@@ -46,6 +46,10 @@ proof: setup
 # for a part.
 bench: setup
 	$(BIN)/python -m benchmarks.run $(BENCH)
+
+# Hostile inputs to every reader, in processes of their own; what breaks is kept in out/fuzz.
+fuzz: setup
+	$(BIN)/python -m tests.fuzz.run --inputs $(or $(INPUTS),1000) --seed $(or $(SEED),1)
 
 clean:
 	rm -rf $(VENV) out

@@ -93,7 +93,7 @@ def _write_ardupilot(file: "VesselFile", args: argparse.Namespace, out: Outputs)
 
 def _read_fit(path: pathlib.Path) -> dict[str, Any]:
     """The content of a fit.json."""
-    content = read_json(path, "the fit.json of `diffsea fit` that --fit names,")
+    content = read_json(path, "the fit.json of `diffsea fit`")
     if not isinstance(content, dict):
         raise UserError(f"--fit: {path} is not the fit.json of `diffsea fit`")
     return content

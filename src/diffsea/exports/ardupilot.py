@@ -160,13 +160,10 @@ def withheld_by_fit(
     Raises:
         UserError: the fit is of another vessel, or no fit.
     """
-    rows = fit.get("parameters")
-    if not isinstance(rows, dict):
-        raise UserError("--fit: not the fit.json of `diffsea fit`: it has no parameters")
+    rows = rows_of_fit(fit)
     reasons: dict[str, str] = {}
     largest: dict[str, float] = {}
     for symbol, row in rows.items():
-        _check_row(symbol, row)
         _check_same_vessel(document, symbol, float(row["value"]))
         for end in row["interval"]:
             for name, change in _changes(document, symbol, float(end), found).items():
@@ -178,6 +175,20 @@ def withheld_by_fit(
                         f"data determine {share:.0f} % of {symbol}"
                     )
     return reasons
+
+
+def rows_of_fit(fit: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The parameters of a fit.json that is read back, each with numbers where they are due.
+
+    Raises:
+        UserError: it has none, or one of another kind.
+    """
+    rows = fit.get("parameters")
+    if not isinstance(rows, dict):
+        raise UserError("--fit: not the fit.json of `diffsea fit`: it has no parameters")
+    for symbol, row in rows.items():
+        _check_row(symbol, row)
+    return rows
 
 
 def _check_row(symbol: str, row: object) -> None:

@@ -55,7 +55,11 @@ class Meter:
     def add(self, size: int) -> None:
         """So many bytes more."""
         self.size += size
-        check_size(self.path, self.size, "what it holds")
+        if self.size > current_limit():
+            raise UserError(
+                f"{self.path}: what it holds takes more than {_in_words(current_limit())} when "
+                "expanded; --max-size changes the limit, if you trust the file"
+            )
 
 
 def _in_words(size: int) -> str:

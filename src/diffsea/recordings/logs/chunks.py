@@ -16,7 +16,7 @@ from diffsea.outside.sizes import Meter
 
 _BAG_CHUNK, _MCAP_CHUNK = 5, 6  # op codes
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-_MCAP_FIXED = 36  # bytes of a chunk before the name of its compression: times, size, checksum
+_MCAP_FIXED = 24  # bytes of a chunk before its checksum: two times and its size
 _LONGEST_HEADER = 1 << 20  # bytes of a record of a ROS 1 bag
 _PIECE = 1 << 20
 
@@ -53,7 +53,7 @@ def _chunks_of_mcap(source: BinaryIO) -> Iterator[tuple[str, bytes]]:
         kind, size = struct.unpack("<BQ", head)
         after = source.tell() + size
         if kind == _MCAP_CHUNK:
-            source.seek(_MCAP_FIXED - 4, 1)
+            source.seek(_MCAP_FIXED, 1)
             checksum_and_length = source.read(8)
             if len(checksum_and_length) < 8:
                 return

@@ -1,0 +1,137 @@
+"""A warm process that forks one child for each hostile input, so that an input takes milliseconds.
+
+Reads lines of JSON from standard input: `kind`, `file` and a folder `out`. Answers each by a line:
+`status` (of the exit; negative for a signal), `said` (all that the child printed), `megabytes`
+(largest resident memory) and `left` (what it wrote although it failed).
+"""
+
+import json
+import os
+import pathlib
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+
+from tests.fuzz.seeds import SUPPORT, write_support
+
+
+SECONDS = 20.0
+MEGABYTES = 2000.0
+ADDRESSES = 6_000_000_000  # bytes: a bound so that a bomb does not take the machine along
+SIZE = "200MB"  # to which files may expand here
+
+
+def _command(kind, file, out):
+    """Words of the command that reads a file of a kind."""
+    words = ["metrics", str(file), "-o", str(out), "--max-size", SIZE]
+    if kind == "mapping":
+        return ["metrics", str(SUPPORT["good.csv"]), "-o", str(out), "--mapping", str(file)]
+    if kind == "mat":
+        return [*words, "--mapping", str(SUPPORT["mat.toml"])]
+    return words
+
+
+def _read_document(kind, file):
+    """Read a vessel, priors, a sheet or a result; these need no command's computing."""
+    from diffsea.identification.objectives.trial_numbers import read_trial_table
+    from diffsea.outside.documents import read_json
+    from diffsea.parameters import read_priors
+    from diffsea.vessel.files import default_priors, read_vessel
+
+    if kind == "vessel":
+        read_vessel(file)
+        return
+    boat = read_vessel(SUPPORT["boat.toml"])
+    if kind == "priors":
+        read_priors(file, default_priors(boat.vessel))
+    elif kind == "sheet":
+        read_trial_table(file, boat.vessel)
+    else:
+        from diffsea.errors import UserError
+        from diffsea.exports.ardupilot import rows_of_fit
+
+        content = read_json(file, "the fit")
+        if not isinstance(content, dict):
+            raise UserError(f"{file} is no fit.json")
+        rows_of_fit(content)
+
+
+def _run(kind, file, out):
+    """The status with which reading a file ends, as the command line has it."""
+    from diffsea import cli
+    from diffsea.errors import UserError
+    from diffsea.outside.printable import printable
+
+    if kind not in ("vessel", "priors", "sheet", "fit"):
+        return cli.main(_command(kind, file, out))
+    try:
+        _read_document(kind, file)
+    except UserError as error:
+        print(printable(f"diffsea: error: {error}"), file=sys.stderr)
+        return 1
+    except Exception as error:
+        print(f"this is a bug: {type(error).__name__}: {error}", file=sys.stderr)
+        print(traceback.format_exc(limit=-3).replace("Traceback", "trace"), file=sys.stderr)
+        return 1
+    return 0
+
+
+def judge(kind, file, out):
+    """Fork, run, wait, and say how it ended."""
+    with tempfile.TemporaryFile() as printed:
+        child = os.fork()
+        if child == 0:
+            status = 99
+            try:
+                os.dup2(printed.fileno(), 1)
+                os.dup2(printed.fileno(), 2)
+                resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+                resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+                signal.signal(signal.SIGALRM, signal.SIG_DFL)
+                signal.setitimer(signal.ITIMER_REAL, SECONDS)
+                warnings.simplefilter("ignore")
+                status = _run(kind, file, out)
+                sys.stdout.flush()
+                sys.stderr.flush()
+            finally:
+                os._exit(status)
+        began = time.monotonic()
+        _, ended, used = os.wait4(child, 0)
+        printed.seek(0)
+        said = printed.read().decode(errors="surrogateescape")
+    status = os.waitstatus_to_exitcode(ended)
+    left = sorted(str(item.name) for item in out.rglob("*")) if out.exists() else []
+    shutil.rmtree(out, ignore_errors=True)
+    return {
+        "status": status,
+        "said": said if len(said) < 8000 else said[:4000] + said[-4000:],
+        "megabytes": used.ru_maxrss / 1e3,
+        "seconds": time.monotonic() - began,
+        "left": left if status != 0 else [],
+    }
+
+
+def main():
+    import diffsea.cli.recordings
+    import diffsea.identification.objectives.trial_numbers
+    import diffsea.metrics
+    import diffsea.recordings
+    import diffsea.vessel.files  # noqa: F401
+
+    folder = pathlib.Path(tempfile.mkdtemp())
+    write_support(folder)
+    print(json.dumps("ready"), flush=True)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        found = judge(asked["kind"], pathlib.Path(asked["file"]), pathlib.Path(asked["out"]))
+        print(json.dumps(found), flush=True)
+    shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""Hostile inputs to every reader: none ends the process, none is a bug, nothing is left behind."""
+
+import pathlib
+
+import pytest
+from tests.fuzz.harness import Harness, breach
+from tests.fuzz.seeds import KINDS, seed
+
+
+CORPUS = pathlib.Path(__file__).parents[1] / "corpus"
+INPUTS = 100  # of each reader; `make fuzz` tries more
+WHY = dict(line.split("\t") for line in (CORPUS / "why.tsv").read_text().splitlines())
+
+
+@pytest.fixture(scope="module")
+def harness(tmp_path_factory):
+    running = Harness(tmp_path_factory.mktemp("fuzz"))
+    yield running
+    running.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_valid_file_is_read(kind, harness):
+    ended = harness.ended(kind, seed(kind))
+    assert ended["status"] == 0 and not breach(ended), ended["said"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_hostile_file_breaks_a_reader(kind, harness):
+    pytest.importorskip("hypothesis", reason="needs the group dev")
+    from hypothesis import HealthCheck, Phase, given, settings
+    from tests.fuzz.changes import hostile
+
+    @settings(
+        max_examples=INPUTS,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(hostile(kind))
+    def try_one(content):
+        ended = harness.ended(kind, content)
+        assert not breach(ended), (breach(ended), ended["said"])
+
+    try_one()  # pyright: ignore[reportCallIssue]  # Hypothesis gives the content
+
+
+@pytest.mark.parametrize("name", WHY)
+def test_what_once_broke_a_reader_does_not(name, harness):
+    kind = name.partition("-")[0]
+    ended = harness.ended(kind, (CORPUS / name).read_bytes())
+    assert not breach(ended), (breach(ended), ended["said"])
+
+
+def test_the_corpus_is_small_and_each_file_says_why():
+    files = {path.name: path.stat().st_size for path in CORPUS.iterdir() if path.name != "why.tsv"}
+    assert files.keys() == WHY.keys() and all(WHY.values())
+    assert len(files) <= 200 and sum(files.values()) <= 2_000_000
+
+
+def test_the_oracle_sees_what_it_is_for():
+    fine = {"status": 1, "said": "diffsea: error: no\n", "megabytes": 200.0, "left": []}
+    assert not breach(fine)
+    for worse in (
+        {"status": -11},
+        {"status": -14},
+        {"status": 3},
+        {"said": "this is a bug: error: "},
+        {"said": "Traceback error: "},
+        {"said": ""},
+        {"said": "error: \x1b[31m"},
+        {"megabytes": 2001.0},
+        {"left": ["metrics.json"]},
+    ):
+        assert breach(fine | worse), worse
