@@ -1,6 +1,8 @@
 """Hostile inputs to every reader: none ends the process, none is a bug, nothing is left behind."""
 
+import json
 import pathlib
+import re
 
 import pytest
 from tests.fuzz.harness import Harness, breach
@@ -76,3 +78,20 @@ def test_the_oracle_sees_what_it_is_for():
         {"left": ["metrics.json"]},
     ):
         assert breach(fine | worse), worse
+
+
+def test_the_page_on_trust_names_tests_that_exist_and_the_numbers_of_the_last_run():
+    root = CORPUS.parents[1]
+    page = (root / "docs" / "what-diffsea-trusts.md").read_text()
+    tests = "".join(
+        (root / "tests" / place).read_text()
+        for place in ("fuzz/test_readers.py", "outside/test_outside.py")
+    )
+    named = re.findall(r"`(test_\w+)`", page)
+    assert len(named) > 10 and all(f"def {name}(" in tests for name in named)
+    results = json.loads((root / "tests" / "fuzz" / "results.json").read_text())
+    inputs = sum(one["inputs"] for one in results.values())
+    breaches = sum(one["breaches"] for one in results.values())
+    told = f"{inputs} inputs to {len(results)} readers, found {breaches} breaches"
+    assert told in " ".join(page.split()) and f"tries {INPUTS} of each reader" in page
+    assert results.keys() == set(KINDS)

@@ -67,7 +67,9 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         for column in (table.column(k) for k in table.schema.get_all_field_indices(name)):
             for chunk in column.chunks:
                 if pa.types.is_dictionary(chunk.type):
-                    lengths = pc.call_function("binary_length", [chunk.dictionary]).take(chunk.indices)
+                    lengths = pc.call_function("binary_length", [chunk.dictionary]).take(
+                        chunk.indices
+                    )
                     size += (pc.call_function("sum", [lengths]).as_py() or 0) + 64 * len(chunk)
     check_size(path, size)
     return table.cast(schema).to_pandas()
