@@ -45,6 +45,8 @@ from .workflows.audits import Findings as Findings
 from .workflows.audits import audit as audit
 from .workflows.campaigns import CampaignResult as CampaignResult
 from .workflows.campaigns import campaign as campaign
+from .workflows.fleet import FleetResult as FleetResult
+from .workflows.fleet import fleet as fleet
 from .workflows.identification import DiagnosisResult as DiagnosisResult
 from .workflows.identification import FitResult as FitResult
 from .workflows.identification import diagnose as diagnose

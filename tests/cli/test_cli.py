@@ -14,13 +14,14 @@ from tests.boats import BOAT, SWELL
 
 from diffsea import UserError
 from diffsea.cli import identification, main, outputs, recordings, segments
-from diffsea.cli.service import metamodel, online
+from diffsea.cli.service import fleet, metamodel, online
 from diffsea.identification.study import ANCHORS, OBJECTIVES
 from diffsea.metamodels.ideal_zigzag import Zigzag
 from diffsea.metrics import RECORDED_TRIALS
 from diffsea.report.pictures import SEGMENT_COLOURS
 from diffsea.segments import SEGMENT_KINDS
 from diffsea.simulation.standard import STANDARD_TRIALS
+from diffsea.workflows.boat import DEPTHS
 from diffsea.workflows.metamodel import MOST
 from diffsea.workflows.online import ESTIMATORS
 
@@ -71,7 +72,7 @@ def test_help_is_quick_and_names_every_command():
 @pytest.mark.parametrize(
     "command",
     ["trial", "metrics", "audit", "predict", "fit", "diagnose", "sensitivity", "sweep"]
-    + ["campaign", "run", "online", "metamodel"],
+    + ["campaign", "run", "online", "metamodel", "fleet"],
 )
 def test_every_command_helps_with_examples(command, capsys):
     assert run(command, "--help") == 0
@@ -108,6 +109,7 @@ def test_names_written_out_for_the_help_are_the_librarys():
     assert identification.ANCHORS == ANCHORS
     assert online.ESTIMATORS == ESTIMATORS
     assert metamodel.MOST == MOST
+    assert fleet.DEPTHS == DEPTHS
     assert math.radians(metamodel.RUDDER_RATE) == Zigzag().rate_limit
     assert segments.KINDS == SEGMENT_KINDS == tuple(SEGMENT_COLOURS)
 

@@ -3,6 +3,8 @@
 A new command joins by a line in `COMMANDS`.
 """
 
+import pathlib
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,9 +30,19 @@ COMMANDS = {
     "diagnose": lambda vessel, recording: [vessel, recording],
     "online": lambda vessel, recording: [vessel, recording],
     "metamodel": lambda vessel, recording: [recording],
+    "fleet": lambda vessel, recording: [manifest(vessel, recording)],
     "segment": lambda vessel, recording: [recording],
     "export": lambda vessel, recording: [vessel, "--to", "mss"],
 }
+
+
+def manifest(vessel, recording):
+    """A manifest of one recording, beside it."""
+    path = pathlib.Path(vessel).with_name("fleet.csv")
+    path.write_text(f"boat,vessel,recording\nfirst,{vessel},{recording}\n")
+    return str(path)
+
+
 OF_TRIALS = ("trial", "sensitivity", "sweep")
 OF_VESSELS = (
     *("trial", "campaign", "sensitivity", "sweep"),

@@ -55,6 +55,7 @@ COMMAND_MODULES = (
     "segments",
     "service.online",
     "service.metamodel",
+    "service.fleet",
     "export",
     "vessels",
 )

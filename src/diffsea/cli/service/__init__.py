@@ -1,1 +1,1 @@
-"""Commands for boats in service: `diffsea online`, `diffsea metamodel`."""
+"""Commands for boats in service: `diffsea online`, `diffsea metamodel`, `diffsea fleet`."""
