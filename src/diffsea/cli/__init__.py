@@ -46,7 +46,7 @@ from diffsea.runtime import prepare_jax
 
 # Modules with a `register(commands)`; the order is that of the help.
 COMMAND_MODULES = (
-    "new",
+    "vessels.new",
     "trial",
     "check",
     "recordings",
@@ -56,8 +56,8 @@ COMMAND_MODULES = (
     "service.online",
     "service.metamodel",
     "service.fleet",
-    "export",
-    "vessels",
+    "vessels.export",
+    "vessels.show",
 )
 
 

@@ -43,7 +43,7 @@ def check_command(args: argparse.Namespace) -> None:
         raise UserError("a log is named twice; name each only once")
     with Outputs(args.output) as out:
         from diffsea.recordings import Finding
-        from diffsea.report.check import check_report
+        from diffsea.report.pages.check import check_report
         from diffsea.workflows.checks import check_logs, choose_mappings, mapping_file
 
         chosen = choose_mappings(paths, args.mapping)
@@ -83,7 +83,7 @@ def _record(one: "LogCheck | Finding") -> dict[str, object]:
 def _check_text(one: "LogCheck | Finding") -> str:
     """A check for a person at a terminal."""
     from diffsea.recordings import Finding
-    from diffsea.report.check import headlines
+    from diffsea.report.pages.check import headlines
 
     if isinstance(one, Finding):
         return f"{one.recording}: not read: {one.message}"

@@ -16,7 +16,7 @@ import pandas as pd
 
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Progress, no_progress
-from diffsea.report.fleet import fleet_report
+from diffsea.report.pages.fleet import fleet_report
 from diffsea.vessel.files import shipped_vessels
 from diffsea.workflows.audits import Tabulated
 from diffsea.workflows.boat import DEPTHS, moved_parameters

@@ -23,7 +23,7 @@ from diffsea.metamodels.validation import (
 )
 from diffsea.metrics.repeats import mean_and_half_width
 from diffsea.recordings import Mapping as ColumnMapping
-from diffsea.report.metamodel import metamodel_report
+from diffsea.report.pages.metamodel import metamodel_report
 from diffsea.series import integrate
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel

@@ -5,8 +5,8 @@ import pathlib
 from collections.abc import Callable
 from typing import Any
 
-from diffsea.report.battery import battery_page, share_sentences
-from diffsea.report.mission import mission_page
+from diffsea.report.pages.battery import battery_page, share_sentences
+from diffsea.report.pages.mission import mission_page
 from diffsea.simulation import mission as missions
 from diffsea.simulation.mission import (
     Battery,

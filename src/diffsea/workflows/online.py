@@ -27,7 +27,7 @@ from diffsea.identification.online.trust import ALARM_TRUST
 from diffsea.identification.problem import free_by_default
 from diffsea.parameters import Parameter, named, parameter_meaning, parameter_unit
 from diffsea.recordings import Mapping as ColumnMapping
-from diffsea.report.online import ClosedSpan, online_report
+from diffsea.report.pages.online import ClosedSpan, online_report
 from diffsea.simulation.order_units import require_order_units
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel

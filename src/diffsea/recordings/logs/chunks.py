@@ -120,7 +120,7 @@ def _inflater(compression: str) -> Any:
 
         return LZ4FrameDecompressor()
     try:
-        from compression import zstd
+        from compression import zstd  # pyright: ignore[reportMissingImports]
     except ImportError:
         from backports import zstd
     return zstd.ZstdDecompressor()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import json_text, table
-from diffsea.cli.questions import HULLS, UNITS, ask_what_is_missing
+from diffsea.cli.vessels.questions import HULLS, UNITS, ask_what_is_missing
 from diffsea.errors import UserError
 from diffsea.outside.durable import written_beside
 from diffsea.outside.printable import printable

@@ -1,0 +1,1 @@
+"""Commands on vessel files: made from dimensions, listed, told in words, for other tools."""
