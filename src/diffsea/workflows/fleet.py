@@ -58,7 +58,11 @@ class FleetResult(Tabulated):
 
     def headline(self) -> str:
         changed = [one["boat"] for one in self.done if one.get("verdict") in CHANGED]
-        told = "" if self.settings["until"] == "audit" else f", {len(changed)} not as their file"
+        told = (
+            ""
+            if self.settings["until"] == "audit"
+            else f", {len(changed)} show more than their file has"
+        )
         return f"{len(self.done)} of {len(self.boats)} boats done{told}"
 
     def rows(self) -> list[dict[str, Any]]:
@@ -74,7 +78,10 @@ class FleetResult(Tabulated):
         ]
 
     def notes(self) -> list[str]:
-        told = [f"{name}: {len(boats)} boats" for name, boats in self.recurring.items()]
+        told = [
+            f"{name}: {len(boats)} boat{'s' * (len(boats) != 1)}"
+            for name, boats in self.recurring.items()
+        ]
         for one in self.boats:
             told += [f"{one['boat']}: {one['reason']}"] if one["reason"] else []
             told += [
