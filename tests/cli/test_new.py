@@ -10,7 +10,8 @@ from tests.paths import EXPERIMENTS, ROOT
 from tests.recordings.test_autopilot_parameters import TWIN, log  # noqa: F401
 
 from diffsea import read_vessel
-from diffsea.cli import main, new
+from diffsea.cli import main
+from diffsea.cli.vessels import new
 from diffsea.vessel.estimates import FORMS
 from diffsea.vessel.estimates.drives import (
     ASTERN,

@@ -117,7 +117,7 @@ def test_a_mission_that_cannot_be_run_says_why_and_leaves_nothing(kind, tmp_path
 
 def test_a_mission_that_is_not_there_is_told(tmp_path, capsys):
     assert main(["run", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]) == 1
-    assert "none.toml: cannot be read" in capsys.readouterr().err
+    assert "cannot read the mission" in capsys.readouterr().err
 
 
 def test_a_run_that_diverges_says_what_to_try(tmp_path, capsys):

@@ -59,7 +59,7 @@ def metamodel_command(args: argparse.Namespace) -> None:
 
         vessel = options.read_vessel(args) if args.vessel else None
         found = metamodel(
-            options.read_recordings(args.recordings, args.mapping),
+            options.read_recordings(args.recordings, args),
             vessel=vessel,
             window=args.window,
             most=args.most,

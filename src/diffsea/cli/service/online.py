@@ -63,7 +63,7 @@ def online_command(args: argparse.Namespace) -> None:
         from diffsea.workflows.online import online
 
         file = options.read_vessel(args)
-        runs = options.read_recordings([args.recording, *args.sound], args.mapping)
+        runs = options.read_recordings([args.recording, *args.sound], args)
         found = online(
             file,
             runs[0],

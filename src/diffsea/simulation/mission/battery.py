@@ -6,7 +6,6 @@ know.
 
 import dataclasses
 import pathlib
-import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from diffsea.errors import UserError
+from diffsea.outside.documents import read_toml
 from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
 from diffsea.simulation.mission.record import Flow, Mission, Weather
 from diffsea.simulation.mission.running import MissionRun, run
@@ -53,13 +53,9 @@ class Battery:
 
 def read_battery(path: str | pathlib.Path) -> Battery:
     """Read a battery from a TOML file. Raises `UserError` as `battery_of`, naming the file."""
-    path = pathlib.Path(path)
+    document = read_toml(path, "the battery")
     try:
-        return battery_of(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(f"{path}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from None
+        return battery_of(document)
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
 

@@ -5,11 +5,11 @@ one. All numbers are in SI units and rad, as in vessel files.
 """
 
 import pathlib
-import tomllib
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.documents import read_toml
 from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
 from diffsea.simulation.mission.record import (
     Controller,
@@ -79,14 +79,7 @@ def read_mission(path: str | pathlib.Path) -> Mission:
             impossible; with the nearest known name or the repair.
     """
     path = pathlib.Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: not a text file; a mission is a TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from None
+    document = read_toml(path, "the mission")
     try:
         return mission_of(document, path.parent, path.stem)
     except UserError as error:
