@@ -13,7 +13,7 @@ from experiments.harness.reporting import experiment, table
 from diffsea import Environment, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.estimates import Known, Outline, hull_estimates, outline_of
-from diffsea.vessel.estimates.scatter import Estimate
+from diffsea.vessel.estimates.scatter import DerivativeEstimate
 from diffsea.vessel.files import build, read_vessel, shipped_vessels
 from diffsea.vessel.forces import Force
 
@@ -84,7 +84,7 @@ def compare(name: str) -> dict:
     }
 
 
-def estimated_vessel(outline: Outline, estimates: dict[str, Estimate]) -> Vessel:
+def estimated_vessel(outline: Outline, estimates: dict[str, DerivativeEstimate]) -> Vessel:
     """The vessel of an outline without actuators."""
     size = ("length", "beam", "draught", "mass", "I_z", "water_density")
     hull = {key: getattr(outline, key) for key in size}

@@ -133,8 +133,10 @@ class _Boats:
         seen = [
             (cosine * north + sine * east) / self.length,
             (cosine * east - sine * north) / self.length,
-            state["u"] / fastest, state["v"] / fastest, state["r"] * slow,
-        ]  # fmt: skip
+            state["u"] / fastest,
+            state["v"] / fastest,
+            state["r"] * slow,
+        ]
         space = self.observation_space
         return np.clip(np.column_stack([*seen, shares]).astype(np.float32), space.low, space.high)
 
@@ -218,8 +220,9 @@ class BoatVectorEnv(VectorEnv):
     """Many boats at once; one that is done begins anew at the next step, whatever its action."""
 
     metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }  # fmt: skip
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(self, vessel: Vessel, num_envs: int = 1024, task: Task = Task()):
         """Raises `UserError` for a vessel with a channel without limits."""

@@ -6,7 +6,7 @@ import pytest
 from tests.recordings.test_logs import bin_log
 
 from diffsea import UserError
-from diffsea.recordings.logs.autopilot_parameters import (
+from diffsea.recordings.known.autopilot_parameters import (
     GROUND_STEERING,
     THROTTLE,
     THROTTLE_LEFT,

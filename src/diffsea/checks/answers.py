@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import signal
 
-from diffsea.checks.shares import Orders, orders_of
+from diffsea.checks.shares import OrderShares, orders_of
 from diffsea.recordings.conditioning import cut, resample
 from diffsea.recordings.motion import motion_of
 from diffsea.segments.free_motion import quarter_turn_window
@@ -77,7 +77,7 @@ def time_scales(run: Trajectory) -> TimeScales:
 
 
 @dataclasses.dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A number with its interval of `LEVEL`."""
 
     value: float
@@ -95,7 +95,7 @@ class SteadyPoint:
     """Mean answer while an order stood: share of full order, m/s or rad/s, its interval, s."""
 
     order: float
-    answer: Estimate
+    answer: IntervalEstimate
     seconds: float
 
     def as_dict(self) -> dict[str, object]:
@@ -111,8 +111,8 @@ class LagOfAnswer:
     less, so that one to turn turns to port.
     """
 
-    delay: Estimate
-    time_constant: Estimate
+    delay: IntervalEstimate
+    time_constant: IntervalEstimate
     explained: float
     opposite: bool = False
 
@@ -143,7 +143,7 @@ class Answers:
     turning: tuple[SteadyPoint, ...] = ()
     lag_of_turning: LagOfAnswer | None = None
     lag_of_speed: LagOfAnswer | None = None
-    asymmetry: Estimate | None = None
+    asymmetry: IntervalEstimate | None = None
     ahead: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     turn: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     speeds: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
@@ -161,10 +161,10 @@ class Answers:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Piece:
+class _UsedSpan:
     """Orders and motion of one used span on an even clock; NaN where motion is not known."""
 
-    orders: Orders
+    orders: OrderShares
     speed: Samples
     rate: Samples
 
@@ -199,7 +199,7 @@ def answers_of(run: Trajectory, spans: Sequence[tuple[float, float]]) -> Answers
     )
 
 
-def _piece(run: Trajectory, scales: TimeScales) -> _Piece | None:
+def _piece(run: Trajectory, scales: TimeScales) -> _UsedSpan | None:
     """A span on an even clock; None without orders, or where it is too short."""
     run = run.counted()
     if orders_of(run) is None or run.t[-1] - run.t[0] < 2 * scales.stayed:
@@ -222,7 +222,7 @@ def _piece(run: Trajectory, scales: TimeScales) -> _Piece | None:
         rate = np.where(motion.known["r"], motion.values["r"], np.nan)
     elif motion.has("psi"):
         rate = np.where(motion.known["psi"], np.gradient(motion.values["psi"], motion.t), np.nan)
-    return _Piece(orders, speed, rate)
+    return _UsedSpan(orders, speed, rate)
 
 
 def _stood(order: Samples | None, scales: TimeScales) -> np.ndarray:
@@ -264,7 +264,7 @@ def _steady_points(
         else:
             # One block tells no scatter between blocks: its own spread is the interval.
             low, high = np.quantile(answer[rows], [0.05, 0.95])
-        one = Estimate(mean, float(low), float(high), unit)
+        one = IntervalEstimate(mean, float(low), float(high), unit)
         found.append(SteadyPoint(float(np.mean(order[rows])), one, seconds))
     return tuple(found)
 
@@ -350,7 +350,8 @@ def _lag(
     low = np.minimum(low, [best[0] - step, best[1] / ratio])
     high = np.maximum(high, [best[0] + step, best[1] * ratio])
     delay, constant = (
-        Estimate(float(best[k]), max(float(low[k]), 0.0), float(high[k]), "s") for k in (0, 1)
+        IntervalEstimate(float(best[k]), max(float(low[k]), 0.0), float(high[k]), "s")
+        for k in (0, 1)
     )
     return LagOfAnswer(delay, constant, explained, sign < 0)
 
@@ -380,8 +381,8 @@ def _is_known_well(lag: LagOfAnswer, rows: int, scales: TimeScales) -> bool:
 
 
 def _asymmetry(
-    pieces: Sequence[_Piece], lag: LagOfAnswer, scales: TimeScales, rng: np.random.Generator
-) -> Estimate | None:
+    pieces: Sequence[_UsedSpan], lag: LagOfAnswer, scales: TimeScales, rng: np.random.Generator
+) -> IntervalEstimate | None:
     """How unlike port and starboard are, by the turning rate's answer to each of them.
 
     Turning is damped by more than in proportion, so that a second regression has the magnitude
@@ -407,10 +408,10 @@ def _asymmetry(
     if not math.isfinite(value) or abs(value) > 1 or drawn.size < DRAWS // 2:
         return None
     low, high = np.quantile(drawn, [0.05, 0.95])
-    return Estimate(float(value), float(low), float(high), "1")
+    return IntervalEstimate(float(value), float(low), float(high), "1")
 
 
-def _sides(piece: _Piece, lag: LagOfAnswer) -> tuple[Samples, Samples]:
+def _sides(piece: _UsedSpan, lag: LagOfAnswer) -> tuple[Samples, Samples]:
     """Orders that turn to starboard and to port: the thrusters', or the rudder's either way."""
     if piece.orders.sides is not None:
         port, starboard = piece.orders.sides

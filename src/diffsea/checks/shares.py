@@ -91,7 +91,7 @@ def in_shares(run: Trajectory, scales: Mapping[str, OrderScale]) -> Trajectory:
 
 
 @dataclasses.dataclass(frozen=True)
-class Orders:
+class OrderShares:
     """What is ordered, as shares of full order in every row.
 
     Attributes:
@@ -106,7 +106,7 @@ class Orders:
     sides: tuple[Samples, Samples] | None
 
 
-def orders_of(run: Trajectory) -> Orders | None:
+def orders_of(run: Trajectory) -> OrderShares | None:
     """The orders of a run whose orders are shares; None without any, and of azimuth thrusters."""
     group = {
         name: np.nan_to_num(hold_last(np.asarray(series, float)))
@@ -126,8 +126,8 @@ def orders_of(run: Trajectory) -> Orders | None:
     none = np.zeros(run.t.shape)
     ahead = np.mean(list(driving.values()), axis=0) if driving else none
     if rudders:
-        return Orders(ahead, np.mean(rudders, axis=0) / HARD_OVER, None)
+        return OrderShares(ahead, np.mean(rudders, axis=0) / HARD_OVER, None)
     port, starboard = sides
     if port is not None and starboard is not None:
-        return Orders(ahead, (port - starboard) / 2, (port, starboard))
-    return Orders(ahead, None, None)
+        return OrderShares(ahead, (port - starboard) / 2, (port, starboard))
+    return OrderShares(ahead, None, None)

@@ -31,7 +31,7 @@ _LENGTHS, _SPANS = 20.0, 40  # a turn is run for so many lengths at a time, so m
 
 
 @dataclasses.dataclass(frozen=True)
-class Parameter:
+class RoverParameter:
     """A parameter of ArduPilot: its value, its unit, and what it is of this vessel."""
 
     value: float | None  # None: not determined
@@ -40,7 +40,7 @@ class Parameter:
     reason: str = ""  # why there is no value
 
 
-def parameters_of(vessel: Vessel, speed: float | None = None) -> dict[str, Parameter]:
+def parameters_of(vessel: Vessel, speed: float | None = None) -> dict[str, RoverParameter]:
     """ArduPilot's parameters for a vessel, at `speed` m/s, by default that of its trials.
 
     Raises:
@@ -63,31 +63,35 @@ def parameters_of(vessel: Vessel, speed: float | None = None) -> dict[str, Param
         )
     push = balance(cruise, 0.0, 0.0, mixer.orders(1.0, 0.0))[0]
     found = {
-        "FRAME_CLASS": Parameter(2, "", "boat"),
-        "CRUISE_SPEED": Parameter(cruise, "m/s", "the speed at which the others are said"),
-        "CRUISE_THROTTLE": Parameter(100 * throttle, "%", "output that keeps it straight ahead"),
-        "SPEED_MAX": Parameter(planning.top_speed(vessel), "m/s", "at full throttle"),
-        "ATC_ACCEL_MAX": Parameter(float(push), "m/s/s", "at CRUISE_SPEED under full throttle"),
-        "MOT_THST_EXPO": Parameter(mixer.expo, "", "thrust against output"),
+        "FRAME_CLASS": RoverParameter(2, "", "boat"),
+        "CRUISE_SPEED": RoverParameter(cruise, "m/s", "the speed at which the others are said"),
+        "CRUISE_THROTTLE": RoverParameter(
+            100 * throttle, "%", "output that keeps it straight ahead"
+        ),
+        "SPEED_MAX": RoverParameter(planning.top_speed(vessel), "m/s", "at full throttle"),
+        "ATC_ACCEL_MAX": RoverParameter(
+            float(push), "m/s/s", "at CRUISE_SPEED under full throttle"
+        ),
+        "MOT_THST_EXPO": RoverParameter(mixer.expo, "", "thrust against output"),
     }
     if mixer.kind == "skid":
         weak = (
             "" if mixer.asymmetry >= 1 else "astern is stronger than ahead, for which it has none"
         )
         asymmetry = None if weak else mixer.asymmetry
-        found["MOT_THST_ASYM"] = Parameter(asymmetry, "", "thrust ahead over astern", weak)
+        found["MOT_THST_ASYM"] = RoverParameter(asymmetry, "", "thrust ahead over astern", weak)
     if mixer.kind == "vectored":
         angle = math.degrees(mixer.largest_angle or 0.0)
-        found["MOT_VEC_ANGLEMAX"] = Parameter(angle, "deg", "largest angle of the thruster")
+        found["MOT_VEC_ANGLEMAX"] = RoverParameter(angle, "deg", "largest angle of the thruster")
     if mixer.kind == "rudder":
         meaning = "above it steering falls as 1 / speed, as a rudder needs it"
-        found["MOT_SPD_SCA_BASE"] = Parameter(cruise, "m/s", meaning)
+        found["MOT_SPD_SCA_BASE"] = RoverParameter(cruise, "m/s", meaning)
     return found | _turning(balance, mixer, cruise, throttle, length)
 
 
 def _turning(
     balance: Callable[..., np.ndarray], mixer: Mixer, cruise: float, throttle: float, length: float
-) -> dict[str, Parameter]:
+) -> dict[str, RoverParameter]:
     """The parameters of steering, at the throttle of a straight run."""
     limit, degrees = mixer.steering_range(throttle), math.degrees
     half, full = (
@@ -102,23 +106,23 @@ def _turning(
         quickest, radius = degrees(full[1]), full[0] / full[1]
     unsettled = "steered to starboard the vessel does not settle to a turn to starboard"
     return {
-        "ATC_STR_RAT_FF": Parameter(
+        "ATC_STR_RAT_FF": RoverParameter(
             forward,
             "1/(rad/s)",
             "output over yaw rate in the steady turn by half the steering that CRUISE_THROTTLE "
             f"leaves{rate}",
             unsettled,
         ),
-        "ATC_STR_RAT_MAX": Parameter(
+        "ATC_STR_RAT_MAX": RoverParameter(
             quickest, "deg/s", "steady turn by all that steering", unsettled
         ),
-        "TURN_RADIUS": Parameter(radius, "m", "of that turn", unsettled),
-        "ATC_STR_ACC_MAX": Parameter(degrees(float(swing)), "deg/s/s", "at its beginning"),
+        "TURN_RADIUS": RoverParameter(radius, "m", "of that turn", unsettled),
+        "ATC_STR_ACC_MAX": RoverParameter(degrees(float(swing)), "deg/s/s", "at its beginning"),
     }
 
 
 def parameter_file(
-    vessel: Vessel, found: Mapping[str, Parameter], withheld: Mapping[str, str], source: str
+    vessel: Vessel, found: Mapping[str, RoverParameter], withheld: Mapping[str, str], source: str
 ) -> str:
     """The text of a .param file: comments, then one parameter a line.
 
@@ -135,8 +139,10 @@ def parameter_file(
         if name in withheld or one.value is None:
             lines.append(f"# {name} WITHHELD: {withheld.get(name, one.reason)}")
         else:
-            lines += [f"# {name}{f' ({one.unit})' if one.unit else ''}: {one.meaning}",
-                      f"{name},{one.value:.5g}"]  # fmt: skip
+            lines += [
+                f"# {name}{f' ({one.unit})' if one.unit else ''}: {one.meaning}",
+                f"{name},{one.value:.5g}",
+            ]
     return "\n".join(lines) + "\n"
 
 
@@ -144,7 +150,7 @@ def parameter_file(
 
 
 def withheld_by_fit(
-    document: Table, fit: Mapping[str, Any], found: Mapping[str, Parameter]
+    document: Table, fit: Mapping[str, Any], found: Mapping[str, RoverParameter]
 ) -> dict[str, str]:
     """Why parameters of ArduPilot are not determined by a fit, by their names.
 
@@ -216,7 +222,7 @@ def _check_same_vessel(document: Table, symbol: str, value: float) -> None:
 
 
 def _changes(
-    document: Table, symbol: str, value: float, found: Mapping[str, Parameter]
+    document: Table, symbol: str, value: float, found: Mapping[str, RoverParameter]
 ) -> dict[str, float]:
     """Relative changes of ArduPilot's parameters where one number of the vessel is another."""
     try:
@@ -266,8 +272,14 @@ def _turn(
     """
     x, span = np.array([speed, 0.0, 0.0]), _LENGTHS * length / speed
     for _ in range(_SPANS):
-        motion = solve_ivp(lambda t, x: acceleration(*x, orders), (0.0, span), x, method="LSODA",
-                           rtol=1e-8, atol=1e-10)  # fmt: skip
+        motion = solve_ivp(
+            lambda t, x: acceleration(*x, orders),
+            (0.0, span),
+            x,
+            method="LSODA",
+            rtol=1e-8,
+            atol=1e-10,
+        )
         x = motion.y[:, -1]
         still = np.abs(acceleration(*x, orders)) < 1e-6 * np.array([speed, speed, speed / length])
         if still.all() and x[2] > 0:

@@ -56,8 +56,9 @@ def mixer_of(vessel: Vessel) -> Mixer:
         UserError: it has no such frame, or the vessel's file states no limits.
     """
     parts = vessel.actuators.values()
-    steered = [c for part in parts for c, channel in part.channels.items()
-               if channel.role == "steering"]  # fmt: skip
+    steered = [
+        c for part in parts for c, channel in part.channels.items() if channel.role == "steering"
+    ]
     turning = [part for part in vessel.propulsors.values() if isinstance(part, AzimuthThruster)]
     sides = [p for p in vessel.propulsors.values() if isinstance(p, FixedThruster) and float(p.y)]
     if turning:

@@ -74,11 +74,6 @@ class Channel:
     slowness: float | None = None  # s per unit: the inverse of the slew rate
     endless: bool = False
 
-    @property
-    def is_direct(self) -> bool:
-        """Whether what is ordered is executed at once."""
-        return not (self.delay or self.time_constant or self.slowness)
-
 
 @dataclasses.dataclass(frozen=True)
 class Equations:
@@ -142,9 +137,7 @@ def equations_of(vessel: Vessel) -> Equations:
     return Equations(
         name=vessel.name,
         source=vessel.source,
-        body=_numbers(
-            body, ("mass", "x_G", "I_z", "length", "beam", "draught", "water_density")
-        ),
+        body=_numbers(body, ("mass", "x_G", "I_z", "length", "beam", "draught", "water_density")),
         added_mass=_numbers(added, ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")),
         coriolis_terms=added.coriolis_terms,
         mass_matrix=tuple(float(M[i, j]) for i, j in ((0, 0), (1, 1), (1, 2), (2, 1), (2, 2))),
@@ -153,10 +146,11 @@ def equations_of(vessel: Vessel) -> Equations:
         actuators=tuple(part for part in parts if part is not None),
         channels=tuple(channels),
         current=(
-            float(vessel.environment.current_north), float(vessel.environment.current_east),
+            float(vessel.environment.current_north),
+            float(vessel.environment.current_east),
         ),
         left_out=tuple(left_out),
-    )  # fmt: skip
+    )
 
 
 def require_nothing_lost(left_out: Iterable[str], target: str, allow_loss: bool) -> None:

@@ -42,8 +42,9 @@ def write_fmu(equations: Equations, path: pathlib.Path) -> None:
         ) from None
     description = f"{equations.name}, planar motion, by diffsea; {equations.source}"
     table = equations.as_dict() | {
-        "identifier": identifier(equations.name), "description": description,
-    }  # fmt: skip
+        "identifier": identifier(equations.name),
+        "description": description,
+    }
     with tempfile.TemporaryDirectory() as folder:
         numbers = pathlib.Path(folder) / "equations.json"
         numbers.write_text(json.dumps(table, indent=1), encoding="utf-8")

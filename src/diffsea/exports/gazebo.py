@@ -137,9 +137,7 @@ def _coriolis_rest(equations: Equations) -> list[Term]:
     own = {term.name: term.coefficient for term in equations.polynomials[0].terms}
     rests = {name: own.get(name, 0.0) - value for name, value in engine.items()}
     scale = 1e-12 * max(map(abs, engine.values()))
-    return [
-        Term(name[0], rest, name[2:]) for name, rest in rests.items() if abs(rest) > scale
-    ]  # fmt: skip
+    return [Term(name[0], rest, name[2:]) for name, rest in rests.items() if abs(rest) > scale]
 
 
 def _coupling(added: dict[str, float]) -> float:

@@ -188,11 +188,14 @@ def _polynomial(
         axis: " + ".join(_product(term, letters) for term in terms if term.axis == axis) or "0"
         for axis in "XYN"
     }
-    return [*lines, *(
-        f"tau({row}) = tau({row}) + {units[axis]}({sums[axis]});"
-        for row, axis in enumerate("XYN", start=1)
-        if sums[axis] != "0"
-    )]  # fmt: skip
+    return [
+        *lines,
+        *(
+            f"tau({row}) = tau({row}) + {units[axis]}({sums[axis]});"
+            for row, axis in enumerate("XYN", start=1)
+            if sums[axis] != "0"
+        ),
+    ]
 
 
 def _product(term: Term, letters: dict[str, str]) -> str:

@@ -22,7 +22,7 @@ from diffsea.trajectory import Samples
 from diffsea.types import Scalar
 
 
-class Prediction(NamedTuple):
+class TrialPrediction(NamedTuple):
     """Yaw rates of trials under their own rudder, and how well they follow what was measured."""
 
     percent: Float[Array, "trial"]  # 100 is perfect, 0 no better than the mean
@@ -30,7 +30,7 @@ class Prediction(NamedTuple):
 
 
 @eqx.filter_jit
-def predict_trials(model: Norrbin, trials: Trials) -> Prediction:
+def predict_trials(model: Norrbin, trials: Trials) -> TrialPrediction:
     """What a metamodel says of trials put aside, only their first yaw rates adapted."""
 
     def one(delta: Array, measured: Array, known: Array) -> tuple[Array, Array]:
@@ -41,11 +41,11 @@ def predict_trials(model: Norrbin, trials: Trials) -> Prediction:
         predicted = run(measured[0] + change)
         return fit_percent(measured, predicted, known), predicted
 
-    return Prediction(*jax.vmap(one)(trials.delta, trials.r, trials.known))
+    return TrialPrediction(*jax.vmap(one)(trials.delta, trials.r, trials.known))
 
 
 @eqx.filter_jit
-def leave_one_out(trials: Trials, tie: Scalar) -> Prediction:
+def leave_one_out(trials: Trials, tie: Scalar) -> TrialPrediction:
     """Each trial as predicted by the metamodel of all the others.
 
     Arguments:
@@ -60,7 +60,7 @@ def leave_one_out(trials: Trials, tie: Scalar) -> Prediction:
         percent, r = predict_trials(model, alone)
         return percent[0], r[0]
 
-    return Prediction(*jax.lax.map(one, jnp.arange(number)))
+    return TrialPrediction(*jax.lax.map(one, jnp.arange(number)))
 
 
 def overshoots_beyond(

@@ -22,10 +22,17 @@ def state_log(vessel: Vessel, signals: Signals, onset: float) -> dict[str, Sampl
     """
     run, t, psi = signals.run, signals.t, signals.psi
     columns = {
-        "t": t - onset, "x": run.x, "y": run.y, "psi_wrapped": np.asarray(wrap(psi)),
-        "psi_unwrapped": psi, "psi_relative": psi - np.interp(onset, t, psi),
-        "u": run.u, "v": run.v, "r": run.r, "r_calc": np.gradient(psi, t),
-    }  # fmt: skip
+        "t": t - onset,
+        "x": run.x,
+        "y": run.y,
+        "psi_wrapped": np.asarray(wrap(psi)),
+        "psi_unwrapped": psi,
+        "psi_relative": psi - np.interp(onset, t, psi),
+        "u": run.u,
+        "v": run.v,
+        "r": run.r,
+        "r_calc": np.gradient(psi, t),
+    }
     for name, angle in (("delta_cmd", signals.commanded), ("delta_exec", signals.steer)):
         columns |= {} if angle is None else {name: angle}
     for channel, thrust in vessel.thrusts_at_rest.items():

@@ -273,8 +273,10 @@ def _repeats(sides: dict[str, dict[str, Any]]) -> dict[str, dict[str, float]]:
             continue
         mean, half_width = mean_and_half_width([value, port[number]])
         found[number] = {
-            "mean": mean, "half_width": half_width, "starboard_less_port": value - port[number],
-        }  # fmt: skip
+            "mean": mean,
+            "half_width": half_width,
+            "starboard_less_port": value - port[number],
+        }
     return found
 
 

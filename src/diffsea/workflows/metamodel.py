@@ -16,7 +16,7 @@ from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS, NorrbinFit, Trial
 from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots_with_std
 from diffsea.metamodels.norrbin import in_degrees
 from diffsea.metamodels.validation import (
-    Prediction,
+    TrialPrediction,
     leave_one_out,
     overshoots_beyond,
     predict_trials,
@@ -82,7 +82,7 @@ class Metamodel:
     others: list[ServiceTrial]
     trials: Trials
     fit: NorrbinFit
-    crossed: Prediction
+    crossed: TrialPrediction
     percent_of_others: np.ndarray
     asked: dict[str, Zigzag]
     ideal: dict[str, tuple[np.ndarray, np.ndarray]]

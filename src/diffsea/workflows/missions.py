@@ -46,8 +46,11 @@ class MissionResult(Tabulated):
 
     def rows(self) -> list[dict[str, Any]]:
         told = self.numbers
-        errors = (("path error", "path_error", "m"), ("heading error", "heading_error", "rad"),
-                  ("speed error", "speed_error", "m/s"))  # fmt: skip
+        errors = (
+            ("path error", "path_error", "m"),
+            ("heading error", "heading_error", "rad"),
+            ("speed error", "speed_error", "m/s"),
+        )
         rows = [
             {"number": f"{name}, {part}", "value": told[key][part], "unit": unit}
             for name, key, unit in errors

@@ -16,8 +16,14 @@ from diffsea.outside.printable import printable
 
 
 if TYPE_CHECKING:
-    from diffsea.recordings.logs.autopilot_parameters import AutopilotParameters, ServoOutput
-    from diffsea.vessel.estimates import Estimate, MotorScale, Outline, RudderDrive, Thrusters
+    from diffsea.recordings.known.autopilot_parameters import AutopilotParameters, ServoOutput
+    from diffsea.vessel.estimates import (
+        DerivativeEstimate,
+        MotorScale,
+        Outline,
+        RudderDrive,
+        Thrusters,
+    )
 
 
 def register(commands: options.Commands) -> None:
@@ -134,7 +140,7 @@ def _parameters(args: argparse.Namespace, told: list[str]) -> "AutopilotParamete
     Raises:
         UserError: the log names no motor, or its orders are not in the unit that is asked for.
     """
-    from diffsea.recordings.logs.autopilot_parameters import FUNCTIONS, THROTTLE, read_parameters
+    from diffsea.recordings.known.autopilot_parameters import FUNCTIONS, THROTTLE, read_parameters
 
     found = read_parameters(args.log)
     if not found.values:
@@ -162,7 +168,7 @@ def _parameters(args: argparse.Namespace, told: list[str]) -> "AutopilotParamete
 
 def _sides(parameters: "AutopilotParameters") -> "dict[str, ServoOutput | None]":
     """The outputs of the throttles of both sides."""
-    from diffsea.recordings.logs.autopilot_parameters import THROTTLE_LEFT, THROTTLE_RIGHT
+    from diffsea.recordings.known.autopilot_parameters import THROTTLE_LEFT, THROTTLE_RIGHT
 
     functions = {"port": THROTTLE_LEFT, "starboard": THROTTLE_RIGHT}
     return {name: parameters.output(function) for name, function in functions.items()}
@@ -185,7 +191,7 @@ def _drive(
     told: list[str],
 ) -> "Thrusters | RudderDrive":
     """Thrusters of both sides, or a rudder behind a thruster or a propeller."""
-    from diffsea.recordings.logs.autopilot_parameters import THROTTLE
+    from diffsea.recordings.known.autopilot_parameters import THROTTLE
     from diffsea.vessel.estimates import RudderDrive, Thrusters
 
     sides = {} if parameters is None else _sides(parameters)
@@ -243,7 +249,7 @@ def _record(
     file: pathlib.Path,
     units: dict[str, str],
     outline: "Outline",
-    hull: "dict[str, Estimate]",
+    hull: "dict[str, DerivativeEstimate]",
     told: list[str],
 ) -> dict[str, Any]:
     """What was written and what it rests on, SI units."""

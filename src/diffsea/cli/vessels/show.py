@@ -36,10 +36,14 @@ def vessels_command(args: argparse.Namespace) -> None:
         print(json_text({name: _particulars(vessel) for name, vessel in found.items()}))
         return
     rows = [
-        (name, f"{float(vessel.rigid_body.length):.4g}", f"{float(vessel.rigid_body.mass):.4g}",
-         _actuator_words(vessel))
+        (
+            name,
+            f"{float(vessel.rigid_body.length):.4g}",
+            f"{float(vessel.rigid_body.mass):.4g}",
+            _actuator_words(vessel),
+        )
         for name, vessel in found.items()
-    ]  # fmt: skip
+    ]
     print(table(rows, ("name", "length m", "mass kg", "actuators")))
 
 
@@ -96,9 +100,12 @@ def _sentences(vessel: "Vessel", found: "Handling") -> list[str]:
     sizes = ", ".join(
         f"{float(value):.4g} {unit}"
         for value, unit in (
-            (length, "m long"), (body.beam, "m wide"), (body.draught, "m deep"), (body.mass, "kg"),
+            (length, "m long"),
+            (body.beam, "m wide"),
+            (body.draught, "m deep"),
+            (body.mass, "kg"),
         )
-    )  # fmt: skip
+    )
     froude = found.speed / froude_speed(length)
     limits = "no limit is stated" if math.isinf(found.top_speed) else f"{found.top_speed:.3g} m/s"
     lines = [

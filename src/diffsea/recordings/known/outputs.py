@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterable
 
-from diffsea.recordings.logs.autopilot_parameters import (
+from diffsea.recordings.known.autopilot_parameters import (
     GROUND_STEERING,
     THROTTLE,
     THROTTLE_LEFT,

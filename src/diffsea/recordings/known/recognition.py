@@ -11,8 +11,8 @@ from typing import Any
 from diffsea.errors import UserError
 from diffsea.recordings import logs
 from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.known.autopilot_parameters import read_parameters
 from diffsea.recordings.known.outputs import Output, assigned_outputs
-from diffsea.recordings.logs.autopilot_parameters import read_parameters
 from diffsea.recordings.mappings import Column, Mapping, mapping_from
 from diffsea.trajectory import MOTION_CHANNELS
 

@@ -25,7 +25,7 @@ _PIECE = 1 << 16
 _OBJECT = "is an object of MATLAB's class"
 
 
-class _Source:
+class _CountedBytes:
     """Bytes that are read once, of a file or of a compressed part of it."""
 
     def __init__(self, file: BinaryIO, size: int, compressed: bool):
@@ -71,12 +71,14 @@ def expanded_size(path: Path, limit: int) -> int:
         while order and total <= limit and len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             after = file.tell() + size
-            total += _array_bytes(_Source(file, size, kind == _COMPRESSED), order, limit - total)
+            total += _array_bytes(
+                _CountedBytes(file, size, kind == _COMPRESSED), order, limit - total
+            )
             file.seek(after)
     return total
 
 
-def _array_bytes(source: _Source, order: str, limit: int) -> int:
+def _array_bytes(source: _CountedBytes, order: str, limit: int) -> int:
     """Bytes of the arrays in one part of a file: every tag is one of a matrix or of numbers."""
     total = 0
     try:

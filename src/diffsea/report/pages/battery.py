@@ -52,9 +52,11 @@ def battery_page(run: BatteryRun, numbers: Record) -> str:
     """
     finished = numbers["runs"] - numbers["shares"]["not_finished"]["runs"]
     source = {
-        "vessel": numbers["vessel"], "model": run.mission.model.name,
-        "controller": numbers["controller"], "runs": numbers["runs"],
-    }  # fmt: skip
+        "vessel": numbers["vessel"],
+        "model": run.mission.model.name,
+        "controller": numbers["controller"],
+        "runs": numbers["runs"],
+    }
     return render(
         "battery.html.j2",
         title=f"{numbers['mission']}, {numbers['runs']} times",

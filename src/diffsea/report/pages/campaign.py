@@ -204,10 +204,13 @@ def _tracks(runs: Sequence[TrialRun], group: str) -> go.Figure:
         ahead = math.cos(psi) * north + math.sin(psi) * east
         starboard = math.cos(psi) * east - math.sin(psi) * north
         drawn.add_scatter(
-            x=plots.numbers(starboard), y=plots.numbers(ahead), name=one.side, mode="lines",
+            x=plots.numbers(starboard),
+            y=plots.numbers(ahead),
+            name=one.side,
+            mode="lines",
             customdata=plots.numbers(t[rows], plots.TIME_DIGITS),
             line={"color": _colour(one), "width": 2},
-        )  # fmt: skip
+        )
     drawn.update_traces(hovertemplate="%{customdata} s: %{x} m to starboard, %{y} m ahead")
     return plots.add_track_markers(drawn, group, range(len(runs)), [_colour(one) for one in runs])
 

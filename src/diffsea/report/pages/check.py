@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from diffsea.checks import LogCheck
-from diffsea.checks.answers import Estimate, LagOfAnswer, SteadyPoint
+from diffsea.checks.answers import IntervalEstimate, LagOfAnswer, SteadyPoint
 from diffsea.recordings import Finding
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.plots import (
@@ -121,7 +121,7 @@ def headlines(one: LogCheck) -> list[str]:
     return told
 
 
-def _asymmetry_sentence(asymmetry: Estimate) -> str:
+def _asymmetry_sentence(asymmetry: IntervalEstimate) -> str:
     """Which side is stronger, and how surely."""
     if asymmetry.low <= 0 <= asymmetry.high or abs(asymmetry.value) < LEAST_RATIO:
         return "No difference between port and starboard is seen beyond chance and one per cent."
@@ -296,7 +296,7 @@ def _lag_rows(what: str, lag: LagOfAnswer) -> list[list[str]]:
     ]
 
 
-def _cells(one: Estimate) -> tuple[str, str]:
+def _cells(one: IntervalEstimate) -> tuple[str, str]:
     """A value and its interval, with as many digits as the interval allows."""
     error = max((one.high - one.low) / 3.3, 1e-9)
     unit = "" if one.unit == "1" else f" {one.unit}"

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from diffsea.metamodels.fit import Trials
-from diffsea.metamodels.validation import Prediction
+from diffsea.metamodels.validation import TrialPrediction
 from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import interval, is_known, round_to_error, significant, with_error
@@ -33,7 +33,7 @@ class Modelled(Protocol):
     @property
     def trials(self) -> Trials: ...
     @property
-    def crossed(self) -> Prediction: ...
+    def crossed(self) -> TrialPrediction: ...
 
 
 @dataclasses.dataclass(frozen=True)

@@ -55,8 +55,11 @@ def mission_page(run: MissionRun, numbers: Record) -> str:
 
 
 def _error_sentences(numbers: Record) -> list[str]:
-    named = (("path_error", "Distance from the path", "m"), ("heading_error", "Heading", "rad"),
-             ("speed_error", "Speed", "m/s"))  # fmt: skip
+    named = (
+        ("path_error", "Distance from the path", "m"),
+        ("heading_error", "Heading", "rad"),
+        ("speed_error", "Speed", "m/s"),
+    )
     sentences = []
     for key, what, unit in named:
         if key in numbers:
@@ -123,8 +126,16 @@ def _order_table(orders: Record) -> Table:
         share, events = f"{100 * one['at_limit']:.1f} %", str(one["limit_events"])
         rates = [cell("largest_rate"), cell("rate_limit")]
         rows.append([Verbatim(channel), unit, extent, limits, share, events, *rates])
-    columns = ["order", "unit", "ordered", "limits", "at a limit", "times reached",
-               "fastest change (per s)", "actuator's rate limit (per s)"]  # fmt: skip
+    columns = [
+        "order",
+        "unit",
+        "ordered",
+        "limits",
+        "at a limit",
+        "times reached",
+        "fastest change (per s)",
+        "actuator's rate limit (per s)",
+    ]
     return Table(columns, rows, numeric=range(2, len(columns)))
 
 
@@ -147,17 +158,27 @@ def _track(run: MissionRun, group: str) -> go.Figure:
         north, east, t = (plots.thin_rows(motion, c, DRAWN_ROWS) for c in ("x", "y", "t"))
         times = plots.numbers(t, plots.TIME_DIGITS)
         drawn.add_scatter(
-            x=plots.numbers(east), y=plots.numbers(north), customdata=times, mode="lines",
-            name=name, line=line, hovertemplate="%{customdata} s: %{x} m east, %{y} m north",
-        )  # fmt: skip
+            x=plots.numbers(east),
+            y=plots.numbers(north),
+            customdata=times,
+            mode="lines",
+            name=name,
+            line=line,
+            hovertemplate="%{customdata} s: %{x} m east, %{y} m north",
+        )
     points = run.mission.waypoints
     if points:
         marker = {"color": "#fff", "size": 8, "line": {"color": plots.MEASURED, "width": 2}}
         drawn.add_scatter(
-            x=[one.y for one in points], y=[one.x for one in points], mode="lines+markers",
-            name="path", line=_PATH_LINE, marker=marker,
-            hovertemplate="waypoint: %{x} m east, %{y} m north", hoverinfo="skip",
-        )  # fmt: skip
+            x=[one.y for one in points],
+            y=[one.x for one in points],
+            mode="lines+markers",
+            name="path",
+            line=_PATH_LINE,
+            marker=marker,
+            hovertemplate="waypoint: %{x} m east, %{y} m north",
+            hoverinfo="skip",
+        )
     colours = [str(line["color"]) for _, _, line in curves]
     return plots.add_track_markers(drawn, group, range(len(curves)), colours)
 

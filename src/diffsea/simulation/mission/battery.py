@@ -201,8 +201,10 @@ def battery_scores(found: BatteryRun) -> dict[str, Any]:
         hits = sum(happened(row) for row in found.table)
         low, high = binomtest(hits, count).proportion_ci(LEVEL, method="wilson")
         shares[name] = {
-            "runs": hits, "share": hits / count, "interval": [float(low), float(high)],
-        }  # fmt: skip
+            "runs": hits,
+            "share": hits / count,
+            "interval": [float(low), float(high)],
+        }
     done = [row for row in found.table if row["outcome"] != FAILED]
     quantiles = {}
     for name in ("time", "path_rms", "path_largest", "heading_rms", "speed_rms", "at_limit"):
@@ -210,8 +212,10 @@ def battery_scores(found: BatteryRun) -> dict[str, Any]:
         if values:
             middle, most = np.quantile(values, [0.5, 0.95])
             quantiles[name] = {
-                "median": float(middle), "quantile_95": float(most), "largest": max(values),
-            }  # fmt: skip
+                "median": float(middle),
+                "quantile_95": float(most),
+                "largest": max(values),
+            }
     return {
         "format": 1,
         "mission": found.mission.name,

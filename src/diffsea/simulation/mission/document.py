@@ -28,9 +28,21 @@ from diffsea.vessel.tables import Table, check_keys, needed, numbers, positive, 
 
 
 _KEYS = (
-    "format", "name", "seed", "seconds", "period", "time_step", "vessel", "model", "start",
-    "controller", "waypoint", "step", "weather", "sensors",
-)  # fmt: skip
+    "format",
+    "name",
+    "seed",
+    "seconds",
+    "period",
+    "time_step",
+    "vessel",
+    "model",
+    "start",
+    "controller",
+    "waypoint",
+    "step",
+    "weather",
+    "sensors",
+)
 
 
 class ControllerKind(NamedTuple):

@@ -136,9 +136,12 @@ def approaches(mission: Mission, motion: Trajectory) -> list[dict[str, Any]]:
         nearest = first + int(distance.argmin())
         row = first + int(within[0]) if reached else nearest
         entry: dict[str, Any] = {
-            "x": point.x, "y": point.y, "reached": reached, "time": float(motion.t[row]),
+            "x": point.x,
+            "y": point.y,
+            "reached": reached,
+            "time": float(motion.t[row]),
             "closest_approach": float(distance.min()),
-        }  # fmt: skip
+        }
         if point.time is not None:
             entry |= {"planned_time": point.time, "time_error": entry["time"] - point.time}
         rows.append(entry)

@@ -160,8 +160,16 @@ def instrumented(
         heading_offset=own.heading_offset + errors.heading_offset,
         gyro_bias=own.gyro_bias + errors.gyro_bias,
     )
-    size = np.array([errors.position, errors.position, errors.heading, errors.velocity,
-                     errors.velocity, errors.yaw_rate])  # fmt: skip
+    size = np.array(
+        [
+            errors.position,
+            errors.position,
+            errors.heading,
+            errors.velocity,
+            errors.velocity,
+            errors.yaw_rate,
+        ]
+    )
     noise = size * np.random.default_rng([seed, 2]).normal(size=(rows, 6))
     lags = (float(own.lags()[channel]) + errors.delay for channel in MOTION_CHANNELS)
     late = tuple(max(round(lag / period), 0) for lag in lags)

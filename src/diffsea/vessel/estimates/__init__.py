@@ -15,5 +15,5 @@ from diffsea.vessel.estimates.outline import FORMS as FORMS
 from diffsea.vessel.estimates.outline import Known as Known
 from diffsea.vessel.estimates.outline import Outline as Outline
 from diffsea.vessel.estimates.outline import outline_of as outline_of
-from diffsea.vessel.estimates.scatter import Estimate as Estimate
+from diffsea.vessel.estimates.scatter import DerivativeEstimate as DerivativeEstimate
 from diffsea.vessel.estimates.vessel_text import vessel_text as vessel_text

@@ -13,7 +13,7 @@ from diffsea.errors import UserError, nearest
 from diffsea.vessel.actuators.thrust_curve import SCALES
 from diffsea.vessel.base import OrderUnit
 from diffsea.vessel.estimates.outline import Outline
-from diffsea.vessel.estimates.scatter import WIDEST, Estimate
+from diffsea.vessel.estimates.scatter import WIDEST, DerivativeEstimate
 
 
 THRUST_UNITS: tuple[OrderUnit, ...] = ("us", "percent", "normalised", "N")
@@ -68,7 +68,7 @@ class Thrusters:
     reversed: tuple[str, ...] = ()
 
     def parts(
-        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+        self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
     ) -> list[Part]:
         """The thrusters' tables.
 
@@ -121,7 +121,7 @@ class Thrusters:
         return made
 
     def _thrust(
-        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+        self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
     ) -> tuple[float, float, str]:
         """Full thrust (N) of one, its relative width, and what it rests on."""
         if self.full_thrust is not None:
@@ -163,7 +163,7 @@ class RudderDrive:
     thruster: Thrusters | None = None  # in the propeller's place
 
     def parts(
-        self, outline: Outline, hull: Mapping[str, Estimate], top_speed_known: bool
+        self, outline: Outline, hull: Mapping[str, DerivativeEstimate], top_speed_known: bool
     ) -> list[Part]:
         """The tables of propeller or thruster, and rudder."""
         if self.thruster is not None:
@@ -171,7 +171,7 @@ class RudderDrive:
             return [*driving, self._rudder(outline, None)]
         return [self._propeller(outline, hull), self._rudder(outline, "propeller")]
 
-    def _propeller(self, outline: Outline, hull: Mapping[str, Estimate]) -> Part:
+    def _propeller(self, outline: Outline, hull: Mapping[str, DerivativeEstimate]) -> Part:
         D, why = self.diameter, "as given"
         if D is None:
             D, why = PROPELLER_SHARE * outline.draught, "assumed: 0.65 of the draught"
@@ -250,6 +250,6 @@ def _interaction(outline: Outline) -> tuple[dict[str, object], dict[str, str]]:
     return table, dict.fromkeys(table, "Kijima et al. 1990") | {"x_H": "-0.45 L", "l_R": "-0.9 L"}
 
 
-def drag_at(speed: float, hull: Mapping[str, Estimate]) -> float:
+def drag_at(speed: float, hull: Mapping[str, DerivativeEstimate]) -> float:
     """The estimated drag ahead (N) at a speed (m/s)."""
     return -(hull["X_u"].value * speed + hull["X_uu"].value * speed**2)

@@ -6,14 +6,16 @@ from diffsea.vessel.estimates.added_mass import added_masses
 from diffsea.vessel.estimates.lateral import LINEAR_AT, cross_flow_drag, lift_derivatives
 from diffsea.vessel.estimates.outline import Outline
 from diffsea.vessel.estimates.resistance import BALANCE, linear_share, resistances
-from diffsea.vessel.estimates.scatter import Estimate, combined
+from diffsea.vessel.estimates.scatter import DerivativeEstimate, combined
 
 
 INERTIA_WIDTH = 0.4  # of I_z, which the prior of N_rdot carries: a fit leaves I_z as it is
 AT_REST = 0.7  # further width of linear damping at rest, for which there is no published estimate
 
 
-def hull_estimates(outline: Outline, thrust_at_top: float | None = None) -> dict[str, Estimate]:
+def hull_estimates(
+    outline: Outline, thrust_at_top: float | None = None
+) -> dict[str, DerivativeEstimate]:
     """Every derivative and added mass of the vessel file, by name.
 
     Arguments:
@@ -35,7 +37,7 @@ def hull_estimates(outline: Outline, thrust_at_top: float | None = None) -> dict
     return {one.name: one for one in found}
 
 
-def _surge_drag(outline: Outline, thrust_at_top: float | None) -> list[Estimate]:
+def _surge_drag(outline: Outline, thrust_at_top: float | None) -> list[DerivativeEstimate]:
     """X_u (N s/m) and X_uu (N s^2/m^2): together they are the drag at one speed, and its slope."""
     if thrust_at_top is None:
         speed = outline.service_speed
@@ -49,7 +51,7 @@ def _surge_drag(outline: Outline, thrust_at_top: float | None) -> list[Estimate]
     return [combined("X_u", linear, note=note), combined("X_uu", square, note=note)]
 
 
-def _lateral_drag(outline: Outline, X_u: float, X_uu: float) -> list[Estimate]:
+def _lateral_drag(outline: Outline, X_u: float, X_uu: float) -> list[DerivativeEstimate]:
     """Damping of sway and yaw at rest, linear and quadratic."""
     strips, lever = cross_flow_drag(outline), 0.5 * outline.spacing
     turned = {source: x + X_uu * lever**3 for source, x in strips["N_rr"].items()}

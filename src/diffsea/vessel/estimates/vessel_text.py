@@ -7,7 +7,7 @@ import tomli_w
 from diffsea.vessel.estimates import added_mass, lateral, resistance
 from diffsea.vessel.estimates.drives import Part
 from diffsea.vessel.estimates.outline import Outline
-from diffsea.vessel.estimates.scatter import COUPLINGS, Estimate
+from diffsea.vessel.estimates.scatter import COUPLINGS, DerivativeEstimate
 
 
 SOURCE = (
@@ -17,7 +17,7 @@ SOURCE = (
 
 
 def vessel_text(
-    name: str, outline: Outline, hull: Mapping[str, Estimate], parts: Sequence[Part]
+    name: str, outline: Outline, hull: Mapping[str, DerivativeEstimate], parts: Sequence[Part]
 ) -> str:
     """A vessel file (TOML) of an outline, its derivatives and its actuators.
 
@@ -51,13 +51,13 @@ def vessel_text(
     return "\n".join(lines) + "\n"
 
 
-def reason(one: Estimate) -> str:
+def reason(one: DerivativeEstimate) -> str:
     """What a derivative rests on: its methods with what each gives, and what its width holds."""
     given = "; ".join(f"{source} {value:.3g}" for source, value in one.methods.items())
     return f"{given}; {one.note}" if one.note else given
 
 
-def _sources(hull: Mapping[str, Estimate]) -> dict[str, str]:
+def _sources(hull: Mapping[str, DerivativeEstimate]) -> dict[str, str]:
     """The sources that the methods of some derivatives name."""
     used = " ".join(method for one in hull.values() for method in one.methods)
     known = added_mass.SOURCES | resistance.SOURCES | lateral.SOURCES
