@@ -17,11 +17,11 @@ from diffsea.identification.objectives import output_error
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import TrialNumbers, read_trial_table
-from diffsea.identification.problem import default_priors, make_problem
+from diffsea.identification.problem import make_problem
 from diffsea.identification.study import FitSettings, identify
 from diffsea.simulation import planning
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.vessel.files import build
+from diffsea.vessel.files import build, default_priors
 
 
 pytestmark = pytest.mark.slow

@@ -6,9 +6,9 @@ import pytest
 from tests.boats import BOAT
 
 from diffsea import UserError, named, read_vessel
-from diffsea.identification.problem import default_priors, free_by_default
+from diffsea.identification.problem import free_by_default
 from diffsea.identification.study import with_priors
-from diffsea.vessel.files import build, dump, shipped_vessels, updated_document
+from diffsea.vessel.files import build, default_priors, dump, shipped_vessels, updated_document
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from diffsea.parameters import Parameter, check_names, named
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
-from diffsea.vessel.files import default_priors as default_priors
+from diffsea.vessel.files import default_priors
 
 
 Coordinates = Float[np.ndarray, "coordinate"]

@@ -38,7 +38,7 @@ from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
-from diffsea.identification.problem import Problem, default_priors, free_by_default, make_problem
+from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.sufficiency import FitVerdict, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import (
@@ -53,6 +53,7 @@ from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect, catalogue_name, find_effects
+from diffsea.vessel.files import default_priors
 
 
 OBJECTIVES = ("innovation", "free-run", "trial-numbers")
