@@ -4,6 +4,7 @@ import copy
 import csv
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -11,6 +12,7 @@ from tests.oracle.actuators import acting
 from tests.paths import DATA
 
 from diffsea import EFFECTS, Environment, State, UserError, named
+from diffsea.identification.coordinates import expansion_points
 from diffsea.parameters import replace
 from diffsea.simulation.actuation import executed_by
 from diffsea.simulation.control import ControlAllocation, full_throttle, throttle_for
@@ -354,3 +356,33 @@ def test_parameters_of_the_effect_are_those_of_its_coordinates():
 def test_an_impossible_effect_is_refused(keys, message):
     with pytest.raises(UserError, match=message):
         build(document(max_force=250.0) | {"effect": [{"name": "thrust-curve", **keys}]})
+
+
+@pytest.mark.parametrize("name", ["thrust-curve", "thrust-curve:law"])
+def test_a_curve_has_neither_dead_band_nor_loss_below_zero(name):
+    """There a fit finds no change any more, and the estimate keeps the error of its coordinate."""
+    vessel, effect = read_vessel("blueboat").vessel, EFFECTS[name]
+
+    def thrust(amount, place):
+        at = jnp.zeros(len(effect.coordinates)).at[1].set(0.4).at[place].set(amount)
+        port = effect.apply(vessel, at).propulsors["port"]
+        return port.thrust_at_rest(port.servos["port"].acting(33.0))
+
+    for place in (0, 3):
+        below, absent = thrust(-0.3, place), thrust(0.0, place)
+        assert below == absent and jax.grad(thrust)(-0.3, place) == 0
+        assert jax.grad(thrust)(0.0, place) < 0  # and at zero what is possible tells its direction
+    at = jnp.zeros(len(effect.coordinates)).at[0].set(-0.3)
+    told = lambda at: effect.decode(vessel, at)["deadband"]
+    assert told(at) == 0 and jax.grad(told)(at)[0] == 1
+
+
+@pytest.mark.parametrize(("name", "number"), [("thrust-curve", 7), ("thrust-curve:law", 8)])
+def test_laws_that_act_together_are_tried_together(name, number):
+    """In all combinations but none of them, measured by the first that is there."""
+    points = expansion_points(EFFECTS[name], read_vessel("blueboat").vessel, [(0.0, 60.0)])
+    tried = [point for point in points if point.secant]
+    assert len({point.at for point in tried}) == len(tried) == number
+    for point in tried:
+        (index,) = point.directions
+        assert point.at[index] != 0 and not any(point.at[:index])
