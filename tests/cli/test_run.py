@@ -160,3 +160,15 @@ def test_the_mission_of_the_documentation_runs():
     assert result.numbers["vessel"] == "otter" and "mass" in result.numbers["model_differs"]
     kinds = page[page.index("| `kind` |") : page.index("`heading` takes")]
     assert re.findall(r"^\| `([a-z-]+)` \| ", kinds, re.MULTILINE) == ["kind", *CONTROLLERS]
+
+
+def test_a_mission_that_passes_a_waypoint_by_is_not_called_completed(tmp_path):
+    """Line of sight goes on once a waypoint is abeam, however far away."""
+    shipped = (ROOT / "examples" / "missions" / "survey_in_a_tide.toml").read_text()
+    mission, out = tmp_path / "mission.toml", tmp_path / "out"
+    mission.write_text(re.sub(r"radius = [\d.]+", "radius = 0.05", shipped))
+    assert main(["run", str(mission), "-o", str(out)]) == 0
+    told = json.loads((out / "run.json").read_text())
+    missed = sum(not point["reached"] for point in told["waypoints"])
+    assert told["outcome"] == "completed" and missed > 0
+    assert f'<p class="word">ended, {missed} missed</p>' in (out / "run.html").read_text()

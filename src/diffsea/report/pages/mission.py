@@ -35,13 +35,14 @@ def mission_page(run: MissionRun, numbers: Record) -> str:
         numbers: the content of run.json.
     """
     mission, outcome = run.mission, run.outcome
+    missed = sum(not point["reached"] for point in numbers.get("waypoints", []))
     believed = ", which believes in another vessel" if numbers["model_differs"] else ""
     return render(
         "mission.html.j2",
         title=mission.name,
         subtitle=f"{mission.vessel.name} under {mission.controller.kind}{believed}",
-        completed=outcome is Outcome.COMPLETED,
-        word="completed" if outcome is Outcome.COMPLETED else "not completed",
+        completed=outcome is Outcome.COMPLETED and not missed,
+        word=_verdict(outcome, missed),
         lead=f"{capital(run.sentence)}, after {significant(numbers['time'], 4)} s "
         f"and {significant(numbers['distance'], 4)} m.",
         errors=_error_sentences(numbers),
@@ -52,6 +53,13 @@ def mission_page(run: MissionRun, numbers: Record) -> str:
             _source(run, numbers), [(run.recorded, "simulated, as the sensors show it")]
         ),
     )
+
+
+def _verdict(outcome: Outcome, missed: int) -> str:
+    """One or two words on how a mission went, of which so many waypoints were missed."""
+    if outcome is not Outcome.COMPLETED:
+        return "not completed"
+    return f"ended, {missed} missed" if missed else "completed"
 
 
 def _error_sentences(numbers: Record) -> list[str]:
