@@ -26,7 +26,8 @@ STRAY = 1e-3  # share of boats that may flip at another sample: a heading lies n
 AGREEMENT = 1e-5  # rad and s, in 64 bits, between methods that answer the lag differently
 
 Rows = Float[np.ndarray, "parameter boat"]
-Ends = tuple[Float[np.ndarray, "boat"], Float[np.ndarray, "boat execute"]]  # last psi, switches
+# Last x, y, psi, u, v and r; s, of switches, NaN for none.
+Ends = tuple[Float[np.ndarray, "6 boat"], Float[np.ndarray, "boat execute"]]
 
 
 def document() -> dict[str, Any]:
@@ -59,7 +60,7 @@ def draw(count: int, seed: int = 0) -> Rows:
 
 
 def located_difference(ours: Ends, theirs: Ends) -> float:
-    """The largest difference of last headings (rad) and of times of located switches (s).
+    """The largest difference of last states (m, rad, m/s, rad/s) and of times of switches (s).
 
     Raises:
         AssertionError: a boat has not as many switches in both.
@@ -69,14 +70,14 @@ def located_difference(ours: Ends, theirs: Ends) -> float:
 
 
 def sampled_difference(ours: Ends, theirs: Ends) -> float:
-    """The largest difference of last headings (rad) where boats flip at the same samples.
+    """The largest difference of last states (m, rad, m/s, rad/s) where boats flip at the same samples.
 
     Raises:
         AssertionError: more than one boat in a thousand flips at others.
     """
     same = np.isclose(ours[1], theirs[1], rtol=0, atol=0.1 * STEP, equal_nan=True).all(1)
     assert same.mean() >= 1 - STRAY, f"{(~same).sum()} boats flip at other samples"
-    return np.abs(ours[0] - theirs[0])[same].max()
+    return np.abs(ours[0] - theirs[0])[:, same].max()
 
 
 def agree(peer: str, off: float, tolerance: float = AGREEMENT) -> None:

@@ -22,7 +22,8 @@ from diffsea.vessel.files import build
 
 
 Row = Float[Array, "13"]  # as `boats.PARAMETERS`
-End = tuple[Scalar, Float[Array, "execute"]]  # last heading; s, of switches, NaN for none
+# Last x, y, psi, u, v and r; s, of switches, NaN for none.
+End = tuple[Float[Array, "6"], Float[Array, "execute"]]
 LANES = 64
 SIDES = ("port", "starboard")
 
@@ -61,12 +62,12 @@ def zigzags() -> Callable[[Row], Carry]:
 
 
 def zigzag_ends() -> Callable[[Row], End]:
-    """The same, of which only the last heading and the switches are kept."""
+    """The same, of which only the last state and the switches are kept."""
     run = zigzags()
 
     def end(row: Row) -> End:
         carry = run(row)
-        return carry.motion.state.psi, carry.switch_times
+        return _numbers(carry.motion.state), carry.switch_times
 
     return end
 
@@ -91,9 +92,13 @@ def sampled_zigzag_ends() -> Callable[[Row], End]:
         none = jnp.full(boats.EXECUTES, jnp.nan)
         carry = (motion, jnp.ones_like(throttle), jnp.zeros((), int), none)
         (motion, _, _, times), _ = jax.lax.scan(step, carry, boats.STEP * jnp.arange(boats.STEPS))
-        return motion.state.psi, times
+        return _numbers(motion.state), times
 
     return end
+
+
+def _numbers(state: State) -> Float[Array, "6"]:
+    return jnp.stack([state.x, state.y, state.psi, state.u, state.v, state.r])
 
 
 def in_blocks(end: Callable[[Row], End], rows: boats.Rows) -> Callable[[], boats.Ends]:
@@ -104,7 +109,7 @@ def in_blocks(end: Callable[[Row], End], rows: boats.Rows) -> Callable[[], boats
     def run() -> boats.Ends:
         with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
             found = pool.map(lambda block: jax.block_until_ready(program(block)), blocks)
-            psi, times = zip(*found, strict=True)
-        return np.concatenate(psi), np.concatenate(times)
+            last, times = zip(*found, strict=True)
+        return np.concatenate(last).T, np.concatenate(times)
 
     return run

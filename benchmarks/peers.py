@@ -33,7 +33,7 @@ def beside_numba() -> Figure:
     rows = boats.draw(BATCH)
     ours = in_blocks(zigzag_ends(), rows)
     final, switches = numba_boats.run(rows)
-    agree("numba", boats.located_difference(ours(), (final[2], switches)))
+    agree("numba", boats.located_difference(ours(), (final, switches)))
     return batch_figure("engine-numba", ours, lambda: numba_boats.run(rows), "numba, every core")
 
 

@@ -49,8 +49,8 @@ def _rate(t: Any, s: PyTree, args: PyTree) -> tuple:
             (to_port - port) / lag, (to_starboard - starboard) / lag)  # fmt: skip
 
 
-def zigzag(p: Float[Array, "13"]) -> tuple[Float[Array, ""], Float[Array, "execute"]]:
-    """Last heading (rad) and times (s) of the switches of one boat; p as `boats.PARAMETERS`."""
+def zigzag(p: Float[Array, "13"]) -> tuple[Float[Array, "6"], Float[Array, "execute"]]:
+    """Last x, y, psi, u, v, r and times (s) of the switches of one boat; p as `boats.PARAMETERS`."""
     solver, term = ClassicalRungeKutta(), ODETerm(_rate)
     thrust, speed = p[10], p[12]
 
@@ -71,4 +71,4 @@ def zigzag(p: Float[Array, "13"]) -> tuple[Float[Array, ""], Float[Array, "execu
     none = jnp.full(boats.EXECUTES, jnp.nan)
     carry = (begin, zero + 1, jnp.zeros((), int), none)
     (state, _, _, times), _ = jax.lax.scan(step, carry, boats.STEP * jnp.arange(boats.STEPS))
-    return state[2], times
+    return jnp.stack(state[:6]), times

@@ -1,5 +1,7 @@
 """Rotations between earth and body axes, and angles."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -7,35 +9,57 @@ from diffsea.scales import is_absent
 from diffsea.types import Environment, Scalar, State
 
 
-# pi / 2 in three parts: the first two have trailing zeros, so that their products with a
-# whole number below a million are exact. Kernels of fdlibm (Sun Microsystems 1993) for
-# sine and cosine within a quarter of pi, to the last bit or two.
-_HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
-_SINE = (
-    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
-    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+class _Kernel(NamedTuple):
+    """What sine and cosine are made of within a quarter of pi, in one precision.
+
+    pi / 2 is in three parts, the first two with trailing zeros, so that their products with the
+    whole numbers of quarter turns that occur are exact.
+    """
+
+    half_pi: tuple[float, float, float]
+    sine: tuple[float, ...]  # of x^3, x^5 ...
+    cosine: tuple[float, ...]  # of x^4, x^6 ...
+
+
+# fdlibm (Sun Microsystems 1993): to the last bit or two, for angles below a million.
+_DOUBLE = _Kernel(
+    (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21),
+    (
+        -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+        2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+    ),
+    (
+        4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+        -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+    ),
 )  # fmt: skip
-_COSINE = (
-    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
-    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
-)  # fmt: skip
+# Cephes (Moshier 1992), sinf and cosf: likewise, for angles below some thousand.
+_SINGLE = _Kernel(
+    (1.5703125, 4.837512969970703125e-4, 7.549789948768648e-8),
+    (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4),
+    (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5),
+)
+_KERNELS = {jnp.dtype("float64"): _DOUBLE, jnp.dtype("float32"): _SINGLE}
 
 
 @jax.custom_jvp
 def sine_and_cosine(angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Sine and cosine of an angle (rad), in 64 bits by polynomials.
+    """Sine and cosine of an angle (rad), in 64 and 32 bits by polynomials.
 
     XLA calls a function per number for them on CPUs, and they are most of what a step of
-    a vessel costs. Right to 2e-16 for angles up to a million.
+    a vessel costs. Right to 2e-16 for angles up to a million, in 32 bits to 2e-7 up to a thousand.
     """
     angle = jnp.asarray(angle)
-    if angle.dtype != jnp.float64:
+    if angle.dtype not in _KERNELS:
         return jnp.sin(angle), jnp.cos(angle)
+    kernel = _KERNELS[angle.dtype]
     turns = jnp.round(angle * (2 / jnp.pi))
-    x = angle - turns * _HALF_PI[0] - turns * _HALF_PI[1] - turns * _HALF_PI[2]
+    x = angle
+    for part in kernel.half_pi:
+        x = x - turns * part
     square = x * x
-    sine = x + x * square * _polynomial(_SINE, square)
-    cosine = 1 - 0.5 * square + square * square * _polynomial(_COSINE, square)
+    sine = x + x * square * _polynomial(kernel.sine, square)
+    cosine = 1 - 0.5 * square + square * square * _polynomial(kernel.cosine, square)
     odd = jnp.abs(turns - 2 * jnp.round(0.5 * turns)) > 0.5
     quadrant = turns - 4 * jnp.floor(0.25 * turns)
     below = quadrant >= 1.5
