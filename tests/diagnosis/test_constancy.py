@@ -69,21 +69,28 @@ def test_coefficients_of_a_wind_are_one_in_all_parts(plain):
     assert constancy_test(problem, fitted, name, 10.0).degrees in (2, 14)
 
 
-BENT = {"thrust-curve": {"deadband": 30.0, "gain": 1.4, "slope": 0.1}}
+SEVERAL_NUMBERS = {  # effect, its table, coordinates to start from
+    "thrust-curve:law": (
+        {"thrust-curve": {"deadband": 30.0, "gain": 1.4, "slope": 0.1}},
+        (3.0, 0.0, 0.0, 0.0, 2.0, 0.0),
+    ),
+    "sway-yaw-coupling": ({"sway-yaw-coupling": {"Y_r": 60.0, "N_v": 40.0}}, (0.5, 0.5)),
+}
 
 
 @pytest.mark.parametrize("where", ["in both runs", "in one of them"])
-def test_several_laws_in_one_have_one_size_where_their_proportion_is_the_same(where):
+@pytest.mark.parametrize("name", SEVERAL_NUMBERS)
+def test_a_law_of_several_numbers_has_one_size_where_their_proportion_is_the_same(name, where):
     """One multiple of all of them in each half or eighth of two runs, less that of the whole."""
-    name = "thrust-curve:law"
-    effects = [BENT, BENT if where == "in both runs" else None]
+    table, begin = SEVERAL_NUMBERS[name]
+    effects = [table, table if where == "in both runs" else None]
     runs = [
         random_steps(DOCUMENT, 7 + k, SECONDS, STEP, effects=own) for k, own in enumerate(effects)
     ]
     problem = make_problem(usv(), runs, FREE, (EFFECTS[name],), False, 6)
     without = estimate(problem, FREE)
     start = np.array(without.coordinates)
-    start[problem.layout.indices((name,))] = (3.0, 0.0, 0.0, 0.0, 2.0, 0.0)
+    start[problem.layout.indices((name,))] = begin
     fitted = estimate(problem, (*FREE, name), start)
     found = constancy_test(problem, fitted, name, without.deviance - fitted.deviance)
     assert found.degrees in (3, 15)

@@ -38,6 +38,7 @@ LEVEL = 0.01  # of significance, shared by the tests
 PARTS = (2, 8)  # of each run: what changes once, and what comes and goes
 TOLERATED_SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
 TOLERATED_OF_SENSORS = 0.1  # kinematics has no laws that only nearly hold
+LAWS = ("actuator", "hull")  # families whose amounts are coefficients of one law, not components
 
 Columns = Float[np.ndarray, "value column"]  # six to each row of the data set, then the prior's
 PerColumn = Float[np.ndarray, "column"]
@@ -306,11 +307,13 @@ class Constancy(NamedTuple):
 def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
     """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
 
-    Its coefficients and its time are the same in all parts, and of an effect that is several laws
-    in one their proportion: where a part has but one order, say, these would be bent anew until
-    they fit whatever else is missing there. Of the two tests, the one that speaks more against one
-    size. How the innovations depend on one another in time is taken from what is
-    left with those sizes: with one size, what comes and goes would pass for coloured gusts.
+    Its coefficients and its time are the same in all parts, and of a law of hull or actuators the
+    proportion of its amounts: where a part has but one order or manoeuvre, these would be bent anew
+    until they fit whatever else is missing there. The components of a flow, or of a sensor's error,
+    are asked one by one: else a force that turns with the vessel would pass for a wind. Of the two
+    tests, the one that speaks more against one size. How the innovations depend on one another in
+    time is taken from what is left with those sizes: with one size, what comes and goes would pass
+    for coloured gusts.
 
     Arguments:
         effect: its name; one of those that `fitted` was fitted with.
@@ -322,7 +325,7 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     J = nuisance[:, [owner == effect for owner in owners]]
     amounts = EFFECTS[effect].amounts
     sizes = J[:, np.tile(amounts, J.shape[1] // len(amounts))]
-    if EFFECTS[effect].parts:
+    if EFFECTS[effect].family in LAWS:
         found = fitted.coordinates[problem.layout.indices((effect,))]
         sizes = (J @ found)[:, None]
     # All parts together are the effect but for its prior, which says nothing of constancy.
