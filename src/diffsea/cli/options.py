@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.files import VesselFile
 
+# Of a command's arguments, those that change no result.
+_NOT_ASKED = ("run", "usage_error", "output", "json", "debug")
+
 Commands = Any  # argparse's sub-parsers, whose class is private
 Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
 
@@ -292,6 +295,17 @@ def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[
             told = ", ".join(f"{one.start:.0f} s to {one.end:.0f} s ({one.why})" for one in idle)
             progress(f"{run.name}: left out as idle: {told}; --keep-idle keeps them")
     return parts
+
+
+def source_of(args: argparse.Namespace) -> dict[str, Any]:
+    """What was asked for, as a page states it: the command, and what it was given."""
+    asked = {k: v for k, v in vars(args).items() if k not in _NOT_ASKED and v not in (None, False)}
+    texts = {
+        name: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+        for name, value in asked.items()
+    }
+    command = args.run.__name__.removesuffix("_command")
+    return {"command": f"diffsea {command}", "options": texts}
 
 
 def progress(message: str) -> None:

@@ -54,7 +54,7 @@ def register(commands: options.Commands) -> None:
 def metrics_command(args: argparse.Namespace) -> None:
     """Read the numbers of a trial off recordings: advance, tactical diameter, overshoots and so on,
     with the verdicts of IMO MSC.137(76). Orders and the manoeuvre are found in the recording.
-    Writes metrics.json; with several recordings it holds {"runs": {name: ...}}.
+    Writes metrics.json, which holds {"runs": {name: ...}} of several recordings, and metrics.html.
 
     examples:
       diffsea metrics circle.csv --length 4.9
@@ -63,6 +63,7 @@ def metrics_command(args: argparse.Namespace) -> None:
     """
     from diffsea.metrics import recording_metrics
     from diffsea.metrics.orders import as_thrust
+    from diffsea.report.pages.recordings import metrics_page
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
@@ -75,12 +76,15 @@ def metrics_command(args: argparse.Namespace) -> None:
         }
         (first, *others) = found.values()
         out.json("metrics.json", {"runs": found} if others else first)
+        by_name = {run.name: run for run in runs}
+        out.text("metrics.html", metrics_page(found, by_name, options.source_of(args)))
     out.present(args, "\n\n".join(f"{n}: {metrics_text(item)}" for n, item in found.items()))
 
 
 def audit_command(args: argparse.Namespace) -> None:
     """Check recordings for faults of labels, units, frames, signs, clocks and sensors, by
-    kinematics alone and before any physics is blamed. Writes audit.json, the list of findings.
+    kinematics alone and before any physics is blamed. Writes audit.json, the list of findings, and
+    audit.html.
 
     With --repair, what is certain is put right, the recording audited again, and a repair that is
     no better undone: this writes NAME.repaired.csv per recording with native columns, repairs.json
@@ -101,9 +105,13 @@ def audit_command(args: argparse.Namespace) -> None:
     if args.repair:
         _repair(args)
         return
+    from diffsea.report.pages.recordings import audit_page
+
     with Outputs(args.output) as out:
-        found, message = _audit_or_propose(args, out)
+        found, runs, message = _audit_or_propose(args, out)
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
+        notes = ["Some were read through a mapping that was proposed."] if message else []
+        out.text("audit.html", audit_page(found, runs, notes, options.source_of(args)))
     if message and args.json:
         options.progress(message)
     texts = [
@@ -115,8 +123,10 @@ def audit_command(args: argparse.Namespace) -> None:
 
 def _audit_or_propose(
     args: argparse.Namespace, out: Outputs
-) -> "tuple[list[tuple[str, list[Finding]]], str]":
+) -> "tuple[list[tuple[str, list[Finding]]], dict[str, Trajectory], str]":
     """Findings by recording, read through proposed mappings, written to `out`, where need be.
+
+    With them the recordings that could be read, by name, and a text.
 
     A file that cannot be read has what is wrong with it as its one finding, and so has one that
     cannot be audited for want of a time. The text says what was proposed, and is empty where
@@ -139,8 +149,9 @@ def _audit_or_propose(
         found, text = _read_through_proposal(group, out, args)
         read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
         texts.append(text)
-    options.tell_mappings([one for one in read.values() if not isinstance(one, Finding)])
-    return audit_readable(list(read.values())), "".join(texts)
+    runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
+    options.tell_mappings(list(runs.values()))
+    return audit_readable(list(read.values())), runs, "".join(texts)
 
 
 def _under_the_same_name(
@@ -262,16 +273,18 @@ def predict_command(args: argparse.Namespace) -> None:
 
     Actuation that was measured (exec_ columns) is used as measured, any other goes through the
     vessel's actuators; the result says which. Writes predicted.csv, predict.json with
-    root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it, and
-    prediction.png. With --environment-from, current and wind are estimated on the first part of
-    the run and only the rest is predicted.
+    root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it,
+    prediction.png and predict.html. With --environment-from, current and wind are estimated on the
+    first part of the run and only the rest is predicted.
 
     examples:
       diffsea predict usv.toml run1.csv
       diffsea predict out/fit/vessel.toml run7.csv --mapping field.toml -o out/run7
     """
     from diffsea.recordings import write_recording
+    from diffsea.report.pages.recordings import prediction_page
     from diffsea.report.pictures import save_prediction
+    from diffsea.report.predictions import Prediction
     from diffsea.simulation.actuation import how_actuated
     from diffsea.simulation.order_units import require_order_units
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
@@ -313,6 +326,9 @@ def predict_command(args: argparse.Namespace) -> None:
         out.json("predict.json", result)
         title = f"{recording.name} predicted by {vessel.name}"
         save_prediction(predicted, recording, out.path("prediction.png"), title)
+        drawn = Prediction(predicted, ahead)
+        page = prediction_page(recording, drawn, result, options.source_of(args))
+        out.text("predict.html", page)
     out.present(args, _prediction_text(result))
 
 

@@ -50,13 +50,14 @@ def segment_command(args: argparse.Namespace) -> None:
     those of the executed steering, where it was measured or a vessel says how orders are answered;
     else of the orders, and the result says so. Every segment becomes a recording of its own, time
     zero at the onset, with checks from order to motion. Writes the segments, segments.json with
-    their provenance, and a plot of each recording.
+    their provenance, segments.html, and a plot of each recording.
 
     examples:
       diffsea segment day1.csv day2.csv
       diffsea segment log.csv --mapping boat.toml --vessel otter
       diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
     """
+    from diffsea.report.pages.recordings import segments_page
     from diffsea.report.pictures import save_segments
     from diffsea.segments import SegmentSettings, group_repeats
     from diffsea.segments.export import export, file_name, record, source_of
@@ -79,7 +80,7 @@ def segment_command(args: argparse.Namespace) -> None:
         scales = [with_window(one, settings) for one in signals]
         found = [segments_of(*pair) for pair in zip(signals, scales, strict=True)]
         labelled = iter(group_repeats([segment for own in found for segment in own], settings))
-        entries, texts = [], []
+        entries, texts, shown = [], [], []
         for k, run in enumerate(runs):
             segments = [next(labelled) for _ in found[k]]
             save_segments(signals[k], segments, out.path(f"{stems[k]}.png"), run.name)
@@ -102,7 +103,9 @@ def segment_command(args: argparse.Namespace) -> None:
                 }
             )
             texts.append(_segments_text(run, chosen, signals[k].notes))
+            shown.append((run, chosen, signals[k].notes))
         out.json("segments.json", record(entries))
+        out.text("segments.html", segments_page(shown, options.source_of(args)))
     out.present(args, "\n\n".join(texts))
 
 

@@ -50,12 +50,13 @@ def sensitivity_command(args: argparse.Namespace) -> None:
     """Derivatives of every number of a trial with respect to every parameter of the vessel, exact
     through the switching of orders. The approach speed, the orders and the time step stay as they
     are. Writes sensitivity.json, {metric: {parameter: derivative}} in the SI units of both, and
-    tornado.png with the relative sensitivities.
+    tornado.png and sensitivity.html with the relative sensitivities.
 
     examples:
       diffsea sensitivity kvlcc2 --manoeuvre zigzag --speed 1.179
       diffsea sensitivity usv.toml --manoeuvre turning-circle --parameters mass,N_r,N_rr
     """
+    from diffsea.report.pages.studies import sensitivity_page
     from diffsea.report.pictures import save_tornado
     from diffsea.simulation.planning import run_and_measure
     from diffsea.studies.sensitivity import parameter_names, sensitivities
@@ -71,6 +72,9 @@ def sensitivity_command(args: argparse.Namespace) -> None:
         relative, title = found.elasticities, f"{vessel.name}: {plan.manoeuvre}"
         out.json("sensitivity.json", found.derivatives)
         save_tornado(relative, out.path("tornado.png"), title)
+        named = vessel.name, plan.manoeuvre
+        page = sensitivity_page(relative, found.numbers, named, options.source_of(args))
+        out.text("sensitivity.html", page)
     rows = []
     for number, row in relative.items():
         strongest = sorted(row, key=lambda name: -abs(row[name]))[:STRONGEST]
@@ -130,14 +134,15 @@ def sweep_command(args: argparse.Namespace) -> None:
     of the vessel file by name (mass, N_r, rudder.area ...), the approach speed (speed, m/s) or the
     total thrust (thrust, N). All values are in SI units.
     Writes sweep.parquet with one row per design: parameters, metrics, IMO verdicts and outcome; a
-    summary in sweep.json; and map.png for a grid over two parameters. A design that diverges or is
-    impossible has nulls and its outcome says so.
+    summary in sweep.json; sweep.html; and map.png for a grid over two parameters. A design that
+    diverges or is impossible has nulls and its outcome says so.
 
     examples:
       diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
       diffsea sweep usv.toml --manoeuvre turning-circle --sample 2000 mass=150:220 x_G=-0.3:0.3
       diffsea sweep kvlcc2 --manoeuvre zigzag --grid speed=0.6:1.2:7
     """
+    from diffsea.report.pages.studies import sweep_page
     from diffsea.report.pictures import save_map
     from diffsea.studies import sweep
 
@@ -151,7 +156,9 @@ def sweep_command(args: argparse.Namespace) -> None:
         summary = _sweep_summary(found, designs)
         summary["vessel_steps_per_second"] = rate
         found.to_parquet(out.path("sweep.parquet"), index=False)
-        out.json("sweep.json", {"vessel": vessel.name, "manoeuvre": plan.manoeuvre, **summary})
+        summary = {"vessel": vessel.name, "manoeuvre": plan.manoeuvre, **summary}
+        out.json("sweep.json", summary)
+        out.text("sweep.html", sweep_page(found, summary, options.source_of(args)))
         if args.grid is not None and len(designs.names) == 2:
             title = f"{vessel.name}: {plan.manoeuvre}"
             save_map(found, designs.names, out.path("map.png"), title)

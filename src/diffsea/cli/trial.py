@@ -136,8 +136,8 @@ def trial_command(args: argparse.Namespace) -> None:
 
     Orders switch at the exact instant at which the heading is reached, whatever the step.
     Angles are rudder angles; for twin thrusters 35 deg means all thrust on one side.
-    Writes recording.csv, metrics.json (with the verdicts of IMO MSC.137(76)), track.png and
-    series.png.
+    Writes recording.csv, metrics.json (with the verdicts of IMO MSC.137(76)), trial.html,
+    track.png and series.png.
 
     examples:
       diffsea trial otter --manoeuvre turning-circle
@@ -147,6 +147,7 @@ def trial_command(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report.pictures import save_trial_series, save_trial_track
     from diffsea.simulation import planning
+    from diffsea.workflows.campaigns import trial_of_plan
 
     vessel = options.read_vessel(args).vessel
     plan = trial_plan(args, vessel)
@@ -161,6 +162,7 @@ def trial_command(args: argparse.Namespace) -> None:
         title = f"{vessel.name}: {plan.manoeuvre}"
         save_trial_track(trial, out.path("track.png"), title)
         save_trial_series(trial, out.path("series.png"), title, vessel)
+        out.text("trial.html", trial_of_plan(vessel, plan, trial, metrics).html())
     out.present(args, metrics_text(metrics))
 
 
