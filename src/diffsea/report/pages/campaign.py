@@ -82,6 +82,8 @@ def _verdict_sentence(record: Record) -> str:
     if not criteria:
         return "No criterion of IMO MSC.137(76) applies to these trials."
     failed = [row for row in criteria if row["verdict"] == "fail"]
+    if not failed and len(criteria) == 1:
+        return "The one criterion of IMO MSC.137(76) that applies is met."
     if not failed:
         return f"All {len(criteria)} criteria of IMO MSC.137(76) that apply are met."
     names = dict.fromkeys(f"{number_words(row['number'])} ({row['trial']})" for row in failed)

@@ -19,6 +19,7 @@ from diffsea.report.words import Record, enumeration
 SHOWN_NUMBERS = 6  # of a trial, the most informative ones, that are drawn
 SHOWN_BARS = 10  # parameters of a number
 WEAKEST = 1e-3  # of the strongest, below which a bar cannot be seen
+NO_INFLUENCE = 1e-6  # of a number: rounding, and how steady an approach is
 DRAWN_DESIGNS = 4000  # of a cloud: more cannot be told apart, and make the page long
 FAILS = "fails the criterion"
 
@@ -57,7 +58,9 @@ def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
 def _drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """The most informative numbers that differ among the designs."""
     numeric = [str(n) for n in table.select_dtypes("number") if n not in names]
-    return most_informative([n for n in numeric if np.ptp(table[n].dropna()) > 0], SHOWN_NUMBERS)
+    values = {name: table[name].dropna() for name in numeric}
+    differing = [n for n, v in values.items() if np.ptp(v) > NO_INFLUENCE * np.abs(v).max()]
+    return most_informative(differing, SHOWN_NUMBERS)
 
 
 def _is_grid(table: pd.DataFrame, names: Sequence[str]) -> bool:
@@ -177,6 +180,10 @@ def sensitivity_page(
         title: the vessel's name, and the trial.
         source: what was run; shown as it is.
     """
+    relative = {
+        number: {name: size for name, size in row.items() if abs(size) > NO_INFLUENCE}
+        for number, row in relative.items()
+    }
     shown = most_informative([name for name, row in relative.items() if row], SHOWN_NUMBERS)
     strongest = max(
         ((abs(size), number, name) for number in shown for name, size in relative[number].items()),
@@ -237,6 +244,6 @@ def _elasticity_table(
         value, unit = for_people(values[number], number_unit(number))
         ranked = sorted(row, key=lambda name: -abs(row[name]))[:SHOWN_BARS]
         told = ", ".join(f"{name} {significant(row[name], 2)}" for name in ranked)
-        rows.append([number_words(number), significant(value, 4), unit, Verbatim(told)])
+        rows.append([number_words(number), significant(value, 4), unit, Verbatim(told or "-")])
     caption = "Per cent of the number per one per cent of the strongest parameters"
     return Table(["number", "value", "unit", "strongest"], rows, caption, (1,))
