@@ -35,8 +35,8 @@ quick: setup
 experiments: setup
 	$(BIN)/python -m experiments.every
 
-# The longest tests and those of experiments; then the proof on real recordings, which lie in
-# ../shared/data: hours; goes on where it was stopped.
+# The longest tests and those of experiments; then the proof on real recordings, which lie where
+# experiments/DATA.md says: hours; goes on where it was stopped.
 proof: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "proof or experiment"
 	$(BIN)/python -m experiments.concealed_real.run

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from tests.paths import ROOT
+from tests.paths import DATA, ROOT
 
 from diffsea import (
     Trajectory,
@@ -22,7 +22,6 @@ from diffsea import (
 from diffsea.recordings import to_frame
 
 
-DATA = ROOT.parent / "shared" / "data"
 MAPPED = [
     ("blueboat", "fixed_00000224.csv"),
     ("esso_osaka", "recordings/zigzag_31-Jul-2020_13_04_24.csv"),
