@@ -315,11 +315,6 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
-def test_no_command_is_bad_usage(capsys):
-    assert run() == 2
-    assert "COMMAND" in capsys.readouterr().err
-
-
 # outputs
 
 

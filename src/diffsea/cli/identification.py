@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 
 ANCHORS = ("mass", "thrust")  # as the library has them, which would import JAX to be asked
+OBJECTIVES = ("innovation", "free-run", "trial-numbers")  # likewise
+TABLE_OF_OBJECTIVES = "diffsea.identification.study:OBJECTIVES"
 STAGES = 8  # of a diagnosis, as most are
 
 
@@ -30,7 +32,7 @@ def register(commands: options.Commands) -> None:
     summary = "identify a vessel's derivatives from recordings"
     fit = options.add_command(commands, "fit", fit_command, summary)
     _add_inputs(fit)
-    objectives = options.LibraryNames("objective", "diffsea.identification.study:OBJECTIVES")
+    objectives = options.LibraryNames(OBJECTIVES, "objective", TABLE_OF_OBJECTIVES)
     objective = "%(choices)s (default: innovation; trial-numbers for a sheet)"
     add_option(fit, "--objective", "O", objectives, objective, choices=objectives)
     starts = "starts drawn from the priors, explored at once"

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
 
 
+# As the library has them, which would import JAX to be asked.
+RECORDED_TRIALS = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 UNITS_OF_PEOPLE = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
 
@@ -32,7 +34,7 @@ def register(commands: options.Commands) -> None:
     size = metrics.add_mutually_exclusive_group()
     add_option(size, "--vessel", "V", str, "vessel whose length and thrust curves count")
     add_option(size, "--length", "M", options.positive, "L_pp as recorded")
-    trials = options.LibraryNames("manoeuvre", "diffsea.metrics:RECORDED_TRIALS")
+    trials = options.LibraryNames(RECORDED_TRIALS, "manoeuvre", "diffsea.metrics:RECORDED_TRIALS")
     manoeuvre = "what was run, if known better: %(choices)s"
     add_option(metrics, "--manoeuvre", "NAME", trials, manoeuvre, choices=trials)
     scale = "full-scale over recorded length, for the verdicts on a model"

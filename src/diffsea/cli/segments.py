@@ -35,13 +35,13 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--window", "S", options.positive, window)
     interval = "resample the segments to this time step (default: as recorded)"
     add_option(parser, "--interval", "S", options.positive, interval)
-    formats = options.one_of(FORMATS, "format")
+    formats = options.OneOf(FORMATS, "format")
     add_option(parser, "--format", "|".join(FORMATS), formats, "of the segments", default="csv")
 
 
 def _kind_names(text: str) -> tuple[str, ...]:
     """Kinds of segments separated by commas."""
-    kind = options.one_of(KINDS, "kind")
+    kind = options.OneOf(KINDS, "kind")
     return tuple(kind(name) for name in options.names(text))
 
 

@@ -6,6 +6,7 @@ import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
+from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.trial import add_trial_command, require_run, trial_plan
@@ -33,9 +34,10 @@ def register(commands: options.Commands) -> None:
     sweep = add_trial_command(commands, "sweep", sweep_command, summary)
     group = sweep.add_argument_group("designs")
     grid, form = "all combinations of evenly spaced values", "NAME=FROM:TO:COUNT"
-    add_option(group, "--grid", form, axis, grid, nargs="+", action="extend")
+    add_option(group, "--grid", form, axis, grid, nargs="+", action=GivenOnce)
     sample = "N random designs that cover all ranges evenly"
-    add_option(group, "--sample", ("N", "NAME=FROM:TO"), str, sample, nargs="+")
+    form = ("N", "NAME=FROM:TO")
+    add_option(group, "--sample", form, str, sample, nargs="+", action=GivenOnce)
     add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
     sweep.set_defaults(usage_error=sweep.error)
     summary = "a mission in closed loop: vessel, controller, waypoints, weather"

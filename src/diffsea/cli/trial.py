@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from diffsea.vessel.base import Vessel
     from diffsea.workflows.campaigns import PlannedTrial
 
+# As the library has them, which would import JAX to be asked; what each is, its table says.
+STANDARD_TRIALS = (
+    *("turning-circle", "zigzag", "modified-zigzag", "acceleration", "stopping", "coasting"),
+    *("pull-out", "spiral"),
+)
+TABLE_OF_TRIALS = "diffsea.simulation.standard:STANDARD_TRIALS"
 RUN_OPTIONS = ("speed", "thrust", "seconds", "step", "executes", "keep_speed")
 
 
@@ -48,7 +54,7 @@ def add_trial_command(
     parser = options.add_command(commands, name, run, summary)
     options.add_vessel(parser)
     group = parser.add_argument_group("trial")
-    trials = options.LibraryNames("manoeuvre", "diffsea.simulation.standard:STANDARD_TRIALS")
+    trials = options.LibraryNames(STANDARD_TRIALS, "manoeuvre", TABLE_OF_TRIALS)
     add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=True)
     angle = (
         "rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a "

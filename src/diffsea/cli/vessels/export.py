@@ -19,7 +19,7 @@ def register(commands: options.Commands) -> None:
     text = "a vessel for Gazebo, ArduPilot, FMI or MATLAB"
     parser = options.add_command(commands, "export", export_command, text)
     options.add_vessel(parser)
-    targets = options.one_of(tuple(_WRITERS), "target")
+    targets = options.OneOf(tuple(_WRITERS), "target")
     text = f"the tool: {', '.join(_WRITERS)}"
     options.add_option(parser, "--to", "TOOL", targets, text, required=True)
     options.add_flag(parser, "--allow-loss", "leave out, by name, what the tool cannot express")
