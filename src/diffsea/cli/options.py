@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _NOT_ASKED = ("run", "usage_error", "output", "json", "debug")
 
 Commands = Any  # argparse's sub-parsers, whose class is private
+LINES: list[Callable[[str], None]] = []  # what shows lines while bars are drawn
 Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
 
 
@@ -309,5 +310,9 @@ def source_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def progress(message: str) -> None:
-    """A line for the person who waits, on standard error."""
-    print(printable(message), file=sys.stderr, flush=True)
+    """A line for the person who waits, on standard error, above the bar where there is one."""
+    shown = printable(message)
+    if LINES:
+        LINES[-1](shown)
+    else:
+        print(shown, file=sys.stderr, flush=True)

@@ -5,14 +5,16 @@ import dataclasses
 import math
 import pathlib
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress import StagedProgress
 from diffsea.cli.trial import metrics_text
 from diffsea.errors import UserError
+from diffsea.progress import PartialProgress
 
 
 if TYPE_CHECKING:
@@ -69,8 +71,11 @@ def metrics_command(args: argparse.Namespace) -> None:
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
-    runs = options.read_recordings(args.recordings, args)
-    with Outputs(args.output) as out:
+    stages = {"reading": 1.0, "measuring": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell(f"reading {len(args.recordings)} recordings")
+        runs = options.read_recordings(args.recordings, args)
+        tell("measuring the trials")
         made = {} if vessel is None else vessel.thrusts_at_rest
         thrusts = [as_thrust(run, made) for run in runs] if made else runs
         found = {
@@ -109,8 +114,9 @@ def audit_command(args: argparse.Namespace) -> None:
         return
     from diffsea.report.pages.recordings import audit_page
 
-    with Outputs(args.output) as out:
-        found, runs, message = _audit_or_propose(args, out)
+    stages = {"reading": 2.0, "looking": 4.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        found, runs, message = _audit_or_propose(args, out, tell)
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
         notes = ["Some were read through a mapping that was proposed."] if message else []
         out.text("audit.html", audit_page(found, runs, notes, options.source_of(args)))
@@ -124,7 +130,7 @@ def audit_command(args: argparse.Namespace) -> None:
 
 
 def _audit_or_propose(
-    args: argparse.Namespace, out: Outputs
+    args: argparse.Namespace, out: Outputs, tell: Callable[[str], None]
 ) -> "tuple[list[tuple[str, list[Finding]]], dict[str, Trajectory], str]":
     """Findings by recording, read through proposed mappings, written to `out`, where need be.
 
@@ -144,6 +150,7 @@ def _audit_or_propose(
     paths: Sequence[pathlib.Path] = args.recordings
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
+    tell(f"reading {len(paths)} recordings")
     layouts = foreign_layouts(paths) if args.mapping is None else []
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
@@ -153,6 +160,7 @@ def _audit_or_propose(
         texts.append(text)
     runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
     options.tell_mappings(list(runs.values()))
+    tell("looking for faults")
     return audit_readable(list(read.values())), runs, "".join(texts)
 
 
@@ -229,9 +237,13 @@ def _repair(args: argparse.Namespace) -> None:
         if stems.count(stem) > 1:
             raise UserError(f"two recordings would be repaired into {written}; do them in turn")
     mapping = read_mapping(args.mapping) if args.mapping else None
-    runs = options.read_recordings(args.recordings, args)
-    with Outputs(args.output) as out:
-        repairs = [repair(run, mapping) for run in runs]
+    with Outputs(args.output) as out, StagedProgress({"reading": 1.0, "repairing": 5.0}) as tell:
+        tell("reading")
+        runs = options.read_recordings(args.recordings, args)
+        repairs = []
+        for number, run in enumerate(runs):
+            tell(PartialProgress(run.name, number / len(runs), f"repairing {len(runs)} recordings"))
+            repairs.append(repair(run, mapping))
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
         records, texts = [], []
         for stem, one in zip(stems, repairs, strict=True):
@@ -292,19 +304,24 @@ def predict_command(args: argparse.Namespace) -> None:
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
 
-    vessel = options.read_vessel(args).vessel
-    (recording,) = options.read_recordings([args.recording], args)
-    require_order_units(vessel, [recording])
-    environment = None
-    if args.environment_from is not None:
-        from diffsea.identification.holdout import environment_from
+    stages = {"reading": 2.0, "replaying": 4.0, "predicting": 4.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("reading")
+        vessel = options.read_vessel(args).vessel
+        (recording,) = options.read_recordings([args.recording], args)
+        require_order_units(vessel, [recording])
+        environment = None
+        if args.environment_from is not None:
+            from diffsea.identification.holdout import environment_from
 
-        options.progress(f"estimating the environment of the first {args.environment_from:g} s")
-        vessel, recording, environment = environment_from(vessel, recording, args.environment_from)
-    actuation = how_actuated(vessel, [recording])
-    if args.orders:
-        actuation = dict.fromkeys(actuation, "reconstructed")
-    with Outputs(args.output) as out:
+            tell(f"estimating the environment of the first {args.environment_from:g} s")
+            vessel, recording, environment = environment_from(
+                vessel, recording, args.environment_from
+            )
+        actuation = how_actuated(vessel, [recording])
+        if args.orders:
+            actuation = dict.fromkeys(actuation, "reconstructed")
+        tell("replaying the orders")
         predicted = replay(vessel, recording, not args.orders)
         if predicted.outcome == Outcome.DIVERGED:
             raise UserError(
@@ -312,6 +329,7 @@ def predict_command(args: argparse.Namespace) -> None:
                 "recording: look at units and signs of the orders (diffsea audit), and at the "
                 f"derivatives of {vessel.name!r}"
             )
+        tell("predicting from starts along the run")
         ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
         result: dict[str, Any] = {
             "vessel": vessel.name,
@@ -324,6 +342,7 @@ def predict_command(args: argparse.Namespace) -> None:
         }
         if environment is not None:
             result["environment"] = {"seconds": args.environment_from, **environment}
+        tell("writing")
         write_recording(predicted, out.path("predicted.csv"))
         out.json("predict.json", result)
         title = f"{recording.name} predicted by {vessel.name}"

@@ -9,6 +9,7 @@ from diffsea.cli import options
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress import StagedProgress
 from diffsea.cli.trial import add_trial_command, require_run, trial_plan
 from diffsea.errors import UserError
 
@@ -66,11 +67,14 @@ def sensitivity_command(args: argparse.Namespace) -> None:
     vessel = options.read_vessel(args).vessel
     parameter_names(vessel, args.parameters)
     plan = trial_plan(args, vessel)
-    with Outputs(args.output) as out:
+    stages = {"running": 6.0, "differentiating": 20.0, "writing": 1.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("running the trial")
         trial, _ = run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
-        options.progress("differentiating; the first time takes a while to compile")
+        tell("differentiating")
         found = sensitivities(vessel, plan, args.parameters)
+        tell("writing")
         relative, title = found.elasticities, f"{vessel.name}: {plan.manoeuvre}"
         out.json("sensitivity.json", found.derivatives)
         save_tornado(relative, out.path("tornado.png"), title)
@@ -152,9 +156,10 @@ def sweep_command(args: argparse.Namespace) -> None:
     vessel = options.read_vessel(args).vessel
     sweep.check_names(vessel, designs.names)
     plan = trial_plan(_at_slowest(args, designs), vessel)
-    options.progress(f"{len(designs.values)} designs; the first block is compiled")
-    with Outputs(args.output) as out:
-        found, rate = sweep.sweep(vessel, plan, designs, options.progress)
+    with Outputs(args.output) as out, StagedProgress({"running": 20.0, "writing": 1.0}) as tell:
+        tell(f"running {len(designs.values)} designs")
+        found, rate = sweep.sweep(vessel, plan, designs, tell)
+        tell("writing")
         summary = _sweep_summary(found, designs)
         summary["vessel_steps_per_second"] = rate
         found.to_parquet(out.path("sweep.parquet"), index=False)
@@ -235,8 +240,11 @@ def run_command(args: argparse.Namespace) -> None:
     if args.battery is not None:
         _run_battery(args)
         return
-    with Outputs(args.output) as out:
+    stages = {"running": 8.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("running the mission")
         found = run_mission(args.mission)
+        tell("writing")
         write_recording(found.recorded, out.path("recording.csv"))
         if found.run.mission.sensors is not None:
             write_recording(found.true, out.path("truth.csv"))
@@ -248,8 +256,7 @@ def run_command(args: argparse.Namespace) -> None:
 
 def _run_battery(args: argparse.Namespace) -> None:
     """The mission with what its battery draws, run by run."""
-    from diffsea.cli.progress import StagedProgress
-    from diffsea.identification.estimates import PartialProgress
+    from diffsea.progress import PartialProgress
     from diffsea.workflows.missions import run_battery
 
     with Outputs(args.output) as out:

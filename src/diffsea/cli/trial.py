@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress import StagedProgress
 from diffsea.errors import UserError
 from diffsea.runtime import prepare_jax
 
@@ -157,12 +158,15 @@ def trial_command(args: argparse.Namespace) -> None:
 
     vessel = options.read_vessel(args).vessel
     plan = trial_plan(args, vessel)
-    with Outputs(args.output) as out:
+    stages = {"running": 6.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("running the trial")
         trial, numbers = planning.run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
         metrics = planning.summarise_trial(vessel, plan, trial, numbers)
         if metrics["outcome"] != "completed":
             options.progress(f"{metrics['outcome_message']}; give it more with --seconds")
+        tell("writing")
         write_recording(trial.trajectory, out.path("recording.csv"))
         out.json("metrics.json", metrics)
         title = f"{vessel.name}: {plan.manoeuvre}"
@@ -198,7 +202,6 @@ def campaign_command(args: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from diffsea.cli.progress import StagedProgress
     from diffsea.recordings import write_recording
     from diffsea.workflows.campaigns import USUAL_TRIALS, campaign
 

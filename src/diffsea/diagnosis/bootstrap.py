@@ -14,10 +14,11 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.screening import Screening, screen
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Estimate, PartialProgress, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.resimulation import resimulate
+from diffsea.progress import PartialProgress, Progress, no_progress
 
 
 LEAST_DRAWS = 100  # fewer cannot show less than one per cent

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.score import Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
-from diffsea.identification.estimates import Estimate, PartialProgress, Progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.free_predictions import (
     MotionChange,
@@ -26,6 +26,7 @@ from diffsea.identification.free_predictions import (
 )
 from diffsea.identification.holdout import Gain, Split, exchanged_fits, held_out_gain
 from diffsea.identification.problem import Problem
+from diffsea.progress import PartialProgress, Progress
 from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
 
 
@@ -528,8 +529,8 @@ def refit_candidates(
     ]
 
     def refit_first(name: str) -> Hypothesis:
-        number, stage = names.index(name), f"refitting {len(names)} hypotheses"
-        message = f"refitting {number + 1} of {len(names)}: {name}"
+        number, stage = names.index(name), f"trying {len(names)} causes"
+        message = f"trying cause {number + 1} of {len(names)}: {name}"
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 

@@ -7,9 +7,10 @@ from scipy.stats import chi2
 
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import expansion_points
-from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.base import AbstractObjective, Starts
 from diffsea.identification.problem import Problem
+from diffsea.progress import Progress, no_progress
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,10 +14,8 @@ from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import (
     Estimate,
     ParameterRecord,
-    Progress,
     effect_table,
     is_known,
-    no_progress,
     parameter_estimates,
     parameter_records,
 )
@@ -49,6 +47,7 @@ from diffsea.identification.uncertainty.identifiability import (
 )
 from diffsea.identification.uncertainty.sources import Sources, sources
 from diffsea.parameters import Parameter, check_names
+from diffsea.progress import Progress, no_progress
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -89,6 +88,7 @@ class FitSettings:
     effects: tuple[str, ...] = ()  # of the catalogue, estimated besides
     per_recording: bool = False  # whether wind and current are each recording's own
     seed: int = 0
+    proposes: bool = True  # whether a manoeuvre is looked for that would tell more
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,7 +267,8 @@ def identify(
         wanted = asymmetric_parameters(objective, fitted)
     profiles = {name: profile_interval(objective, fitted, name, progress) for name in wanted}
     proposal = None  # a manoeuvre that would tell more, where the data leave something open
-    if problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE:
+    leaves_open = problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE
+    if problem is not None and leaves_open and settings.proposes:
         progress("looking for the manoeuvre that would tell most")
         proposal = next_manoeuvre(problem, with_noise(fitted, problem))
     heavy = any(name in INERTIA for name in names)

@@ -34,6 +34,7 @@ def fit_report(
     data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
     source: Record,
     verdict: FitVerdict,
+    not_done: Sequence[str] = (),
 ) -> str:
     """The page.
 
@@ -45,8 +46,10 @@ def fit_report(
         data: recordings that were fitted, none for a sheet of trial numbers, and held out.
         source: what was run on what; shown as it is.
         verdict: whether something is missing.
+        not_done: what a quick look left out.
     """
     recordings, test = data
+    quick = words.quick_sentence(not_done)
     with_sheet = bool(study.objective.residuals(study.estimate.coordinates))
     weak = [row["name"] for row in study.rows if row["determined"] < 0.5]
     count, rest = len(study.rows), "rests" if len(weak) == 1 else "rest"
@@ -74,7 +77,7 @@ def fit_report(
         parameters=parameter_table(study.rows),
         anchor=words.capital(study.anchor) + ".",
         effects=[line for item in study.effects.items() for line in words.effect_lines(*item)],
-        open_questions=_open_questions(study),
+        open_questions=[*_open_questions(study), *([quick] if quick else [])],
         sources=None if study.sources is None else source_table(study.sources),
         source_notes=[] if study.sources is None else _source_notes(study.sources),
         trial_numbers=_trial_number_table(study) if with_sheet else None,

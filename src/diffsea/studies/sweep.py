@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import file_parameters, replace, spread_over_places
+from diffsea.progress import PartialProgress
 from diffsea.simulation import planning
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
@@ -205,7 +206,8 @@ def _run_designs(
                 reported = time.perf_counter()
                 done = min(len(values), len(results) * size)
                 rate = steps / (reported - began)
-                progress(f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s")
+                message = f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s"
+                progress(PartialProgress(message, done / len(values)))
     seconds = time.perf_counter() - began
     if len(batches) == 1:  # nothing ran without being compiled first
         steps, seconds = int(first.steps.sum()), compiling

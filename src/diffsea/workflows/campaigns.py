@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.metrics.imo import SHORTEST_SHIP
 from diffsea.metrics.repeats import mean_and_half_width
+from diffsea.progress import Progress, no_progress
 from diffsea.report.pages.campaign import TrialRun, campaign_page
 from diffsea.segments.segments import segments_of, with_window
 from diffsea.segments.signals import Signals, signals_of

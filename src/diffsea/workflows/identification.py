@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-from diffsea.diagnosis.search import Deadline, Diagnosis
+from diffsea.diagnosis.search import FULL_EFFORT, Deadline, Diagnosis, Effort
 from diffsea.diagnosis.search import diagnose as search_effects
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import held_out_vessels
 from diffsea.identification.objectives.trial_numbers import (
@@ -24,6 +23,7 @@ from diffsea.identification.objectives.trial_numbers import (
 from diffsea.identification.study import FitSettings, Study, identify, with_priors
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
@@ -34,6 +34,7 @@ from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
+from diffsea.workflows import quick as look
 from diffsea.workflows.audits import Recording, Tabulated, as_recordings, audit
 
 
@@ -107,6 +108,7 @@ class FitResult(Tabulated):
     verdict: FitVerdict
     data: FittedData
     objective: str
+    not_done: tuple[str, ...] = ()  # by a quick look
 
     @property
     def free(self) -> dict[str, dict[str, float]]:
@@ -157,6 +159,7 @@ def fit(
     per_recording: bool = False,
     progress: Progress = no_progress,
     profiles: Sequence[str] | None = None,
+    quick: bool = False,
 ) -> FitResult:
     """Identify a vessel's parameters as `diffsea fit` does.
 
@@ -175,6 +178,7 @@ def fit(
         per_recording: whether wind and current are each recording's own.
         profiles: parameters whose intervals come from the profile likelihood; those whose
             likelihood is asymmetric if None.
+        quick: whether to leave out what `quick` says, and name it in `not_done`.
 
     Raises:
         UserError: an unknown parameter, objective, anchor or effect, or data that do not suit.
@@ -182,6 +186,15 @@ def fit(
     file = as_vessel_file(vessel)
     given = fitted_data(file.vessel, data, test, mapping)
     require_order_units(file.vessel, [*given.recordings, *given.test])
+    not_done: tuple[str, ...] = ()
+    if quick:
+        whole = [*given.recordings, *given.test]
+        given = given._replace(
+            recordings=look.thinned(file.vessel, given.recordings),
+            test=look.thinned(file.vessel, given.test),
+        )
+        samples = look.left_out(file.vessel, whole, [*given.recordings, *given.test])
+        not_done, profiles = look.of_fit(samples), profiles or ()
     objective = objective or ("innovation" if given.recordings else "trial-numbers")
     settings = FitSettings(
         objective,
@@ -192,9 +205,11 @@ def fit(
         None if profiles is None else tuple(profiles),
         tuple(effects),
         per_recording,
+        proposes=not quick,
     )
-    told = f"reading: {len(given.recordings)} recordings and {len(given.trials)} trials of sheets"
-    progress(f"{told} to fit, {len(given.test)} held out; compiling")
+    numbers = (len(given.recordings), "recordings"), (len(given.trials), "trials of sheets")
+    told = " and ".join(f"{number} {what}" for number, what in numbers if number)
+    progress(f"fitting {told}, {len(given.test)} held out")
     study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
     document = updated_document(file.document, study.values, study.effect_tables)
     fitted = VesselFile(build(document), document, file.path)
@@ -202,7 +217,7 @@ def fit(
     predicted = compare_fit(study, file.vessel, fitted.vessel, (given.recordings, given.test))
     verdict = study.verdict(given.recordings, given.test)
     quality = study.quality(given.test)
-    return FitResult(study, fitted, quality, predicted, verdict, given, objective)
+    return FitResult(study, fitted, quality, predicted, verdict, given, objective, not_done)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -280,6 +295,7 @@ def diagnose(
     seconds: float = math.inf,
     priors: Mapping[str, Parameter | None] | None = None,
     anchor: str = "mass",
+    quick: bool = False,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -293,6 +309,7 @@ def diagnose(
         seconds: after which no further step of the search is begun; the record then says that it
             is not complete.
         priors, anchor: as for `fit`.
+        quick: whether to leave out what `quick` says; the record then names it under `not_done`.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -301,10 +318,15 @@ def diagnose(
     file = as_vessel_file(vessel)
     runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
     require_order_units(file.vessel, [*runs, *held_out])
-    progress(f"auditing {len(runs) + len(held_out)} recordings")
+    progress(f"checking {len(runs) + len(held_out)} recordings for faults")
     audited = list(audit([*runs, *held_out]))
     audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
     findings = [finding.as_dict() for finding in audited]
+    not_done: tuple[str, ...] = ()
+    if quick:
+        whole = [*runs, *held_out]
+        runs, held_out = look.thinned(file.vessel, runs), look.thinned(file.vessel, held_out)
+        not_done = look.of_diagnosis(look.left_out(file.vessel, whole, [*runs, *held_out]))
     names = None if free is None else tuple(free)
     parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
     found = search_effects(
@@ -318,9 +340,12 @@ def diagnose(
         audited,
         deadline,
         {one.name: one for one in parameters},
+        effort=Effort(look.NAMES, insists=False) if quick else FULL_EFFORT,
     )
-    progress("looking for the manoeuvre that would tell more")
-    experiment = next_experiment(found)
+    experiment = None
+    if not quick:
+        progress("looking for the manoeuvre that would tell more")
+        experiment = next_experiment(found)
     progress("comparing predictions")
     documents = nominal_document(file.document, found), vessel_document(file.document, found)
     nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
@@ -330,4 +355,5 @@ def diagnose(
     proposal = None if experiment is None else experiment.as_dict()
     source = provenance(file, runs, held_out)
     record = summary(found, findings, horizon_table(predicted), proposal, source)
+    record |= {"not_done": list(not_done)} if not_done else {}
     return DiagnosisResult(record, found, nominal, diagnosed, predicted, experiment)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import Outputs, json_text
+from diffsea.cli.progress import StagedProgress
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
 
@@ -48,7 +49,8 @@ def export_command(args: argparse.Namespace) -> None:
     if args.to != "ardupilot" and (args.fit is not None or args.speed is not None):
         raise UserError("--fit and --speed are for --to ardupilot; leave them out")
     file = options.read_vessel(args)
-    with Outputs(args.output) as out:
+    with Outputs(args.output) as out, StagedProgress({"writing": 5.0}) as tell:
+        tell(f"writing for {args.to}")
         found = _WRITERS[args.to](file, args, out)
     for loss in found["left_out"]:
         options.progress(f"left out: {loss}")

@@ -28,10 +28,8 @@ from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import (
     Estimate,
     FitOutcome,
-    Progress,
     ShootingState,
     is_at_bound,
-    no_progress,
     posterior_estimate,
 )
 from diffsea.identification.filter.kalman import (
@@ -45,6 +43,7 @@ from diffsea.identification.filter.latency import align_to_order_clock
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
+from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 from diffsea.vessel.base import Vessel
@@ -211,7 +210,9 @@ class OutputError(AbstractObjective):
             for number in range(JOINT_ROUNDS):
                 state, cost, outcome = self._descend(state, index)
                 path.append(cost)
-                progress(f"windows {joint:g} apart, round {number + 1}: misfit {cost:.1f}")
+                done = (JOINTS.index(joint) + (number + 1) / JOINT_ROUNDS) / len(JOINTS)
+                message = f"fitting, step {len(path)}: misfit {cost:.1f}"
+                progress(PartialProgress(message, done))
                 old, state = state.sigma, self._with_new_scales(state, joint)
                 if np.all(np.abs(np.log(state.sigma / old)) < SETTLED_SCALE):
                     break
