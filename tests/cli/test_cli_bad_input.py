@@ -303,7 +303,7 @@ def test_unknown_parameters_are_told_with_the_nearest(command, ends):
 
 
 def test_an_unknown_swept_parameter_is_told_with_the_nearest(ends):
-    status, told = ends("sweep", None, None, "--grid", "maas=1:2:2")
+    status, told = ends("sweep", None, None, "maas=1:2:2")  # one more axis of the grid
     assert status == 1 and "did you mean 'mass'" in told
 
 
