@@ -215,4 +215,4 @@ def test_the_line_says_that_a_program_is_being_compiled(monkeypatch):
         clock[0] += 2.5
         told.on_duration(compiling.COMPILED, 2.5)
         assert tell.standing().words == "fitting"
-    assert "2 s of this went into compiling one program:" in stream.getvalue()
+    assert "2 s of this went into compiling one program: kept" in stream.getvalue()

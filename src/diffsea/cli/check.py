@@ -56,7 +56,7 @@ def check_command(args: argparse.Namespace) -> None:
         told = [how.message if isinstance(how, Finding) else how.told for how in hows]
         for path, sentence in zip(paths, told, strict=True):
             options.progress(f"{path.name}: {sentence}")
-        tell(f"checking {len(paths)} logs")
+        tell("checking the log" if len(paths) == 1 else f"checking {len(paths)} logs")
         checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
         for path, how in chosen.items():
             text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)

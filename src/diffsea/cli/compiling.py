@@ -48,12 +48,18 @@ class Compiling:
         now = time.monotonic()
         return any(now - begun > NOTICED for begun in tuple(self._begun.values()))
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether there is a cache that outlives this process."""
+        jax = sys.modules.get("jax")
+        return bool(jax is not None and jax.config.jax_compilation_cache_dir)
+
     def on_event(self, event: str, **_: Any) -> None:
         """What JAX tells of the cache."""
         if event == CACHED:
             self._begun.pop(threading.get_ident(), None)
 
-    def on_duration(self, event: str, seconds: float, **_: Any) -> None:
+    def on_duration(self, event: str, duration_secs: float, **_: Any) -> None:
         """What JAX tells of a step that has ended."""
         now, thread = time.monotonic(), threading.get_ident()
         if event == LOWERED:

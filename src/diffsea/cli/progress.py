@@ -78,10 +78,10 @@ class StagedProgress:
         seconds = COMPILING.seconds - self._compiled[1]
         if kind is None and seconds > TOLD_COMPILING:
             what = "one program" if programs == 1 else f"{programs} programs"
-            self.line(
-                f"{seconds:.0f} s of this went into compiling {what}: kept, so that the next run "
-                "like this is quicker"
-            )
+            kept = "kept, so that the next run like this is quicker"
+            lost = "no cache can be written to keep them in"
+            became = kept if COMPILING.is_kept else lost
+            self.line(f"{seconds:.0f} s of this went into compiling {what}: {became}")
         options.LINES.remove(self.line)
 
     @property
