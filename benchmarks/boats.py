@@ -70,7 +70,7 @@ def located_difference(ours: Ends, theirs: Ends) -> float:
 
 
 def sampled_difference(ours: Ends, theirs: Ends) -> float:
-    """The largest difference of last states (m, rad, m/s, rad/s) where boats flip at the same samples.
+    """The largest difference of last states (SI units) where boats flip at the same samples.
 
     Raises:
         AssertionError: more than one boat in a thousand flips at others.

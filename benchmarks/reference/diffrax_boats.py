@@ -50,7 +50,7 @@ def _rate(t: Any, s: PyTree, args: PyTree) -> tuple:
 
 
 def zigzag(p: Float[Array, "13"]) -> tuple[Float[Array, "6"], Float[Array, "execute"]]:
-    """Last x, y, psi, u, v, r and times (s) of the switches of one boat; p as `boats.PARAMETERS`."""
+    """Last x, y, psi, u, v, r of a boat and times (s) of its switches; p as `boats.PARAMETERS`."""
     solver, term = ClassicalRungeKutta(), ODETerm(_rate)
     thrust, speed = p[10], p[12]
 

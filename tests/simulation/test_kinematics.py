@@ -25,6 +25,15 @@ def test_sine_and_cosine_have_each_other_for_derivatives_of_any_order():
         assert jax.hessian(sine)(angle) == pytest.approx(-np.sin(angle), abs=1e-15)
 
 
+@pytest.mark.parametrize("largest", [3.0, 1e3])
+def test_in_32_bits_sine_and_cosine_are_right_to_two_bits(largest):
+    angle = np.random.default_rng(1).uniform(-largest, largest, 20_000).astype(np.float32)
+    sine, cosine = jax.jit(sine_and_cosine)(angle)
+    for found, known in ((sine, np.sin), (cosine, np.cos)):
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found, known(angle.astype(float)), atol=2.5e-7, rtol=0)
+
+
 def test_sine_and_cosine_keep_32_bits_and_tell_what_is_no_angle():
     sine, cosine = sine_and_cosine(jnp.float32(0.5))
     assert isinstance(sine, jax.Array) and isinstance(cosine, jax.Array)
