@@ -1,8 +1,12 @@
 """What the command line answers to no word, to a near miss, and what a shell completes."""
 
+import json
 import re
 import subprocess
 import sys
+
+from benchmarks.commands import commands
+from benchmarks.record import RESULTS
 
 import pytest
 from tests.paths import ROOT
@@ -68,6 +72,19 @@ def test_the_readme_names_the_default_folders():
     assert named <= set(re.findall(r"bin/diffsea ([a-z]+)", jobs))
     for name in named:
         assert f"out/{name})" in _help(name)
+
+
+def test_the_readmes_durations_are_those_that_were_measured():
+    figures = json.loads(RESULTS.read_text(encoding="utf-8"))["figures"]
+    measured = {one["name"]: one for one in figures}
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    told = re.findall(r"# [^#]*? \((\d+) (s|min)\):\n    \.venv/bin/diffsea (\w+)", text)
+    assert {name for *_, name in told} == set(commands(text))
+    for number, unit, name in told:
+        figure = measured[f"command-{name}"]
+        line = commands(text)[name].removeprefix(".venv/bin/diffsea ")
+        assert figure["command"] == " ".join(line.split()), "measure again: make bench"
+        assert float(number) * {"s": 1, "min": 60}[unit] == pytest.approx(figure["value"], rel=0.2)
 
 
 def _help(command):
