@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup warm demo test quick lint experiments proof bench fuzz clean
+.PHONY: setup warm demo test quick lint experiments proof bench docs fuzz clean
 
 setup: $(BIN)/.installed
 
@@ -54,6 +54,12 @@ proof: setup
 # commands for a part.
 bench: setup
 	$(BIN)/python -m benchmarks.run $(BENCH)
+
+# The site, in out/site: links checked, nothing fetched from elsewhere. Its pictures and notebooks
+# are made anew where the sources changed, and kept in out/site-cache.
+docs: setup
+	$(BIN)/python -m pip install --quiet --group docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet -f docs/site/mkdocs.yml
 
 # Hostile inputs to every reader, in processes of their own; what breaks is kept in out/fuzz.
 fuzz: setup

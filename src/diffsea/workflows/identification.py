@@ -308,7 +308,8 @@ def diagnose(
         bootstrap: judge chance by so many simulated and refitted data sets (100 or more).
         seconds: after which no further step of the search is begun; the record then says that it
             is not complete.
-        priors, anchor: as for `fit`.
+        priors: as for `fit`.
+        anchor: as for `fit`.
         quick: whether to leave out what `quick` says; the record then names it under `not_done`.
 
     Raises:
