@@ -34,20 +34,22 @@ GALLERY = (
         "A zig-zag of a boat with two thrusters",
         "trial otter --manoeuvre zigzag --angle 20 --heading 20",
         ("series.png",),
-        "The angle is rudder-equivalent: a difference of thrusts. Orders are reversed at the instant "
-        "at which the heading reaches its value, inside the time step.",
+        "The angle is rudder-equivalent: a difference of thrusts. Orders are reversed at the "
+        "instant at which the heading reaches its value, inside the time step.",
     ),
     Shown(
         "What the overshoots depend on",
         "sensitivity otter --manoeuvre zigzag",
         ("tornado.png",),
-        "Derivatives through the switching. [Sweeps and sensitivities](sweeps-and-sensitivities.md).",
+        "Derivatives through the switching. "
+        "[Sweeps and sensitivities](sweeps-and-sensitivities.md).",
     ),
     Shown(
         "A map of designs",
         "sweep otter --manoeuvre turning-circle --grid mass=60:120:12 --grid thrust=60:200:12",
         ("map.png",),
-        "One trial of each design, batched. [Sweeps and sensitivities](sweeps-and-sensitivities.md).",
+        "One trial of each design, batched. "
+        "[Sweeps and sensitivities](sweeps-and-sensitivities.md).",
     ),
     Shown(
         "Trials in a recording",

@@ -73,6 +73,7 @@ def _turned(link: re.Match[str], uri: str, files: Files) -> str:
         return link[0]
     page = uri.removeprefix("repository/") if uri.startswith("repository/") else f"docs/{uri}"
     path = posixpath.normpath(posixpath.join(posixpath.dirname(page), target))
+    path = re.sub(r"\.ipynb$", ".md", path)  # as the site shows it
     if files.get_file_from_path(in_site(path)) is not None:
         relative = posixpath.relpath(in_site(path), posixpath.dirname(uri) or ".")
         return f"{link['picture']}[{link['text']}]({relative}{'#' + anchor if anchor else ''})"
