@@ -29,7 +29,9 @@ WITHOUT_OUTPUT = ("predict", "diagnose")  # the page shows none of it
 FILES = {  # that the page quotes, by how the quoted lines begin
     "    Time [ms];": "mylogs/day1_01.csv",
     "    # Not used:": "out/look/day1_01.mapping.toml",
-    '    psi = { column = "Compass", unit = "deg", off': "out/repaired/day1_01.repaired_mapping.toml",
+    '    psi = { column = "Compass", unit = "deg", off': (
+        "out/repaired/day1_01.repaired_mapping.toml"
+    ),
 }
 TOLERANCE = 0.03  # of numbers: other processors and versions end in other last digits
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w])")
