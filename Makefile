@@ -26,8 +26,8 @@ demo: setup
 	  --test examples/demo/held_out/*.csv -o out/demo
 
 lint: setup
-	$(BIN)/ruff check src tests experiments benchmarks docs
-	$(BIN)/ruff format --check src tests experiments benchmarks docs
+	$(BIN)/ruff check src tests experiments benchmarks docs/site docs/notebooks
+	$(BIN)/ruff format --check src tests experiments benchmarks docs/site docs/notebooks
 	$(BIN)/pyright --threads 2
 	$(BIN)/lint-imports
 
@@ -36,7 +36,7 @@ test: lint
 	  -m "not proof and not experiment"
 
 quick: setup
-	$(BIN)/ruff check src tests experiments benchmarks docs
+	$(BIN)/ruff check src tests experiments benchmarks docs/site docs/notebooks
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not experiment and not proof"
 

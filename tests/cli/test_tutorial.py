@@ -9,6 +9,7 @@ line of the output which resembles it most, in order; `...` stands for any numbe
 import contextlib
 import difflib
 import io
+import json
 import re
 import shlex
 import shutil
@@ -100,6 +101,17 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path):
         assert words(shown) == words(printed)
         numbers = ([float(one) for one in _NUMBER.findall(line)] for line in (shown, printed))
         assert next(numbers) == pytest.approx(next(numbers), rel=TOLERANCE), (shown, printed)
+
+
+def test_what_the_tutorial_says_of_its_tables_is_in_them():
+    page = PAGE.read_text(encoding="utf-8")
+    (combination,) = re.findall(r"`(-?[\d.]+ Y_vv -?[\d.]+ Y_v)` says", page)
+    assert f"    not determined: {combination} (" in page
+    truth = json.loads((ROOT / "examples/demo/truth.json").read_text(encoding="utf-8"))
+    (added_mass,) = re.findall(r"^    Y_vdot .* -100 +(-[\d.]+)", page, re.MULTILINE)
+    assert "the sway added mass is half of what it should be" in page
+    assert float(added_mass) / truth["vessel"]["hull"]["Y_vdot"] == pytest.approx(0.5, abs=0.1)
+    assert re.search(r"^    N_rr .* mostly the prior$", page, re.MULTILINE)
 
 
 if __name__ == "__main__":
