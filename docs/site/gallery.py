@@ -27,7 +27,7 @@ GALLERY = (
         "A turning circle",
         "trial kvlcc2 --manoeuvre turning-circle --angle 35",
         ("track.png",),
-        "Numbers and limits of IMO MSC.137(76) are on the picture and in `metrics.json`. "
+        "Numbers and verdicts of IMO MSC.137(76) are in `metrics.json` beside the picture. "
         "[Virtual sea trials](virtual-sea-trials.md).",
     ),
     Shown(

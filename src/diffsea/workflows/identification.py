@@ -1,6 +1,7 @@
 """From recordings to a fitted vessel, and to what a vessel's model leaves out."""
 
 import dataclasses
+import html
 import importlib.metadata
 import math
 import pathlib
@@ -258,6 +259,10 @@ class DiagnosisResult(Tabulated):
 
     def notes(self) -> list[str]:
         return verdict_text(self.record).splitlines()
+
+    def _notes_html(self) -> str:
+        """The verdict in lines, as a terminal has it: they are broken and aligned already."""
+        return f"<pre>{html.escape(verdict_text(self.record))}</pre>"
 
     def html(self) -> str:
         """The report as one self-contained page."""
