@@ -46,7 +46,7 @@ GALLERY = (
     ),
     Shown(
         "A map of designs",
-        "sweep otter --manoeuvre turning-circle --grid mass=60:120:12 --grid thrust=60:200:12",
+        "sweep otter --manoeuvre turning-circle --grid mass=60:120:12 thrust=60:200:12",
         ("map.png",),
         "One trial of each design, batched. "
         "[Sweeps and sensitivities](sweeps-and-sensitivities.md).",
