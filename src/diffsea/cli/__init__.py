@@ -30,6 +30,7 @@ what to do), 2 bad usage.
 # before JAX starts.
 
 import argparse
+import contextlib
 import importlib
 import importlib.metadata
 import os
@@ -104,9 +105,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # a name too long, a disk that is full or fails
         if debug or error.strerror is None:
             traceback.print_exc()
-        where = "" if error.filename is None else f"{error.filename}: "
-        told = f"diffsea: error: {where}{error.strerror or error}; nothing was written"
-        print(printable(told), file=sys.stderr)
+        told = f"{error.filename}: {error.strerror}; nothing was written"
+        if error.filename is None:  # files have names: this is what was printed
+            told = f"cannot write to standard output: {error.strerror or error}"
+            with contextlib.suppress(OSError, ValueError):  # what it holds back is lost
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(printable(f"diffsea: error: {told}"), file=sys.stderr)
         return 1
     except Exception as error:
         if debug:
