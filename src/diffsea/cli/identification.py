@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import math
 import pathlib
+import time
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
@@ -77,6 +78,8 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--priors", "FILE", pathlib.Path, priors)
     anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
     add_choice(parser, "--anchor", ANCHORS, anchor)
+    budget = "begin no further step of any stage after so long; results say what was left out"
+    add_option(parser, "--budget", "SECONDS", options.positive, budget, default=math.inf)
     add_flag(parser, "--keep-idle", "keep stretches of logs at rest, disarmed or carried about")
     quick = "a first look in less time; what it has not done is told"
     add_flag(parser, "--quick", quick)
@@ -101,6 +104,7 @@ def fit_command(args: argparse.Namespace) -> None:
       diffsea fit ship.toml sea_trial.toml
       diffsea fit ship.toml sea_trial.toml log.csv --test other.csv
     """
+    began = time.monotonic()
     with Outputs(args.output) as out, StagedProgress(OF_FIT) as tell:
         tell("reading")
         from diffsea.report.fit import fit_report
@@ -130,6 +134,7 @@ def fit_command(args: argparse.Namespace) -> None:
             progress=follow,
             profiles=() if args.profile == ("none",) else args.profile,
             quick=args.quick,
+            budget=args.budget - (time.monotonic() - began),
         )
         tell("writing the report")
         runs = found.data.recordings, found.data.test
@@ -138,7 +143,8 @@ def fit_command(args: argparse.Namespace) -> None:
         horizons = horizon_table(found.predicted)
         out.json("fit.json", _fit_record(found) | {"source": source, "predictions": horizons})
         judged = found.study, found.misfit, history, found.predicted
-        out.text("report.html", fit_report(*judged, runs, source, found.verdict, found.not_done))
+        told = found.verdict, found.not_done, found.left_out
+        out.text("report.html", fit_report(*judged, runs, source, *told))
     out.present(args, _summary_text(found))
 
 
@@ -171,6 +177,8 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
     rows = [dict(row) for row in study.rows]
     record: dict[str, Any] = {
         "format": 1,
+        "complete": not found.left_out,
+        "left_out": found.left_out,
         "free": found.free,
         "missing": found.missing,
         "missing_evidence": found.verdict.as_dict(),
@@ -222,6 +230,7 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 
 def _summary_text(found: "FitResult") -> str:
     """fit.json for a person: free predictions, a table of parameters, then sentences."""
+    from diffsea.budget import left_out_sentence
     from diffsea.report.fit import MODELS, worse_warning
     from diffsea.report.predictions import horizon_table
     from diffsea.report.words import effect_lines, horizon_line, quick_sentence
@@ -256,6 +265,7 @@ def _summary_text(found: "FitResult") -> str:
     warning = worse_warning(found.predicted)
     parts += [f"warning: {warning}"] if warning else []
     parts += [quick_sentence(found.not_done)] if found.not_done else []
+    parts += [f"warning: {left_out_sentence(found.left_out)}"] if found.left_out else []
     return "\n".join([*parts, found.verdict.sentence])
 
 
@@ -272,6 +282,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
     """
     if args.quick and args.next_manoeuvre is not None:
         raise UserError("--quick looks for no manoeuvre; leave it or --next-manoeuvre out")
+    began = time.monotonic()
     with Outputs(args.output) as out:
         import pandas as pd
 
@@ -298,6 +309,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
                 priors=_read_priors(args, file),
                 anchor=args.anchor,
                 quick=args.quick,
+                budget=args.budget - (time.monotonic() - began),
             )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.budget import in_this_budget
 from diffsea.diagnosis.score import Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
 from diffsea.identification.estimates import Estimate
@@ -539,8 +540,8 @@ def refit_candidates(
         return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        near, rest = near_the_best(list(pool.map(refit_first, names)))
-        full = list(pool.map(refit_on, near))
+        near, rest = near_the_best(list(pool.map(in_this_budget(refit_first), names)))
+        full = list(pool.map(in_this_budget(refit_on), near))
     return ShortList.of(problem, [*full, *rest])
 
 

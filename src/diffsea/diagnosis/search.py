@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from diffsea.budget import current_budget
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.hypotheses import (
@@ -63,8 +64,8 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time is over."""
-        return time.monotonic() - self.began > self.seconds
+        """Whether the time is over, or that of all the work."""
+        return time.monotonic() - self.began > self.seconds or current_budget().is_over
 
 
 NO_DEADLINE = Deadline()
@@ -196,9 +197,12 @@ def believe_audit(
         if not has_room(data.train, now.final, one.effect):
             continue
         if deadline.is_over:
+            current_budget().note("what the audit found, beside the model")
             return replace(now, complete=False)
         progress(f"the audit found {catalogue_name(one.effect)}: does the model agree?")
         accepted = judge_audited(data, now.final, now.final_screening, one)
+        if current_budget().skips("what the audit found, beside the model"):
+            return replace(now, complete=False)  # its fits were cut short
         if accepted is None:
             continue
         progress(f"found: {catalogue_name(one.effect)}")
@@ -225,28 +229,30 @@ def explain(
     found = forward_search(data, begun, null, progress, deadline, effort)
     # All effects but the last are asked for again, beside those that came after them.
     asked = found.searched[:-1]
+    left = current_budget()
     if asked and deadline.is_over:
+        left.note("asking again for the effects")
         found, asked = replace(found, complete=False), ()
     kept, changed = ask_again(data, found, asked, progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
-    left = unexplained_p_value(kept, final, null)
-    short = shortfalls(data, final.final) if left >= ALPHA else ()
-    verdict = verdict_on(final.effects, left, short)
+    p_value = unexplained_p_value(kept, final, null)
+    short = shortfalls(data, final.final) if p_value >= ALPHA else ()
+    verdict = verdict_on(final.effects, p_value, short)
     unexplained, location = None, final.nominal_screening
-    if verdict == "unexplained":
+    if verdict == "unexplained" and not left.skips("a model of what is left"):
         progress("describing what has no name")
         unexplained = model_unexplained_force(data, final.final)
-    if final.effects:
+    if final.effects and not left.skips("locating the mismatch by the final noise"):
         progress("finding where model and recordings differ")
         location = locate_by_noise_of(final.final, data.train, final.nominal)
     return Diagnosis(
-        **vars(final),
+        **vars(replace(final, complete=final.complete and not left.left_out)),
         verdict=verdict,
         split=data,
         location=location,
-        unexplained_p_value=left,
+        unexplained_p_value=p_value,
         unexplained=unexplained,
         bootstrap=null,
         shortfalls=short if verdict == "insufficient" else (),
@@ -277,6 +283,7 @@ def forward_search(
             break
         if deadline.is_over:
             progress("the time is over: what was found until now is reported")
+            current_budget().note("the search for further effects")
             return replace(now, complete=False)
         among, owed = () if stands_out else owed, ()
         tried = refit_candidates(data, now.final, now.final_screening, progress, among)
@@ -295,7 +302,7 @@ def forward_search(
             room = len(now.searched) < MOST_EFFECTS - 1
             added = find_pair(data, tried, null, progress) if room else ()
         else:
-            better = None
+            added, better = (), None
             if resumed < MOST_RESUMPTIONS:
                 better = resume_stalled_fit(data.train, now.final, best)
             if better is not None:
@@ -306,9 +313,12 @@ def forward_search(
                     now = replace(now, nominal=better, nominal_screening=now.final_screening)
                 continue
             added, owed = (AcceptedEffect(best, tried),), tried.owed_beside(best)
-            progress(f"found: {catalogue_name(best.effect)}")
+        if current_budget().skips("the search for further effects"):
+            return replace(now, complete=False)  # fits that judge these were cut short
         if not added:
             break
+        for one in added:
+            progress(f"found: {catalogue_name(one.name)}")
         final = added[-1].hypothesis.estimate
         screening = screen(data.train, final)
         now = replace(now, final=final, final_screening=screening, effects=(*now.effects, *added))
@@ -377,6 +387,8 @@ def ask_again(
     """
     current, effects, dropped, changed = found.final, list(found.effects), [], False
     for one in asked:
+        if current_budget().skips(f"asking again for {one.name}"):
+            break
         progress(f"is {one.name} needed beside the others?")
         bare = refit_without(data.train, current, [one.name])
         options = {
@@ -395,6 +407,8 @@ def ask_again(
         ]
         tried = ShortList.of(data.train, again)
         best = decide(tried, _exchange(data, bare, progress))
+        if current_budget().skips(f"asking again for {one.name}"):
+            break  # fits were cut short
         if best is None:
             same = next((option for option in again if option.effect == one.name), None)
             best = same if same is not None and same.still_stands(tried.needed) else None
@@ -434,6 +448,8 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
         one.name for one in kept.searched if is_outdone(one.hypothesis.candidate.score.statistic)
     ]
     if left >= ALPHA or not outdone:
+        return kept
+    if current_budget().skips("whether names stand out more than what is left"):
         return kept
     others = tuple(one for one in kept.effects if one.name not in outdone)
     bare = refit_without(data.train, kept.final, outdone)

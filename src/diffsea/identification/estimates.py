@@ -40,6 +40,7 @@ class FitOutcome(enum.Enum):
     STALLED = "stalled"
     BOUNDED = "bounded"
     STEP_LIMIT = "step limit"
+    OUT_OF_TIME = "out of time"
 
     @property
     def sentence(self) -> str:
@@ -52,6 +53,7 @@ _OUTCOMES = {
     FitOutcome.STALLED: "the fit stalled: a step that should gain is no better than none",
     FitOutcome.BOUNDED: "the fit converged with a number at a bound of its prior",
     FitOutcome.STEP_LIMIT: "the fit ended at its last step, before it converged",
+    FitOutcome.OUT_OF_TIME: "the time was over before the fit had converged",
 }
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.budget import current_budget
 from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance, first_variance
@@ -84,7 +85,7 @@ def estimate(
     """Fit the free coordinates by name (parameters and effects), from `start`.
 
     Every round lowers the deviance: first by the noise, so that the innovations are weighed
-    rightly, then by the parameters.
+    rightly, then by the parameters. None is begun once the budget is spent.
 
     Arguments:
         start: coordinates to begin at, those that are not free included; the prior mean if None.
@@ -101,6 +102,9 @@ def estimate(
     path, outcome = [now.deviance], FitOutcome.STEP_LIMIT
     refused = np.zeros(len(index))
     for number in range(rounds):
+        if current_budget().skips("rounds of a fit"):
+            outcome = FitOutcome.OUT_OF_TIME
+            break
         last, taken = now.deviance, steps
         if not fixed_noise:
             better = refine_noise(now.run, times, now.noise, problem.prior, steps)
@@ -145,6 +149,8 @@ def estimate_surely(
     best, rng = estimate(problem, free, start, noise, progress=progress), np.random.default_rng(0)
     for _ in range(RESTARTS):
         if best.outcome in (FitOutcome.CONVERGED, FitOutcome.BOUNDED):
+            break
+        if current_budget().skips("starting a stalled fit again"):
             break
         progress("the fit got stuck; once more from another start")
         elsewhere = best.coordinates.copy()

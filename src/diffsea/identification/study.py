@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from diffsea.budget import current_budget
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import (
@@ -265,10 +266,16 @@ def identify(
     wanted = settings.profiles
     if wanted is None:
         wanted = asymmetric_parameters(objective, fitted)
-    profiles = {name: profile_interval(objective, fitted, name, progress) for name in wanted}
+    profiles, left = {}, current_budget()
+    for name in wanted:
+        if not left.skips(f"the profile of {name}"):
+            interval = profile_interval(objective, fitted, name, progress)
+            if not left.skips(f"the profile of {name}"):  # else its fits were cut short
+                profiles[name] = interval
     proposal = None  # a manoeuvre that would tell more, where the data leave something open
-    leaves_open = problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE
-    if problem is not None and leaves_open and settings.proposes:
+    is_open = problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE
+    asked = settings.proposes and is_open
+    if problem is not None and asked and not left.skips("the manoeuvre to record next"):
         progress("looking for the manoeuvre that would tell most")
         proposal = next_manoeuvre(problem, with_noise(fitted, problem))
     heavy = any(name in INERTIA for name in names)

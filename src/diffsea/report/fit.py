@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.budget import left_out_sentence
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
@@ -35,6 +36,7 @@ def fit_report(
     source: Record,
     verdict: FitVerdict,
     not_done: Sequence[str] = (),
+    left_out: tuple[str, ...] = (),
 ) -> str:
     """The page.
 
@@ -47,6 +49,7 @@ def fit_report(
         source: what was run on what; shown as it is.
         verdict: whether something is missing.
         not_done: what a quick look left out.
+        left_out: what there was no time for.
     """
     recordings, test = data
     quick = words.quick_sentence(not_done)
@@ -63,6 +66,8 @@ def fit_report(
     judged = "On runs held out" if test else "On the runs it was fitted to"
     errors = "" if row is None else words.horizon_line(row, tuple(MODELS))
     fitted, held_out = (words.count_recordings(len(several)) for several in data)
+    worse = worse_warning(runs)
+    warnings = [f"{words.capital(worse)}." if worse else "", left_out_sentence(left_out)]
     return render(
         "fit.html.j2",
         title=f"Fit of {study.vessel_name}",
@@ -71,7 +76,7 @@ def fit_report(
         errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
         misfit=significant(quality["train"], 3),
         misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
-        warning=f"{words.capital(text)}." if (text := worse_warning(runs)) else "",
+        warning=" ".join(filter(None, warnings)),
         verdict=f"{words.capital(verdict.sentence)}.",
         is_missing=verdict.missing,
         parameters=parameter_table(study.rows),

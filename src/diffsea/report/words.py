@@ -236,7 +236,9 @@ def incomplete_sentence(summary: Record) -> str:
         return quick_sentence(not_done)
     if summary.get("complete", True):
         return ""
-    return "The time was over before everything had been asked: more may be missing."
+    told = "The time was over before everything had been asked: more may be missing."
+    left_out = summary.get("left_out", [])
+    return f"{told} Left out: {enumeration(left_out)}." if left_out else told
 
 
 def sampling_sentence(every: Mapping[str, int] | None) -> str:

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.budget import current_budget
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import (
@@ -206,6 +207,9 @@ class OutputError(AbstractObjective):
         index = np.array(self.problem.layout.indices(free), int)
         state, path, outcome = self.start(start), [], FitOutcome.CONVERGED
         for joint in JOINTS:
+            if path and current_budget().skips("joining the windows of a fit"):
+                outcome = FitOutcome.OUT_OF_TIME
+                break
             state = self._with_new_scales(state, joint)
             for number in range(JOINT_ROUNDS):
                 state, cost, outcome = self._descend(state, index)
@@ -340,6 +344,8 @@ class OutputError(AbstractObjective):
         """Levenberg-Marquardt with the scales as they are."""
         damping, cost = FIRST_DAMPING, self.state_cost(state)
         for _ in range(STEP_LIMIT):
+            if current_budget().skips("steps of a fit"):
+                return state, cost, FitOutcome.OUT_OF_TIME
             equations = self.normal_equations(state, index)
             A, g = equations.matrix, equations.gradient
             for _ in range(DAMPINGS_TRIED):

@@ -36,6 +36,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea.budget import current_budget
 from diffsea.errors import UserError, nearest
 from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.least_squares import (
@@ -295,6 +296,9 @@ class TrialNumbers(AbstractObjective):
             progress(f"fitting, step {number}: misfit {path[-1]:.3f}")
             if step.converged:
                 outcome = FitOutcome.CONVERGED if step.accepted else FitOutcome.STALLED
+            elif current_budget().skips("steps of a fit"):
+                outcome = FitOutcome.OUT_OF_TIME
+                break
         if outcome is FitOutcome.CONVERGED and is_at_bound(self.parameters, coordinates, index):
             outcome = FitOutcome.BOUNDED
         own = self.misfits_and_jacobian(coordinates)[1][:, index]
