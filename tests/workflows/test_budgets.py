@@ -42,7 +42,7 @@ def done(job, data, out, *words, boat="boat"):
     status = main([job, *inputs, "-o", str(out), *words])
     name = {"fit": "fit.json", "diagnose": "diagnosis.json"}[job]
     if status:
-        return status, None, ""
+        return status, {}, ""
     return status, json.loads((out / name).read_text()), (out / "report.html").read_text()
 
 

@@ -53,6 +53,7 @@ COMMAND_MODULES = (
     "check",
     "recordings",
     "identification",
+    "sweeping",
     "studies",
     "segments",
     "service.online",

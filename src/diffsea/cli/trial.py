@@ -50,13 +50,14 @@ def add_trial_command(
     name: str,
     run: Callable[[argparse.Namespace], None],
     summary: str,
+    needed: bool = True,
 ) -> argparse.ArgumentParser:
-    """A command on a vessel, with the options that describe a trial."""
+    """A command on a vessel, with the options that describe a trial, which may be `needed`."""
     parser = options.add_command(commands, name, run, summary)
     options.add_vessel(parser)
     group = parser.add_argument_group("trial")
     trials = options.LibraryNames(STANDARD_TRIALS, "manoeuvre", TABLE_OF_TRIALS)
-    add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=True)
+    add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=needed)
     angle = (
         "rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a "
         "modified zig-zag)"
