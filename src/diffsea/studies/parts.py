@@ -9,7 +9,8 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import pyarrow.parquet as pq
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
 from diffsea.outside.durable import written_beside
+from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.designs import DesignSpace, check_count
 from diffsea.studies.sweep import Sweeper, check_names
@@ -153,7 +155,7 @@ def do_parts(
     plan: TrialPlan,
     space: DesignSpace,
     shard: tuple[int, int] = (1, 1),
-    progress: Callable[[str], None] = lambda message: None,
+    progress: Progress = no_progress,
 ) -> int:
     """Do what is not done of the parts of a shard; one part is held at a time.
 
@@ -181,9 +183,17 @@ def do_parts(
     if not left:
         return done
     sweeper = Sweeper(vessel, plan, min(parts.manifest["part"], space.count))
-    for finished, number in enumerate(left, done + 1):
-        found = sweeper.run(space.rows(*parts.rows(number)), progress, whole=True)
+    for before, number in enumerate(left, done):
+        within = partial(_share_of_all, progress, before, len(own))
+        found = sweeper.run(space.rows(*parts.rows(number)), within, whole=True)
         parts.keep(number, found.table)
         rate = f"{found.steps_per_second:.2g} vessel-steps/s"
-        progress(f"{finished} of {len(own)} parts done, {rate}")
+        told = f"{before + 1} of {len(own)} parts done, {rate}"
+        progress(PartialProgress(told, (before + 1) / len(own)))
     return done
+
+
+def _share_of_all(progress: Progress, done: int, count: int, message: str) -> None:
+    """Tell what a part tells, with the share that it stands for of all parts."""
+    share = message.share if isinstance(message, PartialProgress) else 0.0
+    progress(PartialProgress(message, (done + share) / count))
