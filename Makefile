@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup warm demo test quick lint experiments proof bench docs fuzz clean
+.PHONY: setup warm demo test quick lint experiments proof bench docs fuzz faults clean
 
 setup: $(BIN)/.installed
 
@@ -64,6 +64,11 @@ docs: setup
 # Hostile inputs to every reader, in processes of their own; what breaks is kept in out/fuzz.
 fuzz: setup
 	$(BIN)/python -m tests.fuzz.run --inputs $(or $(INPUTS),1000) --seed $(or $(SEED),1)
+
+# Every call for a file of every command made to fail, and a sweep killed at random: hours.
+faults: setup
+	$(BIN)/python -m tests.faults.run
+	$(BIN)/python -m tests.faults.kill --rounds $(or $(ROUNDS),200)
 
 clean:
 	rm -rf $(VENV) out

@@ -34,7 +34,7 @@ class Kills:
         began = time.monotonic()
         self._run("alone")
         self.seconds = time.monotonic() - began
-        self.alone = self._results("alone")
+        self.alone, self.count = self._results("alone"), len(self._parts("alone"))
 
     def _started(self, name):
         words = ["sweep", str(self.folder / "boat.toml"), *TRIAL, *DESIGNS]
@@ -59,16 +59,28 @@ class Kills:
         found = (self.folder / f"{name}-parts").glob("*/part-*.parquet")
         return {one.name: (one.stat().st_ino, one.stat().st_mtime_ns) for one in found}
 
-    def breach(self, moment):
+    def moment(self, draw):
+        """When to kill: so many parts are there, and so many seconds more have passed.
+
+        Every other time at any moment from the start on; else amid the parts, which take the least
+        of the time, or while results are written.
+        """
+        if draw.random() < 0.5:
+            return 0, draw.uniform(0.0, 1.1 * self.seconds)
+        return draw.randint(1, self.count), draw.expovariate(20.0)
+
+    def breach(self, parts, seconds):
         """Parts that the kill left, and what is wrong in the end; empty where nothing is.
 
         Arguments:
-            moment: of the kill, s after the start.
+            parts, seconds: the `moment` of the kill.
         """
         for name in ("killed", "killed-parts"):
             shutil.rmtree(self.folder / name, ignore_errors=True)
         process = self._started("killed")
-        time.sleep(moment)
+        while len(self._parts("killed")) < parts and process.poll() is None:
+            time.sleep(1e-3)
+        time.sleep(seconds)
         process.kill()
         process.communicate()
         before = self._parts("killed")
@@ -102,13 +114,13 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         kills = Kills(pathlib.Path(folder))
         for number in range(args.rounds):
-            left, wrong = kills.breach(draw.uniform(0.0, 1.1 * kills.seconds))
+            left, wrong = kills.breach(*kills.moment(draw))
             parts.append(left)
             breaches += [wrong] if wrong else []
             print(number, left, wrong, flush=True)
             results["kills of a sweep"] = {
                 "rounds": len(parts),
-                "within_the_parts": sum(0 < n < 6 for n in parts),
+                "within_the_parts": sum(0 < n < kills.count for n in parts),
                 "breaches": len(breaches),
             }
             args.results.write_text(json.dumps(results, indent=1) + "\n")

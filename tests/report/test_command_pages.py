@@ -35,7 +35,7 @@ def designs(*axes: int) -> tuple[pd.DataFrame, dict]:
     table["overshoot_1"] = 1e-3 * table["mass"]
     table["imo_overshoot_1"] = np.where(table["mass"] > 150, "fail", "pass")
     table["outcome"] = "completed"
-    fails = int((table["mass"] > 150).sum())
+    fails = list(table["imo_overshoot_1"]).count("fail")
     extent = {"least": 0.1, "median": 0.15, "most": 0.2, "designs": len(table)}
     summary = {
         "vessel": "boat <1>", "manoeuvre": "zigzag", "designs": len(table),

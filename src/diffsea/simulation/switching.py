@@ -220,7 +220,8 @@ def is_plausible(vessel: Vessel, state: State) -> Bool[Array, ""]:
     Position and heading are not asked: they are sums of velocities that were. To look at them here
     has XLA compute the position, sines included, once more for what depends on the answer.
     """
-    return plausible_motion(vessel.rigid_body.length, state.u, state.v, state.r)
+    within = plausible_motion(vessel.rigid_body.length, state.u, state.v, state.r)
+    return jnp.asarray(within)
 
 
 def run_stages(

@@ -1,12 +1,11 @@
 """Designs and derivatives of a trial as pages: what a parameter does to the numbers."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
-from scipy import stats
 
 from diffsea.report import plots
 from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, render
@@ -64,7 +63,7 @@ def _drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def _is_grid(table: pd.DataFrame, names: Sequence[str]) -> bool:
-    counts = [table[name].nunique() for name in names]
+    counts = [len(set(table[name])) for name in names]
     return math.prod(counts) == len(table)
 
 
@@ -91,21 +90,22 @@ def _number_plot(table: pd.DataFrame, names: Sequence[str], number: str) -> Plot
     if len(names) == 2 and _is_grid(table, names):
         drawn = _map(table, names, number)
     else:
-        ranks = {name: _rank_correlation(table[name], table[number]) for name in names}
+        ranks = {name: _rank_correlation(table, name, number) for name in names}
         drawn = _cloud(table, max(ranks, key=lambda name: ranks[name]), number)
     drawn.add_annotation(plots.heading(label, 1.0))
     return Plot(drawn, f"{label} over {enumeration(list(names))}", 330)
 
 
-def _rank_correlation(parameter: pd.Series, number: pd.Series) -> float:
-    known = number.notna()
-    if known.sum() < 3 or parameter[known].nunique() < 2:
+def _rank_correlation(table: pd.DataFrame, parameter: str, number: str) -> float:
+    """Spearman's rank correlation of a number with a parameter, without its sign."""
+    both = table[[parameter, number]].dropna()
+    if len(both) < 3 or len(set(both[parameter])) < 2:
         return 0.0
-    return abs(float(stats.spearmanr(parameter[known], number[known]).statistic))
+    return abs(float(both.corr("spearman").iloc[0, 1]))
 
 
-def _scaled(values: pd.Series, number: str) -> np.ndarray:
-    return for_people(1.0, number_unit(number))[0] * values.to_numpy(float)
+def _scaled(values: Iterable[float], number: str) -> np.ndarray:
+    return for_people(1.0, number_unit(number))[0] * np.asarray(list(values), float)
 
 
 def _map(table: pd.DataFrame, names: Sequence[str], number: str) -> go.Figure:
@@ -143,7 +143,7 @@ def _cloud(table: pd.DataFrame, parameter: str, number: str) -> go.Figure:
 
 def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
     verdict = f"imo_{number}"
-    return table[table[verdict] == "fail"] if verdict in table else table[:0]
+    return table.loc[table[verdict] == "fail"] if verdict in table else table.iloc[:0]
 
 
 def _axis_table(axes: Mapping[str, Record]) -> Table:
