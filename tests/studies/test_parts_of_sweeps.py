@@ -115,6 +115,9 @@ def test_parts_that_are_done_are_not_done_again_and_a_broken_one_is(
     assert main(again) == 0 and done == [4]
     assert "2 of 3 parts were done before" in capsys.readouterr().err
     assert results(tmp_path / "out") == results(whole / "whole")
+    (part.parent / ".unfinished-by-a-killed-process").mkdir()
+    assert main(again) == 0 and done == [4]
+    assert not list(part.parent.glob(".*"))
     other = [word.replace("60000", "50000") for word in again]
     assert main(other) == 1 and "leave --resume out" in capsys.readouterr().err
 

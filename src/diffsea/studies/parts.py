@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
 from diffsea.outside.durable import written_beside
+from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.designs import DesignSpace, check_count
@@ -171,6 +172,7 @@ def do_parts(
     left = [number for number in own if not parts.is_done(number)]
     try:
         parts.folder.mkdir(parents=True, exist_ok=True)
+        clear_abandoned(parts.folder)
         if not (parts.folder / MANIFEST).exists():
             with written_beside(parts.folder / MANIFEST) as beside:
                 beside.write_text(json.dumps(parts.manifest, indent=1) + "\n", encoding="utf-8")

@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.report.pages.fleet import fleet_report
 from diffsea.vessel.files import shipped_vessels
@@ -143,6 +144,8 @@ def fleet(
     tasks: list[dict[str, Any]] = [one | {"settings": settings} for one in read_manifest(manifest)]
     kept = None if parts is None else pathlib.Path(parts)
     found: dict[str, dict[str, Any]] = {}
+    if kept is not None:
+        clear_abandoned(kept)
     for task in tasks:
         if kept is not None and (part := kept_part(kept, task)) is not None:
             found[task["boat"]] = part
