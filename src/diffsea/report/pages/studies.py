@@ -101,7 +101,7 @@ def _rank_correlation(table: pd.DataFrame, parameter: str, number: str) -> float
     both = table[[parameter, number]].dropna()
     if len(both) < 3 or len(set(both[parameter])) < 2:
         return 0.0
-    return abs(float(both.corr("spearman").iloc[0, 1]))
+    return abs(float(np.corrcoef(both.rank().to_numpy().T)[0, 1]))
 
 
 def _scaled(values: Iterable[float], number: str) -> np.ndarray:
