@@ -367,19 +367,21 @@ def test_commands_that_start_together_may_share_a_new_folder(tmp_path, monkeypat
 
 
 @pytest.mark.slow
-def test_recordings_are_read_and_audited_without_jax(zigzag, tmp_path):
+def test_recordings_are_read_audited_and_proposed_for_without_jax(zigzag, tmp_path):
     code = (
         "import pathlib, sys\n"
+        "from diffsea.recordings.mapping_proposal import propose_mapping\n"
         "from diffsea.workflows.audits import audit_readable, read_readable\n"
-        "print(audit_readable(read_readable([pathlib.Path(sys.argv[1])])))\n"
+        "native, foreign = map(pathlib.Path, sys.argv[1:])\n"
+        "print(audit_readable(read_readable([native])), propose_mapping([foreign]).text)\n"
         "assert not {'jax', 'jaxlib', 'equinox'} & set(sys.modules)"
     )
-    foreign = tmp_path / "foreign.csv"
-    pd.read_csv(zigzag[0] / "recording.csv").rename(columns={"t": "time"}).to_csv(foreign)
-    for recording in (zigzag[0] / "recording.csv", foreign):
-        words = [sys.executable, "-c", code, recording]
-        done = subprocess.run(words, capture_output=True, text=True)
-        assert done.returncode == 0 and recording.name in done.stdout, done.stderr
+    native, foreign = zigzag[0] / "recording.csv", tmp_path / "foreign.csv"
+    pd.read_csv(native).rename(columns={"t": "time"}).to_csv(foreign)
+    words = [sys.executable, "-c", code, native, foreign]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0 and "recording.csv" in done.stdout, done.stderr
+    assert '"time"' in done.stdout
 
 
 def test_a_table_has_numbers_to_the_right():
