@@ -412,8 +412,8 @@ def test_recordings_are_read_and_audited_without_what_takes_long_to_start(place,
         import sys, diffsea.recordings
         slow = {{"jax", "equinox", "matplotlib", "scipy.stats", "scipy.signal", "scipy.io"}}
         read = sorted(slow & set(sys.modules))
-        from diffsea.cli import main
-        assert main(["audit", {str(path)!r}, "-o", {str(tmp_path / "audit")!r}]) == 0
+        import diffsea
+        diffsea.audit({str(path)!r})
         print(read, sorted({{"jax", "equinox", "matplotlib"}} & set(sys.modules)))
     """
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
