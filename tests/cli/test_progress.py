@@ -9,9 +9,9 @@ import sys
 import pytest
 
 from diffsea.cli import compiling, options, progress
-from diffsea.cli.bar import time_left
-from diffsea.cli.compiling import Compiling
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.bar import time_left
+from diffsea.cli.progress.compiling import Compiling
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.progress import PartialProgress
 
 
@@ -180,8 +180,8 @@ import io, sys
 from diffsea.runtime import prepare_jax
 prepare_jax()
 import jax, jax.numpy as jnp
-from diffsea.cli.compiling import COMPILING
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.compiling import COMPILING
+from diffsea.cli.progress.staged import StagedProgress
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 stream = io.StringIO()
 with StagedProgress(1, stream) as tell:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from diffsea.cli import options
 from diffsea.cli.options import add_flag
 from diffsea.cli.outputs import Outputs, table
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 
 

@@ -9,7 +9,7 @@ from diffsea.cli import options
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, json_text, table
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.cli.trial import add_trial_command, trial_plan
 from diffsea.errors import UserError
 

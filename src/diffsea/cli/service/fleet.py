@@ -6,7 +6,7 @@ import pathlib
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_option
 from diffsea.cli.outputs import Outputs, table
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.progress import PartialProgress
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 
 
 if TYPE_CHECKING:

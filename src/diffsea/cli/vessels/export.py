@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import Outputs, json_text
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
 

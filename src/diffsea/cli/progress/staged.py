@@ -9,13 +9,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 from diffsea.cli import options
-from diffsea.cli.compiling import COMPILING
+from diffsea.cli.progress.compiling import COMPILING
 from diffsea.outside.printable import printable
 from diffsea.progress import PartialProgress
 
 
 if TYPE_CHECKING:
-    from diffsea.cli.bar import Bar, Standing
+    from diffsea.cli.progress.bar import Bar, Standing
 
 Stages = int | Mapping[str, float]
 
@@ -62,7 +62,7 @@ class StagedProgress:
     def __enter__(self) -> "StagedProgress":
         options.LINES.append(self.line)
         if self._stream.isatty():
-            from diffsea.cli.bar import Bar
+            from diffsea.cli.progress.bar import Bar
 
             self._bar = Bar(self.standing, self._stream)
             self._bar.start()
@@ -99,7 +99,7 @@ class StagedProgress:
 
     def standing(self) -> "Standing":
         """Where the work stands now; a stage that tells nothing moves on with its usual seconds."""
-        from diffsea.cli.bar import Standing
+        from diffsea.cli.progress.bar import Standing
 
         if self._named and self._place >= 0:
             since = (time.monotonic() - self._stage_began) / self._usual[self._place]
