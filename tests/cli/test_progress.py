@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from diffsea.cli import compiling, options, progress
+from diffsea.cli import options
+from diffsea.cli.progress import compiling, staged
 from diffsea.cli.progress.bar import time_left
 from diffsea.cli.progress.compiling import Compiling
 from diffsea.cli.progress.staged import StagedProgress
@@ -117,7 +118,7 @@ def test_a_stage_that_comes_again_has_half_of_what_is_left():
 
 def test_the_time_left_begins_with_the_usual_seconds_and_follows_the_pace(monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
     with StagedProgress({"reading": 10.0, "fitting": 90.0}, Terminal()) as tell:
         tell("reading")
         assert tell.seconds_left == pytest.approx(100.0)
@@ -134,7 +135,7 @@ def test_the_time_left_begins_with_the_usual_seconds_and_follows_the_pace(monkey
 
 def test_a_stage_that_tells_nothing_moves_on_but_not_to_its_end(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
     with StagedProgress({"reading": 10.0, "fitting": 10.0}) as tell:
         tell("reading")
         shares = []
@@ -200,8 +201,8 @@ print(COMPILING.programs, COMPILING.seconds, COMPILING.is_running)
 
 def test_the_line_says_that_a_program_is_being_compiled(monkeypatch):
     clock, told = [0.0], Compiling()
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(progress, "COMPILING", told)
+    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(staged, "COMPILING", told)
     stream = io.StringIO()
     with StagedProgress({"fitting": 9.0}, stream) as tell:
         tell("fitting")
