@@ -126,7 +126,7 @@ def sweep_command(args: argparse.Namespace) -> None:
         from diffsea.studies.parts import read_parts
 
         with Outputs(args.output) as out:
-            summary = _write_results(read_parts(folder), out, args)
+            summary = _write_results(read_parts(folder), out)
         out.present(args, _summary_text(summary))
         return
     if args.merged is not None or args.manoeuvre is None:
@@ -140,7 +140,7 @@ def sweep_command(args: argparse.Namespace) -> None:
         return
     designs = _designs(args)
     with Outputs(args.output) as out:
-        summary = _write_results(_do_parts(args, designs), out, args)
+        summary = _write_results(_do_parts(args, designs), out)
     out.present(args, _summary_text(summary))
 
 
@@ -166,7 +166,7 @@ def _do_parts(args: argparse.Namespace, designs: "DesignSpace | None" = None) ->
     return parts
 
 
-def _write_results(parts: "Parts", out: Outputs, args: argparse.Namespace) -> dict[str, Any]:
+def _write_results(parts: "Parts", out: Outputs) -> dict[str, Any]:
     """The results of all parts; returns the content of sweep.json."""
     from diffsea.report.pages.studies import sweep_page
     from diffsea.report.pictures import save_map
@@ -179,7 +179,9 @@ def _write_results(parts: "Parts", out: Outputs, args: argparse.Namespace) -> di
     summary = about | summarise(target, names)
     out.json("sweep.json", summary)
     shown = every_nth(target, -(-summary["designs"] // MAPPED))
-    out.text("sweep.html", sweep_page(shown, summary, options.source_of(args)))
+    # Not the options, of which some say how the parts were divided and change no result.
+    source = about | {key: manifest[key] for key in ("space", "versions")}
+    out.text("sweep.html", sweep_page(shown, summary, source))
     if "grid" in manifest["space"] and len(names) == 2 and summary["designs"] <= MAPPED:
         title = f"{manifest['vessel']}: {manifest['manoeuvre']}"
         save_map(shown, tuple(names), out.path("map.png"), title)

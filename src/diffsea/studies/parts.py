@@ -196,6 +196,7 @@ def do_parts(
 
 
 def _share_of_all(progress: Progress, done: int, count: int, message: str) -> None:
-    """Tell what a part tells, with the share that it stands for of all parts."""
-    share = message.share if isinstance(message, PartialProgress) else 0.0
-    progress(PartialProgress(message, (done + share) / count))
+    """Tell what a part tells; a share of the part as that which it is of all parts."""
+    if isinstance(message, PartialProgress):
+        message = PartialProgress(message, (done + message.share) / count)
+    progress(message)
