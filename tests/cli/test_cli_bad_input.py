@@ -323,7 +323,7 @@ def test_what_would_never_end_is_refused(command, option, ends):
 
 
 @pytest.mark.parametrize(
-    "words", [("--grid", "mass=1:2:99999999"), ("--sample", "9999999", "mass=1:2")]
+    "words", [("--grid", "mass=1:2:9999999999999"), ("--sample", "9999999999999", "mass=1:2")]
 )
 def test_too_many_designs_are_refused(words, tmp_path, capsys):
     out = tmp_path / "out"
