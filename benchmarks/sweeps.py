@@ -16,7 +16,8 @@ def measure() -> list[Figure]:
 
     diffsea.prepare_jax()
     from diffsea.simulation.planning import plan_trial
-    from diffsea.studies.sweep import sample, sweep
+    from diffsea.studies.designs import sample
+    from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build
 
     vessel = build(boats.document())

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+from experiments.check_data import data_folder
+
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 ORACLE = TESTS / "oracle"
 EXPERIMENTS = ROOT / "experiments"
-DATA = ROOT.parent / "shared" / "data"  # real recordings; tests that need them skip without
+DATA = data_folder()  # real recordings; tests that need them skip without

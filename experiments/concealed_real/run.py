@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from experiments.check_data import absent
 from experiments.concealed.sealing import source_digest
 from experiments.concealed_real import cases, facts, results, retellings, sets
 from experiments.concealed_real.checks import Line
@@ -236,7 +237,7 @@ def main() -> None:
     """Command line."""
     args = options().parse_args()
     if not sets.available():
-        sys.exit("the real data under ../shared/data are absent; nothing was done")
+        sys.exit(absent("real vessels"))
     names = args.sets or [n for n, one in sets.SETS.items() if one.develop or not args.develop]
     if args.workers > 1:
         sys.exit(work_together(args.workers))

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+from experiments.check_data import absent, data_folder
 from experiments.concealed_real import logs
 from experiments.concealed_real.material import Document, Material, Run, Runs
 
@@ -21,7 +22,7 @@ import diffsea
 
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"  # not part of the project
+DATA = data_folder()  # not part of the project
 EXPERIMENTS = ROOT / "experiments"
 
 Span = tuple[float, float]  # from, to: s after the first row
@@ -82,7 +83,7 @@ def tables(pattern: str, mapping: Path, earth: tuple[str, ...] = ()) -> Runs:
     """
     files = sorted(DATA.glob(pattern))
     if not files:
-        raise FileNotFoundError(f"no recordings match {pattern} under ../shared/data")
+        raise FileNotFoundError(absent(pattern))
     usual = diffsea.read_mapping(mapping)
     turned = dataclasses.replace(usual, velocity_axes="earth")
     of = lambda file: turned if file.name in earth else usual

@@ -9,7 +9,7 @@ import numpy as np
 from diffsea import TrialPlan, Vessel, named
 from diffsea.simulation import planning
 from diffsea.simulation.control import speed_for, throttle_for_thrust
-from diffsea.studies.sweep import Designs
+from diffsea.studies.designs import Designs
 from diffsea.types import Scalar
 
 

@@ -11,6 +11,8 @@ from diffsea.runtime import prepare_jax
 
 prepare_jax()
 
+from experiments.check_data import absent, data_folder
+
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -28,7 +30,7 @@ from diffsea.vessel.files import Table, build, dump
 
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"
+DATA = data_folder()
 SHOWN = 8  # candidates in tables and plots
 
 
@@ -58,7 +60,7 @@ def load(folder: Path, pattern: str, mapping: str = "mapping.toml") -> dict[str,
     """Recordings by file name; ends with a message where the data are not there."""
     files = sorted(DATA.glob(pattern))
     if not files:
-        sys.exit(f"no recordings match {pattern} under ../shared/data; nothing was done")
+        sys.exit(absent(pattern))
     table = read_mapping(folder / mapping)
     return {file.name: read_recording(file, table) for file in files}
 

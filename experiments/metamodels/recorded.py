@@ -8,6 +8,7 @@ overshoots means nothing; a metamodel asks each what it says of any zig-zag.
 import dataclasses
 from pathlib import Path
 
+from experiments.check_data import absent, data_folder
 from experiments.harness.reporting import ROOT
 from experiments.metamodels.metamodel import cross_validated, identified, told
 
@@ -21,7 +22,7 @@ from diffsea.metamodels.fit import Trials
 from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots
 
 
-DATA = ROOT.parent / "shared" / "data"
+DATA = data_folder()
 RAD = np.pi / 180
 
 
@@ -163,5 +164,5 @@ def study(say) -> dict:
         if trials:
             out[name] = left_out(trials, rate)
         else:
-            say(f"no recordings of {name} under ../shared/data: left out")
+            say(f"{absent(name)}; left out")
     return out

@@ -17,6 +17,8 @@ from diffsea.runtime import prepare_jax
 
 prepare_jax()
 
+from experiments.check_data import absent, data_folder
+
 import numpy as np
 
 from diffsea import (
@@ -37,7 +39,7 @@ from diffsea.vessel.files import build, dump, updated_document
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-DATA = ROOT.parent / "shared" / "data"
+DATA = data_folder()
 NUMBERS = ("overshoot_1", "overshoot_2", "advance", "transfer", "tactical_diameter",
            "peak_yaw_rate")  # fmt: skip
 
@@ -144,7 +146,7 @@ def load(case: Set) -> dict[str, Trajectory]:
     """Recordings by file name, as repaired after the audit."""
     files = sorted(DATA.glob(case.pattern))
     if not files:
-        sys.exit(f"no recordings match {case.pattern} under ../shared/data; nothing was done")
+        sys.exit(absent(case.pattern))
     mapping = read_mapping(ROOT / "experiments" / case.mapping / _mapping(case))
     return {file.name: read_recording(file, mapping) for file in files}
 

@@ -303,7 +303,7 @@ def test_unknown_parameters_are_told_with_the_nearest(command, ends):
 
 
 def test_an_unknown_swept_parameter_is_told_with_the_nearest(ends):
-    status, told = ends("sweep", None, None, "--grid", "maas=1:2:2")
+    status, told = ends("sweep", None, None, "maas=1:2:2")  # one more axis of the grid
     assert status == 1 and "did you mean 'mass'" in told
 
 
@@ -323,7 +323,7 @@ def test_what_would_never_end_is_refused(command, option, ends):
 
 
 @pytest.mark.parametrize(
-    "words", [("--grid", "mass=1:2:99999999"), ("--sample", "9999999", "mass=1:2")]
+    "words", [("--grid", "mass=1:2:9999999999999"), ("--sample", "9999999999999", "mass=1:2")]
 )
 def test_too_many_designs_are_refused(words, tmp_path, capsys):
     out = tmp_path / "out"

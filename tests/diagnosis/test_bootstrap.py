@@ -10,7 +10,7 @@ from tests.diagnosis.small import DOCUMENT, still_problem, usv
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, UserError
-from diffsea.cli.progress import StagedProgress
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.diagnosis.bootstrap import (
     BOOTSTRAP_SEED,
     NO_BOOTSTRAP,

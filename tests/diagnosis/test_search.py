@@ -18,6 +18,7 @@ from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import (
     Deadline,
+    Effort,
     Search,
     ask_again,
     believe_audit,
@@ -27,10 +28,10 @@ from diffsea.diagnosis.search import (
     resume_stalled_fit,
     withdraw_outdone,
 )
-from diffsea.identification.estimates import no_progress
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
+from diffsea.progress import no_progress
 from diffsea.report.words import incomplete_sentence
 
 
@@ -101,6 +102,17 @@ def test_both_causes_are_found_one_after_the_other(data, found):
     assert bias == pytest.approx([BIAS], rel=0.15)
     assert flow == pytest.approx(0.4 * np.array([np.cos(2), np.sin(2)]), abs=0.04)
     assert found.final_screening.located_p_value > 0.01
+
+
+def test_a_search_that_does_not_insist_names_one_cause_and_says_that_more_is_left(
+    data, nominal, screening, found
+):
+    quick = Effort(effects=1, insists=False)
+    ended = forward_search(data, begun(nominal, screening), NO_BOOTSTRAP, no_progress, effort=quick)
+    assert accepted_names(ended) == accepted_names(found)[:1] and not ended.complete
+    assert found.complete
+    last = forward_search(data, ended, NO_BOOTSTRAP, no_progress, effort=Effort(2, insists=False))
+    assert accepted_names(last) == accepted_names(found)
 
 
 def claimed(kind, recording, **parameters) -> Finding:

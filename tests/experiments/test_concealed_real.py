@@ -38,7 +38,7 @@ GENERATOR = (
     *("material", "sensor_injections", "order_injections", "injections", "features", "cases"),
     "retellings",
 )
-real = pytest.mark.skipif(not DATA.is_dir(), reason="the real data under ../shared/data are absent")
+real = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real recordings in {DATA}")
 
 STEP, ROWS = 0.1, 241
 USV = simulator.load(ORACLE / "usv.toml")

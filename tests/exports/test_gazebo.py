@@ -88,7 +88,10 @@ def test_accelerations_are_those_of_diffsea_at_random_motions(name):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10 * abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ["blueboat", "wamv", "skew", "no-munk"])
+@pytest.mark.parametrize(
+    "name",
+    ["blueboat", "skew", *(pytest.param(n, marks=pytest.mark.proof) for n in ("wamv", "no-munk"))],
+)
 def test_a_turn_of_a_minute_is_that_of_diffsea(name):
     vessel = boats()[name]
     start = np.array([3.0, -2.0, 0.7, 0.5, 0.0, 0.0])

@@ -94,7 +94,14 @@ def test_accelerations_are_those_of_diffsea_at_random_motions(name):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * scale)
 
 
-@pytest.mark.parametrize("name", ["kvlcc2", "otter", "shioji_maru", "odd"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "otter",
+        "odd",
+        *(pytest.param(n, marks=pytest.mark.proof) for n in ("kvlcc2", "shioji_maru")),
+    ],
+)
 def test_a_run_with_lags_slew_rates_and_delays_is_that_of_diffsea(name):
     vessel, rng = vessels()[name], np.random.default_rng(3)
     times = (0.0, 5.0, 12.3, 20.0)

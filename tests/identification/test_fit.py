@@ -407,10 +407,10 @@ def test_a_fit_that_was_cut_short_says_so(document, recordings):
     problem = make_problem(build(document), recordings, HULL)
     said: list[str] = []
     short = estimate(problem, HULL, rounds=1, progress=said.append)
-    assert "not at its end after 1 rounds" in said[-1]
+    assert "not at its end after 1 steps" in said[-1]
     assert short.outcome is FitOutcome.STEP_LIMIT
     whole = estimate(problem, HULL, rounds=40, progress=said.append)
-    assert "round" in said[-1] and "not at its end" not in said[-1]
+    assert "step" in said[-1] and "not at its end" not in said[-1]
     assert whole.outcome is FitOutcome.CONVERGED
 
 

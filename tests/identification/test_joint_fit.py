@@ -135,6 +135,7 @@ def test_both_together_are_nearer_to_the_truth_than_either(document, vessel, she
     assert found.recordings.cost == pytest.approx(found.recordings.values, rel=0.2)
 
 
+@pytest.mark.proof
 def test_free_runs_take_numbers_besides(document, vessel, sheet):
     """The gradient that is assembled by hand is that of the cost, and the fit ends at its least."""
     objective = OutputError(joint(vessel, straight_run(document, 1), with_errors(sheet, 1)))

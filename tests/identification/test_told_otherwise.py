@@ -7,7 +7,7 @@ from experiments.concealed_real import retellings, sets
 import numpy as np
 import pytest
 from tests.oracle.simulator import load
-from tests.paths import ORACLE, ROOT
+from tests.paths import DATA, ORACLE
 from tests.runs import random_steps
 
 from diffsea import Trajectory, read_recording, read_vessel
@@ -102,7 +102,7 @@ def test_noise_stays_as_it_is_where_the_model_diverges(boat, runs):
 def test_a_real_set_told_otherwise_is_fitted_the_same(tmp_path):
     """One set of those that `make proof` asks."""
     name = "blueboat"
-    data = ROOT.parent / "shared" / "data" / name
+    data = DATA / name
     if not data.exists():
         pytest.skip(f"no recordings in {data}")
     material = sets.SETS[name].load()

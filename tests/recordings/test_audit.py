@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.paths import ROOT
+from tests.paths import DATA, ROOT
 
 from diffsea import Trajectory, read_recording, repair
 from diffsea.recordings import KINDS, audit, readers
@@ -21,7 +21,6 @@ from diffsea.recordings.motion import motion_of
 pytestmark = pytest.mark.slow
 
 
-DATA = ROOT.parent / "shared" / "data"
 FINE = 0.02  # s
 NOISE = {"x": 0.1, "y": 0.1, "psi": 0.01, "u": 0.03, "v": 0.03, "r": 0.005}
 SHAPES = ("circle", "zigzag", "random")

@@ -308,6 +308,7 @@ def test_the_command_writes_the_mapping_and_audits_through_it(runs, tmp_path, ca
     told = capsys.readouterr().out
     assert "how sure" in told and f"--mapping {out / 'random-fast.mapping.toml'}" in told
     assert sorted(path.name for path in out.iterdir()) == [
+        "audit.html",
         "audit.json",
         "random-fast.mapping.toml",
     ]

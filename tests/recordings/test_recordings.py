@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from tests.paths import ROOT
+from tests.paths import DATA, ROOT
 
 from diffsea import (
     Trajectory,
@@ -22,7 +22,6 @@ from diffsea import (
 from diffsea.recordings import to_frame
 
 
-DATA = ROOT.parent / "shared" / "data"
 MAPPED = [
     ("blueboat", "fixed_00000224.csv"),
     ("esso_osaka", "recordings/zigzag_31-Jul-2020_13_04_24.csv"),
@@ -413,8 +412,8 @@ def test_recordings_are_read_and_audited_without_what_takes_long_to_start(place,
         import sys, diffsea.recordings
         slow = {{"jax", "equinox", "matplotlib", "scipy.stats", "scipy.signal", "scipy.io"}}
         read = sorted(slow & set(sys.modules))
-        from diffsea.cli import main
-        assert main(["audit", {str(path)!r}, "-o", {str(tmp_path / "audit")!r}]) == 0
+        import diffsea
+        diffsea.audit({str(path)!r})
         print(read, sorted({{"jax", "equinox", "matplotlib"}} & set(sys.modules)))
     """
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}

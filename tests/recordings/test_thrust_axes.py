@@ -79,7 +79,16 @@ def test_thrust_that_does_little_tells_nothing(reading):
 
 
 @pytest.mark.skipif(not sets.available(), reason="the recordings of real vessels are absent")
-@pytest.mark.parametrize("reading", [*READINGS.values(), (-1.0, 0.0)])
+@pytest.mark.parametrize(
+    "reading",
+    [
+        READINGS["mirrored"],
+        *(
+            pytest.param(other, marks=pytest.mark.proof)
+            for other in (READINGS["quarter"], READINGS["astern"], (-1.0, 0.0))
+        ),
+    ],
+)
 def test_a_ferrys_thrust_tells_its_heading(reading):
     """Of three runs one moves and turns enough to tell; as they are, none is accused."""
     told = []

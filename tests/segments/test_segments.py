@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.paths import ROOT
+from tests.paths import DATA, ROOT
 
 from diffsea import (
     Trajectory,
@@ -33,7 +33,6 @@ from diffsea.simulation.actuation import executed_by
 from diffsea.vessel.servo import Servo
 
 
-DATA = ROOT.parent / "shared" / "data"
 DEG = math.pi / 180
 
 

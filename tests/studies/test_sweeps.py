@@ -31,8 +31,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 def swept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "boat.toml").write_text(BOAT)
-    first, *others = GRID
-    words = ["sweep", str(folder / "boat.toml"), *ORDERED, "--grid", first, "--grid", *others]
+    words = ["sweep", str(folder / "boat.toml"), *ORDERED, "--grid", *GRID]
     told = io.StringIO()
     with contextlib.redirect_stderr(told):
         assert main([*words, "-o", str(folder / "out")]) == 0
@@ -142,6 +141,7 @@ def test_names_that_cannot_be_swept_are_told(vessel, names, message):
         (["--grid", "mass=1:x:3"], "'x' is not a number"),
         (["--grid", "mass=1:2:0"], "whole number above zero"),
         (["--grid", "mass=1:2:3", "mass=1:2:3"], "given twice"),
+        (["--grid", "mass=1:2:3", "--grid", "x_G=0:1:3"], "give all values after one --grid"),
         (["--sample", "3"], "then NAME=FROM:TO"),
         (["--sample", "mass=1:2", "3"], "NAME=FROM:TO"),
         (["--grid", "speed=1:2:2", "--speed", "1"], "speed is swept"),

@@ -59,6 +59,7 @@ def test_every_recording_is_a_row_and_a_broken_log_says_why(fitted):
     assert list(failed["torn"]["audit"]) == ["unreadable"]
 
 
+@pytest.mark.proof
 def test_a_boat_is_fitted_beside_its_broken_log(fitted, harbour):
     table = pd.read_parquet(fitted / "fleet.parquet").set_index("boat")
     (alone,) = table.loc["torn"]["N_r"].unique()
@@ -103,6 +104,7 @@ def test_a_run_goes_on_with_the_boats_that_are_kept(fitted, harbour, capsys, mon
     assert len(list(parts.iterdir())) == 4
 
 
+@pytest.mark.proof
 def test_a_half_written_part_is_done_again(harbour, tmp_path):
     audited = lambda: diffsea.fleet(harbour / "fleet.csv", until="audit", parts=tmp_path)
     assert audited().reused == 0 and audited().reused == 3

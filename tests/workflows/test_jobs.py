@@ -88,4 +88,4 @@ def test_the_demo_is_fitted_and_diagnosed(tmp_path):
     assert diffsea.named(again.vessel)["X_u"] == diffsea.named(fitted.fitted.vessel)["X_u"]
     found = diffsea.diagnose(demo / "usv.toml", runs[:3], test=held_out[:1])
     assert found.verdict == "explained" and "current" in repr(found)
-    assert "<html" in found.html()
+    assert "<html" in found.html() and "<pre>On runs" in found._repr_html_()

@@ -20,7 +20,7 @@ def asked(tmp_path, monkeypatch):
     vessel, run, seen = tmp_path / "boat.toml", tmp_path / "run.csv", {}
     write_recording(random_steps(tomllib.loads(BOAT), 1, 30.0, 0.2), run)
 
-    def search(vessel, runs, test, per_run, free, *rest):
+    def search(vessel, runs, test, per_run, free, *rest, **more):
         seen["free"], seen["priors"] = free, rest[-1]
         raise UserError("far enough")
 

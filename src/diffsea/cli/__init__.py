@@ -30,6 +30,7 @@ what to do), 2 bad usage.
 # before JAX starts.
 
 import argparse
+import contextlib
 import importlib
 import importlib.metadata
 import os
@@ -38,6 +39,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from diffsea.cli.grammar import GREETING, Parser
 from diffsea.errors import UserError
 from diffsea.outside.printable import printable
 from diffsea.outside.sizes import DEFAULT_LIMIT, size_limit
@@ -51,6 +53,7 @@ COMMAND_MODULES = (
     "check",
     "recordings",
     "identification",
+    "sweeping",
     "studies",
     "segments",
     "service.online",
@@ -58,6 +61,7 @@ COMMAND_MODULES = (
     "service.fleet",
     "vessels.export",
     "vessels.show",
+    "completion",
 )
 
 
@@ -67,12 +71,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     Arguments:
         argv: the words after `diffsea`; those of the process if None.
 
+    Without any word it greets, with the commands to begin with.
+
     **Returns:** 0 done, 1 the work failed, 2 bad usage, 130 interrupted. Messages go to standard
     error, and whatever fails leaves no files behind.
     """
     debug = False
     try:
-        args = make_parser().parse_args(argv)
+        words = sys.argv[1:] if argv is None else list(argv)
+        if not words:
+            print(GREETING, end="")
+            return 0
+        args = make_parser().parse_args(words)
         debug = args.debug
         prepare_jax()  # the settings alone; a command that needs JAX starts it by importing it
         with size_limit(getattr(args, "max_size", None) or DEFAULT_LIMIT):
@@ -96,9 +106,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # a name too long, a disk that is full or fails
         if debug or error.strerror is None:
             traceback.print_exc()
-        where = "" if error.filename is None else f"{error.filename}: "
-        told = f"diffsea: error: {where}{error.strerror or error}; nothing was written"
-        print(printable(told), file=sys.stderr)
+        told = f"{error.filename}: {error.strerror}; nothing was written"
+        if error.filename is None:  # files have names: this is what was printed
+            told = f"cannot write to standard output: {error.strerror or error}"
+            with contextlib.suppress(OSError, ValueError):  # what it holds back is lost
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(printable(f"diffsea: error: {told}"), file=sys.stderr)
         return 1
     except Exception as error:
         if debug:
@@ -112,13 +125,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
 
 
-def make_parser() -> argparse.ArgumentParser:
+def shipped_names() -> list[str]:
+    """Names of the vessels that ship, found without importing what reads them."""
+    folder = pathlib.Path(__file__).parents[1] / "vessel"
+    return sorted(file.stem for file in folder.rglob("*.toml"))
+
+
+def make_parser() -> Parser:
     """The grammar of the command line, with every command."""
-    vessels = sorted(p.stem for p in (pathlib.Path(__file__).parents[1] / "vessel").rglob("*.toml"))
     description, _, examples = (__doc__ or "").partition("\nexamples:\n")
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="diffsea",
-        description=description.format(vessels=", ".join(vessels)),
+        description=description.format(vessels=", ".join(shipped_names())),
         epilog=f"examples:\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 from diffsea.cli import options
 from diffsea.cli.options import add_flag
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
     from diffsea.checks import LogCheck
     from diffsea.recordings import Finding
+
+
+STAGES = {"reading": 1.0, "checking": 3.0, "writing": 0.5}  # usual seconds
 
 
 def register(commands: options.Commands) -> None:
@@ -41,7 +45,8 @@ def check_command(args: argparse.Namespace) -> None:
     paths = args.logs
     if len(set(paths)) < len(paths):
         raise UserError("a log is named twice; name each only once")
-    with Outputs(args.output) as out:
+    with Outputs(args.output) as out, StagedProgress(STAGES) as tell:
+        tell("reading the logs")
         from diffsea.recordings import Finding
         from diffsea.report.pages.check import check_report
         from diffsea.workflows.checks import check_logs, choose_mappings, mapping_file
@@ -51,6 +56,7 @@ def check_command(args: argparse.Namespace) -> None:
         told = [how.message if isinstance(how, Finding) else how.told for how in hows]
         for path, sentence in zip(paths, told, strict=True):
             options.progress(f"{path.name}: {sentence}")
+        tell("checking the log" if len(paths) == 1 else f"checking {len(paths)} logs")
         checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
         for path, how in chosen.items():
             text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)
@@ -62,6 +68,7 @@ def check_command(args: argparse.Namespace) -> None:
         keys = names if len(set(names)) == len(names) else [str(path) for path in paths]
         several = {"format": 1, "logs": dict(zip(keys, records, strict=True))}
         out.json("check.json", records[0] if len(records) == 1 else several)
+        tell("writing the page")
         command = "diffsea check " + " ".join(shlex.quote(str(path)) for path in paths)
         source = {"command": command, "logs": keys}
         out.text("check.html", check_report(checks, told, source))

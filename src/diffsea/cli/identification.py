@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 
 
@@ -22,7 +23,17 @@ if TYPE_CHECKING:
 
 
 ANCHORS = ("mass", "thrust")  # as the library has them, which would import JAX to be asked
-STAGES = 8  # of a diagnosis, as most are
+OBJECTIVES = ("innovation", "free-run", "trial-numbers")  # likewise
+TABLE_OF_OBJECTIVES = "diffsea.identification.study:OBJECTIVES"
+# Usual seconds of what is told, with programs that have to be compiled.
+OF_FIT = {
+    **{"reading": 2.0, "fitting": 30.0, "how": 10.0, "looking": 5.0, "predicting": 8.0},
+    **{"writing": 3.0},
+}
+OF_DIAGNOSIS = {
+    **{"reading": 2.0, "checking": 2.0, "fitting": 30.0, "asking": 8.0, "trying": 25.0},
+    **{"finding": 2.0, "looking": 1.0, "comparing": 8.0, "writing": 5.0},
+}
 
 
 def register(commands: options.Commands) -> None:
@@ -30,7 +41,7 @@ def register(commands: options.Commands) -> None:
     summary = "identify a vessel's derivatives from recordings"
     fit = options.add_command(commands, "fit", fit_command, summary)
     _add_inputs(fit)
-    objectives = options.LibraryNames("objective", "diffsea.identification.study:OBJECTIVES")
+    objectives = options.LibraryNames(OBJECTIVES, "objective", TABLE_OF_OBJECTIVES)
     objective = "%(choices)s (default: innovation; trial-numbers for a sheet)"
     add_option(fit, "--objective", "O", objectives, objective, choices=objectives)
     starts = "starts drawn from the priors, explored at once"
@@ -67,7 +78,11 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--priors", "FILE", pathlib.Path, priors)
     anchor = "what fixes the scale of forces; with thrust, mass and inertia are fitted"
     add_choice(parser, "--anchor", ANCHORS, anchor)
+    budget = "begin no further step of any stage after so long; results say what was left out"
+    add_option(parser, "--budget", "SECONDS", options.positive, budget, default=math.inf)
     add_flag(parser, "--keep-idle", "keep stretches of logs at rest, disarmed or carried about")
+    quick = "a first look in less time; what it has not done is told"
+    add_flag(parser, "--quick", quick)
     environment = "whether wind and current are the same in all recordings"
     add_choice(parser, "--environment", ("shared", "per-recording"), environment)
 
@@ -89,18 +104,19 @@ def fit_command(args: argparse.Namespace) -> None:
       diffsea fit ship.toml sea_trial.toml
       diffsea fit ship.toml sea_trial.toml log.csv --test other.csv
     """
-    with Outputs(args.output) as out:
+    began = time.monotonic()
+    with Outputs(args.output) as out, StagedProgress(OF_FIT) as tell:
+        tell("reading")
         from diffsea.report.fit import fit_report
         from diffsea.report.predictions import horizon_table
         from diffsea.vessel.files import dump
         from diffsea.workflows.identification import fit, provenance
 
-        began = time.monotonic()
         history: list[str] = []
 
         def follow(message: str) -> None:
             history.append(message)
-            options.progress(f"[{time.monotonic() - began:5.0f} s] {message}")
+            tell(message)
 
         file = options.read_vessel(args)
         data, test = _read_data(args)
@@ -117,14 +133,18 @@ def fit_command(args: argparse.Namespace) -> None:
             per_recording=args.environment == "per-recording",
             progress=follow,
             profiles=() if args.profile == ("none",) else args.profile,
+            quick=args.quick,
+            budget=args.budget - (time.monotonic() - began),
         )
+        tell("writing the report")
         runs = found.data.recordings, found.data.test
         source = provenance(file, *runs)
         out.text("vessel.toml", dump(found.fitted.document))
         horizons = horizon_table(found.predicted)
         out.json("fit.json", _fit_record(found) | {"source": source, "predictions": horizons})
         judged = found.study, found.misfit, history, found.predicted
-        out.text("report.html", fit_report(*judged, runs, source, found.verdict))
+        told = found.verdict, found.not_done, found.left_out
+        out.text("report.html", fit_report(*judged, runs, source, *told))
     out.present(args, _summary_text(found))
 
 
@@ -157,6 +177,8 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
     rows = [dict(row) for row in study.rows]
     record: dict[str, Any] = {
         "format": 1,
+        "complete": not found.left_out,
+        "left_out": found.left_out,
         "free": found.free,
         "missing": found.missing,
         "missing_evidence": found.verdict.as_dict(),
@@ -179,6 +201,8 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
     if found.data.trials:
         residuals = study.objective.residuals(study.estimate.coordinates)
         record["trial_numbers"] = [dataclasses.asdict(one) for one in residuals]
+    if found.not_done:
+        record["not_done"] = list(found.not_done)
     if study.sources is not None:
         record["sources"] = study.sources.as_dict()
     return record
@@ -206,9 +230,10 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 
 def _summary_text(found: "FitResult") -> str:
     """fit.json for a person: free predictions, a table of parameters, then sentences."""
+    from diffsea.budget import left_out_sentence
     from diffsea.report.fit import MODELS, worse_warning
     from diffsea.report.predictions import horizon_table
-    from diffsea.report.words import effect_lines, horizon_line
+    from diffsea.report.words import effect_lines, horizon_line, quick_sentence
 
     study, sources = found.study, found.study.sources
     horizons = [horizon_line(row, tuple(MODELS)) for row in horizon_table(found.predicted)]
@@ -239,6 +264,8 @@ def _summary_text(found: "FitResult") -> str:
     parts += [] if study.next is None else [f"next: {study.next.sentence}"]
     warning = worse_warning(found.predicted)
     parts += [f"warning: {warning}"] if warning else []
+    parts += [quick_sentence(found.not_done)] if found.not_done else []
+    parts += [f"warning: {left_out_sentence(found.left_out)}"] if found.left_out else []
     return "\n".join([*parts, found.verdict.sentence])
 
 
@@ -249,20 +276,24 @@ def diagnose_command(args: argparse.Namespace) -> None:
 
     examples:
       diffsea diagnose usv.toml run*.csv --test other*.csv
+      diffsea diagnose boat.toml run*.csv --quick
       diffsea diagnose boat.toml run*.csv --priors known.toml
       diffsea diagnose ship.toml a.csv b.csv --environment per-recording
     """
+    if args.quick and args.next_manoeuvre is not None:
+        raise UserError("--quick looks for no manoeuvre; leave it or --next-manoeuvre out")
+    began = time.monotonic()
     with Outputs(args.output) as out:
         import pandas as pd
 
-        from diffsea.cli.progress import StagedProgress
         from diffsea.diagnosis.experiment import commands
         from diffsea.report.words import verdict_text
         from diffsea.vessel.files import dump
         from diffsea.workflows.identification import diagnose
 
         next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
-        with StagedProgress(STAGES) as tell:
+        with StagedProgress(OF_DIAGNOSIS) as tell:
+            tell("reading")
             file = options.read_vessel(args)
             runs, test = options.read_fitted_and_held_out(args)
             per_run = args.environment == "per-recording"
@@ -277,6 +308,8 @@ def diagnose_command(args: argparse.Namespace) -> None:
                 seconds=math.inf if args.minutes is None else 60.0 * args.minutes,
                 priors=_read_priors(args, file),
                 anchor=args.anchor,
+                quick=args.quick,
+                budget=args.budget - (time.monotonic() - began),
             )
             if next_csv is not None:
                 experiment, train = found.experiment, found.diagnosis.split.train

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
     from diffsea.vessel.files import VesselFile
 
+# Of a command's arguments, those that change no result.
+_NOT_ASKED = ("run", "usage_error", "output", "json", "debug")
+
 Commands = Any  # argparse's sub-parsers, whose class is private
+LINES: list[Callable[[str], None]] = []  # what shows lines while bars are drawn
 Parser = argparse.ArgumentParser | argparse._ArgumentGroup | argparse._MutuallyExclusiveGroup
 
 
@@ -49,7 +53,6 @@ def add_command(
         description=description,
         epilog=f"examples:\n{examples}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.set_defaults(run=run)
     output = parser.add_argument_group("output")
@@ -82,8 +85,9 @@ def add_option(
 
 def add_choice(parser: Parser, flag: str, choices: Sequence[str], help: str) -> None:
     """An option that is one of few words, the first by default."""
-    text = f"{help} (default: %(default)s)"
-    parser.add_argument(flag, choices=choices, default=choices[0], help=text)
+    text = f"{help} ({' | '.join(choices)}; default: %(default)s)"
+    kind, metavar = OneOf(choices, "choice"), flag.strip("-").upper()
+    parser.add_argument(flag, metavar=metavar, type=kind, default=choices[0], help=text)
 
 
 def add_flag(parser: Parser, flag: str, help: str) -> None:
@@ -158,56 +162,56 @@ def angle(text: str) -> float:
     return math.radians(degrees)
 
 
-class LibraryNames:
-    """A type of argument: one of the names in a table of the library, which is read when needed.
+class OneOf:
+    """A type of argument: one of some names; the message has the nearest one and the list."""
 
-    Reading it imports JAX, which takes a second that a parser must not take for other commands.
-    Iterated, as argparse does for `%(choices)s`, the names have their `help` in brackets.
-    """
-
-    def __init__(self, what: str, place: str):
+    def __init__(self, names: Sequence[str], what: str):
         """
         Arguments:
             what: the names are, for the message.
-            place: of the table, `module:NAME`; its values may have a text `help`.
         """
-        self._what, self._place = what, place
-
-    @functools.cached_property
-    def _helps(self) -> dict[str, str]:
-        prepare_jax()
-        module, _, name = self._place.partition(":")
-        table = getattr(importlib.import_module(module), name)
-        by_name = table if isinstance(table, dict) else dict.fromkeys(table)
-        return {name: getattr(entry, "help", "") for name, entry in by_name.items()}
+        self.names, self._what = tuple(names), what
 
     def __call__(self, text: str) -> str:
-        return one_of(tuple(self._helps), self._what)(text)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._helps
-
-    def __iter__(self) -> Iterator[str]:
-        return (f"{name} ({text})" if text else name for name, text in self._helps.items())
-
-
-def one_of(allowed: Sequence[str], what: str) -> Callable[[str], str]:
-    """A type of argument: one of some names; the message has the nearest one and the list.
-
-    Arguments:
-        what: the names are, for the message.
-    """
-
-    def checked_name(text: str) -> str:
-        if text not in allowed:
-            near = difflib.get_close_matches(text, allowed, n=1)
+        if text not in self.names:
+            near = difflib.get_close_matches(text, self.names, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
             raise argparse.ArgumentTypeError(
-                f"there is no {what} {text!r}{hint}; choose one of {', '.join(allowed)}"
+                f"there is no {self._what} {text!r}{hint}; choose one of {', '.join(self.names)}"
             )
         return text
 
-    return checked_name
+
+class LibraryNames(OneOf):
+    """Names that the library explains in a table, which is read where help is asked for.
+
+    Reading it imports JAX, which takes a second that a parser must not take. Iterated, as argparse
+    does for `%(choices)s`, the names have their `help` in brackets.
+    """
+
+    def __init__(self, names: Sequence[str], what: str, place: str):
+        """
+        Arguments:
+            names: those of the table, written out.
+            place: of the table, `module:NAME`; its values may have a text `help`.
+        """
+        super().__init__(names, what)
+        self.place = place
+
+    @functools.cached_property
+    def table(self) -> dict[str, Any]:
+        """The library's own names and what it says of them."""
+        prepare_jax()
+        module, _, name = self.place.partition(":")
+        table = getattr(importlib.import_module(module), name)
+        return table if isinstance(table, dict) else dict.fromkeys(table)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        helps = {name: getattr(entry, "help", "") for name, entry in self.table.items()}
+        return (f"{name} ({text})" if text else name for name, text in helps.items())
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -294,6 +298,21 @@ def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[
     return parts
 
 
+def source_of(args: argparse.Namespace) -> dict[str, Any]:
+    """What was asked for, as a page states it: the command, and what it was given."""
+    asked = {k: v for k, v in vars(args).items() if k not in _NOT_ASKED and v not in (None, False)}
+    texts = {
+        name: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+        for name, value in asked.items()
+    }
+    command = args.run.__name__.removesuffix("_command")
+    return {"command": f"diffsea {command}", "options": texts}
+
+
 def progress(message: str) -> None:
-    """A line for the person who waits, on standard error."""
-    print(printable(message), file=sys.stderr, flush=True)
+    """A line for the person who waits, on standard error, above the bar where there is one."""
+    shown = printable(message)
+    if LINES:
+        LINES[-1](shown)
+    else:
+        print(shown, file=sys.stderr, flush=True)

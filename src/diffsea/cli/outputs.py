@@ -2,21 +2,19 @@
 
 import argparse
 import contextlib
-import errno
 import json
 import math
 import os
 import pathlib
 import re
-import shutil
-import tempfile
 from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Any
 
 from diffsea.errors import UserError
-from diffsea.outside.durable import move_for_good, replace_for_good
+from diffsea.outside.durable import errors_placed, replace_for_good
 from diffsea.outside.printable import escaped_json, printable
+from diffsea.outside.unfinished import unfinished_folder
 
 
 _LONGEST_NAME = 255  # bytes of a file's name on the usual file systems
@@ -39,13 +37,14 @@ class Outputs:
         self.folder = pathlib.Path(folder)
         self.files: list[pathlib.Path] = []
         self._elsewhere: dict[pathlib.Path, pathlib.Path] = {}
+        self._unfinished = contextlib.ExitStack()
         self._result = "null"
 
     def __enter__(self) -> "Outputs":
         self._made = [p for p in (self.folder, *self.folder.parents) if not os.path.exists(p)]
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._temporary = pathlib.Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.folder))
+            self._temporary = self._unfinished.enter_context(unfinished_folder(self.folder))
         except OSError as error:
             self._remove_folders()
             raise UserError(
@@ -81,7 +80,11 @@ class Outputs:
             raise UserError(f"{option}: {file} is a folder; give the name of a file")
         if not os.access(file if file.exists() else file.parent, os.W_OK):
             raise UserError(f"{option}: cannot write {file}; choose another file")
-        self._elsewhere[file] = self._temporary / f"elsewhere-{len(self._elsewhere)}"
+        try:
+            folder = self._unfinished.enter_context(unfinished_folder(file.parent))
+        except OSError as error:
+            raise UserError(f"{option}: cannot write {file}: {error.strerror}") from None
+        self._elsewhere[file] = folder / file.name
         return self._elsewhere[file]
 
     def text(self, name: str, text: str) -> pathlib.Path:
@@ -105,23 +108,38 @@ class Outputs:
     def __exit__(
         self, kind: type | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        places = {self._temporary: self.folder}
+        places |= {part.parent: file.parent for file, part in self._elsewhere.items()}
+        finished = False
         try:
-            if kind is None:
-                for file in self.files:
-                    if file.is_dir():
-                        raise IsADirectoryError(errno.EISDIR, f"{file.name} is a folder there")
-                for file in self.files:
-                    replace_for_good(self._temporary / file.name, file)
-                for file, temporary in self._elsewhere.items():
-                    if temporary.exists():
-                        move_for_good(temporary, file)
-                        self.files.append(file)
+            with errors_placed(places, self.folder):
+                if isinstance(error, OSError):
+                    raise error
+                if error is None:
+                    self._finish()
+                    finished = True
         except OSError as failed:
-            raise UserError(f"cannot write into {self.folder}: {failed.strerror}") from None
+            if failed is not error:  # else it has nothing to do with what is written
+                raise UserError(f"cannot write {failed.filename}: {failed.strerror}") from None
         finally:
-            shutil.rmtree(self._temporary, ignore_errors=True)
-            if kind is not None:
+            self._unfinished.close()
+            if not finished:
                 self._remove_folders()
+
+    def _finish(self) -> None:
+        """Put every file in its place, or none.
+
+        Raises:
+            OSError: one cannot be.
+            UserError: a folder stands in the way of one.
+        """
+        for file in self.files:
+            if file.is_dir():
+                raise UserError(f"cannot write into {self.folder}: {file.name} is a folder there")
+        moves = [(self._temporary / file.name, file) for file in self.files]
+        elsewhere = {t: file for file, t in self._elsewhere.items() if t.exists()}
+        replace_for_good([*moves, *elsewhere.items()])
+        self.files += elsewhere.values()
 
     def present(self, args: argparse.Namespace, summary: str) -> None:
         """Print the result: JSON alone with `--json`, else the summary and the files' names.

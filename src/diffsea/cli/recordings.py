@@ -5,14 +5,16 @@ import dataclasses
 import math
 import pathlib
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.cli.trial import metrics_text
 from diffsea.errors import UserError
+from diffsea.progress import PartialProgress
 
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from diffsea.trajectory import Trajectory
 
 
+# As the library has them, which would import JAX to be asked.
+RECORDED_TRIALS = ("turning-circle", "zigzag", "pull-out", "stopping", "straight", "unknown")
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 UNITS_OF_PEOPLE = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
 
@@ -32,7 +36,7 @@ def register(commands: options.Commands) -> None:
     size = metrics.add_mutually_exclusive_group()
     add_option(size, "--vessel", "V", str, "vessel whose length and thrust curves count")
     add_option(size, "--length", "M", options.positive, "L_pp as recorded")
-    trials = options.LibraryNames("manoeuvre", "diffsea.metrics:RECORDED_TRIALS")
+    trials = options.LibraryNames(RECORDED_TRIALS, "manoeuvre", "diffsea.metrics:RECORDED_TRIALS")
     manoeuvre = "what was run, if known better: %(choices)s"
     add_option(metrics, "--manoeuvre", "NAME", trials, manoeuvre, choices=trials)
     scale = "full-scale over recorded length, for the verdicts on a model"
@@ -54,7 +58,7 @@ def register(commands: options.Commands) -> None:
 def metrics_command(args: argparse.Namespace) -> None:
     """Read the numbers of a trial off recordings: advance, tactical diameter, overshoots and so on,
     with the verdicts of IMO MSC.137(76). Orders and the manoeuvre are found in the recording.
-    Writes metrics.json; with several recordings it holds {"runs": {name: ...}}.
+    Writes metrics.json, which holds {"runs": {name: ...}} of several recordings, and metrics.html.
 
     examples:
       diffsea metrics circle.csv --length 4.9
@@ -63,11 +67,15 @@ def metrics_command(args: argparse.Namespace) -> None:
     """
     from diffsea.metrics import recording_metrics
     from diffsea.metrics.orders import as_thrust
+    from diffsea.report.pages.recordings import metrics_page
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
     length = args.length if vessel is None else float(vessel.rigid_body.length)
-    runs = options.read_recordings(args.recordings, args)
-    with Outputs(args.output) as out:
+    stages = {"reading": 1.0, "measuring": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell(f"reading {len(args.recordings)} recordings")
+        runs = options.read_recordings(args.recordings, args)
+        tell("measuring the trials")
         made = {} if vessel is None else vessel.thrusts_at_rest
         thrusts = [as_thrust(run, made) for run in runs] if made else runs
         found = {
@@ -75,12 +83,15 @@ def metrics_command(args: argparse.Namespace) -> None:
         }
         (first, *others) = found.values()
         out.json("metrics.json", {"runs": found} if others else first)
+        by_name = {run.name: run for run in runs}
+        out.text("metrics.html", metrics_page(found, by_name, options.source_of(args)))
     out.present(args, "\n\n".join(f"{n}: {metrics_text(item)}" for n, item in found.items()))
 
 
 def audit_command(args: argparse.Namespace) -> None:
     """Check recordings for faults of labels, units, frames, signs, clocks and sensors, by
-    kinematics alone and before any physics is blamed. Writes audit.json, the list of findings.
+    kinematics alone and before any physics is blamed. Writes audit.json, the list of findings, and
+    audit.html.
 
     With --repair, what is certain is put right, the recording audited again, and a repair that is
     no better undone: this writes NAME.repaired.csv per recording with native columns, repairs.json
@@ -101,9 +112,14 @@ def audit_command(args: argparse.Namespace) -> None:
     if args.repair:
         _repair(args)
         return
-    with Outputs(args.output) as out:
-        found, message = _audit_or_propose(args, out)
+    from diffsea.report.pages.recordings import audit_page
+
+    stages = {"reading": 2.0, "looking": 4.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        found, runs, message = _audit_or_propose(args, out, tell)
         out.json("audit.json", [item.as_dict() for _, items in found for item in items])
+        notes = ["Some were read through a mapping that was proposed."] if message else []
+        out.text("audit.html", audit_page(found, runs, notes, options.source_of(args)))
     if message and args.json:
         options.progress(message)
     texts = [
@@ -114,9 +130,11 @@ def audit_command(args: argparse.Namespace) -> None:
 
 
 def _audit_or_propose(
-    args: argparse.Namespace, out: Outputs
-) -> "tuple[list[tuple[str, list[Finding]]], str]":
+    args: argparse.Namespace, out: Outputs, tell: Callable[[str], None]
+) -> "tuple[list[tuple[str, list[Finding]]], dict[str, Trajectory], str]":
     """Findings by recording, read through proposed mappings, written to `out`, where need be.
+
+    With them the recordings that could be read, by name, and a text.
 
     A file that cannot be read has what is wrong with it as its one finding, and so has one that
     cannot be audited for want of a time. The text says what was proposed, and is empty where
@@ -132,6 +150,7 @@ def _audit_or_propose(
     paths: Sequence[pathlib.Path] = args.recordings
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
+    tell(f"reading {len(paths)} recordings")
     layouts = foreign_layouts(paths) if args.mapping is None else []
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
@@ -139,8 +158,10 @@ def _audit_or_propose(
         found, text = _read_through_proposal(group, out, args)
         read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
         texts.append(text)
-    options.tell_mappings([one for one in read.values() if not isinstance(one, Finding)])
-    return audit_readable(list(read.values())), "".join(texts)
+    runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
+    options.tell_mappings(list(runs.values()))
+    tell("looking for faults")
+    return audit_readable(list(read.values())), runs, "".join(texts)
 
 
 def _under_the_same_name(
@@ -216,9 +237,13 @@ def _repair(args: argparse.Namespace) -> None:
         if stems.count(stem) > 1:
             raise UserError(f"two recordings would be repaired into {written}; do them in turn")
     mapping = read_mapping(args.mapping) if args.mapping else None
-    runs = options.read_recordings(args.recordings, args)
-    with Outputs(args.output) as out:
-        repairs = [repair(run, mapping) for run in runs]
+    with Outputs(args.output) as out, StagedProgress({"reading": 1.0, "repairing": 5.0}) as tell:
+        tell("reading")
+        runs = options.read_recordings(args.recordings, args)
+        repairs = []
+        for number, run in enumerate(runs):
+            tell(PartialProgress(run.name, number / len(runs), f"repairing {len(runs)} recordings"))
+            repairs.append(repair(run, mapping))
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
         records, texts = [], []
         for stem, one in zip(stems, repairs, strict=True):
@@ -262,34 +287,41 @@ def predict_command(args: argparse.Namespace) -> None:
 
     Actuation that was measured (exec_ columns) is used as measured, any other goes through the
     vessel's actuators; the result says which. Writes predicted.csv, predict.json with
-    root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it, and
-    prediction.png. With --environment-from, current and wind are estimated on the first part of
-    the run and only the rest is predicted.
+    root-mean-square errors over the whole run and 5, 20 and 60 s ahead of starts along it,
+    prediction.png and predict.html. With --environment-from, current and wind are estimated on the
+    first part of the run and only the rest is predicted.
 
     examples:
       diffsea predict usv.toml run1.csv
       diffsea predict out/fit/vessel.toml run7.csv --mapping field.toml -o out/run7
     """
     from diffsea.recordings import write_recording
+    from diffsea.report.pages.recordings import prediction_page
     from diffsea.report.pictures import save_prediction
+    from diffsea.report.predictions import Prediction
     from diffsea.simulation.actuation import how_actuated
     from diffsea.simulation.order_units import require_order_units
     from diffsea.simulation.replay import horizon_errors, replay, replay_errors
     from diffsea.trajectory import Outcome
 
-    vessel = options.read_vessel(args).vessel
-    (recording,) = options.read_recordings([args.recording], args)
-    require_order_units(vessel, [recording])
-    environment = None
-    if args.environment_from is not None:
-        from diffsea.identification.holdout import environment_from
+    stages = {"reading": 2.0, "replaying": 4.0, "predicting": 4.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("reading")
+        vessel = options.read_vessel(args).vessel
+        (recording,) = options.read_recordings([args.recording], args)
+        require_order_units(vessel, [recording])
+        environment = None
+        if args.environment_from is not None:
+            from diffsea.identification.holdout import environment_from
 
-        options.progress(f"estimating the environment of the first {args.environment_from:g} s")
-        vessel, recording, environment = environment_from(vessel, recording, args.environment_from)
-    actuation = how_actuated(vessel, [recording])
-    if args.orders:
-        actuation = dict.fromkeys(actuation, "reconstructed")
-    with Outputs(args.output) as out:
+            tell(f"estimating the environment of the first {args.environment_from:g} s")
+            vessel, recording, environment = environment_from(
+                vessel, recording, args.environment_from
+            )
+        actuation = how_actuated(vessel, [recording])
+        if args.orders:
+            actuation = dict.fromkeys(actuation, "reconstructed")
+        tell("replaying the orders")
         predicted = replay(vessel, recording, not args.orders)
         if predicted.outcome == Outcome.DIVERGED:
             raise UserError(
@@ -297,6 +329,7 @@ def predict_command(args: argparse.Namespace) -> None:
                 "recording: look at units and signs of the orders (diffsea audit), and at the "
                 f"derivatives of {vessel.name!r}"
             )
+        tell("predicting from starts along the run")
         ahead = horizon_errors(vessel, recording, measured_actuation=not args.orders)
         result: dict[str, Any] = {
             "vessel": vessel.name,
@@ -309,10 +342,14 @@ def predict_command(args: argparse.Namespace) -> None:
         }
         if environment is not None:
             result["environment"] = {"seconds": args.environment_from, **environment}
+        tell("writing")
         write_recording(predicted, out.path("predicted.csv"))
         out.json("predict.json", result)
         title = f"{recording.name} predicted by {vessel.name}"
         save_prediction(predicted, recording, out.path("prediction.png"), title)
+        drawn = Prediction(predicted, ahead)
+        page = prediction_page(recording, drawn, result, options.source_of(args))
+        out.text("predict.html", page)
     out.present(args, _prediction_text(result))
 
 

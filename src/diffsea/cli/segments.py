@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 from diffsea.cli import options
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
+from diffsea.progress import PartialProgress
 
 
 if TYPE_CHECKING:
@@ -35,13 +37,13 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--window", "S", options.positive, window)
     interval = "resample the segments to this time step (default: as recorded)"
     add_option(parser, "--interval", "S", options.positive, interval)
-    formats = options.one_of(FORMATS, "format")
+    formats = options.OneOf(FORMATS, "format")
     add_option(parser, "--format", "|".join(FORMATS), formats, "of the segments", default="csv")
 
 
 def _kind_names(text: str) -> tuple[str, ...]:
     """Kinds of segments separated by commas."""
-    kind = options.one_of(KINDS, "kind")
+    kind = options.OneOf(KINDS, "kind")
     return tuple(kind(name) for name in options.names(text))
 
 
@@ -50,13 +52,14 @@ def segment_command(args: argparse.Namespace) -> None:
     those of the executed steering, where it was measured or a vessel says how orders are answered;
     else of the orders, and the result says so. Every segment becomes a recording of its own, time
     zero at the onset, with checks from order to motion. Writes the segments, segments.json with
-    their provenance, and a plot of each recording.
+    their provenance, segments.html, and a plot of each recording.
 
     examples:
       diffsea segment day1.csv day2.csv
       diffsea segment log.csv --mapping boat.toml --vessel otter
       diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
     """
+    from diffsea.report.pages.recordings import segments_page
     from diffsea.report.pictures import save_segments
     from diffsea.segments import SegmentSettings, group_repeats
     from diffsea.segments.export import export, file_name, record, source_of
@@ -65,22 +68,20 @@ def segment_command(args: argparse.Namespace) -> None:
     from diffsea.segments.traceability import checks_of
 
     vessel = options.read_vessel(args).vessel if args.vessel else None
-    runs = options.read_recordings(args.recordings, args)
-    stems = [Path(run.name).stem for run in runs]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            raise UserError(
-                f"two recordings are called {stem!r}, so their segments would overwrite one "
-                "another: rename one, or run the command for each"
-            )
     settings, suffix = SegmentSettings(window=args.window), f".{args.format}"
-    with Outputs(args.output) as out:
+    stages = {"reading": 3.0, "looking": 3.0, "writing": 3.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell(f"reading {len(args.recordings)} recordings")
+        runs = options.read_recordings(args.recordings, args)
+        stems = _different_stems(runs)
+        tell("looking for trials")
         signals = [signals_of(run, vessel) for run in runs]
         scales = [with_window(one, settings) for one in signals]
         found = [segments_of(*pair) for pair in zip(signals, scales, strict=True)]
         labelled = iter(group_repeats([segment for own in found for segment in own], settings))
-        entries, texts = [], []
+        entries, texts, shown = [], [], []
         for k, run in enumerate(runs):
+            tell(PartialProgress(run.name, k / len(runs), "writing the segments"))
             segments = [next(labelled) for _ in found[k]]
             save_segments(signals[k], segments, out.path(f"{stems[k]}.png"), run.name)
             chosen = [segment for segment in segments if segment.kind in args.kind]
@@ -102,8 +103,22 @@ def segment_command(args: argparse.Namespace) -> None:
                 }
             )
             texts.append(_segments_text(run, chosen, signals[k].notes))
+            shown.append((run, chosen, signals[k].notes))
         out.json("segments.json", record(entries))
+        out.text("segments.html", segments_page(shown, options.source_of(args)))
     out.present(args, "\n\n".join(texts))
+
+
+def _different_stems(runs: "list[Trajectory]") -> list[str]:
+    """Names of the recordings' files without their ends; raises `UserError` where two are alike."""
+    stems = [Path(run.name).stem for run in runs]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            raise UserError(
+                f"two recordings are called {stem!r}, so their segments would overwrite one "
+                "another: rename one, or run the command for each"
+            )
+    return stems
 
 
 def _segments_text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, ...]) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 from diffsea.runtime import prepare_jax
 
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
     from diffsea.vessel.base import Vessel
     from diffsea.workflows.campaigns import PlannedTrial
 
+# As the library has them, which would import JAX to be asked; what each is, its table says.
+STANDARD_TRIALS = (
+    *("turning-circle", "zigzag", "modified-zigzag", "acceleration", "stopping", "coasting"),
+    *("pull-out", "spiral"),
+)
+TABLE_OF_TRIALS = "diffsea.simulation.standard:STANDARD_TRIALS"
 RUN_OPTIONS = ("speed", "thrust", "seconds", "step", "executes", "keep_speed")
 
 
@@ -43,13 +50,14 @@ def add_trial_command(
     name: str,
     run: Callable[[argparse.Namespace], None],
     summary: str,
+    needed: bool = True,
 ) -> argparse.ArgumentParser:
-    """A command on a vessel, with the options that describe a trial."""
+    """A command on a vessel, with the options that describe a trial, which may be `needed`."""
     parser = options.add_command(commands, name, run, summary)
     options.add_vessel(parser)
     group = parser.add_argument_group("trial")
-    trials = options.LibraryNames("manoeuvre", "diffsea.simulation.standard:STANDARD_TRIALS")
-    add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=True)
+    trials = options.LibraryNames(STANDARD_TRIALS, "manoeuvre", TABLE_OF_TRIALS)
+    add_option(group, "--manoeuvre", "NAME", trials, "%(choices)s", choices=trials, required=needed)
     angle = (
         "rudder or rudder-equivalent angle (default: 35 for a turning circle, 20; 10 for a "
         "modified zig-zag)"
@@ -136,8 +144,8 @@ def trial_command(args: argparse.Namespace) -> None:
 
     Orders switch at the exact instant at which the heading is reached, whatever the step.
     Angles are rudder angles; for twin thrusters 35 deg means all thrust on one side.
-    Writes recording.csv, metrics.json (with the verdicts of IMO MSC.137(76)), track.png and
-    series.png.
+    Writes recording.csv, metrics.json (with the verdicts of IMO MSC.137(76)), trial.html,
+    track.png and series.png.
 
     examples:
       diffsea trial otter --manoeuvre turning-circle
@@ -147,20 +155,25 @@ def trial_command(args: argparse.Namespace) -> None:
     from diffsea.recordings import write_recording
     from diffsea.report.pictures import save_trial_series, save_trial_track
     from diffsea.simulation import planning
+    from diffsea.workflows.campaigns import trial_of_plan
 
     vessel = options.read_vessel(args).vessel
     plan = trial_plan(args, vessel)
-    with Outputs(args.output) as out:
+    stages = {"running": 6.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("running the trial")
         trial, numbers = planning.run_and_measure(vessel, plan)
         require_run(trial, plan, vessel)
         metrics = planning.summarise_trial(vessel, plan, trial, numbers)
         if metrics["outcome"] != "completed":
             options.progress(f"{metrics['outcome_message']}; give it more with --seconds")
+        tell("writing")
         write_recording(trial.trajectory, out.path("recording.csv"))
         out.json("metrics.json", metrics)
         title = f"{vessel.name}: {plan.manoeuvre}"
         save_trial_track(trial, out.path("track.png"), title)
         save_trial_series(trial, out.path("series.png"), title, vessel)
+        out.text("trial.html", trial_of_plan(vessel, plan, trial, metrics).html())
     out.present(args, metrics_text(metrics))
 
 
@@ -190,7 +203,6 @@ def campaign_command(args: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from diffsea.cli.progress import StagedProgress
     from diffsea.recordings import write_recording
     from diffsea.workflows.campaigns import USUAL_TRIALS, campaign
 

@@ -12,12 +12,14 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.budget import current_budget
 from diffsea.diagnosis.screening import Screening, screen
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Estimate, PartialProgress, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.resimulation import resimulate
+from diffsea.progress import PartialProgress, Progress, no_progress
 
 
 LEAST_DRAWS = 100  # fewer cannot show less than one per cent
@@ -61,6 +63,8 @@ def bootstrap(
 ) -> Bootstrap:
     """Draw data sets from the nominal estimate, fit it to each anew, and screen.
 
+    None at all where there is no time for all of them.
+
     Raises:
         UserError: more simulated runs diverge than a tenth of `draws`.
     """
@@ -68,6 +72,8 @@ def bootstrap(
     screenings: list[Screening] = []
     data_sets = (resimulate(problem, nominal, rng) for _ in itertools.count())
     for number, drawn in enumerate(finite_draws(data_sets, draws)):
+        if current_budget().skips("the bootstrap"):
+            return NO_BOOTSTRAP
         message = f"simulating {number + 1} of {draws} data sets"
         progress(PartialProgress(message, number / draws, f"simulating {draws} data sets"))
         fitted = estimate(drawn, nominal.free, nominal.coordinates, nominal.noise)

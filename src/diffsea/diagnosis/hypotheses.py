@@ -14,9 +14,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.budget import in_this_budget
 from diffsea.diagnosis.score import Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
-from diffsea.identification.estimates import Estimate, PartialProgress, Progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.free_predictions import (
     MotionChange,
@@ -26,6 +27,7 @@ from diffsea.identification.free_predictions import (
 )
 from diffsea.identification.holdout import Gain, Split, exchanged_fits, held_out_gain
 from diffsea.identification.problem import Problem
+from diffsea.progress import PartialProgress, Progress
 from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
 
 
@@ -528,8 +530,8 @@ def refit_candidates(
     ]
 
     def refit_first(name: str) -> Hypothesis:
-        number, stage = names.index(name), f"refitting {len(names)} hypotheses"
-        message = f"refitting {number + 1} of {len(names)}: {name}"
+        number, stage = names.index(name), f"trying {len(names)} causes"
+        message = f"trying cause {number + 1} of {len(names)}: {name}"
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
@@ -538,8 +540,8 @@ def refit_candidates(
         return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        near, rest = near_the_best(list(pool.map(refit_first, names)))
-        full = list(pool.map(refit_on, near))
+        near, rest = near_the_best(list(pool.map(in_this_budget(refit_first), names)))
+        full = list(pool.map(in_this_budget(refit_on), near))
     return ShortList.of(problem, [*full, *rest])
 
 

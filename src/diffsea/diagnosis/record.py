@@ -84,6 +84,7 @@ def summary(
         "format": 1,
         "verdict": diagnosis.verdict,
         "complete": diagnosis.complete,
+        "left_out": [],
         "audit": audit,
         "where": _where(diagnosis),
         "effects": _effects(diagnosis),

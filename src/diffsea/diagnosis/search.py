@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from diffsea.budget import current_budget
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.hypotheses import (
@@ -29,13 +30,14 @@ from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_f
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import DatasetShape
-from diffsea.identification.estimates import ONE_SIDED_95, Estimate, Progress, no_progress
+from diffsea.identification.estimates import ONE_SIDED_95, Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.holdout import Split, has_own_environment, split_data
 from diffsea.identification.problem import Problem, free_by_default, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.parameters import Parameter
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -62,11 +64,22 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time is over."""
-        return time.monotonic() - self.began > self.seconds
+        """Whether the time is over, or that of all the work."""
+        return time.monotonic() - self.began > self.seconds or current_budget().is_over
 
 
 NO_DEADLINE = Deadline()
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes."""
+
+    effects: int = MOST_EFFECTS  # that are named together at most
+    insists: bool = True  # whether more is tried where the short list leaves something open
+
+
+FULL_EFFORT = Effort()
 
 
 @dataclass(frozen=True)
@@ -119,6 +132,7 @@ def diagnose(
     findings: Sequence[Finding] = (),
     deadline: Deadline = NO_DEADLINE,
     priors: Mapping[str, Parameter] | None = None,
+    effort: Effort = FULL_EFFORT,
 ) -> Diagnosis:
     """Find, name and model what the vessel's model lacks.
 
@@ -132,6 +146,7 @@ def diagnose(
         findings: what an audit found in the recordings; held-out ones count, too.
         deadline: after which what was found until then is reported as it is.
         priors: of parameters that have one other than `default_priors`.
+        effort: how far the search goes.
 
     Raises:
         UserError: recordings that do not fit the vessel, or are too short to hold anything out;
@@ -151,21 +166,21 @@ def diagnose(
         )
 
     data = split_data(problem_of, recordings, test, per_run)
-    progress("fitting the nominal model")
+    progress("fitting the vessel file to the recordings")
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
     run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)
     if seldom := independent_sampling(run, data.train.dataset, length):
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
-        progress(f"errors follow one another; of samples used: {often}")
+        progress(f"neighbouring samples err alike; used are of {often}")
         data = data.thinned(seldom)
     nominal = estimate_surely(data.train, free, rough.coordinates, rough.noise, progress=progress)
-    progress("screening the catalogue")
+    progress("asking which causes could explain what is left")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP
     runs = len(recordings) + len(test)
     audited = audited_effects(vessel, data.train.layout, findings, runs)
     begun = believe_audit(data, nominal, screening, audited, progress, deadline)
-    return explain(data, begun, null, progress, deadline)
+    return explain(data, begun, null, progress, deadline, effort)
 
 
 def believe_audit(
@@ -182,12 +197,15 @@ def believe_audit(
         if not has_room(data.train, now.final, one.effect):
             continue
         if deadline.is_over:
+            current_budget().note("what the audit found, beside the model")
             return replace(now, complete=False)
         progress(f"the audit found {catalogue_name(one.effect)}: does the model agree?")
         accepted = judge_audited(data, now.final, now.final_screening, one)
+        if current_budget().skips("what the audit found, beside the model"):
+            return replace(now, complete=False)  # its fits were cut short
         if accepted is None:
             continue
-        progress(f"accepted: {catalogue_name(one.effect)}")
+        progress(f"found: {catalogue_name(one.effect)}")
         final = accepted.hypothesis.estimate
         now = replace(
             now,
@@ -205,33 +223,36 @@ def explain(
     null: Bootstrap,
     progress: Progress,
     deadline: Deadline = NO_DEADLINE,
+    effort: Effort = FULL_EFFORT,
 ) -> Diagnosis:
     """Name, model and locate what a nominal model that was fitted and screened lacks."""
-    found = forward_search(data, begun, null, progress, deadline)
+    found = forward_search(data, begun, null, progress, deadline, effort)
     # All effects but the last are asked for again, beside those that came after them.
     asked = found.searched[:-1]
+    left = current_budget()
     if asked and deadline.is_over:
+        left.note("asking again for the effects")
         found, asked = replace(found, complete=False), ()
     kept, changed = ask_again(data, found, asked, progress)
     if changed:
         kept = replace(kept, final_screening=screen(data.train, kept.final))
     final = withdraw_outdone(data, kept, null, progress)
-    left = unexplained_p_value(kept, final, null)
-    short = shortfalls(data, final.final) if left >= ALPHA else ()
-    verdict = verdict_on(final.effects, left, short)
+    p_value = unexplained_p_value(kept, final, null)
+    short = shortfalls(data, final.final) if p_value >= ALPHA else ()
+    verdict = verdict_on(final.effects, p_value, short)
     unexplained, location = None, final.nominal_screening
-    if verdict == "unexplained":
-        progress("modelling what is left")
+    if verdict == "unexplained" and not left.skips("a model of what is left"):
+        progress("describing what has no name")
         unexplained = model_unexplained_force(data, final.final)
-    if final.effects:
-        progress("locating the mismatch")
+    if final.effects and not left.skips("locating the mismatch by the final noise"):
+        progress("finding where model and recordings differ")
         location = locate_by_noise_of(final.final, data.train, final.nominal)
     return Diagnosis(
-        **vars(final),
+        **vars(replace(final, complete=final.complete and not left.left_out)),
         verdict=verdict,
         split=data,
         location=location,
-        unexplained_p_value=left,
+        unexplained_p_value=p_value,
         unexplained=unexplained,
         bootstrap=null,
         shortfalls=short if verdict == "insufficient" else (),
@@ -244,15 +265,17 @@ def forward_search(
     null: Bootstrap,
     progress: Progress,
     deadline: Deadline = NO_DEADLINE,
+    effort: Effort = FULL_EFFORT,
 ) -> Search:
     """Add one effect after the other until nothing is left to explain or nothing explains it.
 
     Where nothing stands out any more, those that had evidence of their own before the last one was
     accepted are still asked for beside it, if they promise anything: a score at zero may say little
-    of what a refit says.
+    of what a refit says. A search that does not insist is not complete where anything is left that
+    stands out.
     """
     now, resumed, owed = begun, 0, tuple[str, ...]()
-    while len(now.searched) < MOST_EFFECTS:
+    while len(now.searched) < effort.effects:
         stands_out = null.of_strongest(now.final_screening.p_value) < ALPHA
         seen = now.final_screening.candidates
         owed = tuple(name for name in owed if name in seen and seen[name].expected > 0)
@@ -260,14 +283,18 @@ def forward_search(
             break
         if deadline.is_over:
             progress("the time is over: what was found until now is reported")
+            current_budget().note("the search for further effects")
             return replace(now, complete=False)
         among, owed = () if stands_out else owed, ()
         tried = refit_candidates(data, now.final, now.final_screening, progress, among)
         if not now.searched:
             now = replace(now, short_list=tried)
-        best = decide(tried, _exchange(data, now.final, progress))
+        exchange = _exchange(data, now.final, progress) if effort.insists else lambda one: one
+        best = decide(tried, exchange)
+        if best is None and not effort.insists:
+            break
         if best is None and (others := tried.left_behind()):
-            progress("none of the strongest holds: asking for what they left behind")
+            progress("none of the likeliest causes holds; others are asked for")
             further = refit_candidates(data, now.final, now.final_screening, progress, others)
             best = decide(further, _exchange(data, now.final, progress))
             tried = tried if best is None else further
@@ -275,24 +302,28 @@ def forward_search(
             room = len(now.searched) < MOST_EFFECTS - 1
             added = find_pair(data, tried, null, progress) if room else ()
         else:
-            better = None
+            added, better = (), None
             if resumed < MOST_RESUMPTIONS:
                 better = resume_stalled_fit(data.train, now.final, best)
             if better is not None:
-                progress(f"{best.effect}: its fit went on where the one without it had stopped")
+                progress(f"{best.effect} gained only what the fit without it still owed")
                 resumed += 1
                 now = replace(now, final=better, final_screening=screen(data.train, better))
                 if not now.effects:
                     now = replace(now, nominal=better, nominal_screening=now.final_screening)
                 continue
             added, owed = (AcceptedEffect(best, tried),), tried.owed_beside(best)
-            progress(f"accepted: {catalogue_name(best.effect)}")
+        if current_budget().skips("the search for further effects"):
+            return replace(now, complete=False)  # fits that judge these were cut short
         if not added:
             break
+        for one in added:
+            progress(f"found: {catalogue_name(one.name)}")
         final = added[-1].hypothesis.estimate
         screening = screen(data.train, final)
         now = replace(now, final=final, final_screening=screening, effects=(*now.effects, *added))
-    return now
+    open_still = null.of_strongest(now.final_screening.p_value) < ALPHA
+    return now if effort.insists or not open_still else replace(now, complete=False)
 
 
 def _exchange(
@@ -303,7 +334,7 @@ def _exchange(
     def judge(one: Hypothesis) -> Hypothesis:
         if has_own_environment(data, one.estimate):
             return one
-        progress(f"{one.effect}: held-out data leave it open; exchanging them with the others")
+        progress(f"{one.effect}: the test leaves it open; test and recordings change places")
         return judge_exchanged(data, current, one)
 
     return judge
@@ -356,7 +387,9 @@ def ask_again(
     """
     current, effects, dropped, changed = found.final, list(found.effects), [], False
     for one in asked:
-        progress(f"asking again for {one.name}")
+        if current_budget().skips(f"asking again for {one.name}"):
+            break
+        progress(f"is {one.name} needed beside the others?")
         bare = refit_without(data.train, current, [one.name])
         options = {
             hypothesis.effect: hypothesis
@@ -374,6 +407,8 @@ def ask_again(
         ]
         tried = ShortList.of(data.train, again)
         best = decide(tried, _exchange(data, bare, progress))
+        if current_budget().skips(f"asking again for {one.name}"):
+            break  # fits were cut short
         if best is None:
             same = next((option for option in again if option.effect == one.name), None)
             best = same if same is not None and same.still_stands(tried.needed) else None
@@ -413,6 +448,8 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
         one.name for one in kept.searched if is_outdone(one.hypothesis.candidate.score.statistic)
     ]
     if left >= ALPHA or not outdone:
+        return kept
+    if current_budget().skips("whether names stand out more than what is left"):
         return kept
     others = tuple(one for one in kept.effects if one.name not in outdone)
     bare = refit_without(data.train, kept.final, outdone)

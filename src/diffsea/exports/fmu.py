@@ -7,12 +7,12 @@ neither diffsea nor JAX nor NumPy where it runs, but a Python that PythonFMU3's 
 import json
 import pathlib
 import re
-import tempfile
 import zipfile
 
 from diffsea.errors import UserError
 from diffsea.exports import planar_model
 from diffsea.exports.equations import Equations
+from diffsea.outside.durable import working_folder
 
 
 _HERE = pathlib.Path(__file__).parent
@@ -45,15 +45,16 @@ def write_fmu(equations: Equations, path: pathlib.Path) -> None:
         "identifier": identifier(equations.name),
         "description": description,
     }
-    with tempfile.TemporaryDirectory() as folder:
-        numbers = pathlib.Path(folder) / "equations.json"
+    with working_folder() as folder:
+        numbers = folder / "equations.json"
         numbers.write_text(json.dumps(table, indent=1), encoding="utf-8")
         built = FmuBuilder.build_FMU(
             _HERE / "vessel_slave.py",
-            dest=pathlib.Path(folder) / "built",
+            dest=folder / "built",
             project_files=[numbers, planar_model.__file__],
         )
-        path.write_bytes(built.read_bytes())
+        content = built.read_bytes()
+    path.write_bytes(content)
 
 
 def platforms(path: pathlib.Path) -> list[str]:

@@ -7,7 +7,7 @@ Fits work on coordinates that are zero where an effect is absent. `parameter_est
 import dataclasses
 import enum
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -30,30 +30,7 @@ INTERVAL_LEVEL = 0.9  # probability of the intervals that are reported
 BOUND_SHARE = 0.01  # of the prior mean's distance to a bound: a number nearer than this is at it
 ONE_SIDED_95 = float(norm.ppf(0.95))  # standard errors that one of twenty draws exceeds
 
-Progress = Callable[[str], None]
 ParameterRecord = dict[str, Any]  # value, std, unit
-
-
-class PartialProgress(str):
-    """A progress message that tells how far a stage has come; a plain one begins a stage.
-
-    Attributes:
-        share: what is done of the stage, 0 to 1.
-        stage: its name; the stage that was begun last if empty.
-    """
-
-    share: float
-    stage: str
-
-    def __new__(cls, message: str, share: float, stage: str = "") -> "PartialProgress":
-        """A message for the person who waits, with the share that it stands for."""
-        out = super().__new__(cls, message)
-        out.share, out.stage = share, stage
-        return out
-
-
-def no_progress(message: str) -> None:
-    """Progress that nobody follows."""
 
 
 class FitOutcome(enum.Enum):
@@ -63,6 +40,7 @@ class FitOutcome(enum.Enum):
     STALLED = "stalled"
     BOUNDED = "bounded"
     STEP_LIMIT = "step limit"
+    OUT_OF_TIME = "out of time"
 
     @property
     def sentence(self) -> str:
@@ -75,6 +53,7 @@ _OUTCOMES = {
     FitOutcome.STALLED: "the fit stalled: a step that should gain is no better than none",
     FitOutcome.BOUNDED: "the fit converged with a number at a bound of its prior",
     FitOutcome.STEP_LIMIT: "the fit ended at its last step, before it converged",
+    FitOutcome.OUT_OF_TIME: "the time was over before the fit had converged",
 }
 
 

@@ -11,20 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.estimates import (
-    Estimate,
-    FitOutcome,
-    PartialProgress,
-    Progress,
-    is_at_bound,
-    no_progress,
-    posterior_estimate,
-)
+from diffsea.budget import current_budget
+from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance, first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.identification.residual import fit_coordinates, linearise, residual_inputs
+from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.statistics import autocorrelation, long_run_covariance
 
 
@@ -91,7 +85,7 @@ def estimate(
     """Fit the free coordinates by name (parameters and effects), from `start`.
 
     Every round lowers the deviance: first by the noise, so that the innovations are weighed
-    rightly, then by the parameters.
+    rightly, then by the parameters. None is begun once the budget is spent.
 
     Arguments:
         start: coordinates to begin at, those that are not free included; the prior mean if None.
@@ -108,6 +102,9 @@ def estimate(
     path, outcome = [now.deviance], FitOutcome.STEP_LIMIT
     refused = np.zeros(len(index))
     for number in range(rounds):
+        if current_budget().skips("rounds of a fit"):
+            outcome = FitOutcome.OUT_OF_TIME
+            break
         last, taken = now.deviance, steps
         if not fixed_noise:
             better = refine_noise(now.run, times, now.noise, problem.prior, steps)
@@ -124,7 +121,7 @@ def estimate(
                 now, refused = there, np.zeros(len(index))
                 break
         path.append(now.deviance)
-        message = f"round {number + 1}: -2 log posterior {now.deviance:.1f}"
+        message = f"fitting, step {number + 1}: misfit {normalised_rms(now.run):.3f}"
         progress(PartialProgress(message, (number + 1) / rounds))
         gained = last - now.deviance
         settled = abs(gained) < LEAST_GAIN + RELATIVE_GAIN * abs(now.deviance)
@@ -134,7 +131,7 @@ def estimate(
         # Noise creeps along flat directions: a fit is at its end where many steps gain nothing.
         steps = FIRST_NOISE_STEPS if settled else NOISE_STEPS
     else:
-        progress(f"not at its end after {rounds} rounds: the last one gained {gained:.1f}")
+        progress(f"the fit is not at its end after {rounds} steps")
     return _with_covariance(problem, free, now, index, path, outcome, refused)
 
 
@@ -153,7 +150,9 @@ def estimate_surely(
     for _ in range(RESTARTS):
         if best.outcome in (FitOutcome.CONVERGED, FitOutcome.BOUNDED):
             break
-        progress("a fit stalled; once more from elsewhere")
+        if current_budget().skips("starting a stalled fit again"):
+            break
+        progress("the fit got stuck; once more from another start")
         elsewhere = best.coordinates.copy()
         elsewhere[best.index] += RESTART_DISTANCE * best.stds * rng.standard_normal(len(best.index))
         other = estimate(problem, free, elsewhere, best.noise, progress=progress)

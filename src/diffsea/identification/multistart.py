@@ -5,11 +5,13 @@ import dataclasses
 import numpy as np
 from scipy.stats import chi2
 
+from diffsea.budget import current_budget
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import expansion_points
-from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.base import AbstractObjective, Starts
 from diffsea.identification.problem import Problem
+from diffsea.progress import Progress, no_progress
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +92,7 @@ def multistart(
     near = [k for k in order if _same_optimum(best, ends[k] - lead)]
     apart = [k for k in order if k not in near]
     rival = None
-    if apart:
+    if apart and not current_budget().skips("a fit from the best start elsewhere"):
         progress("fitting from the best start elsewhere")
         other = objective.fit(free, ends[apart[0]], progress)
         beside = [k for k in apart if _same_optimum(best, ends[k] - ends[apart[0]])]

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from diffsea.budget import current_budget
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.estimates import (
     Estimate,
     ParameterRecord,
-    Progress,
     effect_table,
     is_known,
-    no_progress,
     parameter_estimates,
     parameter_records,
 )
@@ -49,6 +48,7 @@ from diffsea.identification.uncertainty.identifiability import (
 )
 from diffsea.identification.uncertainty.sources import Sources, sources
 from diffsea.parameters import Parameter, check_names
+from diffsea.progress import Progress, no_progress
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -89,6 +89,7 @@ class FitSettings:
     effects: tuple[str, ...] = ()  # of the catalogue, estimated besides
     per_recording: bool = False  # whether wind and current are each recording's own
     seed: int = 0
+    proposes: bool = True  # whether a manoeuvre is looked for that would tell more
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,9 +266,16 @@ def identify(
     wanted = settings.profiles
     if wanted is None:
         wanted = asymmetric_parameters(objective, fitted)
-    profiles = {name: profile_interval(objective, fitted, name, progress) for name in wanted}
+    profiles, left = {}, current_budget()
+    for name in wanted:
+        if not left.skips(f"the profile of {name}"):
+            interval = profile_interval(objective, fitted, name, progress)
+            if not left.skips(f"the profile of {name}"):  # else its fits were cut short
+                profiles[name] = interval
     proposal = None  # a manoeuvre that would tell more, where the data leave something open
-    if problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE:
+    is_open = problem is not None and not float(fitted.shrinkage.min()) > DETERMINED_SHARE
+    asked = settings.proposes and is_open
+    if problem is not None and asked and not left.skips("the manoeuvre to record next"):
         progress("looking for the manoeuvre that would tell most")
         proposal = next_manoeuvre(problem, with_noise(fitted, problem))
     heavy = any(name in INERTIA for name in names)

@@ -2,5 +2,6 @@
 
 What the rooms above read from outside may be hostile. Here are the one loader of TOML and JSON, the
 one place that makes names printable, the one that knows how large a file becomes when it is
-expanded, and the one durable write. Imports nothing of the package but its errors.
+expanded, the one durable write, and the folders for what is not finished. Imports nothing of the
+package but its errors.
 """

@@ -11,6 +11,7 @@ from diffsea.recordings.auditing.finding import unreadable as unreadable
 from diffsea.recordings.auditing.sets import audit_set as audit_set
 from diffsea.recordings.conditioning import cut as cut
 from diffsea.recordings.conditioning import resample as resample
+from diffsea.recordings.conditioning import thin as thin
 from diffsea.recordings.mappings import Column as Column
 from diffsea.recordings.mappings import Mapping as Mapping
 from diffsea.recordings.mappings import read_mapping as read_mapping

@@ -1,4 +1,4 @@
-"""Preparing recordings: cutting them and putting them on one uniform clock.
+"""Preparing recordings: cutting them, thinning them, putting them on one uniform clock.
 
 Nothing is invented: gaps stay gaps (NaN), commands hold, and what was done stands in the
 provenance.
@@ -15,6 +15,7 @@ from diffsea.series import between_samples, hold_at, median_interval
 from diffsea.trajectory import Samples, Trajectory
 
 
+HELD_STEP = 0.02  # of the range of actuation: less is no change
 _ANGLES = ("wind_direction",)  # wrapped in recordings, so averaged on the circle
 _BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 
@@ -42,6 +43,29 @@ def cut_between(trajectory: Trajectory, start: float | None, end: float | None) 
     t = np.asarray(trajectory.t, float)
     first, last = (float(t[0]), float(t[-1]))
     return cut(trajectory, first if start is None else start, last if end is None else end)
+
+
+def thin(trajectory: Trajectory, interval: float) -> Trajectory:
+    """Some of the valid rows: `interval` s apart or more, and those at which actuation changes.
+
+    Rows stay as they were measured: nothing is smoothed, and no order is moved. Actuation changes
+    where it is off by two per cent of its range from the row that was kept last; its noise is not
+    told from orders, so that a run with measured actuation may keep all its rows.
+    """
+    run = trajectory.counted()
+    held = [series for name, series in native_channels(run).items() if is_held(name)]
+    steps = [HELD_STEP * (np.nanmax(one) - np.nanmin(one)) for one in held]
+    kept = [0]
+    for row in range(1, len(run.t)):
+        last = kept[-1]
+        is_late = run.t[row] - run.t[last] >= interval * (1 - 1e-6)
+        changes = zip(held, steps, strict=True)
+        if is_late or any(abs(one[row] - one[last]) > step for one, step in changes):
+            kept.append(row)
+    if len(kept) in (1, len(run.t)):
+        return run
+    note = f"rows less than {interval:.3g} s apart left out where no order changes"
+    return dataclasses.replace(run.rows(np.array(kept)), provenance=(*trajectory.provenance, note))
 
 
 def resample(trajectory: Trajectory, interval: float, max_gap: float | None = None) -> Trajectory:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.budget import left_out_sentence
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
@@ -34,6 +35,8 @@ def fit_report(
     data: tuple[Sequence[Trajectory], Sequence[Trajectory]],
     source: Record,
     verdict: FitVerdict,
+    not_done: Sequence[str] = (),
+    left_out: tuple[str, ...] = (),
 ) -> str:
     """The page.
 
@@ -45,8 +48,11 @@ def fit_report(
         data: recordings that were fitted, none for a sheet of trial numbers, and held out.
         source: what was run on what; shown as it is.
         verdict: whether something is missing.
+        not_done: what a quick look left out.
+        left_out: what there was no time for.
     """
     recordings, test = data
+    quick = words.quick_sentence(not_done)
     with_sheet = bool(study.objective.residuals(study.estimate.coordinates))
     weak = [row["name"] for row in study.rows if row["determined"] < 0.5]
     count, rest = len(study.rows), "rests" if len(weak) == 1 else "rest"
@@ -60,6 +66,8 @@ def fit_report(
     judged = "On runs held out" if test else "On the runs it was fitted to"
     errors = "" if row is None else words.horizon_line(row, tuple(MODELS))
     fitted, held_out = (words.count_recordings(len(several)) for several in data)
+    worse = worse_warning(runs)
+    warnings = [f"{words.capital(worse)}." if worse else "", left_out_sentence(left_out)]
     return render(
         "fit.html.j2",
         title=f"Fit of {study.vessel_name}",
@@ -68,13 +76,13 @@ def fit_report(
         errors=f"{judged}, errors, vessel file -> fit, {errors}." if errors else "",
         misfit=significant(quality["train"], 3),
         misfit_held_out=significant(quality["test"], 3) if "test" in quality else "",
-        warning=f"{words.capital(text)}." if (text := worse_warning(runs)) else "",
+        warning=" ".join(filter(None, warnings)),
         verdict=f"{words.capital(verdict.sentence)}.",
         is_missing=verdict.missing,
         parameters=parameter_table(study.rows),
         anchor=words.capital(study.anchor) + ".",
         effects=[line for item in study.effects.items() for line in words.effect_lines(*item)],
-        open_questions=_open_questions(study),
+        open_questions=[*_open_questions(study), *([quick] if quick else [])],
         sources=None if study.sources is None else source_table(study.sources),
         source_notes=[] if study.sources is None else _source_notes(study.sources),
         trial_numbers=_trial_number_table(study) if with_sheet else None,

@@ -109,6 +109,16 @@ def render(template: str, bundle: Bundle = "basic", **page: object) -> str:
     return TEMPLATES.get_template(template).render(page=page, plotly=Markup(script))
 
 
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """A part of a page under a title of its own: sentences, plots side by side, tables."""
+
+    title: str
+    sentences: Sequence[str] = ()
+    plots: Sequence[Plot] = ()
+    tables: Sequence[Table] = ()
+
+
 # -- what every page ends with
 
 

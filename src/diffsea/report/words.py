@@ -223,11 +223,22 @@ def unimproved_sentence(summary: Record) -> str:
     )
 
 
+def quick_sentence(not_done: Sequence[str]) -> str:
+    """That this was a quick look, and what it has not done; or nothing."""
+    if not not_done:
+        return ""
+    return f"A quick look. Not done: {'; '.join(not_done)}. Without --quick all of it is."
+
+
 def incomplete_sentence(summary: Record) -> str:
-    """That the time ended the search early, or nothing."""
+    """That the search ended early, by the time or as a quick look, or nothing."""
+    if not_done := summary.get("not_done"):
+        return quick_sentence(not_done)
     if summary.get("complete", True):
         return ""
-    return "The time was over before everything had been asked: more may be missing."
+    told = "The time was over before everything had been asked: more may be missing."
+    left_out = summary.get("left_out", [])
+    return f"{told} Left out: {enumeration(left_out)}." if left_out else told
 
 
 def sampling_sentence(every: Mapping[str, int] | None) -> str:

@@ -1,14 +1,14 @@
-"""Many designs through one trial: grids and samples of any parameters, run in batches.
+"""Many designs through one trial, run in batches.
 
 A design that diverges or is impossible spoils its own row and no other.
 """
 
 import concurrent.futures
 import dataclasses
-import math
+import functools
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,37 +16,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-import scipy.stats
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import file_parameters, replace, spread_over_places
+from diffsea.progress import PartialProgress
 from diffsea.simulation import planning
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
+from diffsea.studies.designs import OF_THE_TRIAL, Designs
+from diffsea.studies.designs import grid as grid
+from diffsea.studies.designs import sample as sample
 from diffsea.studies.sensitivity import Places
 from diffsea.trajectory import Outcome
 from diffsea.types import Scalar, as_inputs
 from diffsea.vessel.base import Vessel
 
 
-OF_THE_TRIAL = ("speed", "thrust")  # m/s, N: swept like parameters, though they are no part of it
 IMPOSSIBLE = "impossible"
-_DESIGN_LIMIT = 1_000_000  # results of more do not fit into memory
 _BATCH = 64  # designs that run side by side; more of them leave the processor's cache
 _PROGRESS_INTERVAL = 2.0  # s between messages of progress
-
-
-class Designs(NamedTuple):
-    """Values of named parameters, one row per design."""
-
-    names: tuple[str, ...]
-    values: Float[np.ndarray, "design name"]
-
-    def slowest(self) -> dict[str, float]:
-        """The lowest approach speed (m/s) or thrust (N) that is swept: time limits follow it."""
-        columns = zip(self.names, self.values.T, strict=True)
-        return {name: float(column.min()) for name, column in columns if name in OF_THE_TRIAL}
 
 
 class SweepResult(NamedTuple):
@@ -65,39 +54,6 @@ class _DesignResults(NamedTuple):
     outcome: Int[Array, "design"]
     possible: Bool[Array, "design"]
     steps: Int[Array, "design"]
-
-
-def grid(axes: Mapping[str, tuple[float, float, int]]) -> Designs:
-    """All combinations of evenly spaced values: from, to and how many, by name (SI units).
-
-    Raises:
-        UserError: more than a million designs.
-    """
-    _check_count(math.prod(count for *_, count in axes.values()))
-    lines = [np.linspace(start, stop, count) for start, stop, count in axes.values()]
-    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    return Designs(tuple(axes), points.reshape(-1, len(axes)))
-
-
-def sample(axes: Mapping[str, tuple[float, float]], count: int, seed: int = 0) -> Designs:
-    """A Latin hypercube (McKay, Beckman and Conover 1979): designs that cover every axis evenly.
-
-    Arguments:
-        axes: from and to by name, SI units.
-        count: how many designs.
-
-    Raises:
-        UserError: more than a million designs.
-    """
-    _check_count(count)
-    low, high = np.array(list(axes.values()), float).T
-    cube = scipy.stats.qmc.LatinHypercube(len(axes), rng=np.random.default_rng(seed))
-    return Designs(tuple(axes), low + cube.random(count) * (high - low))
-
-
-def _check_count(count: int) -> None:
-    if count > _DESIGN_LIMIT:
-        raise UserError(f"{count} designs are too many; at most {_DESIGN_LIMIT} are run at once")
 
 
 def check_names(vessel: Vessel, names: Sequence[str]) -> None:
@@ -129,21 +85,49 @@ def sweep(
         UserError: a name that is neither a parameter of the vessel nor of the trial.
     """
     check_names(vessel, designs.names)
-    known, values = file_parameters(vessel), np.asarray(designs.values, float)
-    places = tuple((name, known.get(name, ())) for name in designs.names)
-    first, *longer = _quicker_plans(vessel, plan)
-    found, steps, seconds = _run_designs(vessel, first, places, values, progress)
-    for following in longer:
-        unfinished = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY))
-        left = found.possible & unfinished
-        if not left.any():
-            break
-        progress(f"{left.sum()} designs take longer; they run again")
-        some, *more = _run_designs(vessel, following, places, values[left], progress)
-        for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
-            old[left] = new
-        steps, seconds = steps + more[0], seconds + more[1]
-    return SweepResult(_results_table(vessel, plan, designs, found), steps / max(seconds, 1e-9))
+    return Sweeper(vessel, plan, len(designs.values)).run(designs, progress)
+
+
+class Sweeper:
+    """Runs a trial of designs, some after others, with programs that are compiled once."""
+
+    def __init__(self, vessel: Vessel, plan: TrialPlan, at_once: int):
+        """
+        Arguments:
+            at_once: how many designs come together at most.
+        """
+        self.vessel, self.plan = vessel, plan
+        self._plans = _quicker_plans(vessel, plan)
+        self._batch = min(_BATCH, 1 << (at_once - 1).bit_length())
+
+    def run(
+        self,
+        designs: Designs,
+        progress: Callable[[str], None] = lambda message: None,
+        whole: bool = False,
+    ) -> SweepResult:
+        """What is found of some designs.
+
+        Arguments:
+            whole: keep columns without any number, as parts of a sweep have to.
+        """
+        known, values = file_parameters(self.vessel), np.asarray(designs.values, float)
+        places = tuple((name, known.get(name, ())) for name in designs.names)
+        first, *longer = self._plans
+        run = functools.partial(_run_designs, self.vessel, size=self._batch, progress=progress)
+        found, steps, seconds = run(first, places, values)
+        for following in longer:
+            unfinished = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY))
+            left = found.possible & unfinished
+            if not left.any():
+                break
+            progress(f"{left.sum()} designs take longer; they run again")
+            some, *more = run(following, places, values[left])
+            for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
+                old[left] = new
+            steps, seconds = steps + more[0], seconds + more[1]
+        table = _results_table(self.vessel, self.plan, designs, found, whole)
+        return SweepResult(table, steps / max(seconds, 1e-9))
 
 
 def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
@@ -176,15 +160,15 @@ def _run_designs(
     plan: TrialPlan,
     places: Places,
     values: Float[np.ndarray, "design name"],
+    size: int,
     progress: Callable[[str], None],
 ) -> tuple[_DesignResults, float, float]:
-    """Run all designs in batches, one on every processor core at a time.
+    """Run all designs in batches of a size, one on every processor core at a time.
 
     Returns their results, and of the batches that were not compiled first the vessel-steps and
     the seconds that they took.
     """
     arrays = as_inputs(vessel)
-    size = min(_BATCH, 1 << (len(values) - 1).bit_length())
     batches = [values[k : k + size] for k in range(0, len(values), size)]
     steps = 0
 
@@ -205,7 +189,8 @@ def _run_designs(
                 reported = time.perf_counter()
                 done = min(len(values), len(results) * size)
                 rate = steps / (reported - began)
-                progress(f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s")
+                message = f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s"
+                progress(PartialProgress(message, done / len(values)))
     seconds = time.perf_counter() - began
     if len(batches) == 1:  # nothing ran without being compiled first
         steps, seconds = int(first.steps.sum()), compiling
@@ -237,14 +222,15 @@ def _batched_trial(
 
 
 def _results_table(
-    vessel: Vessel, plan: TrialPlan, designs: Designs, found: _DesignResults
+    vessel: Vessel, plan: TrialPlan, designs: Designs, found: _DesignResults, whole: bool
 ) -> pd.DataFrame:
     """Parameters, numbers, verdicts and outcome of every design; nulls where it failed."""
     labels = [planning.outcome_label(Outcome(int(o))) for o in found.outcome]
     outcome = np.where(found.possible, np.array(labels, dtype=object), IMPOSSIBLE)
     failed = np.isin(outcome, (IMPOSSIBLE, "diverged", "approach-unsteady"))
     numbers = {name: np.where(failed, np.nan, column) for name, column in found.numbers.items()}
-    numbers = {name: column for name, column in numbers.items() if np.isfinite(column).any()}
+    if not whole:
+        numbers = {name: column for name, column in numbers.items() if np.isfinite(column).any()}
     parameters = {name: designs.values[:, k] for k, name in enumerate(designs.names)}
     lengths = parameters.get("length", np.full(len(outcome), float(vessel.rigid_body.length)))
     verdicts = []

@@ -50,7 +50,10 @@ class Tabulated(abc.ABC):
         table, parts = self.to_frame(), [f"<p><b>{html.escape(self.headline())}</b></p>"]
         if len(table):
             parts.append(table.to_html(index=False, border=0, na_rep="-", float_format=_DIGITS))
-        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes())])
+        return "".join([*parts, self._notes_html()])
+
+    def _notes_html(self) -> str:
+        return "".join(f"<p>{html.escape(note)}</p>" for note in self.notes())
 
 
 Recording = Trajectory | pd.DataFrame | str | pathlib.Path

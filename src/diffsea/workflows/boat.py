@@ -143,7 +143,10 @@ def main(job: str, result: str) -> None:
     prepare_jax()
     found = study_boat(json.loads(Path(job).read_text(encoding="utf-8")))
     text = json.dumps(found, default=lambda value: value.tolist())
-    Path(result).write_text(text, encoding="utf-8")
+    try:
+        Path(result).write_text(text, encoding="utf-8")
+    except OSError as error:
+        sys.exit(f"cannot write {result}: {error.strerror}")
 
 
 if __name__ == "__main__":

@@ -4,20 +4,20 @@ import contextlib
 import hashlib
 import importlib.metadata
 import json
-import os
 import pathlib
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from diffsea.errors import UserError
+from diffsea.outside.durable import working_folder, written_beside
 from diffsea.vessel.files import shipped_vessels
 
 
 POLL = 0.2  # s, between looks at the processes
+CANNOT_WRITE = "cannot write"  # how a process ends that found no room for its result
 
 
 def part_key(task: dict[str, Any]) -> str:
@@ -74,9 +74,8 @@ def keep_part(folder: pathlib.Path, task: dict[str, Any], result: dict[str, Any]
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
-            json.dump(result, file)
-        os.replace(file.name, folder / f"{part_key(task)}.json")
+        with written_beside(folder / f"{part_key(task)}.json") as part:
+            part.write_text(json.dumps(result), encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write into {folder}: {error.strerror}") from None
 
@@ -87,8 +86,7 @@ def done_in_processes(
     """Each task with its result, as they come; so many processes at once."""
     waiting = list(enumerate(tasks))
     running: dict[int, subprocess.Popen[bytes]] = {}
-    with tempfile.TemporaryDirectory(prefix="diffsea-fleet-") as name:
-        folder = pathlib.Path(name)
+    with working_folder() as folder:
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
@@ -126,11 +124,13 @@ def _started(folder: pathlib.Path, number: int, task: dict[str, Any]) -> "subpro
 
 def _result_of(folder: pathlib.Path, number: int, task: dict[str, Any]) -> dict[str, Any]:
     """What the process of a boat left; of one that broke down, its last words."""
-    with contextlib.suppress(OSError, ValueError):
+    with contextlib.suppress(FileNotFoundError, ValueError):
         return json.loads((folder / f"{number}.json").read_text(encoding="utf-8"))
     said = (folder / f"{number}.log").read_text(encoding="utf-8", errors="replace").splitlines()
     last = next((line for line in reversed(said) if line.strip()), "it said nothing")
-    reason = f"its process broke down, which is a bug or a lack of memory: {last.strip()}"
+    reason = last.strip()
+    if not reason.startswith(CANNOT_WRITE):
+        reason = f"its process broke down, which is a bug or a lack of memory: {reason}"
     rows = [
         one | {"status": "failed", "reason": reason, "samples": 0, "seconds": 0.0, "audit": []}
         for one in task["recordings"]

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.metrics.imo import SHORTEST_SHIP
 from diffsea.metrics.repeats import mean_and_half_width
+from diffsea.progress import Progress, no_progress
 from diffsea.report.pages.campaign import TrialRun, campaign_page
 from diffsea.segments.segments import segments_of, with_window
 from diffsea.segments.signals import Signals, signals_of
@@ -18,6 +18,7 @@ from diffsea.segments.state_log import state_log
 from diffsea.segments.traceability import checks_of
 from diffsea.simulation import planning
 from diffsea.simulation.standard import standard_trial
+from diffsea.simulation.trials import Trial
 from diffsea.trajectory import Outcome, Samples, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile
@@ -215,12 +216,37 @@ def _run_trial(
         if outcome in FAILED:
             raise UserError(f"{outcome.sentence} (time step {plan.settings.step:g} s)")
         metrics = planning.summarise_trial(vessel, plan, trial, numbers)
-        run = dataclasses.replace(trial.trajectory, name=f"{planned.name}-{side}").counted()
-        signals = signals_of(run, vessel)
-        traced, onset = _traced(vessel, signals, metrics["execute_time"])
-        log = state_log(vessel, signals, onset)
+        return _with_log(vessel, planned, side, trial, metrics)
     except UserError as error:
         return CampaignTrial(planned.name, side, {"failed": str(error)})
+
+
+def trial_of_plan(
+    vessel: Vessel, plan: planning.TrialPlan, trial: Trial, metrics: dict[str, Any]
+) -> CampaignResult:
+    """A trial that has been run, as a campaign of its own: its page has criteria, track and checks.
+
+    Arguments:
+        metrics: the content of metrics.json.
+    """
+    planned = PlannedTrial(plan.manoeuvre, plan.angle, plan.heading)
+    side = "starboard" if plan.side > 0 else "port"
+    side = side if len(planned.sides) > 1 else AHEAD
+    return CampaignResult(vessel, (_with_log(vessel, planned, side, trial, metrics),))
+
+
+def _with_log(
+    vessel: Vessel, planned: PlannedTrial, side: str, trial: Trial, metrics: dict[str, Any]
+) -> CampaignTrial:
+    """A trial that has a result, with its checks and its log.
+
+    Raises:
+        UserError: the run is too short to be searched for its onset.
+    """
+    run = dataclasses.replace(trial.trajectory, name=f"{planned.name}-{side}").counted()
+    signals = signals_of(run, vessel)
+    traced, onset = _traced(vessel, signals, metrics["execute_time"])
+    log = state_log(vessel, signals, onset)
     return CampaignTrial(planned.name, side, metrics | traced, run, log)
 
 

@@ -15,7 +15,8 @@ from typing import Any
 import pandas as pd
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
+from diffsea.outside.unfinished import clear_abandoned
+from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.report.pages.fleet import fleet_report
 from diffsea.vessel.files import shipped_vessels
 from diffsea.workflows.audits import Tabulated
@@ -143,6 +144,8 @@ def fleet(
     tasks: list[dict[str, Any]] = [one | {"settings": settings} for one in read_manifest(manifest)]
     kept = None if parts is None else pathlib.Path(parts)
     found: dict[str, dict[str, Any]] = {}
+    if kept is not None:
+        clear_abandoned(kept)
     for task in tasks:
         if kept is not None and (part := kept_part(kept, task)) is not None:
             found[task["boat"]] = part
@@ -150,10 +153,12 @@ def fleet(
     if reused:
         progress(f"{reused} boats were done before, and are taken from {kept}")
     left = [task for task in tasks if task["boat"] not in found]
+    progress("taking the boats")
     for task, result in done_in_processes(left, jobs):
         found[task["boat"]] = result
         told = result.get("verdict", result["status"])
-        progress(f"{task['boat']}: {told} ({len(found)} of {len(tasks)} boats)")
+        message = f"{task['boat']}: {told} ({len(found)} of {len(tasks)} boats)"
+        progress(PartialProgress(message, (len(found) - reused) / len(left), "taking the boats"))
         if kept is not None and result["status"] == "done":
             keep_part(kept, task, result)
     boats = [found[task["boat"]] for task in tasks]

@@ -1,6 +1,7 @@
 """From recordings to a fitted vessel, and to what a vessel's model leaves out."""
 
 import dataclasses
+import html
 import importlib.metadata
 import math
 import pathlib
@@ -8,12 +9,12 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from diffsea.budget import left_out_sentence, time_budget
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-from diffsea.diagnosis.search import Deadline, Diagnosis
+from diffsea.diagnosis.search import FULL_EFFORT, Deadline, Diagnosis, Effort
 from diffsea.diagnosis.search import diagnose as search_effects
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.identification.free_predictions import free_errors
 from diffsea.identification.holdout import held_out_vessels
 from diffsea.identification.objectives.trial_numbers import (
@@ -24,6 +25,7 @@ from diffsea.identification.objectives.trial_numbers import (
 from diffsea.identification.study import FitSettings, Study, identify, with_priors
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
@@ -34,6 +36,7 @@ from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
+from diffsea.workflows import quick as look
 from diffsea.workflows.audits import Recording, Tabulated, as_recordings, audit
 
 
@@ -97,7 +100,7 @@ class FitResult(Tabulated):
     `study` has estimates, intervals, identifiability and the manoeuvre to record next; `misfit` is
     the normalised misfit (1 = noise level) of what was fitted and of runs held out; `predicted` are
     free predictions of runs held out, or else of those fitted, before and after the fit; `verdict`
-    says whether something is missing from the model.
+    says whether something is missing from the model; `left_out` names what there was no time for.
     """
 
     study: Study
@@ -107,6 +110,8 @@ class FitResult(Tabulated):
     verdict: FitVerdict
     data: FittedData
     objective: str
+    not_done: tuple[str, ...] = ()  # by a quick look
+    left_out: tuple[str, ...] = ()  # for want of time
 
     @property
     def free(self) -> dict[str, dict[str, float]]:
@@ -140,6 +145,7 @@ class FitResult(Tabulated):
         following = [] if self.study.next is None else [f"next: {self.study.next.sentence}"]
         sources = [] if self.study.sources is None else self.study.sources.sentences
         told = [self.study.anchor, *self.study.identifiability.sentences, *sources, *following]
+        told += [left_out_sentence(self.left_out)] if self.left_out else []
         return [*told, self.verdict.sentence]
 
 
@@ -157,6 +163,8 @@ def fit(
     per_recording: bool = False,
     progress: Progress = no_progress,
     profiles: Sequence[str] | None = None,
+    quick: bool = False,
+    budget: float = math.inf,
 ) -> FitResult:
     """Identify a vessel's parameters as `diffsea fit` does.
 
@@ -175,34 +183,52 @@ def fit(
         per_recording: whether wind and current are each recording's own.
         profiles: parameters whose intervals come from the profile likelihood; those whose
             likelihood is asymmetric if None.
+        quick: whether to leave out what `quick` says, and name it in `not_done`.
+        budget: seconds, after which no further step is begun but judging what was found; the
+            result then says what was left out.
 
     Raises:
         UserError: an unknown parameter, objective, anchor or effect, or data that do not suit.
     """
-    file = as_vessel_file(vessel)
-    given = fitted_data(file.vessel, data, test, mapping)
-    require_order_units(file.vessel, [*given.recordings, *given.test])
-    objective = objective or ("innovation" if given.recordings else "trial-numbers")
-    settings = FitSettings(
-        objective,
-        None if free is None else tuple(free),
-        anchor,
-        file.priors | dict(priors or {}),
-        starts,
-        None if profiles is None else tuple(profiles),
-        tuple(effects),
-        per_recording,
-    )
-    told = f"reading: {len(given.recordings)} recordings and {len(given.trials)} trials of sheets"
-    progress(f"{told} to fit, {len(given.test)} held out; compiling")
-    study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
-    document = updated_document(file.document, study.values, study.effect_tables)
-    fitted = VesselFile(build(document), document, file.path)
-    progress("predicting and judging")
-    predicted = compare_fit(study, file.vessel, fitted.vessel, (given.recordings, given.test))
-    verdict = study.verdict(given.recordings, given.test)
-    quality = study.quality(given.test)
-    return FitResult(study, fitted, quality, predicted, verdict, given, objective)
+    with time_budget(budget) as left:
+        file = as_vessel_file(vessel)
+        given = fitted_data(file.vessel, data, test, mapping)
+        require_order_units(file.vessel, [*given.recordings, *given.test])
+        not_done: tuple[str, ...] = ()
+        if quick:
+            whole = [*given.recordings, *given.test]
+            given = given._replace(
+                recordings=look.thinned(file.vessel, given.recordings),
+                test=look.thinned(file.vessel, given.test),
+            )
+            samples = look.left_out(file.vessel, whole, [*given.recordings, *given.test])
+            not_done, profiles = look.of_fit(samples), profiles or ()
+        objective = objective or ("innovation" if given.recordings else "trial-numbers")
+        settings = FitSettings(
+            objective,
+            None if free is None else tuple(free),
+            anchor,
+            file.priors | dict(priors or {}),
+            starts,
+            None if profiles is None else tuple(profiles),
+            tuple(effects),
+            per_recording,
+            proposes=not quick,
+        )
+        numbers = (len(given.recordings), "recordings"), (len(given.trials), "trials of sheets")
+        told = " and ".join(f"{number} {what}" for number, what in numbers if number)
+        progress(f"fitting {told}, {len(given.test)} held out")
+        study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
+        document = updated_document(file.document, study.values, study.effect_tables)
+        fitted = VesselFile(build(document), document, file.path)
+        progress("predicting and judging")
+        runs = given.recordings, given.test
+        predicted = []
+        if not left.skips("free predictions"):
+            predicted = compare_fit(study, file.vessel, fitted.vessel, runs)
+        verdict, quality = study.verdict(*runs), study.quality(given.test)
+        judged = study, fitted, quality, predicted, verdict
+        return FitResult(*judged, given, objective, not_done, left.left_out)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -244,6 +270,10 @@ class DiagnosisResult(Tabulated):
     def notes(self) -> list[str]:
         return verdict_text(self.record).splitlines()
 
+    def _notes_html(self) -> str:
+        """The verdict in lines, as a terminal has it: they are broken and aligned already."""
+        return f"<pre>{html.escape(verdict_text(self.record))}</pre>"
+
     def html(self) -> str:
         """The report as one self-contained page."""
         name, source = self.nominal.vessel.name, self.record["source"]
@@ -280,6 +310,8 @@ def diagnose(
     seconds: float = math.inf,
     priors: Mapping[str, Parameter | None] | None = None,
     anchor: str = "mass",
+    quick: bool = False,
+    budget: float = math.inf,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -292,42 +324,60 @@ def diagnose(
         bootstrap: judge chance by so many simulated and refitted data sets (100 or more).
         seconds: after which no further step of the search is begun; the record then says that it
             is not complete.
-        priors, anchor: as for `fit`.
+        priors: as for `fit`.
+        anchor: as for `fit`.
+        quick: whether to leave out what `quick` says; the record then names it under `not_done`.
+        budget: seconds, after which no further step of any stage is begun: fits end where they
+            are, and what was found is judged and told, with what was left out.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
     """
-    deadline = Deadline(seconds)
-    file = as_vessel_file(vessel)
-    runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
-    require_order_units(file.vessel, [*runs, *held_out])
-    progress(f"auditing {len(runs) + len(held_out)} recordings")
-    audited = list(audit([*runs, *held_out]))
-    audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
-    findings = [finding.as_dict() for finding in audited]
-    names = None if free is None else tuple(free)
-    parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
-    found = search_effects(
-        file.vessel,
-        runs,
-        held_out,
-        per_recording,
-        tuple(one.name for one in parameters),
-        progress,
-        bootstrap,
-        audited,
-        deadline,
-        {one.name: one for one in parameters},
-    )
-    progress("looking for the manoeuvre that would tell more")
-    experiment = next_experiment(found)
-    progress("comparing predictions")
-    documents = nominal_document(file.document, found), vessel_document(file.document, found)
-    nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
-    before = held_out_vessels(found.split, found.nominal)
-    after = held_out_vessels(found.split, found.final) if found.names else None
-    predicted = compare(found.split.held_out, before, after)
-    proposal = None if experiment is None else experiment.as_dict()
-    source = provenance(file, runs, held_out)
-    record = summary(found, findings, horizon_table(predicted), proposal, source)
-    return DiagnosisResult(record, found, nominal, diagnosed, predicted, experiment)
+    with time_budget(budget) as left:
+        deadline = Deadline(seconds)
+        file = as_vessel_file(vessel)
+        runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
+        require_order_units(file.vessel, [*runs, *held_out])
+        progress(f"checking {len(runs) + len(held_out)} recordings for faults")
+        audited = list(audit([*runs, *held_out]))
+        audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
+        findings = [finding.as_dict() for finding in audited]
+        not_done: tuple[str, ...] = ()
+        if quick:
+            whole = [*runs, *held_out]
+            runs, held_out = look.thinned(file.vessel, runs), look.thinned(file.vessel, held_out)
+            not_done = look.of_diagnosis(look.left_out(file.vessel, whole, [*runs, *held_out]))
+        names = None if free is None else tuple(free)
+        parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
+        found = search_effects(
+            file.vessel,
+            runs,
+            held_out,
+            per_recording,
+            tuple(one.name for one in parameters),
+            progress,
+            bootstrap,
+            audited,
+            deadline,
+            {one.name: one for one in parameters},
+            effort=Effort(look.NAMES, insists=False) if quick else FULL_EFFORT,
+        )
+        experiment = None
+        if not quick and not left.skips("the manoeuvre to record next"):
+            progress("looking for the manoeuvre that would tell more")
+            experiment = next_experiment(found)
+        progress("comparing predictions")
+        documents = nominal_document(file.document, found), vessel_document(file.document, found)
+        nominal, diagnosed = (VesselFile(build(one), one, file.path) for one in documents)
+        predicted = []
+        if not left.skips("free predictions"):
+            before = held_out_vessels(found.split, found.nominal)
+            after = held_out_vessels(found.split, found.final) if found.names else None
+            predicted = compare(found.split.held_out, before, after)
+        proposal = None if experiment is None else experiment.as_dict()
+        source = provenance(file, runs, held_out)
+        record = summary(found, findings, horizon_table(predicted), proposal, source)
+        complete = record["complete"] and not left.left_out
+        record |= {"complete": complete, "left_out": list(left.left_out)}
+        record |= {"not_done": list(not_done)} if not_done else {}
+        return DiagnosisResult(record, found, nominal, diagnosed, predicted, experiment)

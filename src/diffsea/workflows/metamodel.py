@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.metamodels.fit import COMMON_MOMENT, OWN_MOMENTS, NorrbinFit, Trials, identify
 from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots_with_std
 from diffsea.metamodels.norrbin import in_degrees
@@ -22,6 +21,7 @@ from diffsea.metamodels.validation import (
     predict_trials,
 )
 from diffsea.metrics.repeats import mean_and_half_width
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.metamodel import metamodel_report
 from diffsea.series import integrate

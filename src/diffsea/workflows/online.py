@@ -13,7 +13,6 @@ import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
-from diffsea.identification.estimates import Progress, no_progress
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
 from diffsea.identification.online.estimator import without_bounds
@@ -26,6 +25,7 @@ from diffsea.identification.online.guarded import (
 from diffsea.identification.online.trust import ALARM_TRUST
 from diffsea.identification.problem import free_by_default
 from diffsea.parameters import Parameter, named, parameter_meaning, parameter_unit
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.online import ClosedSpan, online_report
 from diffsea.simulation.order_units import require_order_units
@@ -173,9 +173,9 @@ def online(
         raise UserError("noise does not belong to the estimator 'least-squares'; leave it out")
     limits = None
     if known:
-        progress(f"calibrating trust by {len(known)} sound recordings; compiling")
+        progress(f"calibrating trust by {len(known)} sound recordings")
         limits = calibrate_limits([follow(one) for one in known])
-    progress(f"estimating along {len(given.t)} rows; the first time takes a while to compile")
+    progress(f"estimating along {len(given.t)} rows")
     run = follow(given, limits=limits)
     if known:
         settings["calibrated_by"] = [one.name for one in known]

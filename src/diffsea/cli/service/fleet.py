@@ -6,6 +6,8 @@ import pathlib
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
+from diffsea.progress import PartialProgress
 
 
 DEPTHS = ("diagnose", "fit", "audit")  # as the library has them, which would import JAX
@@ -43,9 +45,14 @@ def fleet_command(args: argparse.Namespace) -> None:
       diffsea fleet fleet.csv --until audit
       diffsea fleet fleet.csv --minutes 5 --environment per-recording -o out/june
     """
-    with Outputs(args.output) as out:
+    with Outputs(args.output) as out, StagedProgress(2) as tell:
         from diffsea.cli.outputs import json_text
         from diffsea.workflows.fleet import fleet
+
+        def follow(message: str) -> None:
+            if isinstance(message, PartialProgress):
+                tell.line(message)  # what became of each boat stays
+            tell(message)
 
         found = fleet(
             args.manifest,
@@ -55,7 +62,7 @@ def fleet_command(args: argparse.Namespace) -> None:
             free=args.free,
             per_recording=args.environment == "per-recording",
             parts=args.parts or args.output.with_name(f"{args.output.name}-parts"),
-            progress=options.progress,
+            progress=follow,
         )
         found.table.to_parquet(out.path("fleet.parquet"), index=False)
         out.text("fleet.html", found.html())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from diffsea.cli import options
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 
 
 if TYPE_CHECKING:
@@ -54,7 +55,9 @@ def metamodel_command(args: argparse.Namespace) -> None:
       diffsea metamodel patrols/*.csv --vessel usv.toml --window 20
     """
     wanted = _zigzag(args)
-    with Outputs(args.output) as out:
+    stages = {"reading": 5.0, "looking": 15.0, "identifying": 20.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("reading")
         from diffsea.workflows.metamodel import metamodel
 
         vessel = options.read_vessel(args) if args.vessel else None
@@ -65,8 +68,9 @@ def metamodel_command(args: argparse.Namespace) -> None:
             most=args.most,
             own_moments=args.own_moments,
             zigzag=wanted,
-            progress=options.progress,
+            progress=tell,
         )
+        tell("writing")
         out.json("metamodel.json", found.record())
         out.text("metamodel.html", found.html())
     out.present(args, _summary_text(found))

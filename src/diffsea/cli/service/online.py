@@ -6,6 +6,7 @@ import pathlib
 from diffsea.cli import options
 from diffsea.cli.options import add_choice, add_option
 from diffsea.cli.outputs import Outputs, table
+from diffsea.cli.progress.staged import StagedProgress
 
 
 ESTIMATORS = ("kalman", "least-squares")  # as the library has them, which would import JAX
@@ -59,7 +60,9 @@ def online_command(args: argparse.Namespace) -> None:
     for other in OF_THE_OTHER[args.estimator]:
         if getattr(args, other) is not None:
             args.usage_error(f"--{other} does not belong to --estimator {args.estimator}")
-    with Outputs(args.output) as out:
+    stages = {"reading": 2.0, "calibrating": 8.0, "estimating": 10.0, "writing": 2.0}
+    with Outputs(args.output) as out, StagedProgress(stages) as tell:
+        tell("reading")
         from diffsea.workflows.online import online
 
         file = options.read_vessel(args)
@@ -73,8 +76,9 @@ def online_command(args: argparse.Namespace) -> None:
             memory=args.memory,
             noise=args.noise,
             sound=runs[1:],
-            progress=options.progress,
+            progress=tell,
         )
+        tell("writing")
         out.json("online.json", found.record(args.interval or 0.0))
         out.text("online.html", found.html())
     rows = [

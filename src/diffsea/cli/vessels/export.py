@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import Outputs, json_text
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
 
@@ -19,7 +20,7 @@ def register(commands: options.Commands) -> None:
     text = "a vessel for Gazebo, ArduPilot, FMI or MATLAB"
     parser = options.add_command(commands, "export", export_command, text)
     options.add_vessel(parser)
-    targets = options.one_of(tuple(_WRITERS), "target")
+    targets = options.OneOf(tuple(_WRITERS), "target")
     text = f"the tool: {', '.join(_WRITERS)}"
     options.add_option(parser, "--to", "TOOL", targets, text, required=True)
     options.add_flag(parser, "--allow-loss", "leave out, by name, what the tool cannot express")
@@ -48,7 +49,8 @@ def export_command(args: argparse.Namespace) -> None:
     if args.to != "ardupilot" and (args.fit is not None or args.speed is not None):
         raise UserError("--fit and --speed are for --to ardupilot; leave them out")
     file = options.read_vessel(args)
-    with Outputs(args.output) as out:
+    with Outputs(args.output) as out, StagedProgress({"writing": 5.0}) as tell:
+        tell(f"writing for {args.to}")
         found = _WRITERS[args.to](file, args, out)
     for loss in found["left_out"]:
         options.progress(f"left out: {loss}")

@@ -35,7 +35,7 @@ def register(commands: options.Commands) -> None:
         "file", metavar="FILE", type=pathlib.Path, nargs="?", help="the vessel file to write (TOML)"
     )
     hull = f"{', '.join(HULLS)} (default: catamaran; with --rudder alone monohull)"
-    add_option(new, "--hull", "FORM", options.one_of(HULLS, "hull form"), hull)
+    add_option(new, "--hull", "FORM", options.OneOf(HULLS, "hull form"), hull)
     for flag, metavar, text in (
         ("--length", "M", "length of the waterline, m"),
         ("--beam", "M", "beam over all, m"),
@@ -54,7 +54,7 @@ def register(commands: options.Commands) -> None:
     rudder = "a rudder, its area in m^2 (without a number: usual), behind a thruster or propeller"
     add_option(new, "--rudder", "AREA", options.positive, rudder, nargs="?", const=True)
     unit = f"of the thrusters' orders: {', '.join(UNITS)} (default: us, pulse width)"
-    add_option(new, "--unit", "UNIT", options.one_of(UNITS, "unit"), unit)
+    add_option(new, "--unit", "UNIT", options.OneOf(UNITS, "unit"), unit)
     turned = "motors whose larger orders are astern: port, starboard, motor (default: by the log)"
     add_option(new, "--reversed", "NAMES", options.names, turned, default=())
     log = "log of ArduPilot: outputs, neutral, ends and sense of the motors are read from it"

@@ -29,7 +29,7 @@ def ask_what_is_missing(
         args.file = _ask("file to write", pathlib.Path("boat.toml"), pathlib.Path)
     check_target(args.file, args.force)
     if args.hull is None:
-        known = options.one_of(HULLS, "hull form")
+        known = options.OneOf(HULLS, "hull form")
         args.hull = _ask(f"hull form ({', '.join(HULLS)})", "catamaran", known)
     args.length = args.length or _ask("length of the waterline, m", None, options.positive)
     args.beam = args.beam or _ask("beam over all, m", None, options.positive)
@@ -39,14 +39,14 @@ def ask_what_is_missing(
         args.top_speed = _ask("top speed, m/s", "not known", _or_unknown)
     if args.thrusters is None and args.rudder is None:
         usual = "rudder" if args.hull in ("monohull", "ship") else "thrusters"
-        drives = options.one_of(("thrusters", "rudder"), "drive")
+        drives = options.OneOf(("thrusters", "rudder"), "drive")
         if _ask("steered by (thrusters, rudder)", usual, drives) == "rudder":
             args.rudder = _ask("area of the rudder, m^2", "not known", _or_unknown) or True
         else:
             spacing = _ask("metres between the thrusters", "not known", _or_unknown)
             args.thrusters = spacing or 0.5 * args.beam
     if args.unit is None and args.log is None and args.hull != "ship":
-        unit = options.one_of(UNITS, "unit")
+        unit = options.OneOf(UNITS, "unit")
         args.unit = _ask(f"motors are ordered in ({', '.join(UNITS)})", "us", unit)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
 from diffsea.cli.outputs import json_text, table
+from diffsea.cli.progress.staged import StagedProgress
 from diffsea.outside.printable import printable
 
 
@@ -59,8 +60,9 @@ def show_command(args: argparse.Namespace) -> None:
     from diffsea.studies.handling import handling
 
     vessel = options.read_vessel(args).vessel
-    options.progress("running a turning circle")
-    found = handling(vessel)
+    with StagedProgress({"running": 5.0}) as tell:
+        tell("running a turning circle")
+        found = handling(vessel)
     if args.json:
         print(json_text(_particulars(vessel) | {"handling": found.as_dict()}))
     else:

@@ -11,9 +11,10 @@ import abc
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Coordinates, Names, NumberResidual, Problem
 from diffsea.parameters import Parameter
+from diffsea.progress import Progress, no_progress
 
 
 Starts = Float[np.ndarray, "start coordinate"]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from diffsea.identification.coordinates import negative_effects
-from diffsea.identification.estimates import Estimate, Progress, no_progress
+from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import run_filter
@@ -23,6 +23,7 @@ from diffsea.identification.residual import (
     gauss_newton,
     residual_inputs,
 )
+from diffsea.progress import Progress, no_progress
 from diffsea.series import stretches
 from diffsea.trajectory import MOTION_CHANNELS
 
@@ -62,7 +63,7 @@ class Innovations(AbstractObjective):
         if not self.one_sample_in:
             return fitted
         often = ", ".join(f"{name} every {number}" for name, number in self.one_sample_in.items())
-        progress(f"errors follow one another; of samples used: {often}")
+        progress(f"neighbouring samples err alike; used are of {often}")
         dataset = thin_channels(self.problem.dataset, self.one_sample_in)
         self.problem = dataclasses.replace(self.problem, dataset=dataset)
         return estimate(self.problem, free, fitted.coordinates, fitted.noise, progress=progress)

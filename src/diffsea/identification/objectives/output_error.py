@@ -23,15 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.budget import current_budget
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import (
     Estimate,
     FitOutcome,
-    Progress,
     ShootingState,
     is_at_bound,
-    no_progress,
     posterior_estimate,
 )
 from diffsea.identification.filter.kalman import (
@@ -45,6 +44,7 @@ from diffsea.identification.filter.latency import align_to_order_clock
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
+from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.scales import time_scale
 from diffsea.statistics import autocorrelation, long_run_covariance, robust_scale
 from diffsea.vessel.base import Vessel
@@ -207,11 +207,16 @@ class OutputError(AbstractObjective):
         index = np.array(self.problem.layout.indices(free), int)
         state, path, outcome = self.start(start), [], FitOutcome.CONVERGED
         for joint in JOINTS:
+            if path and current_budget().skips("joining the windows of a fit"):
+                outcome = FitOutcome.OUT_OF_TIME
+                break
             state = self._with_new_scales(state, joint)
             for number in range(JOINT_ROUNDS):
                 state, cost, outcome = self._descend(state, index)
                 path.append(cost)
-                progress(f"windows {joint:g} apart, round {number + 1}: misfit {cost:.1f}")
+                done = (JOINTS.index(joint) + (number + 1) / JOINT_ROUNDS) / len(JOINTS)
+                message = f"fitting, step {len(path)}: misfit {cost:.1f}"
+                progress(PartialProgress(message, done))
                 old, state = state.sigma, self._with_new_scales(state, joint)
                 if np.all(np.abs(np.log(state.sigma / old)) < SETTLED_SCALE):
                     break
@@ -339,6 +344,8 @@ class OutputError(AbstractObjective):
         """Levenberg-Marquardt with the scales as they are."""
         damping, cost = FIRST_DAMPING, self.state_cost(state)
         for _ in range(STEP_LIMIT):
+            if current_budget().skips("steps of a fit"):
+                return state, cost, FitOutcome.OUT_OF_TIME
             equations = self.normal_equations(state, index)
             A, g = equations.matrix, equations.gradient
             for _ in range(DAMPINGS_TRIED):

@@ -36,15 +36,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffsea.budget import current_budget
 from diffsea.errors import UserError, nearest
-from diffsea.identification.estimates import (
-    Estimate,
-    FitOutcome,
-    Progress,
-    is_at_bound,
-    no_progress,
-    posterior_estimate,
-)
+from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.least_squares import (
     iterate_least_squares,
     solve_least_squares,
@@ -54,6 +48,7 @@ from diffsea.identification.objectives.base import AbstractObjective, Costs, Sta
 from diffsea.identification.problem import Coordinates, Names, NumberResidual
 from diffsea.outside.documents import read_toml
 from diffsea.parameters import Parameter, file_parameters, replace
+from diffsea.progress import Progress, no_progress
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.types import as_inputs
@@ -298,9 +293,12 @@ class TrialNumbers(AbstractObjective):
         for number, step in enumerate(solution):
             coordinates[index] = np.asarray(step.at)
             path.append(step.cost + held)
-            progress(f"step {number}: misfit {path[-1]:.3f}")
+            progress(f"fitting, step {number}: misfit {path[-1]:.3f}")
             if step.converged:
                 outcome = FitOutcome.CONVERGED if step.accepted else FitOutcome.STALLED
+            elif current_budget().skips("steps of a fit"):
+                outcome = FitOutcome.OUT_OF_TIME
+                break
         if outcome is FitOutcome.CONVERGED and is_at_bound(self.parameters, coordinates, index):
             outcome = FitOutcome.BOUNDED
         own = self.misfits_and_jacobian(coordinates)[1][:, index]

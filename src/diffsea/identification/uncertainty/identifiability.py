@@ -13,9 +13,10 @@ from scipy.optimize import root_scalar
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
-from diffsea.identification.estimates import INTERVAL_LEVEL, Estimate, Progress, no_progress
+from diffsea.identification.estimates import INTERVAL_LEVEL, Estimate
 from diffsea.identification.objectives.base import AbstractObjective, Coordinates
 from diffsea.parameters import Parameter
+from diffsea.progress import Progress, no_progress
 
 
 STRONG_CORRELATION = 0.9  # correlation from which two parameters are known only together
@@ -146,7 +147,7 @@ def profile_interval(
 
     ends = []
     for sign in (-1.0, 1.0):
-        progress(f"profile of {name} {'above' if sign > 0 else 'below'} its estimate")
+        progress(f"how {'large' if sign > 0 else 'small'} {name} can be")
         errors = _sign_change(excess, sign)
         at = fitted.coordinates[fitted.index[n]] + errors * fitted.stds[n]
         ends.append(float(parameter.decode(at)) if np.isfinite(errors) else errors)

@@ -124,13 +124,14 @@ def foreign_layouts(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def _foreign_names(path: Path) -> tuple[str, ...] | None:
-    """The names of the columns of a file that is foreign; None of any other."""
+    """The names of the columns of a file that is foreign, none where the disk fails; None of any
+    other."""
     try:
         if logs.is_log(path):
             return None
         layout = sniff_layout(path)
-    except UserError:
-        return None
+    except UserError as error:
+        return () if isinstance(error.__cause__, OSError) else None
     how, names = layout.mapping, layout.names
     plain = (how.delimiter, how.decimal, how.encoding, how.header_lines) == (
         *(",", ".", "utf-8-sig"),

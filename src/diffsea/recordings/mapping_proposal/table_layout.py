@@ -100,7 +100,9 @@ def _first_lines(path: Path) -> tuple[list[str], str]:
     try:
         with path.open("rb") as file:
             start = file.read(1 << 20)
-    except OSError:
+    except OSError as error:
+        if path.is_file():
+            raise UserError(f"cannot read {path}: {error.strerror}") from error
         start = b""
     if not start or b"\x00" in start[:4096]:
         read_table(path, None)  # says what is wrong with the file

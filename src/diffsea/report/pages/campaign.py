@@ -82,16 +82,19 @@ def _verdict_sentence(record: Record) -> str:
     if not criteria:
         return "No criterion of IMO MSC.137(76) applies to these trials."
     failed = [row for row in criteria if row["verdict"] == "fail"]
+    if not failed and len(criteria) == 1:
+        return "The one criterion of IMO MSC.137(76) that applies is met."
     if not failed:
         return f"All {len(criteria)} criteria of IMO MSC.137(76) that apply are met."
-    names = dict.fromkeys(f"{_words(row['number'])} ({row['trial']})" for row in failed)
+    names = dict.fromkeys(f"{number_words(row['number'])} ({row['trial']})" for row in failed)
     return (
         f"{len(failed)} of {len(criteria)} criteria of IMO MSC.137(76) that apply "
         f"{'is' if len(failed) == 1 else 'are'} not met: {', '.join(names)}."
     )
 
 
-def _words(number: str) -> str:
+def number_words(number: str) -> str:
+    """The name of a number of metrics.json in words."""
     return number.replace("_", " ")
 
 
@@ -108,7 +111,7 @@ def _criteria_table(criteria: Sequence[Record]) -> Table:
         ]
         if not any(values):  # of a trial that turns to no side
             values[0] = significant(for_people(*_only(row))[0], 3)
-        cells = [Verbatim(row["trial"]), Verbatim(row["criterion"]), _words(row["number"])]
+        cells = [Verbatim(row["trial"]), Verbatim(row["criterion"]), number_words(row["number"])]
         rows.append([*cells, *values, significant(limit, 3), unit, row["verdict"]])
     return Table(columns, rows, "Criteria of IMO MSC.137(76); L is the ship's length", (3, 4, 5))
 
@@ -134,7 +137,7 @@ def _number_table(trial: str, sides: Mapping[str, Record]) -> Table:
     for name in names:
         unit = for_people(0.0, number_unit(name))[1]
         cells = [_number_cell(metrics, name) for metrics in sides.values()]
-        rows.append([_words(name), *cells, unit])
+        rows.append([number_words(name), *cells, unit])
     columns = ["number", *sides, "unit"]
     return Table(columns, rows, trial, range(1, len(sides) + 1))
 

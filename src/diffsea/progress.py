@@ -1,0 +1,28 @@
+"""What a long analysis tells somebody who waits."""
+
+from collections.abc import Callable
+
+
+Progress = Callable[[str], None]
+
+
+class PartialProgress(str):
+    """A progress message that tells how far a stage has come; a plain one begins a stage.
+
+    Attributes:
+        share: what is done of the stage, 0 to 1.
+        stage: its name; the stage that was begun last if empty.
+    """
+
+    share: float
+    stage: str
+
+    def __new__(cls, message: str, share: float, stage: str = "") -> "PartialProgress":
+        """A message for the person who waits, with the share that it stands for."""
+        out = super().__new__(cls, message)
+        out.share, out.stage = share, stage
+        return out
+
+
+def no_progress(message: str) -> None:
+    """Progress that nobody follows."""
