@@ -10,7 +10,7 @@ from tests.paths import ROOT
 
 import diffsea
 from diffsea.cli import main
-from diffsea.simulation.mission.document import CONTROLLERS
+from diffsea.missions.document import CONTROLLERS
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -7,8 +7,8 @@ from typing import Any
 
 from diffsea.report.pages.battery import battery_page, share_sentences
 from diffsea.report.pages.mission import mission_page
-from diffsea.simulation import mission as missions
-from diffsea.simulation.mission import (
+from diffsea import missions
+from diffsea.missions import (
     Battery,
     BatteryRun,
     Mission,

@@ -9,7 +9,7 @@ from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import significant
 from diffsea.report.words import Record
-from diffsea.simulation.mission import BatteryRun
+from diffsea.missions import BatteryRun
 
 
 DRAWN_RUNS = 60  # tracks: more would hide one another

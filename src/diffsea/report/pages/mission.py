@@ -11,8 +11,8 @@ from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
 from diffsea.report.quantities import for_people, round_to_error, significant
 from diffsea.report.words import Record, capital
-from diffsea.simulation.mission import MissionRun
-from diffsea.simulation.mission.scores import held_values, path_offsets
+from diffsea.missions import MissionRun
+from diffsea.missions.scores import held_values, path_offsets
 from diffsea.trajectory import Outcome, Samples
 
 

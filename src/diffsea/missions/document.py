@@ -11,7 +11,7 @@ from typing import NamedTuple
 from diffsea.errors import UserError, nearest
 from diffsea.outside.documents import read_toml
 from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
-from diffsea.simulation.mission.record import (
+from diffsea.missions.record import (
     Controller,
     Flow,
     HeadingLaw,

@@ -33,7 +33,7 @@ from diffsea.simulation.control import (
     track_keeper,
     waypoint_logic,
 )
-from diffsea.simulation.mission.record import Controller, Mission
+from diffsea.missions.record import Controller, Mission
 from diffsea.vessel.base import Vessel
 
 

@@ -7,7 +7,7 @@ import pytest
 from tests.paths import ROOT
 
 from diffsea import UserError
-from diffsea.simulation.mission import (
+from diffsea.missions import (
     Battery,
     BatteryRun,
     battery_scores,
@@ -17,7 +17,7 @@ from diffsea.simulation.mission import (
     run_battery,
     scores,
 )
-from diffsea.simulation.mission.battery import battery_of
+from diffsea.missions.battery import battery_of
 
 
 OTTER = {

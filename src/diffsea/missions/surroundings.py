@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.kinematics import components_towards
 from diffsea.simulation.control import AbstractController
-from diffsea.simulation.mission.record import Flow, SensorErrors, Weather
+from diffsea.missions.record import Flow, SensorErrors, Weather
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel

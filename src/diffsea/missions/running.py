@@ -11,9 +11,9 @@ from diffsea.errors import UserError
 from diffsea.kinematics import speed_and_direction
 from diffsea.simulation import planning
 from diffsea.simulation.closed_loop import ClosedLoop, run_controlled
-from diffsea.simulation.mission.controllers import controller_of, speed_of
-from diffsea.simulation.mission.record import Mission, SensorErrors
-from diffsea.simulation.mission.surroundings import (
+from diffsea.missions.controllers import controller_of, speed_of
+from diffsea.missions.record import Mission, SensorErrors
+from diffsea.missions.surroundings import (
     Instrumented,
     WeatherSeries,
     in_weather,

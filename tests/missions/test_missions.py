@@ -15,11 +15,11 @@ from tests.runs import state_of
 from diffsea import Environment, Trajectory, run_controlled
 from diffsea.scales import HARD_OVER
 from diffsea.simulation.control import Course, LineOfSight, autopilot
-from diffsea.simulation.mission import mission_of, run, scores
-from diffsea.simulation.mission.record import Flow, Weather
-from diffsea.simulation.mission.running import setup
-from diffsea.simulation.mission.scores import approaches, path_offsets
-from diffsea.simulation.mission.surroundings import weather_series
+from diffsea.missions import mission_of, run, scores
+from diffsea.missions.record import Flow, Weather
+from diffsea.missions.running import setup
+from diffsea.missions.scores import approaches, path_offsets
+from diffsea.missions.surroundings import weather_series
 
 
 PERIOD, SECONDS, THROTTLE = 0.2, 60.0, 160.0

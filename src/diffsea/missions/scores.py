@@ -14,9 +14,9 @@ from diffsea.scales import time_scale
 from diffsea.series import stretches
 from diffsea.simulation.actuation import yaw_moments
 from diffsea.simulation.control.timed import in_force
-from diffsea.simulation.mission.controllers import radius_of
-from diffsea.simulation.mission.record import Mission
-from diffsea.simulation.mission.running import MissionRun
+from diffsea.missions.controllers import radius_of
+from diffsea.missions.record import Mission
+from diffsea.missions.running import MissionRun
 from diffsea.simulation.planning import outcome_label
 from diffsea.trajectory import Samples, Trajectory
 
