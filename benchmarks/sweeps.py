@@ -16,7 +16,7 @@ def measure() -> list[Figure]:
 
     diffsea.prepare_jax()
     from diffsea.simulation.planning import plan_trial
-    from diffsea.studies.designs import sample
+    from diffsea.designs import sample
     from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build
 

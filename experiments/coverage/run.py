@@ -26,9 +26,10 @@ from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
 from diffsea import Trajectory, UserError
+from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.estimates import parameter_estimates
 from diffsea.identification.fit import estimate
-from diffsea.identification.problem import free_by_default, make_problem
+from diffsea.identification.problem import make_problem
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 

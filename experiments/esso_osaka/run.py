@@ -35,11 +35,12 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from diffsea import EFFECTS, Trajectory
+from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate, parameter_records
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import Split, held_out_coordinates, row_deviance, split_data
-from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import Table, build
 
 

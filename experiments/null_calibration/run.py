@@ -14,8 +14,9 @@ from diffsea import read_recording, read_vessel
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, Bootstrap, bootstrap
 from diffsea.diagnosis.screening import candidate_effects
 from diffsea.diagnosis.search import EFFECT_COORDINATES
+from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.fit import estimate
-from diffsea.identification.problem import free_by_default, make_problem
+from diffsea.identification.problem import make_problem
 
 
 LEVELS = (0.01, 0.05, 0.1, 0.5)

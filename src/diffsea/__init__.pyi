@@ -55,6 +55,8 @@ from .workflows.metamodel import MetamodelResult as MetamodelResult
 from .workflows.metamodel import metamodel as metamodel
 from .workflows.missions import MissionResult as MissionResult
 from .workflows.missions import run_mission as run_mission
+from .workflows.missions import sweep_mission as sweep_mission
+from .workflows.missions import tune_mission as tune_mission
 from .workflows.online import OnlineResult as OnlineResult
 from .workflows.online import online as online
 from .workflows.trials import PredictionResult as PredictionResult

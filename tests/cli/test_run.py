@@ -172,3 +172,64 @@ def test_a_mission_that_passes_a_waypoint_by_is_not_called_completed(tmp_path):
     missed = sum(not point["reached"] for point in told["waypoints"])
     assert told["outcome"] == "completed" and missed > 0
     assert f'<p class="word">ended, {missed} missed</p>' in (out / "run.html").read_text()
+
+
+SHORT = (
+    GOOD
+    + """
+[start]
+u = 0.8
+"""
+)
+
+
+def test_a_grid_writes_a_row_for_each_combination(tmp_path, capsys):
+    mission = tmp_path / "mission.toml"
+    mission.write_text(SHORT)
+    words = ["run", str(mission), "--grid", "lookahead=3:9:3", "heading.gain=1:3:2"]
+    assert main([*words, "--json", "-o", str(tmp_path / "out")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    table = pd.read_csv(tmp_path / "out" / "grid.csv")
+    assert len(table) == told["designs"] == 6
+    assert told["parameters"]["controller.lookahead"] == {"from": 3.0, "to": 9.0}
+    assert told["best"]["path_rms"] == pytest.approx(table["path_rms"].min())
+    assert told["as_it_stands"]["path_rms"] > 0
+    page = (tmp_path / "out" / "run.html").read_text()
+    assert "Best runs" in page and "Smallest path rms of completed runs" in page
+
+
+def test_tuning_writes_the_mission_that_it_ran(tmp_path, capsys):
+    mission, out = tmp_path / "mission.toml", tmp_path / "out"
+    mission.write_text(SHORT)
+    words = ["run", str(mission), "--tune", "lookahead=0.5:4", "--starts", "1", "-o", str(out)]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    tuned = told["tuning"]["numbers"]["controller.lookahead"]
+    assert (tuned["from"], tuned["to"]) == (0.5, 4.0) and 0.5 < tuned["after"] <= 4.0
+    written = tomllib.loads((out / "mission.toml").read_text())
+    assert written["controller"]["lookahead"] == tuned["after"]
+    assert main(["run", str(out / "mission.toml"), "--json", "-o", str(tmp_path / "again")]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["path_error"]["rms"] == pytest.approx(told["path_error"]["rms"], rel=1e-6)
+    assert "What was tuned" in (out / "run.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (["--grid", "lookahed=3:9:3"], 1, "did you mean 'lookahead'"),
+        (["--grid", "gain=1:3:2"], 1, "may be any of controller.heading.gain"),
+        (["--grid", "lookahead=3:9"], 2, "not of the form NAME=FROM:TO:COUNT"),
+        (["--tune", "lookahead=9:3"], 1, "give the lower number first"),
+        (["--tune", "lookahead=3:9:4"], 2, "not of the form NAME=FROM:TO"),
+        (["--grid", "lookahead=3:9:3", "--tune", "lookahead=3:9"], 2, "not allowed with"),
+        (["--judge", "other.toml"], 2, "--judge belongs to --tune"),
+        (["--tune", "lookahead=3:9", "--effort", "-1"], 2, "is negative"),
+        (["--tune", "lookahead=3:9", "--judge", "none.toml"], 1, "none.toml"),
+    ],
+)
+def test_grids_and_tunings_that_cannot_be_are_refused(words, status, told, tmp_path, capsys):
+    mission = tmp_path / "mission.toml"
+    mission.write_text(SHORT)
+    assert main(["run", str(mission), *words, "-o", str(tmp_path / "out")]) == status
+    assert told in capsys.readouterr().err and not (tmp_path / "out").exists()

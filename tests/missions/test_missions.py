@@ -13,13 +13,14 @@ from tests.oracle.simulator import Simulator
 from tests.runs import state_of
 
 from diffsea import Environment, Trajectory, run_controlled
-from diffsea.scales import HARD_OVER
-from diffsea.simulation.control import Course, LineOfSight, autopilot
 from diffsea.missions import mission_of, run, scores
+from diffsea.missions.performance import tracking_errors
 from diffsea.missions.record import Flow, Weather
 from diffsea.missions.running import setup
-from diffsea.missions.scores import approaches, path_offsets
+from diffsea.missions.scores import approaches
 from diffsea.missions.surroundings import weather_series
+from diffsea.scales import HARD_OVER
+from diffsea.simulation.control import Course, LineOfSight, autopilot
 
 
 PERIOD, SECONDS, THROTTLE = 0.2, 60.0, 160.0
@@ -118,6 +119,10 @@ def test_the_path_error_is_that_of_the_oracle_under_the_same_law(folder):
     assert told["time"] == pytest.approx(PERIOD * (len(by_hand) - 1))
 
 
+def path_offsets(mission, motion):
+    return np.asarray(tracking_errors(mission, motion)["path"])
+
+
 def along(x, y):
     t = np.arange(len(x), dtype=float)
     still = dict.fromkeys(("psi", "u", "v", "r"), 0.0 * t)
@@ -132,7 +137,9 @@ def path_mission(folder, points):
 def test_offsets_are_positive_to_starboard_and_corners_count_from_the_nearer_leg(folder):
     mission = path_mission(folder, PATH[:2])
     np.testing.assert_allclose(
-        path_offsets(mission, along([0.0, 10.0, 20.0], [2.0, 0.0, -3.0])), [2, 0, -3], atol=1e-12
+        np.asarray(tracking_errors(mission, along([0.0, 10.0, 20.0], [2.0, 0.0, -3.0]))["path"]),
+        [2, 0, -3],
+        atol=1e-12,
     )
     corner = path_mission(folder, [(0.0, 0.0), (40.0, 0.0), (40.0, 40.0)])
     # On, cut by 2 m on both sides of the corner, past it, and 1 m to port of the second leg.
@@ -342,7 +349,7 @@ def test_pursuit_and_track_keeping_reach_their_waypoints(folder):
 
 def test_a_setup_is_what_the_mission_states(folder):
     made = setup(mission_of(document(), folder))
-    assert (made.period, made.time_step, made.seconds) == (PERIOD, 0.05, SECONDS)
+    assert made.times[:3] == (SECONDS, PERIOD, 0.05)
     guidance = made.controller.inner.steering.guidance
     assert isinstance(guidance, LineOfSight)
     assert (float(guidance.lookahead), float(guidance.radius)) == (LOOKAHEAD, RADIUS)

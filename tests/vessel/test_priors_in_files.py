@@ -6,7 +6,7 @@ import pytest
 from tests.boats import BOAT
 
 from diffsea import UserError, named, read_vessel
-from diffsea.identification.problem import free_by_default
+from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.study import with_priors
 from diffsea.vessel.files import build, default_priors, dump, shipped_vessels, updated_document
 

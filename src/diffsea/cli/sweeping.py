@@ -6,6 +6,7 @@ import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
+from diffsea.cli.axes import GRID_FORM, RANGE_FORM, axis, by_name, range_of
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, json_text, table
@@ -15,11 +16,10 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.studies.designs import DesignSpace
+    from diffsea.designs import DesignSpace
     from diffsea.studies.parts import Parts
 
 
-AXIS_FORMS = {"NAME=FROM:TO:COUNT": "mass=150:220:8", "NAME=FROM:TO": "mass=150:220"}  # examples
 PART = 4096  # as the library has it, which would import JAX to be asked
 MAPPED = 100_000  # designs that are drawn at most
 MERGE = "merge"  # in the place of a vessel
@@ -32,10 +32,10 @@ def register(commands: options.Commands) -> None:
     text = "with `merge` in place of a vessel: the folder of parts"
     sweep.add_argument("merged", metavar="PARTS", type=pathlib.Path, nargs="?", help=text)
     group = sweep.add_argument_group("designs")
-    grid, form = "all combinations of evenly spaced values", "NAME=FROM:TO:COUNT"
-    add_option(group, "--grid", form, axis, grid, nargs="+", action=GivenOnce)
+    grid = "all combinations of evenly spaced values"
+    add_option(group, "--grid", GRID_FORM, axis, grid, nargs="+", action=GivenOnce)
     sample = "N random designs that cover all ranges evenly"
-    form = ("N", "NAME=FROM:TO")
+    form = ("N", RANGE_FORM)
     add_option(group, "--sample", form, str, sample, nargs="+", action=GivenOnce)
     add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
     group = sweep.add_argument_group("parts")
@@ -58,49 +58,23 @@ def shard_of(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
-def axis(text: str, form: str = "NAME=FROM:TO:COUNT") -> tuple[str, tuple[Any, ...]]:
-    """A parameter and its values: from, to and, where the form has it, how many.
-
-    Raises:
-        ArgumentTypeError: another form, a number that is not finite, or a count below one.
-    """
-    name, equals, values = text.partition("=")
-    bounds = values.split(":")
-    if not (name and equals and len(bounds) == len(form.split(":"))):
-        example = AXIS_FORMS[form]
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not of the form {form}, for example {example}"
-        )
-    first, last = (options.number(bound) for bound in bounds[:2])
-    return name, (first, last, *map(options.count, bounds[2:]))
-
-
 def _designs(args: argparse.Namespace) -> "DesignSpace":
     """What `--grid` or `--sample` asks for; bad usage ends here."""
-    from diffsea.studies.designs import Grid, LatinHypercube
+    from diffsea.designs import Grid, LatinHypercube
 
     if (args.grid is None) == (args.sample is None):
         args.usage_error("give either --grid or --sample")
     try:
         if args.grid is not None:
-            return Grid(_by_name(args.grid))
+            return Grid(by_name(args.grid))
         number, *ranges = args.sample
         if not ranges:
             raise argparse.ArgumentTypeError("give a number of designs, then NAME=FROM:TO")
-        axes = _by_name([axis(text, "NAME=FROM:TO") for text in ranges])
+        axes = by_name([range_of(text) for text in ranges])
         return LatinHypercube(axes, options.count(number), args.seed)
     except argparse.ArgumentTypeError as error:
         args.usage_error(str(error))
         raise
-
-
-def _by_name(axes: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The axes by parameter; one that is given twice is bad usage."""
-    names = [name for name, _ in axes]
-    for name in names:
-        if names.count(name) > 1:
-            raise argparse.ArgumentTypeError(f"{name!r} is given twice")
-    return dict(axes)
 
 
 def sweep_command(args: argparse.Namespace) -> None:

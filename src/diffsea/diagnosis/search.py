@@ -29,12 +29,13 @@ from diffsea.diagnosis.hypotheses import (
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
+from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling
 from diffsea.identification.fit import estimate, estimate_surely
 from diffsea.identification.holdout import Split, has_own_environment, split_data
-from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, no_progress

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diffsea.parameters import Parameter, replace
+from diffsea.parameters import Parameter, named, replace
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Coefficient, Effect
@@ -29,6 +29,21 @@ from diffsea.vessel.effects.coordinates import Size, TimeSpan
 TAIL_DEGREES = 3.0
 
 CoordinateVector = Float[Array, "coordinate"] | Float[np.ndarray, "coordinate"]
+
+
+def free_by_default(vessel: Vessel) -> tuple[str, ...]:
+    """Hull derivatives and added masses that the vessel has.
+
+    Mass, moment of inertia, centre of gravity and the actuators stay as they are: they
+    anchor the common factor of mass, drag and thrust that motion alone cannot fix.
+    """
+    added = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
+    hull = getattr(vessel.forces.get("damping"), "derivatives", {})
+    return tuple(
+        name
+        for name, value in named(vessel).items()
+        if (name in hull or name in added) and float(value) != 0.0
+    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from diffsea.identification.coordinates import CoordinateLayout, vessel_at
+from diffsea.identification.coordinates import CoordinateLayout, free_by_default, vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, Dataset, DatasetShape, make_dataset
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.filter.noise_fit import NoisePrior, noise_prior
-from diffsea.parameters import Parameter, check_names, named
+from diffsea.parameters import Parameter, check_names
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Effect
@@ -112,21 +112,6 @@ class Problem:
 
 
 _run_filter = eqx.filter_jit(kalman.run_filter)
-
-
-def free_by_default(vessel: Vessel) -> tuple[str, ...]:
-    """Hull derivatives and added masses that the vessel has.
-
-    Mass, moment of inertia, centre of gravity and the actuators stay as they are: they
-    anchor the common factor of mass, drag and thrust that motion alone cannot fix.
-    """
-    added = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
-    hull = getattr(vessel.forces.get("damping"), "derivatives", {})
-    return tuple(
-        name
-        for name, value in named(vessel).items()
-        if (name in hull or name in added) and float(value) != 0.0
-    )
 
 
 def make_problem(

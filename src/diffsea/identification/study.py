@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from diffsea.budget import current_budget
 from diffsea.errors import UserError
-from diffsea.identification.coordinates import negative_effects
+from diffsea.identification.coordinates import free_by_default, negative_effects
 from diffsea.identification.estimates import (
     Estimate,
     ParameterRecord,
@@ -37,7 +37,7 @@ from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
-from diffsea.identification.problem import Problem, free_by_default, make_problem
+from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import FitVerdict, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import (

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from diffsea.errors import UserError
-from diffsea.outside.documents import read_toml
-from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
 from diffsea.missions.record import Flow, Mission, Weather
 from diffsea.missions.running import MissionRun, run
 from diffsea.missions.scores import scores
+from diffsea.outside.documents import read_toml
+from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import check
 from diffsea.vessel.tables import Table, check_keys, needed

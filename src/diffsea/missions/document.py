@@ -9,18 +9,20 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from diffsea.errors import UserError, nearest
-from diffsea.outside.documents import read_toml
-from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
+from diffsea.identification.online.estimator import ESTIMATORS
 from diffsea.missions.record import (
     Controller,
     Flow,
     HeadingLaw,
     Mission,
+    OnlineEstimator,
     SensorErrors,
     TimedStep,
     Waypoint,
     Weather,
 )
+from diffsea.outside.documents import read_toml
+from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel import files
 from diffsea.vessel.base import Vessel
@@ -42,6 +44,7 @@ _KEYS = (
     "step",
     "weather",
     "sensors",
+    "estimator",
 )
 
 
@@ -70,16 +73,17 @@ CONTROLLERS = {
     "course": ControllerKind("step", ("heading", "speed_law")),
     "orders": ControllerKind("step"),
 }
-_HEADING_LAWS = {
+HEADING_LAWS = {
     "pid": ("gain", "rate_gain", "integral_gain", "largest_angle"),
     "pd": ("gain", "rate_gain", "filter_time", "largest_angle"),
 }
-_SPEED_LAW = ("gain", "integral_gain")
+SPEED_LAW = ("gain", "integral_gain")
 _POSITIVE = ("speed", "lookahead", "radius", "near", "far", "T_f", "largest")  # of a controller
 _FLOW = ("speed", "direction")
 _SUPERSTRUCTURE = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
 _WAVE = ("bias", "amplitude", "frequency", "phase", "direction")
 _SENSORS = ("position", "heading", "velocity", "yaw_rate", "heading_offset", "gyro_bias", "delay")
+_OF_ESTIMATORS = {"kalman": "drift", "least-squares": "memory"}
 _SIGNED_SENSORS = ("heading_offset", "gyro_bias")
 
 
@@ -146,6 +150,7 @@ def mission_of(
         numbers(start, MOTION_CHANNELS, "[start]"),
         _weather(_table(document, "weather", {})),
         _sensors(_table(document, "sensors")) if "sensors" in document else None,
+        _estimator(_table(document, "estimator"), model) if "estimator" in document else None,
         seed,
         **{key: positive(document, key, "the file") for key in lengths if key in document},
     )
@@ -204,11 +209,11 @@ def _controller(table: Table, vessel: Vessel) -> Controller:
         raise UserError(f"{where}: far = {stated['far']:g} must be above near = {stated['near']:g}")
     heading = dict(_table(table, "heading", {}))
     law = heading.pop("law", "pid")
-    if law not in _HEADING_LAWS:
-        raise UserError(f"{where} heading: law = {law!r} is one of {', '.join(_HEADING_LAWS)}")
-    check_keys(heading, _HEADING_LAWS[law], f"{where} heading, law {law!r}")
+    if law not in HEADING_LAWS:
+        raise UserError(f"{where} heading: law = {law!r} is one of {', '.join(HEADING_LAWS)}")
+    check_keys(heading, HEADING_LAWS[law], f"{where} heading, law {law!r}")
     speed_law = _table(table, "speed_law", {})
-    check_keys(speed_law, _SPEED_LAW, f"{where} speed_law")
+    check_keys(speed_law, SPEED_LAW, f"{where} speed_law")
     return Controller(
         kind,
         stated,
@@ -326,6 +331,23 @@ def _flow(table: Table, key: str, more: Iterable[str]) -> Flow | None:
     _require_order(where, times)
     columns = ([row[name] for row in rows] for name in _FLOW)
     return Flow(tuple(times), *map(tuple, columns))
+
+
+def _estimator(table: Table, model: Vessel) -> OnlineEstimator:
+    where, kind = "[estimator]", table.get("kind", ESTIMATORS[0])
+    if kind not in ESTIMATORS:
+        hint = nearest(str(kind), ESTIMATORS)
+        raise UserError(f"{where} kind = {kind!r}{hint}; it is one of {', '.join(ESTIMATORS)}")
+    own = _OF_ESTIMATORS[kind]
+    check_keys(table, ("kind", "free", "adapt", own), f"{where} of kind {kind!r}")
+    free, adapt = table.get("free", []), table.get("adapt", True)
+    if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
+        raise UserError(f'{where}: free = {free!r} is no list of names, for example ["N_r"]')
+    check_names(model, free)
+    if not isinstance(adapt, bool):
+        raise UserError(f"{where}: adapt = {adapt!r} is neither true nor false")
+    stated = {own: positive(table, own, where)} if own in table else {}
+    return OnlineEstimator(kind, tuple(free), **stated, adapt=adapt)
 
 
 def _sensors(table: Table) -> SensorErrors:

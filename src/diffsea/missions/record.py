@@ -1,8 +1,12 @@
-"""What a mission is: vessel and model, controller, path or timed steps, weather, sensors."""
+"""What a mission is: vessel and model, controller, path or timed steps, weather, sensors.
+
+Numbers that a grid or a tuning changes may be traced.
+"""
 
 import dataclasses
 from collections.abc import Mapping
 
+from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 
 
@@ -11,7 +15,7 @@ class HeadingLaw:
     """A heading law, `pid` or `pd`, and those of its numbers that are stated."""
 
     law: str = "pid"
-    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    numbers: Mapping[str, Scalar] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,9 +23,9 @@ class Controller:
     """What steers: its kind, the numbers that are stated, and limits of its orders by channel."""
 
     kind: str
-    numbers: Mapping[str, float]
+    numbers: Mapping[str, Scalar]
     heading: HeadingLaw = HeadingLaw()
-    speed_law: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    speed_law: Mapping[str, Scalar] = dataclasses.field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
 
@@ -55,8 +59,8 @@ class Flow:
     """
 
     times: tuple[float, ...]
-    speeds: tuple[float, ...]
-    directions: tuple[float, ...]
+    speeds: tuple[Scalar, ...]
+    directions: tuple[Scalar, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Weather:
 
     current: Flow | None = None
     wind: Flow | None = None
-    gusts: float = 0.0
+    gusts: Scalar = 0.0
     gust_time: float = 20.0
     superstructure: Mapping[str, float] = dataclasses.field(default_factory=dict)
     wave: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -92,6 +96,25 @@ class SensorErrors:
 
 
 @dataclasses.dataclass(frozen=True)
+class OnlineEstimator:
+    """An estimator of the model's parameters that runs with the controller.
+
+    Attributes:
+        kind: `kalman` or `least-squares`.
+        free: parameters of the model; the hull's derivatives where it is empty.
+        drift: random walk of the filter's parameters, share per sqrt(s).
+        memory: time constant with which least squares forget, s.
+        adapt: whether the controller works with what passes the gate.
+    """
+
+    kind: str
+    free: tuple[str, ...] = ()
+    drift: float | None = None
+    memory: float | None = None
+    adapt: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
 class Mission:
     """A mission with everything that its file states; None takes a default by the vessel's size."""
 
@@ -104,6 +127,7 @@ class Mission:
     start: Mapping[str, float] = dataclasses.field(default_factory=dict)
     weather: Weather = Weather()
     sensors: SensorErrors | None = None
+    estimator: OnlineEstimator | None = None
     seed: int = 0
     seconds: float | None = None
     period: float | None = None

@@ -2,16 +2,22 @@
 
 import dataclasses
 import math
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool
 
 from diffsea.errors import UserError
+from diffsea.identification.data.dataset import make_dataset
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.noise_fit import noise_prior
+from diffsea.identification.online.guarded import OnlineRun, online_run
 from diffsea.kinematics import speed_and_direction
-from diffsea.simulation import planning
-from diffsea.simulation.closed_loop import ClosedLoop, run_controlled
-from diffsea.missions.controllers import controller_of, speed_of
+from diffsea.missions.adaptation import AdaptiveController, adaptive_controller
+from diffsea.missions.controllers import controller_of, require_controllable, speed_of
 from diffsea.missions.record import Mission, SensorErrors
 from diffsea.missions.surroundings import (
     Instrumented,
@@ -20,8 +26,11 @@ from diffsea.missions.surroundings import (
     instrumented,
     weather_series,
 )
-from diffsea.trajectory import MOTION_CHANNELS, Outcome, Trajectory
-from diffsea.types import State, as_inputs
+from diffsea.simulation import planning
+from diffsea.simulation.closed_loop import ClosedLoop, run_controlled
+from diffsea.simulation.control import AbstractController
+from diffsea.trajectory import MOTION_CHANNELS, Outcome, Samples, Trajectory
+from diffsea.types import Scalar, State, as_inputs
 from diffsea.vessel.base import Vessel
 
 
@@ -31,18 +40,28 @@ _LARGEST_RUN = 2e6  # steps
 _DELAY_MARGIN = 1.5  # longest delay over the vessel's own, as in trials
 
 
-@dataclasses.dataclass(frozen=True)
-class MissionSetup:
-    """Everything that a closed loop is run with; the times are in s."""
+class Timing(NamedTuple):
+    """How long a mission is run and in which steps, s."""
+
+    seconds: float
+    period: float
+    time_step: float
+    longest_delay: float | None
+
+    @property
+    def rows(self) -> int:
+        """How often the controller acts."""
+        return math.floor(self.seconds / self.period + 1e-9) + 1
+
+
+class MissionSetup(eqx.Module):
+    """Everything that a closed loop is run with."""
 
     vessel: Vessel
     controller: Instrumented
     start: State
     weather: WeatherSeries
-    seconds: float
-    period: float
-    time_step: float
-    longest_delay: float | None
+    times: Timing = eqx.field(static=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +75,7 @@ class MissionRun:
     setup: MissionSetup
     true: Trajectory
     recorded: Trajectory
+    estimates: OnlineRun | None = None  # of the online estimator, where there is one
 
     @property
     def outcome(self) -> Outcome:
@@ -74,19 +94,25 @@ class MissionRun:
         return "the time was up before the end of the path was reached"
 
     def limits(self, channel: str) -> tuple[float, float]:
-        """Lowest and highest order: the narrower of what mission and actuator allow."""
-        low, high = self.mission.controller.limits.get(channel, (-math.inf, math.inf))
-        servo = self.mission.vessel.servos[channel]
-        lower = low if servo.lower is None else max(low, float(servo.lower))
-        upper = high if servo.upper is None else min(high, float(servo.upper))
-        return lower, upper
+        """Lowest and highest order of a channel."""
+        low, high = order_limits(self.mission, channel)
+        return float(low), float(high)
 
 
-def setup(mission: Mission) -> MissionSetup:
-    """A mission with every number settled.
+def order_limits(mission: Mission, channel: str) -> tuple[Scalar, Scalar]:
+    """Lowest and highest order: the narrower of what mission and actuator allow."""
+    low, high = mission.controller.limits.get(channel, (-math.inf, math.inf))
+    servo = mission.vessel.servos[channel]
+    lower = low if servo.lower is None else jnp.maximum(low, servo.lower)
+    upper = high if servo.upper is None else jnp.minimum(high, servo.upper)
+    return lower, upper
+
+
+def timing(mission: Mission) -> Timing:
+    """The times that a mission states, or those that suit it.
 
     Raises:
-        UserError: a controller that the vessel cannot have, or a run that is too long.
+        UserError: a run that is too short or too long.
     """
     length = float(mission.vessel.rigid_body.length)
     step = mission.time_step or planning.default_step(length)
@@ -99,21 +125,9 @@ def setup(mission: Mission) -> MissionSetup:
             f"{seconds:g} s in steps of {min(step, period):g} s are too many: take a longer "
             "time_step and period, or fewer seconds"
         )
-    rows = math.floor(seconds / period + 1e-9) + 1
-    vessel = in_weather(mission.vessel, mission.weather)
-    delays = [float(servo.delay) for servo in vessel.servos.values() if servo.delay is not None]
-    errors, limits = mission.sensors or SensorErrors(), dict(mission.controller.limits)
-    controller = controller_of(mission, period)
-    return MissionSetup(
-        vessel,
-        instrumented(controller, vessel, errors, limits, rows, period, mission.seed),
-        _start(mission),
-        weather_series(mission.weather, vessel, rows, period, mission.seed),
-        seconds,
-        period,
-        step,
-        _DELAY_MARGIN * max(delays) if delays else None,
-    )
+    servos = mission.vessel.servos.values()
+    delays = [float(servo.delay) for servo in servos if servo.delay is not None]
+    return Timing(seconds, period, step, _DELAY_MARGIN * max(delays) if delays else None)
 
 
 def _longest(mission: Mission) -> float:
@@ -121,12 +135,50 @@ def _longest(mission: Mission) -> float:
     points = np.array([(one.x, one.y) for one in mission.waypoints])
     path = float(np.hypot(*np.diff(points, axis=0).T).sum())
     room = 20 * float(mission.model.rigid_body.length)
-    return planning.round_up(SLOWNESS * (path + room) / speed_of(mission))
+    return planning.round_up(SLOWNESS * (path + room) / float(speed_of(mission)))
+
+
+def assemble(mission: Mission, times: Timing, noise: Noise | None = None) -> MissionSetup:
+    """Everything that the closed loop of a mission needs; pure in the mission's numbers.
+
+    Arguments:
+        noise: gusts and sensor noise, for a Kalman filter beside the controller (`noise_for`).
+
+    Raises:
+        UserError: a controller for other thrusters than the vessel has, or an estimator of what
+            cannot be estimated.
+    """
+    vessel, start = in_weather(mission.vessel, mission.weather), _start(mission)
+    errors, limits = mission.sensors or SensorErrors(), dict(mission.controller.limits)
+    if mission.estimator is None:
+        controller = controller_of(mission, times.period)
+    else:
+        controller = adaptive_controller(mission, times.period, start, noise)
+    drawn = times.rows, times.period, mission.seed
+    return MissionSetup(
+        vessel,
+        instrumented(controller, vessel, errors, limits, *drawn),
+        start,
+        weather_series(mission.weather, vessel, *drawn),
+        times,
+    )
+
+
+def noise_for(mission: Mission) -> Noise | None:
+    """Noise for a mission's Kalman filter: gusts that suit the vessel, sensors as they show it.
+
+    The sensors' noise is read off the mission run without estimator, as a trial trip would tell
+    it. None where there is no such filter.
+    """
+    if mission.estimator is None or mission.estimator.kind != "kalman":
+        return None
+    trip = run(dataclasses.replace(mission, estimator=None)).recorded
+    return Noise.of(noise_prior(mission.model, make_dataset(mission.model, [trip])).mean)
 
 
 def _start(mission: Mission) -> State:
     """As stated; else at the first waypoint, on the first leg's course, at the mission's speed."""
-    usual = dict.fromkeys(MOTION_CHANNELS, 0.0)
+    usual: dict[str, Scalar] = dict.fromkeys(MOTION_CHANNELS, 0.0)
     if mission.controller.kind != "orders":
         usual["u"] = speed_of(mission)
     if mission.waypoints:
@@ -138,23 +190,38 @@ def _start(mission: Mission) -> State:
     return State(*(jnp.asarray((usual | dict(mission.start))[c], float) for c in MOTION_CHANNELS))
 
 
-_compiled_run = eqx.filter_jit(run_controlled)
+def setup(mission: Mission) -> MissionSetup:
+    """A mission with every number settled.
+
+    Raises:
+        UserError: a controller that the vessel cannot have, or a run that is too long.
+    """
+    require_controllable(mission)
+    return assemble(mission, timing(mission), noise_for(mission))
+
+
+def closed_loop(made: MissionSetup) -> ClosedLoop:
+    """The closed loop of a mission. Pure: jit, vmap and differentiate it."""
+    times, loop = made.times, (made.vessel, made.controller, made.start)
+    steps = times.seconds, times.period, times.time_step
+    return run_controlled(*loop, *steps, made.weather, times.longest_delay)
+
+
+_compiled_loop = eqx.filter_jit(closed_loop)
 
 
 def run(mission: Mission) -> MissionRun:
-    """Run a mission; `run_controlled` of its `setup` is the same as a pure function.
+    """Run a mission; `closed_loop` of its `setup` is the same as a pure function.
 
     Raises:
         UserError: as `setup`, or the run diverged.
     """
     made = setup(mission)
-    vessel, start = as_inputs(made.vessel), made.start
-    times = made.seconds, made.period, made.time_step
-    loop = _compiled_run(vessel, made.controller, start, *times, made.weather, made.longest_delay)
+    loop = _compiled_loop(dataclasses.replace(made, vessel=as_inputs(made.vessel)))
     if Outcome(int(loop.trajectory.outcome)) is Outcome.DIVERGED:
         raise UserError(
             f"{mission.name}: {Outcome.DIVERGED.sentence}. Try a time_step below "
-            f"{made.time_step:g}, or other gains"
+            f"{made.times.time_step:g}, or other gains"
         )
     true = _with_weather(loop, made).counted()
     valid = np.asarray(loop.trajectory.valid)
@@ -166,7 +233,18 @@ def run(mission: Mission) -> MissionRun:
         made,
         dataclasses.replace(true, name=f"{name}, true motion"),
         dataclasses.replace(true, **seen, name=name),
+        _estimates(made.controller.inner, loop.memory, true.t, valid),
     )
+
+
+def _estimates(
+    controller: AbstractController, memory: Any, t: Samples, valid: Bool[np.ndarray, "period"]
+) -> OnlineRun | None:
+    """What the estimator beside the controller reported at `t` s; None without one."""
+    if not isinstance(controller, AdaptiveController):
+        return None
+    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[valid], memory.inner.told)
+    return online_run(t, steps, controller.guard)
 
 
 def _with_weather(loop: ClosedLoop, made: MissionSetup) -> Trajectory:

@@ -3,25 +3,20 @@
 import math
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
 
-from diffsea.kinematics import wrap
+from diffsea.identification.online.guarded import OnlineRun
+from diffsea.missions.controllers import radius_of
+from diffsea.missions.performance import tracking_errors
+from diffsea.missions.record import Mission
+from diffsea.missions.running import MissionRun
 from diffsea.parameters import named
 from diffsea.scales import time_scale
 from diffsea.series import stretches
 from diffsea.simulation.actuation import yaw_moments
-from diffsea.simulation.control.timed import in_force
-from diffsea.missions.controllers import radius_of
-from diffsea.missions.record import Mission
-from diffsea.missions.running import MissionRun
 from diffsea.simulation.planning import outcome_label
 from diffsea.trajectory import Samples, Trajectory
 
-
-Points = Float[np.ndarray, "waypoint 2"]
 
 _NOTICED = 0.05  # of the largest moment: less turns nothing
 _LASTING = 5.0  # sqrt(L / g), that the wrong way must last
@@ -44,18 +39,43 @@ def scores(run: MissionRun) -> dict[str, Any]:
         "time": float(motion.t[-1]),
         "distance": float(steps.sum()),
     }
+    errors = tracking_errors(mission, motion)
+    found |= {f"{name}_error": _size(np.asarray(one)) for name, one in errors.items()}
     if mission.waypoints:
-        off = path_offsets(mission, motion)
-        found["path_error"] = _size(off) | {
-            "time_of_largest": float(motion.t[np.abs(off).argmax()])
-        }
+        off = np.asarray(errors["path"])
+        found["path_error"]["time_of_largest"] = float(motion.t[np.abs(off).argmax()])
         found["waypoints"] = approaches(mission, motion)
         found["wrong_way"] = wrong_way(run, off)
-    elif mission.controller.kind == "course":
-        courses, speeds = (held_values(mission, motion.t, name) for name in ("heading", "speed"))
-        found["heading_error"] = _size(np.asarray(wrap(motion.psi - courses)))
-        found["speed_error"] = _size(motion.u - speeds)
+    if run.estimates is not None:
+        found["estimator"] = estimator_scores(run, run.estimates)
     return found | {"orders": orders_against_limits(run)}
+
+
+def estimator_scores(run: MissionRun, estimates: OnlineRun) -> dict[str, Any]:
+    """What the estimator beside the controller found: last estimates beside model and plant."""
+    mission = run.mission
+    plant, believed = named(mission.vessel), named(mission.model)
+    units = {one.name: one.unit for one in estimates.guard.estimator.parameters}
+    found: dict[str, Any] = {}
+    for name, series in estimates.estimate.items():
+        # Water and air are the mission's, not the vessel's.
+        true = None if name.startswith(("current_", "wind_")) else plant.get(name)
+        found[name] = {
+            "unit": units[name],
+            "model": float(believed[name]),
+            "vessel": None if true is None else float(true),
+            "value": float(series[-1]),
+            "std": float(estimates.std[name][-1]),
+            "passed": float(estimates.handed[name][-1]),
+        }
+    asked = mission.estimator
+    return {
+        "kind": None if asked is None else asked.kind,
+        "adapt": asked is not None and asked.adapt,
+        "trust": {"last": float(estimates.trust[-1]), "least": float(estimates.trust.min())},
+        "open": float(estimates.open.mean()),
+        "estimates": found,
+    }
 
 
 def model_differences(mission: Mission) -> dict[str, dict[str, float | None]]:
@@ -72,54 +92,6 @@ def model_differences(mission: Mission) -> dict[str, dict[str, float | None]]:
 
 def _size(errors: Samples) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(errors**2))), "largest": float(np.abs(errors).max())}
-
-
-def held_values(mission: Mission, t: Samples, name: str) -> Samples:
-    """Heading (rad) or speed (m/s) that the timed steps ask for at each time."""
-    times = jnp.array([one.time for one in mission.steps])
-    values = np.array([getattr(one, name) for one in mission.steps])
-    return values[np.asarray(jax.vmap(lambda at: in_force(times, at))(jnp.asarray(t)))]
-
-
-def legs_in_force(points: Points, x: Samples, y: Samples, radius: float) -> Int[np.ndarray, "time"]:
-    """Which leg of the path a vessel is on at each position, whatever steers it.
-
-    A leg ends within `radius` m of its end or abeam of it.
-    """
-    number, legs = 0, np.zeros(len(x), int)
-    for row, at in enumerate(np.column_stack([x, y])):
-        while number < len(points) - 2:
-            start, end = points[number], points[number + 1]
-            left = (end - at) @ (end - start)
-            if left > 0 and np.hypot(*(end - at)) >= radius:
-                break
-            number += 1
-        legs[row] = number
-    return legs
-
-
-def path_offsets(mission: Mission, motion: Trajectory) -> Samples:
-    """Distance (m) from the path, positive to starboard of it.
-
-    That to the nearest point of the leg in force or of the one before: a corner that is cut or
-    overshot is measured from whichever leg is nearer.
-    """
-    points = np.array([(one.x, one.y) for one in mission.waypoints])
-    legs = legs_in_force(points, motion.x, motion.y, radius_of(mission))
-    at = np.column_stack([motion.x, motion.y])
-    now, before = (_from_legs(points, numbers, at) for numbers in (legs, np.maximum(legs - 1, 0)))
-    return np.where(np.abs(now) <= np.abs(before), now, before)
-
-
-def _from_legs(
-    points: Points, legs: Int[np.ndarray, "time"], at: Float[np.ndarray, "time 2"]
-) -> Samples:
-    """Distance (m) of each position from the nearest point of its leg, positive to starboard."""
-    start, along = points[legs], points[legs + 1] - points[legs]
-    offset = at - start
-    share = (offset * along).sum(1) / (along**2).sum(1)
-    distance = np.hypot(*(offset - np.clip(share, 0.0, 1.0)[:, None] * along).T)
-    return np.copysign(distance, along[:, 0] * offset[:, 1] - along[:, 1] * offset[:, 0])
 
 
 def approaches(mission: Mission, motion: Trajectory) -> list[dict[str, Any]]:
@@ -180,7 +152,7 @@ def orders_against_limits(run: MissionRun) -> dict[str, dict[str, Any]]:
         lower, upper = run.limits(channel)
         room = _AT_LIMIT * (upper - lower if math.isfinite(upper - lower) else 1.0)
         at_limit = (orders >= upper - room) | (orders <= lower + room)
-        rate = float(np.abs(np.diff(orders)).max(initial=0.0)) / run.setup.period
+        rate = float(np.abs(np.diff(orders)).max(initial=0.0)) / run.setup.times.period
         slew = vessel.servos[channel].rate_limit
         found[channel] = {
             "unit": vessel.units[channel],

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.kinematics import components_towards
-from diffsea.simulation.control import AbstractController
 from diffsea.missions.record import Flow, SensorErrors, Weather
+from diffsea.simulation.control import AbstractController
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
@@ -67,8 +67,8 @@ def weather_series(
 
 def _components(flow: Flow, t: Float[np.ndarray, "time"], turn: float) -> tuple[Array, Array]:
     """North and east (m/s) that a flow moves to; `turn` rad are added to its direction."""
-    stated = components_towards(np.asarray(flow.speeds), np.asarray(flow.directions) + turn)
-    north, east = (jnp.interp(t, np.asarray(flow.times), jnp.asarray(part)) for part in stated)
+    stated = components_towards(jnp.asarray(flow.speeds), jnp.asarray(flow.directions) + turn)
+    north, east = (jnp.interp(t, jnp.asarray(flow.times), part) for part in stated)
     return north, east
 
 
@@ -87,11 +87,12 @@ def gauss_markov(
 
 def in_weather(vessel: Vessel, weather: Weather) -> Vessel:
     """The vessel with what the weather acts on: a superstructure, and the force of waves."""
-    if weather.wind is not None:
-        still = {"name": "wind", "speed": 0.0, "direction": 0.0}
-        vessel = with_effect(vessel, still | dict(weather.superstructure))
-    if weather.wave:
-        vessel = with_effect(vessel, {"name": "wave-force", **weather.wave})
+    with jax.ensure_compile_time_eval():  # an effect is read from numbers, under jit, too
+        if weather.wind is not None:
+            still = {"name": "wind", "speed": 0.0, "direction": 0.0}
+            vessel = with_effect(vessel, still | dict(weather.superstructure))
+        if weather.wave:
+            vessel = with_effect(vessel, {"name": "wave-force", **weather.wave})
     return vessel
 
 
@@ -160,7 +161,7 @@ def instrumented(
         heading_offset=own.heading_offset + errors.heading_offset,
         gyro_bias=own.gyro_bias + errors.gyro_bias,
     )
-    size = np.array(
+    size = jnp.array(
         [
             errors.position,
             errors.position,

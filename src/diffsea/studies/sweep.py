@@ -3,11 +3,8 @@
 A design that diverges or is impossible spoils its own row and no other.
 """
 
-import concurrent.futures
 import dataclasses
 import functools
-import os
-import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -18,15 +15,15 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Bool, Float, Int
 
+from diffsea.designs import OF_THE_TRIAL, Designs
+from diffsea.designs import grid as grid
+from diffsea.designs import sample as sample
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import file_parameters, replace, spread_over_places
-from diffsea.progress import PartialProgress
 from diffsea.simulation import planning
+from diffsea.simulation.batches import batch_size, in_batches
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
 from diffsea.simulation.standard import Numbers, TrialPlan
-from diffsea.studies.designs import OF_THE_TRIAL, Designs
-from diffsea.studies.designs import grid as grid
-from diffsea.studies.designs import sample as sample
 from diffsea.studies.sensitivity import Places
 from diffsea.trajectory import Outcome
 from diffsea.types import Scalar, as_inputs
@@ -34,8 +31,6 @@ from diffsea.vessel.base import Vessel
 
 
 IMPOSSIBLE = "impossible"
-_BATCH = 64  # designs that run side by side; more of them leave the processor's cache
-_PROGRESS_INTERVAL = 2.0  # s between messages of progress
 
 
 class SweepResult(NamedTuple):
@@ -98,7 +93,7 @@ class Sweeper:
         """
         self.vessel, self.plan = vessel, plan
         self._plans = _quicker_plans(vessel, plan)
-        self._batch = min(_BATCH, 1 << (at_once - 1).bit_length())
+        self._batch = batch_size(at_once)
 
     def run(
         self,
@@ -169,33 +164,14 @@ def _run_designs(
     the seconds that they took.
     """
     arrays = as_inputs(vessel)
-    batches = [values[k : k + size] for k in range(0, len(values), size)]
-    steps = 0
-
-    def run_batch(batch: np.ndarray) -> tuple[_DesignResults, float]:
-        padded = np.pad(batch, ((0, size - len(batch)), (0, 0)), mode="edge")
-        began = time.perf_counter()
-        found = _batched_trial(arrays, jnp.asarray(padded), plan, places)
-        found = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(batch)], found)
-        return found, time.perf_counter() - began
-
-    first, compiling = run_batch(batches[0])
-    results, reported, began = [first], time.perf_counter(), time.perf_counter()
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, _ in pool.map(run_batch, batches[1:]):
-            results.append(found)
-            steps += int(found.steps.sum())
-            if time.perf_counter() - reported > _PROGRESS_INTERVAL:
-                reported = time.perf_counter()
-                done = min(len(values), len(results) * size)
-                rate = steps / (reported - began)
-                message = f"{done} of {len(values)} designs, {rate:.2g} vessel-steps/s"
-                progress(PartialProgress(message, done / len(values)))
-    seconds = time.perf_counter() - began
-    if len(batches) == 1:  # nothing ran without being compiled first
-        steps, seconds = int(first.steps.sum()), compiling
-    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *results)
-    return whole, steps, seconds
+    done = in_batches(
+        lambda rows: _batched_trial(arrays, jnp.asarray(rows), plan, places),
+        values,
+        size,
+        progress,
+        lambda found: int(found.steps.sum()),
+    )
+    return done.results, int(done.results.steps[done.timed].sum()), done.seconds
 
 
 @eqx.filter_jit

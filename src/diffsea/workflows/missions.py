@@ -1,13 +1,18 @@
 """Missions from a script: a file or document run in closed loop, with its numbers and its page."""
 
 import dataclasses
+import math
+import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from diffsea.report.pages.battery import battery_page, share_sentences
-from diffsea.report.pages.mission import mission_page
+import numpy as np
+import pandas as pd
+import tomli_w
+
 from diffsea import missions
+from diffsea.designs import DesignSpace
 from diffsea.missions import (
     Battery,
     BatteryRun,
@@ -19,8 +24,25 @@ from diffsea.missions import (
     read_mission,
     scores,
 )
-from diffsea.trajectory import Trajectory
+from diffsea.missions.closed_loop_sweep import ClosedLoopSweep, closed_loop_sweep
+from diffsea.missions.numbers import with_numbers_in_file
+from diffsea.missions.tuning import EFFORT, STARTS, Tuning, tune
+from diffsea.outside.documents import read_toml
+from diffsea.progress import Progress, no_progress
+from diffsea.report.pages.battery import battery_page, share_sentences
+from diffsea.report.pages.closed_loop import (
+    best_sentences,
+    closed_loop_page,
+    judged_sentences,
+    tuning_page,
+)
+from diffsea.report.pages.mission import mission_page
+from diffsea.simulation.planning import outcome_label
+from diffsea.trajectory import Outcome, Trajectory
 from diffsea.workflows.audits import Tabulated
+
+
+BEST_ROWS = 10  # of a grid
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -110,6 +132,178 @@ class BatteryResult(Tabulated):
     def html(self) -> str:
         """The page."""
         return battery_page(self.run, self.numbers)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class ClosedLoopResult(Tabulated):
+    """A mission that was run with many values of its numbers; `numbers` is its run.json."""
+
+    found: ClosedLoopSweep
+    numbers: dict[str, Any]
+
+    def headline(self) -> str:
+        outcomes = ", ".join(f"{n} {name}" for name, n in self.numbers["outcomes"].items())
+        return f"{self.numbers['mission']}: {self.numbers['designs']} runs ({outcomes})"
+
+    def rows(self) -> list[dict[str, Any]]:
+        return self.found.table.to_dict("records")
+
+    def best_rows(self) -> list[dict[str, Any]]:
+        """The completed runs with the smallest error, their numbers alone."""
+        return self._best().drop(columns="outcome").to_dict("records")
+
+    def _best(self) -> pd.DataFrame:
+        completed, judged_by = _completed(self.found.table), self.numbers["judged_by"]
+        ranked = completed.sort_values(judged_by) if judged_by else completed
+        return ranked.head(BEST_ROWS)
+
+    def notes(self) -> list[str]:
+        return best_sentences(self.numbers) if self.numbers["judged_by"] else []
+
+    def html(self) -> str:
+        """The page."""
+        return closed_loop_page(self.found.table, self._best(), self.numbers)
+
+
+def _completed(table: pd.DataFrame) -> pd.DataFrame:
+    return table.loc[table["outcome"] == outcome_label(Outcome.COMPLETED)]
+
+
+def sweep_mission(
+    mission: Mission | dict[str, Any] | str | pathlib.Path,
+    space: DesignSpace,
+    progress: Progress = no_progress,
+) -> ClosedLoopResult:
+    """Run a mission with many values of its numbers, as `diffsea run --grid` does.
+
+    Arguments:
+        space: designs whose names are numbers of the mission.
+
+    Raises:
+        UserError: a mission that cannot be read or run, or a name of no number.
+    """
+    asked = _as_mission(mission)
+    found = closed_loop_sweep(asked, space, progress)
+    return ClosedLoopResult(found, _closed_loop_record(found, space))
+
+
+def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str, Any]:
+    """The content of run.json of a grid."""
+    table, mission = found.table, found.mission
+    names = list(table)[: len(space.names)]
+    numeric = [name for name in list(table)[len(names) :] if name != "outcome"]
+    stand = scores(missions.run(mission))
+    judged = [name for name in ("path", "heading") if f"{name}_error" in stand]
+    judged_by = f"{judged[0]}_rms" if judged else None
+    record: dict[str, Any] = {
+        "format": 1,
+        "mission": mission.name,
+        "vessel": mission.vessel.name,
+        "controller": mission.controller.kind,
+        "designs": len(table),
+        "outcomes": {str(k): int(n) for k, n in table["outcome"].value_counts().items()},
+        "parameters": {
+            name: {"from": axis[0], "to": axis[1]}
+            for name, axis in zip(names, space.axes.values(), strict=True)
+        },
+        "metrics": {name: _extent(table[name].to_numpy(float)) for name in numeric},
+        "judged_by": judged_by,
+        "vessel_steps_per_second": found.steps_per_second,
+        "source": {"mission": mission.name, "seed": mission.seed, "designs": space.as_dict()},
+    }
+    if judged_by:
+        record["as_it_stands"] = {judged_by: stand[f"{judged[0]}_error"]["rms"]}
+        ranked = _completed(table).sort_values(judged_by).to_dict("records")
+        if ranked:
+            record["best"] = {name: float(ranked[0][name]) for name in (*names, *numeric)}
+    return record
+
+
+def _extent(column: np.ndarray) -> dict[str, Any]:
+    known = column[np.isfinite(column)]
+    ends = {"least": np.min, "median": np.median, "most": np.max}
+    told = {name: float(end(known)) if len(known) else math.nan for name, end in ends.items()}
+    return told | {"designs": len(known)}
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class TuningResult(MissionResult):
+    """A mission that was tuned, run with what was found; `numbers` has `tuning` besides."""
+
+    tuning: Tuning
+    document: dict[str, Any]  # of the mission's file, empty where there was none
+    folder: pathlib.Path
+
+    def tuning_lines(self) -> list[str]:
+        """What was found, and what the paths say of it."""
+        found = self.numbers["tuning"]
+        lines = [
+            f"{name}: {one['before']:.4g} before, {one['after']:.4g} tuned"
+            for name, one in found["numbers"].items()
+        ]
+        return [*lines, *judged_sentences(found)]
+
+    def notes(self) -> list[str]:
+        return self.tuning_lines()
+
+    def mission_file(self, folder: pathlib.Path) -> str:
+        """The tuned mission as TOML text that lies in `folder`."""
+        changed = with_numbers_in_file(self.document, self.tuning.after)
+        for whose in ("vessel", "model"):
+            file = changed.get(whose, {}).get("file")
+            if file is not None:
+                changed[whose]["file"] = os.path.relpath(self.folder / file, folder)
+        return tomli_w.dumps(changed)
+
+    def html(self) -> str:
+        """The page."""
+        return tuning_page(self.run, self.numbers)
+
+
+def tune_mission(
+    mission: dict[str, Any] | str | pathlib.Path,
+    ranges: Mapping[str, tuple[float, float]],
+    judges: Sequence[Mission | dict[str, Any] | str | pathlib.Path] = (),
+    starts: int = STARTS,
+    effort: float = EFFORT,
+    progress: Progress = no_progress,
+) -> TuningResult:
+    """Tune numbers of a mission and run it with them, as `diffsea run --tune` does.
+
+    Arguments:
+        ranges: from and to by name of a number of the mission, SI units.
+        judges: missions that judge; the path turned by 120 deg, with another seed, if none.
+        starts, effort: as of `missions.tune`.
+
+    Raises:
+        UserError: a mission that cannot be read or run, a name of no number, or a range that is
+            none.
+    """
+    if isinstance(mission, dict):
+        folder, document = pathlib.Path(), mission
+    else:
+        folder, document = pathlib.Path(mission).parent, read_toml(mission, "the mission")
+    asked = _as_mission(mission)
+    others = [_as_mission(one) for one in judges]
+    found = tune(asked, ranges, others, starts, effort, progress)
+    run = missions.run(found.mission)
+    record = scores(run) | {"tuning": _tuning_record(found)}
+    return TuningResult(run, record, found, document, folder)
+
+
+def _tuning_record(found: Tuning) -> dict[str, Any]:
+    numbers = {
+        name: {"before": found.before[name], "after": found.after[name], "from": low, "to": high}
+        for name, (low, high) in found.ranges.items()
+    }
+    judging = [one for one in found.paths if not one.tuned_on]
+    return {
+        "numbers": numbers,
+        "effort": found.effort,
+        "better": all(one.after["cost"] < one.before["cost"] for one in judging),
+        "paths": [one._asdict() for one in found.paths],
+        "starts": [one._asdict() for one in found.starts],
+    }
 
 
 def run_battery(

@@ -15,19 +15,23 @@ from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
-from diffsea.identification.online.estimator import without_bounds
+from diffsea.identification.online.closures import ClosedSpan, closed_spans
+from diffsea.identification.online.estimator import (
+    DRIFT,
+    ESTIMATORS,
+    usual_parameters,
+    without_bounds,
+)
 from diffsea.identification.online.guarded import (
     OnlineRun,
     calibrate_limits,
     run_least_squares,
     run_online,
 )
-from diffsea.identification.online.trust import ALARM_TRUST
-from diffsea.identification.problem import free_by_default
 from diffsea.parameters import Parameter, named, parameter_meaning, parameter_unit
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
-from diffsea.report.pages.online import ClosedSpan, online_report
+from diffsea.report.pages.online import online_report
 from diffsea.simulation.order_units import require_order_units
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
@@ -36,9 +40,6 @@ from diffsea.workflows.audits import Recording, Tabulated, as_recording, as_reco
 from diffsea.workflows.identification import as_vessel_file, provenance
 
 
-ESTIMATORS = ("kalman", "least-squares")
-DRIFT = 1e-3  # of a parameter's prior mean per sqrt(s): 3 % in a quarter of an hour
-ADDED_MASS = "dot"  # how the names of added masses end
 KEPT_DIGITS = 7  # of every number of online.json but the times
 
 
@@ -250,24 +251,9 @@ def _choice(
     """
     if free is None:
         fixed = [name for name, prior in priors.items() if prior is None]
-        hull = [name for name in free_by_default(vessel) if not name.endswith(ADDED_MASS)]
-        free = [name for name in hull if name not in fixed]
+        free = [name for name in usual_parameters(vessel) if name not in fixed]
     own = ((name, priors.get(name)) for name in free)
     return [name if prior is None else without_bounds(prior) for name, prior in own]
-
-
-def closed_spans(run: OnlineRun) -> list[ClosedSpan]:
-    """When the gate was closed, and why: at the alarm that closed it, or, until it first opened,
-    at the last alarm."""
-    closed = ~run.open
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], closed, [False]]).astype(int)))
-    spans = []
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
-        alarms = first + np.flatnonzero(~(run.trust[first:end] > ALARM_TRUST))
-        why = run.reasons(int(alarms[0 if first else -1])) if alarms.size else ()
-        until = run.t[min(end, len(run.t) - 1)]
-        spans.append(ClosedSpan(float(run.t[first]), float(until), why))
-    return spans
 
 
 def _rows_apart(t: np.ndarray, interval: float) -> np.ndarray:

@@ -92,7 +92,7 @@ class ExtendedKalmanFilter(AbstractEstimator[KalmanBelief]):
     substeps: int = eqx.field(static=True)
 
     def init(
-        self, start: State, *, orders: Mapping[str, float] | None = None, t: float = 0.0
+        self, start: State, *, orders: Mapping[str, Scalar] | None = None, t: float = 0.0
     ) -> KalmanBelief:
         """The belief before the first measurement.
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffsea.errors import UserError
+from diffsea.identification.coordinates import free_by_default
 from diffsea.parameters import Parameter, check_names, hull_prior, named, replace
 from diffsea.simulation.integrate import SimulationState, begin, history_lengths
 from diffsea.types import Scalar, State
@@ -26,6 +27,11 @@ from diffsea.vessel.servo import Servo
 ParameterChoice = Sequence[str | Parameter]
 Orders = dict[str, Scalar]  # by channel, in the channel's unit
 Measurement = Float[Array, "6"]  # x, y (m), psi (rad), u, v (m/s), r (rad/s); NaN where missing
+
+
+ESTIMATORS = ("kalman", "least-squares")
+DRIFT = 1e-3  # of a parameter's prior mean per sqrt(s): 3 % in a quarter of an hour
+_ADDED_MASS = "dot"  # how the names of added masses end
 
 
 class AbstractBelief(eqx.Module):
@@ -75,7 +81,7 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
 
     @abc.abstractmethod
     def init(
-        self, start: State, *, orders: Mapping[str, float] | None = None, t: float = 0.0
+        self, start: State, *, orders: Mapping[str, Scalar] | None = None, t: float = 0.0
     ) -> Belief:
         """The belief before the first measurement.
 
@@ -104,14 +110,14 @@ class AbstractEstimator(eqx.Module, Generic[Belief]):
         """The same motion, the parameters back at `coordinates` with their prior's uncertainty."""
 
     def settled_motion(
-        self, start: State, orders: Mapping[str, float] | None, step: float
+        self, start: State, orders: Mapping[str, Scalar] | None, step: float
     ) -> SimulationState:
         """The vessel at `start`, its actuators settled to the orders (zero where none is given).
 
         `step` (s) is the time between orders: it sets how many of them a delay remembers.
         """
         settled: Orders = {
-            c: jnp.asarray(float((orders or {}).get(c, 0.0))) for c in self.vessel.channels
+            c: jnp.asarray((orders or {}).get(c, 0.0), float) for c in self.vessel.channels
         }
         return begin(self.vessel, start, settled, history_lengths(self.vessel, step, 3.0))
 
@@ -164,6 +170,11 @@ def parameters_with_priors(vessel: Vessel, free: ParameterChoice) -> tuple[Param
         else:
             parameters.append(without_bounds(hull_prior(choice, value)))
     return tuple(parameters)
+
+
+def usual_parameters(vessel: Vessel) -> tuple[str, ...]:
+    """The hull's derivatives, which are estimated where nothing else is asked for."""
+    return tuple(name for name in free_by_default(vessel) if not name.endswith(_ADDED_MASS))
 
 
 def without_bounds(parameter: Parameter) -> Parameter:

@@ -292,11 +292,17 @@ def _run_along(
     rows = jax.tree.map(jnp.asarray, (held, measurement, dt))
     steps = _scan(guard, guard.init(belief), rows)
 
-    steps = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], steps)
+    return online_run(run.t, jax.tree.map(lambda leaf: np.asarray(leaf)[kept], steps), guard)
+
+
+def online_run(
+    t: Float[np.ndarray, "time"], steps: GuardedStep, guard: GuardedEstimator
+) -> OnlineRun:
+    """The histories of what a guarded estimator reported step by step, at `t` s."""
     coordinates = steps.evidence.coordinates
     deviation = np.sqrt(np.diagonal(steps.evidence.covariance, axis1=1, axis2=2))
     estimate, std, handed = {}, {}, {}
-    for k, p in enumerate(estimator.parameters):
+    for k, p in enumerate(guard.estimator.parameters):
         estimate[p.name] = np.asarray(p.decode(coordinates[:, k]))
         slope = [p.slope(float(c)) for c in coordinates[:, k]]
         std[p.name] = np.array(slope) * deviation[:, k]
@@ -306,10 +312,10 @@ def _run_along(
         estimate=estimate,
         std=std,
         handed=handed,
-        nis=(steps.evidence.white**2).sum(1),
-        degrees=(steps.evidence.share > 0).sum(1),
+        nis=np.asarray(steps.evidence.white**2).sum(1),
+        degrees=(np.asarray(steps.evidence.share) > 0).sum(1),
         trust=np.asarray(steps.trust.value),
-        open=steps.open,
+        open=np.asarray(steps.open),
         steps=steps,
         guard=guard,
     )

@@ -109,7 +109,7 @@ class RecursiveLeastSquares(AbstractEstimator[RegressionBelief]):
     interval: float = eqx.field(static=True)  # s between measurements
 
     def init(
-        self, start: State, *, orders: Mapping[str, float] | None = None, t: float = 0.0
+        self, start: State, *, orders: Mapping[str, Scalar] | None = None, t: float = 0.0
     ) -> RegressionBelief:
         """The belief before the first measurement, which takes the place of `start`."""
         motion = self.settled_motion(start, orders, self.interval)

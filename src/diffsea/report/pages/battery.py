@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import plotly.graph_objects as go
 
+from diffsea.missions import BatteryRun
 from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import significant
 from diffsea.report.words import Record
-from diffsea.missions import BatteryRun
 
 
 DRAWN_RUNS = 60  # tracks: more would hide one another

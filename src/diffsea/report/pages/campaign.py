@@ -25,6 +25,9 @@ _PANELS = (
 )
 _NUMBER_UNITS = (  # of a number of metrics.json by a word in its name, the first that fits
     ("speed_loss", "1"),
+    ("at_limit", "1"),
+    ("effort", "1"),
+    ("missed", "1"),
     ("speed", "m/s"),
     ("yaw_rate", "rad/s"),
     ("time", "s"),

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.identification.online.closures import closed_spans
+from diffsea.missions import MissionRun
+from diffsea.missions.performance import held_values, tracking_errors
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
-from diffsea.report.quantities import for_people, round_to_error, significant
+from diffsea.report.pages.online import estimate_plot, trust_plot
+from diffsea.report.quantities import for_people, round_to_error, significant, with_error
 from diffsea.report.words import Record, capital
-from diffsea.missions import MissionRun
-from diffsea.missions.scores import held_values, path_offsets
 from diffsea.trajectory import Outcome, Samples
 
 
@@ -45,14 +47,47 @@ def mission_page(run: MissionRun, numbers: Record) -> str:
         word=_verdict(outcome, missed),
         lead=f"{capital(run.sentence)}, after {significant(numbers['time'], 4)} s "
         f"and {significant(numbers['distance'], 4)} m.",
-        errors=_error_sentences(numbers),
-        runs=[_plots(run, "run")],
+        errors=error_sentences(numbers),
+        runs=[run_plots(run, "run")],
         waypoints=_waypoint_table(numbers["waypoints"]) if "waypoints" in numbers else None,
-        orders=_order_table(numbers["orders"]),
+        orders=order_table(numbers["orders"]),
+        estimator=_estimator_part(run, numbers),
         provenance=provenance(
-            _source(run, numbers), [(run.recorded, "simulated, as the sensors show it")]
+            source_of_run(run, numbers), [(run.recorded, "simulated, as the sensors show it")]
         ),
     )
+
+
+def _estimator_part(run: MissionRun, numbers: Record) -> Record | None:
+    """Sentence, table and plots of the online estimator; None without one."""
+    found, told = run.estimates, numbers.get("estimator")
+    if found is None or told is None:
+        return None
+    model, closed = run.mission.model, closed_spans(found)
+    kept = slice(None, None, max(1, -(-len(found.t) // DRAWN_ROWS)))
+    rows = []
+    for name, one in told["estimates"].items():
+        true = "" if one["vessel"] is None else round_to_error(one["vessel"], one["std"])
+        told_values = [round_to_error(one["model"], one["std"]), true]
+        told_values.append(with_error(one["value"], one["std"]))
+        told_values.append(round_to_error(one["passed"], one["std"]))
+        rows.append([Verbatim(name), *told_values, one["unit"]])
+    columns = ["symbol", "model", "vessel", "last estimate", "passed by the gate", "unit"]
+    use = "works with what passes the gate" if told["adapt"] else "takes nothing of it"
+    return {
+        "sentence": f"The gate was open for {100 * told['open']:.0f} % of the time; trust is "
+        f"{told['trust']['last']:.2f} at the end. The controller {use}.",
+        "table": Table(columns, rows, "+- is one standard error", numeric=(1, 2, 3, 4)),
+        "trust": Plot(trust_plot(found, closed, kept), "Trust over time", 230),
+        "plots": [
+            Plot(
+                estimate_plot(name, model, found, closed, kept),
+                f"{name} over time",
+                180,
+            )
+            for name in found.estimate
+        ],
+    }
 
 
 def _verdict(outcome: Outcome, missed: int) -> str:
@@ -62,7 +97,7 @@ def _verdict(outcome: Outcome, missed: int) -> str:
     return f"ended, {missed} missed" if missed else "completed"
 
 
-def _error_sentences(numbers: Record) -> list[str]:
+def error_sentences(numbers: Record) -> list[str]:
     named = (
         ("path_error", "Distance from the path", "m"),
         ("heading_error", "Heading", "rad"),
@@ -85,7 +120,7 @@ def _error_sentences(numbers: Record) -> list[str]:
     return sentences
 
 
-def _source(run: MissionRun, numbers: Record) -> Record:
+def source_of_run(run: MissionRun, numbers: Record) -> Record:
     mission, made = run.mission, run.setup
     told = lambda value: "none" if value is None else significant(value, 4)
     differs = {
@@ -96,8 +131,8 @@ def _source(run: MissionRun, numbers: Record) -> Record:
         "vessel": mission.vessel.name,
         "model": mission.model.name,
         "controller": mission.controller.kind,
-        "period": f"{made.period:g} s",
-        "time step": f"{made.time_step:g} s",
+        "period": f"{made.times.period:g} s",
+        "time step": f"{made.times.time_step:g} s",
         "seed": mission.seed,
     }
     source |= {"the model differs in": differs} if differs else {}
@@ -121,7 +156,7 @@ def _waypoint_table(points: Sequence[Record]) -> Table:
     return Table(columns, rows, numeric=range(3, len(columns)))
 
 
-def _order_table(orders: Record) -> Table:
+def order_table(orders: Record) -> Table:
     rows = []
     for channel, one in orders.items():
         scale, unit = for_people(1.0, one["unit"])
@@ -147,7 +182,8 @@ def _order_table(orders: Record) -> Table:
     return Table(columns, rows, numeric=range(2, len(columns)))
 
 
-def _plots(run: MissionRun, group: str) -> RunPlots:
+def run_plots(run: MissionRun, group: str) -> RunPlots:
+    """Track and histories of a run, under the cursor of a group."""
     name = run.mission.name
     track = Plot(_track(run, group), f"Track of {name} beside its path.", 520)
     panels = [*_motion_panels(run), *_order_panels(run), *_weather_panels(run)]
@@ -195,7 +231,7 @@ def _motion_panels(run: MissionRun) -> list[Panel]:
     """Path error or heading asked for, heading and speed; what the sensors showed in grey."""
     mission, true, panels = run.mission, run.true, []
     if mission.waypoints:
-        off = path_offsets(mission, true)
+        off = np.asarray(tracking_errors(mission, true)["path"])
         panels.append(("off the path, to starboard (m)", [("off the path", off, _TRUE_LINE)]))
     for channel, title, scale, wanted in (
         ("psi", "heading (deg)", _DEGREES, "heading"),
@@ -205,7 +241,7 @@ def _motion_panels(run: MissionRun) -> list[Panel]:
         if mission.sensors is not None:
             curves.insert(0, ("as measured", getattr(run.recorded, channel) * scale, _SEEN_LINE))
         if mission.controller.kind == "course":
-            asked = held_values(mission, true.t, wanted) * scale
+            asked = np.asarray(held_values(mission, true.t, wanted)) * scale
             curves.append(("asked for", asked, _WANTED_LINE))
         panels.append((title, curves))
     return panels

@@ -1,11 +1,11 @@
 """Online estimates as one page for people: trust over time, each estimate, why the gate closed."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.identification.online.closures import ClosedSpan
 from diffsea.identification.online.guarded import OnlineRun
 from diffsea.identification.online.trust import ALARM_TRUST
 from diffsea.parameters import named, parameter_unit
@@ -24,19 +24,6 @@ CLOSED_FILL = "rgba(213, 94, 0, 0.13)"
 BAND_FILL = "rgba(0, 114, 178, 0.18)"
 WITHIN = 2.0  # standard errors of the band
 REACH = 2.0  # times the range of the later half within which a panel shows the earlier one
-
-
-@dataclasses.dataclass(frozen=True)
-class ClosedSpan:
-    """A time in which the gate was closed; why, the worst first, none where it only waited."""
-
-    start: float  # s
-    end: float
-    reasons: tuple[str, ...]
-
-    def __str__(self) -> str:
-        why = "; ".join(self.reasons) or "it waited for a window without an alarm"
-        return f"gate closed from {self.start:.1f} to {self.end:.1f} s: {why}"
 
 
 def online_report(

@@ -32,8 +32,8 @@ def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
         source: what was run; shown as it is.
     """
     names = list(summary["parameters"])
-    shown = _drawn_numbers(table, names)
-    drawn = [_number_plot(table, names, number) for number in shown]
+    shown = drawn_numbers(table, names)
+    drawn = [number_plot(table, names, number) for number in shown]
     outcomes = [f"{count} {name}" for name, count in summary["outcomes"].items()]
     how = "a grid" if _is_grid(table, names) else "a sample"
     return render(
@@ -46,15 +46,15 @@ def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
         lead=f"{summary['designs']} designs: {enumeration(outcomes)}.",
         sentences=[_criterion_sentence(name, found) for name, found in summary["imo"].items()],
         sections=[
-            Section("Numbers over parameters", _how_drawn(table, names), drawn),
-            Section("What was swept", tables=[_axis_table(summary["parameters"])]),
-            Section("Numbers", tables=[_extent_table(summary["metrics"])]),
+            Section("Numbers over parameters", how_drawn(table, names), drawn),
+            Section("What was swept", tables=[axis_table(summary["parameters"])]),
+            Section("Numbers", tables=[extent_table(summary["metrics"])]),
         ],
         provenance=provenance(source, []),
     )
 
 
-def _drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+def drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """The most informative numbers that differ among the designs."""
     numeric = [str(n) for n in table.select_dtypes("number") if n not in names]
     values = {name: table[name].dropna() for name in numeric}
@@ -67,7 +67,7 @@ def _is_grid(table: pd.DataFrame, names: Sequence[str]) -> bool:
     return math.prod(counts) == len(table)
 
 
-def _how_drawn(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+def how_drawn(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
     if len(names) == 1 or (len(names) == 2 and _is_grid(table, names)):
         return ["Designs that failed, or whose trial has no such number, are left out."]
     return [
@@ -83,7 +83,7 @@ def _criterion_sentence(name: str, found: Mapping[str, int]) -> str:
     )
 
 
-def _number_plot(table: pd.DataFrame, names: Sequence[str], number: str) -> Plot:
+def number_plot(table: pd.DataFrame, names: Sequence[str], number: str) -> Plot:
     """One number over the parameters, in the units of people."""
     unit = for_people(0.0, number_unit(number))[1]
     label = f"{number_words(number)}{f' ({unit})' if unit else ''}"
@@ -146,7 +146,7 @@ def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
     return table.loc[table[verdict] == "fail"] if verdict in table else table.iloc[:0]
 
 
-def _axis_table(axes: Mapping[str, Record]) -> Table:
+def axis_table(axes: Mapping[str, Record]) -> Table:
     rows = [
         [Verbatim(name), significant(axis["from"], 4), significant(axis["to"], 4)]
         for name, axis in axes.items()
@@ -154,7 +154,7 @@ def _axis_table(axes: Mapping[str, Record]) -> Table:
     return Table(["parameter", "from", "to"], rows, "SI units", (1, 2))
 
 
-def _extent_table(metrics: Mapping[str, Record]) -> Table:
+def extent_table(metrics: Mapping[str, Record]) -> Table:
     rows = []
     for name, column in metrics.items():
         if not column["designs"]:

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffsea.errors import UserError
 from diffsea.simulation.control.allocation import (
     ControlAllocation,
     require_steering,
@@ -130,7 +129,7 @@ class TrackKeeper(AbstractController[tuple]):
 
 
 def track_keeper(
-    vessel: Vessel, speed: float, waypoints: Float[Array, "waypoint 2"], period: float
+    vessel: Vessel, speed: Scalar, waypoints: Float[Array, "waypoint 2"], period: float
 ) -> TrackKeeper:
     """A track keeper that suits a vessel at `speed` m/s and steers every `period` s.
 
@@ -140,19 +139,19 @@ def track_keeper(
     Arguments:
         waypoints: m, north and east; the first leg begins at the first.
 
+    Its gain is not finite where no rudder law steadies the vessel.
+
     Raises:
-        UserError: a vessel that cannot be steered or stabilised.
+        UserError: a vessel that cannot be steered.
     """
     require_steering(vessel, "path under a track keeper")
-    length = float(vessel.rigid_body.length)
+    length = vessel.rigid_body.length
     A, B = steering_model(vessel, speed)
     whole = jnp.zeros((4, 4)).at[:2, :2].set(A).at[2, 1].set(1.0)
     whole = whole.at[3, 0].set(1.0).at[3, 2].set(speed)
     inputs = jnp.zeros((4, 1)).at[:2].set(B)
     Q = jnp.diag(jnp.array([0.0, 0.0, 1 / jnp.radians(10.0) ** 2, 4 / length**2]))
     gain = discrete_lqr(*discretise(whole, inputs, period), Q, jnp.eye(1) / _LARGEST_ANGLE**2)
-    if not bool(jnp.all(jnp.isfinite(gain))):
-        raise UserError(f"no rudder law steadies {vessel.name!r} at {speed:g} m/s")
     path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)
     hold = speed_hold(vessel, jnp.asarray(speed, float))
     return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), 2 * length)

@@ -1,0 +1,123 @@
+"""A controller that learns: its model is made of what passes the gate of an online estimator."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.online.ekf import kalman_filter
+from diffsea.identification.online.estimator import DRIFT, usual_parameters
+from diffsea.identification.online.guarded import (
+    GuardedEstimator,
+    GuardedState,
+    GuardedStep,
+    guard_estimator,
+)
+from diffsea.identification.online.rls import recursive_least_squares
+from diffsea.missions.controllers import controller_of
+from diffsea.missions.record import Mission
+from diffsea.parameters import replace
+from diffsea.simulation.control import AbstractController
+from diffsea.trajectory import MOTION_CHANNELS
+from diffsea.types import Scalar, State
+
+
+Limits = Mapping[str, tuple[Scalar, Scalar]]
+
+
+class Learning(eqx.Module):
+    """What `AdaptiveController` remembers."""
+
+    guarded: GuardedState
+    told: GuardedStep  # of the last step
+    orders: dict[str, Scalar]  # that have held since then
+    begun: Bool[Array, ""]
+    inner: Any  # the controller's own memory
+
+
+class AdaptiveController(AbstractController[Learning]):
+    """A controller whose model follows an online estimator, once its gate lets an estimate pass.
+
+    The estimator sees what the controller sees, and the orders within their limits.
+    """
+
+    guard: GuardedEstimator
+    controller: AbstractController  # for the model as it was stated
+    made_for: Callable[[Mapping[str, Scalar]], AbstractController] | None = eqx.field(static=True)
+    limits: Limits
+    start: State  # rough guess of the first state
+
+    def init(self) -> Learning:
+        return self._begin(self.start, jnp.zeros(()))
+
+    def _begin(self, start: State, t: Scalar) -> Learning:
+        inner = self.controller.init()
+        orders = self._limited(self.controller.step(inner, start, t, jnp.ones(()))[1])
+        state = self.guard.init(self.guard.estimator.init(start, orders=orders))
+        still = jnp.stack([getattr(start, channel) for channel in MOTION_CHANNELS])
+        told = self.guard.step(state, orders, still * jnp.nan, jnp.zeros(()))[1]
+        return Learning(state, told, orders, jnp.zeros((), bool), inner)
+
+    def step(
+        self, memory: Learning, state: State, t: Scalar, dt: Scalar
+    ) -> tuple[Learning, dict[str, Scalar]]:
+        measured = jnp.stack([jnp.asarray(getattr(state, c), float) for c in MOTION_CHANNELS])
+        elapsed = jnp.where(memory.begun, dt, 0.0)
+        guarded, told = self.guard.step(memory.guarded, memory.orders, measured, elapsed)
+        controller = self.controller
+        if self.made_for is not None:
+            controller = self.made_for(self.guard.decode(told.handed))
+        inner, orders = controller.step(memory.inner, state, t, dt)
+        held = self._limited(orders)
+        return Learning(guarded, told, held, jnp.ones((), bool), inner), orders
+
+    def is_finished(self, memory: Learning) -> Bool[Array, ""]:
+        return self.controller.is_finished(memory.inner)
+
+    def _limited(self, orders: dict[str, Scalar]) -> dict[str, Scalar]:
+        return {
+            channel: jnp.clip(jnp.asarray(order, float), *self.limits.get(channel, (None, None)))
+            for channel, order in orders.items()
+        }
+
+
+def adaptive_controller(
+    mission: Mission, period: float, start: State, noise: Noise | None
+) -> AdaptiveController:
+    """The controller of a mission with its `[estimator]`.
+
+    Arguments:
+        period: s.
+        start: rough guess of the first state.
+        noise: gusts and sensor noise, which the Kalman filter needs.
+
+    Raises:
+        UserError: parameters that cannot be estimated so.
+    """
+    asked, model = mission.estimator, mission.model
+    assert asked is not None
+    free = asked.free or usual_parameters(model)
+    if asked.kind == "kalman":
+        assert noise is not None
+        drift = DRIFT if asked.drift is None else asked.drift
+        estimator = kalman_filter(model, free, noise, drift=drift, interval=period)
+    else:
+        memory = math.inf if asked.memory is None else asked.memory
+        estimator = recursive_least_squares(model, free, memory=memory, interval=period)
+
+    def made_for(values: Mapping[str, Scalar]) -> AbstractController:
+        believed = dataclasses.replace(mission, model=replace(model, values))
+        return controller_of(believed, period)
+
+    return AdaptiveController(
+        guard_estimator(estimator),
+        controller_of(mission, period),
+        made_for if asked.adapt else None,
+        dict(mission.controller.limits),
+        start,
+    )
