@@ -424,7 +424,7 @@ def test_fit_takes_recordings_and_a_sheet_together(boat, zigzag, tmp_path, capsy
     assert run("fit", boat, recording, sheet, *words) == 0
     told = capsys.readouterr().out
     record = json.loads((out / "fit.json").read_text())
-    assert list(record)[:3] == ["format", "free", "missing"]
+    assert list(record)[:5] == ["format", "complete", "left_out", "free", "missing"]
     assert told.startswith("free predictions of the runs it was fitted to, vessel file -> fitted:")
     assert record["free"]["20"]["position"] == record["predictions"][1]["fitted"]["position"]
     # The recording and the numbers are the vessel's own.
