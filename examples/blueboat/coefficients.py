@@ -1,6 +1,6 @@
 """The coefficients that the four trials tell, which trial told each, and what none tells.
 
-    python -m examples.blueboat.coefficients            # about 10 minutes on two cores
+    python -m examples.blueboat.coefficients            # 8 minutes of a processor
     python -m examples.blueboat.coefficients --quick    # two fits, for the test
 
 Makes the recordings, fits all four trials, each alone, and all but each, writes results.json and
@@ -21,7 +21,7 @@ from diffsea.vessel.files import default_priors
 
 
 HOME = Path(__file__).parent
-FOLDER = Path("out") / "blueboat"
+FOLDER = Path("out") / "blueboat" / "table"
 DIMENSIONS = ("--length", "1.2", "--beam", "0.93", "--mass", "16.4", "--thrusters", "0.57")
 FOUR = tuple(name for name in make_runs.TRIALS if name != make_runs.HELD_OUT)
 CURRENT = ("current",)
