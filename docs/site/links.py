@@ -22,6 +22,7 @@ PAGES = (
     "CHANGELOG.md",
     "CONTRIBUTING.md",
     "benchmarks/README.md",
+    "examples/blueboat/README.md",
     "examples/demo/README.md",
     "experiments/README.md",
 )

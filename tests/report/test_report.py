@@ -560,6 +560,18 @@ def test_fit_page(held_out):
     assert ("circle" in reader.text("predictions")) is held_out
 
 
+def test_fit_page_of_a_start_that_diverges():
+    found = study()
+    path = (math.nan, 50.0, 2.0, 1.0)
+    found = dataclasses.replace(found, estimate=dataclasses.replace(found.estimate, path=path))
+    runs = list(recordings()[0])
+    shown = [ComparedRun(r, {"start": predict(usv(), r), "fitted": predict(usv(0.3), r)})
+             for r in runs]  # fmt: skip
+    verdict = FitVerdict(None, 1e-4, False)
+    page = fit_report(found, {"train": 1.02}, [], shown, (runs, []), SOURCE, verdict)
+    assert "cost above its minimum" in page
+
+
 def test_verdict_text_of_each_verdict():
     explained = verdict_text(summary_of("explained"))
     told = " ".join(explained.split())

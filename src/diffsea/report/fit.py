@@ -191,11 +191,13 @@ def _trial_number_table(study: Study) -> Table:
 
 def _convergence_plot(path: Sequence[float]) -> Plot | None:
     """The cost above its minimum after each round, by its logarithm beyond one."""
-    if len(path) < 2:
+    rounds = [n for n, cost in enumerate(path) if math.isfinite(cost)]  # a start may diverge
+    if len(rounds) < 2:
         return None
-    above = np.array(path) - min(path)
+    above = np.array([path[n] for n in rounds])
+    above -= above.min()
     marks = [0.0, *(10.0**k for k in range(1 + math.ceil(math.log10(1 + above.max()))))]
-    line = go.Scatter(x=list(range(len(path))), y=list(np.log10(1 + above)), customdata=list(above))
+    line = go.Scatter(x=rounds, y=list(np.log10(1 + above)), customdata=list(above))
     line.update(mode="lines+markers", line={"color": DIAGNOSED})
     line.update(hovertemplate="round %{x}: %{customdata:.4g}<extra></extra>")
     costs = {"tickvals": list(np.log10(1 + np.array(marks))), "ticktext": [f"{m:g}" for m in marks]}
