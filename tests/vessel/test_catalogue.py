@@ -700,6 +700,15 @@ def test_a_number_of_an_actuator_that_is_not_there_cannot_be_written():
         updated_document(read_vessel("wamv").document, {"third.max_force": 1.0}, [])
 
 
+def test_a_fitted_file_says_what_was_fitted_and_where_the_rest_is_from():
+    document = read_vessel("wamv").document | {"source": "a paper"}
+    once = updated_document(document, {"X_u": -60.0}, [], "X_u fitted to 2 recordings")
+    assert once["source"] == "X_u fitted to 2 recordings; all other numbers: a paper"
+    twice = updated_document(once, {"N_r": -700.0}, [], "N_r fitted to 1 recordings")
+    assert twice["source"] == "N_r fitted to 1 recordings; all other numbers: a paper"
+    assert updated_document(document, {"X_u": -60.0}, [])["source"] == "a paper"
+
+
 def test_channels_say_in_what_they_are_commanded():
     units = {name: read_vessel(name).vessel.units for name in NAMES}
     assert units["shioji_maru"] == {"propeller": "rev/s", "rudder": "rad", "bow": "N", "stern": "N"}

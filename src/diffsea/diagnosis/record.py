@@ -378,4 +378,6 @@ def _fitted_document(
 ) -> Table:
     """The vessel's document with the numbers of an estimate and tables of effects."""
     rows = parameter_estimates(problem.layout.parameters, fitted)
-    return updated_document(document, {one.name: one.value for one in rows}, effects)
+    values = {one.name: one.value for one in rows}
+    what = "the recordings of a diagnosis"
+    return updated_document(document, values, effects, f"{', '.join(values)} fitted to {what}")

@@ -27,6 +27,7 @@ from diffsea.vessel.tables import Table as Table
 from diffsea.vessel.tables import check_keys, needed, numbers, positive, tables_of
 
 
+_OTHERS = "; all other numbers: "
 _TABLES = ("format", "name", "source", "hull", "effect", "prior", *ACTUATORS)
 _NEEDED = ("mass", "I_z", "length", "beam", "draught")
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
@@ -208,8 +209,12 @@ def _damping(hull: Table, body: RigidBody, derivatives: dict[str, Scalar]) -> Ab
     return PrimeDamping(derivatives, scaling)
 
 
-def updated_document(document: Table, values: Mapping[str, float], effects: list[Table]) -> Table:
+def updated_document(
+    document: Table, values: Mapping[str, float], effects: list[Table], source: str = ""
+) -> Table:
     """A copy of a vessel's document with new hull numbers and more `[[effect]]` tables.
+
+    `source` says where they come from; the numbers that stay keep theirs.
 
     `values` are by parameter name: `X_u`, `exponents.X_u`, or `port.max_force` and
     `port.thrust_curve.exponent` of an actuator.
@@ -234,6 +239,9 @@ def updated_document(document: Table, values: Mapping[str, float], effects: list
         else:
             table, key = _place_in_actuator(new, name)
         table[key] = float(value)
+    if source:
+        others = str(document.get("source", "")).rpartition(_OTHERS)[2]
+        new["source"] = f"{source}{_OTHERS}{others}" if others else source
     if effects:
         new["effect"] = [*new.get("effect", []), *effects]
     return new

@@ -219,7 +219,8 @@ def fit(
         told = " and ".join(f"{number} {what}" for number, what in numbers if number)
         progress(f"fitting {told}, {len(given.test)} held out")
         study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
-        document = updated_document(file.document, study.values, study.effect_tables)
+        source = f"{', '.join(study.values)} fitted to {told}"
+        document = updated_document(file.document, study.values, study.effect_tables, source)
         fitted = VesselFile(build(document), document, file.path)
         progress("predicting and judging")
         runs = given.recordings, given.test
