@@ -47,7 +47,7 @@ class LocalProcesses:
             process.terminate()
         for process in self._processes:
             try:
-                process.wait(10)
+                process.wait(2)
             except subprocess.TimeoutExpired:
                 kill(process)
 
