@@ -54,7 +54,7 @@ class Poisoned(Watched):
 
 class Slow(Watched):
     def before(self, number, attempts):
-        time.sleep(4.0)
+        time.sleep(2.0)
 
 
 def poisoned_boat(folder, task):

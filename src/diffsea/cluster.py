@@ -97,15 +97,15 @@ class Workers:
                 with contextlib.suppress(TimeoutError):
                     wait(list(self._under_way), POLL, "FIRST_COMPLETED")
                 for future in [one for one in self._under_way if one.done()]:
-                    found = _result_of(future)
-                    yield self._under_way.pop(future), found
+                    yield self._under_way[future], _result_of(future)
+                    del self._under_way[future]  # only now, so that `cancel` frees its result
 
     def _threads(self) -> int:
         """How many tasks the workers do at once; one where there is no worker yet."""
         threads: Any = self._client.nthreads()
         count = sum(threads.values())
         if not count and not self._is_waiting:
-            self._progress(Remark("waiting: the cluster has no worker yet"))
+            self._progress(Remark("waiting: the cluster has no worker"))
         self._is_waiting = not count
         return max(count, 1)
 

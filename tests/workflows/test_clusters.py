@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from tests.clusters import LocalProcesses, kill
 from tests.faults.commands import write_inputs
-from tests.poisoned import ATTEMPTS, DyingOnce, Poisoned, Watched, poisoned_boat
+from tests.poisoned import ATTEMPTS, DyingOnce, Poisoned, Slow, Watched, poisoned_boat
 
 import diffsea
 from diffsea import cluster
@@ -230,6 +230,28 @@ def test_a_worker_of_another_version_is_refused(comes, harbour, tmp_path, monkey
     assert comes == "later" or not list(out.parent.iterdir())
 
 
+def count_tasks(client):
+    return client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
+
+
+@pytest.mark.usefixtures("attempts")
+def test_a_client_that_is_lent_has_no_task_left_after_an_interrupt(harbour, workers, monkeypatch):
+    from distributed import Client
+
+    def interrupt(message):
+        if isinstance(message, PartialProgress):
+            assert count_tasks(client) > 0
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(parts, "PartRunner", Slow)
+    grid = {"mass": (-190, 230, 3), "N_r": (-300, 60000, 2), "I_z": (300, 3000, 2)}
+    more = {"executes": 2, "step": 0.1, "part": 3, "progress": interrupt}
+    with Client(workers.address, set_as_default=False) as client:
+        with pytest.raises(KeyboardInterrupt):
+            diffsea.sweep(harbour / "boat.toml", "zigzag", grid=grid, cluster=client, **more)
+        assert count_tasks(client) == 0 and client.status == "running"
+
+
 SLOW = """
 import sys
 from diffsea.runtime import prepare_jax
@@ -262,11 +284,8 @@ def test_what_is_under_way_is_given_up(ends, harbour, tmp_path):
             assert "the scheduler is gone" in told and "Traceback" not in told
         else:
             with Client(processes.address, set_as_default=False) as client:
-                tasks = lambda: client.run_on_scheduler(
-                    lambda dask_scheduler: len(dask_scheduler.tasks)
-                )
-                assert tasks() == 1
+                assert count_tasks(client) == 1
                 asking.send_signal(signal.SIGINT)
-                assert asking.wait(20) == 130 and tasks() == 0
+                assert asking.wait(20) == 130 and count_tasks(client) == 0
             assert processes.said(asking).endswith("nothing was written\n")
     assert not (tmp_path / "out").exists()
