@@ -6,6 +6,7 @@ import shutil
 import signal
 import sys
 import time
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -176,7 +177,7 @@ def test_a_poisoned_boat_is_a_row_and_one_whose_worker_died_is_done(
     assert "workers died while they had it" in kills["reason"]
     assert attempts()["raises"] == cluster.RETRIES + 1
     assert attempts()["one"] >= 2 and attempts()["kills"] == 2 * (ALLOWED + 1)
-    assert diffsea.fleet(manifest[:1], until="audit").boats == [one]
+    assert diffsea.fleet(manifest.head(1), until="audit").boats == [one]
 
 
 def test_a_boat_whose_process_breaks_down_is_an_error_on_a_worker(tmp_path):
@@ -230,7 +231,7 @@ def test_a_worker_of_another_version_is_refused(comes, harbour, tmp_path, monkey
     assert comes == "later" or not list(out.parent.iterdir())
 
 
-def count_tasks(client):
+def count_tasks(client) -> Any:
     return client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
 
 
