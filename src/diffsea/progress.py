@@ -24,5 +24,9 @@ class PartialProgress(str):
         return out
 
 
+class Remark(str):
+    """A progress message that stays as a line of its own, and begins no stage."""
+
+
 def no_progress(message: str) -> None:
     """Progress that nobody follows."""

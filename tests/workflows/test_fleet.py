@@ -118,10 +118,10 @@ def test_a_process_that_breaks_down_is_a_row(harbour, monkeypatch):
     """The boat `sound` gets an interpreter that ends at once."""
     start = boat_processes._started
 
-    def broken(folder, number, task):
+    def broken(folder, number, task, where):
         if task["boat"] == "sound":
             task = {"boat": "sound"}
-        return start(folder, number, task)
+        return start(folder, number, task, where)
 
     monkeypatch.setattr(boat_processes, "_started", broken)
     found = diffsea.fleet(harbour / "fleet.csv", until="audit")

@@ -118,6 +118,12 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--end", "S", number, "leave out what is after, s on the clock recorded")
 
 
+def add_cluster(parser: Parser, what: str) -> None:
+    """`--cluster`: where `what` is to be done."""
+    text = f"do {what} on the Dask cluster whose scheduler is at ADDRESS, such as tcp://host:8786"
+    add_option(parser, "--cluster", "ADDRESS", str, text)
+
+
 # Types of arguments. A bad value is bad usage: argparse tells it and ends with status 2.
 
 

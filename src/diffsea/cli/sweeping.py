@@ -45,6 +45,7 @@ def register(commands: options.Commands) -> None:
     add_flag(group, "--resume", "only go on: refuse where no part of this very sweep is there")
     folder = "folder in which parts that are done are kept (default: DIR with -parts at its end)"
     add_option(group, "--parts", "FOLDER", pathlib.Path, folder)
+    options.add_cluster(group, "the parts")
     sweep.set_defaults(usage_error=sweep.error)
 
 
@@ -83,7 +84,8 @@ def sweep_command(args: argparse.Namespace) -> None:
     total thrust (thrust, N). All values are in SI units.
     Designs are run part by part, and each part is kept as soon as it is finished: the same command
     again goes on where it was stopped. With --shard one of several processes does its share, and
-    `diffsea sweep merge PARTS` makes the results of all.
+    `diffsea sweep merge PARTS` makes the results of all. With --cluster the workers of a Dask
+    cluster run the parts; they need diffsea of the same version, and no files.
     Writes sweep.parquet with one row per design: parameters, metrics, IMO verdicts and outcome; a
     summary in sweep.json; sweep.html; and map.png for a grid over two parameters. A design that
     diverges or is impossible has nulls and its outcome says so.
@@ -93,6 +95,7 @@ def sweep_command(args: argparse.Namespace) -> None:
       diffsea sweep usv.toml --manoeuvre turning-circle --sample 2000 mass=150:220 x_G=-0.3:0.3
       diffsea sweep kvlcc2 --manoeuvre zigzag --grid speed=0.6:1.2:7
       diffsea sweep otter --manoeuvre zigzag --sample 1000000 mass=60:160 --shard 3/16
+      diffsea sweep otter --manoeuvre zigzag --sample 1000000 mass=60:160 --cluster tcp://host:8786
       diffsea sweep merge out/sweep-parts -o out/sweep
     """
     if args.vessel == MERGE:
@@ -136,7 +139,13 @@ def _do_parts(args: argparse.Namespace, designs: "DesignSpace | None" = None) ->
         )
     with StagedProgress({"running": 20.0}) as tell:
         tell(f"running {designs.count} designs in {parts.count} parts")
-        kept.do_parts(parts, file.vessel, plan, designs, args.shard or (1, 1), tell)
+        shard = args.shard or (1, 1)
+        try:
+            kept.do_parts(parts, file.vessel, plan, designs, shard, tell, args.cluster)
+        except kept.PartsFailedError as error:
+            raise UserError(
+                f"{error}\nAll others are kept in {parts.folder}: the same command goes on"
+            ) from None
     return parts
 
 

@@ -5,19 +5,21 @@ the trial, the designs, how they are divided, and the versions. Whoever asks for
 after a kill, on another day or as another shard, finds there what is done.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from diffsea.cluster import RETRIES, Failed, connected
 from diffsea.designs import DesignSpace, check_count
 from diffsea.errors import UserError
 from diffsea.outside.documents import read_json
@@ -25,12 +27,16 @@ from diffsea.outside.durable import written_beside
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.simulation.standard import TrialPlan
-from diffsea.studies.sweep import Sweeper, check_names
+from diffsea.studies.sweep import Sweeper, SweepResult, check_names
 from diffsea.vessel.base import Vessel
 
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 PART = 4096  # designs of a part: seconds of work
 MANIFEST = "manifest.json"
+TOLD = 6  # failed parts that a message names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +88,10 @@ class Parts:
                 pq.write_table(as_arrow(table), opened)
         except OSError as error:
             raise UserError(f"cannot write {file}: {error.strerror}") from None
+
+
+class PartsFailedError(UserError):
+    """Parts failed on a cluster as often as they were tried; all others are done."""
 
 
 def as_arrow(table: pd.DataFrame) -> pa.Table:
@@ -150,6 +160,25 @@ def read_parts(folder: Path) -> Parts:
     return Parts(folder, manifest)
 
 
+@dataclasses.dataclass(frozen=True)
+class PartRunner:
+    """Runs the parts of a sweep by number, in this process or in that of a worker."""
+
+    parts: Parts
+    vessel: Vessel
+    plan: TrialPlan
+    space: DesignSpace
+
+    @cached_property
+    def _sweeper(self) -> Sweeper:
+        return Sweeper(self.vessel, self.plan, min(self.parts.manifest["part"], self.space.count))
+
+    def __call__(self, number: int, progress: Progress = no_progress) -> SweepResult:
+        """Run a part; nothing is written."""
+        designs = self.space.rows(*self.parts.rows(number))
+        return self._sweeper.run(designs, progress, whole=True)
+
+
 def do_parts(
     parts: Parts,
     vessel: Vessel,
@@ -157,19 +186,54 @@ def do_parts(
     space: DesignSpace,
     shard: tuple[int, int] = (1, 1),
     progress: Progress = no_progress,
+    cluster: "Client | str | None" = None,
 ) -> int:
     """Do what is not done of the parts of a shard; one part is held at a time.
 
     Arguments:
         shard: its number, from one on, and how many there are: it does every n-th part.
+        cluster: whose workers do the parts, a client or a scheduler's address; this process if
+            None.
 
     **Returns:** how many of them were done before.
 
     Raises:
-        UserError: a part cannot be written.
+        UserError: a part cannot be written, or the cluster cannot be used.
+        PartsFailedError: parts failed on the cluster; all others are kept.
     """
     own = range(shard[0] - 1, parts.count, shard[1])
     left = [number for number in own if not parts.is_done(number)]
+    done, failed = len(own) - len(left), {}
+    run = PartRunner(parts, vessel, plan, space)
+    with contextlib.ExitStack() as stack:
+        if cluster is not None and left:
+            results = stack.enter_context(connected(cluster, progress)).results(run, left)
+        else:
+            results = _run_in_turn(run, left, done, progress)
+        _make_folder(parts)
+        if done:
+            progress(f"{done} of {len(own)} parts were done before, in {parts.folder}")
+        kept = done
+        for number, found in results:
+            if isinstance(found, Failed):
+                failed[number] = found.reason
+                continue
+            parts.keep(number, found.table)
+            kept += 1
+            rate = f"{found.steps_per_second:.2g} vessel-steps/s"
+            told = f"{kept} of {len(own)} parts done, {rate}"
+            progress(PartialProgress(told, kept / len(own)))
+    if failed:
+        raise PartsFailedError(_failure_text(parts, failed))
+    return done
+
+
+def _make_folder(parts: Parts) -> None:
+    """The folder of the parts with its manifest.
+
+    Raises:
+        UserError: it cannot be written.
+    """
     try:
         parts.folder.mkdir(parents=True, exist_ok=True)
         clear_abandoned(parts.folder)
@@ -179,20 +243,25 @@ def do_parts(
     except OSError as error:
         where = error.filename or parts.folder
         raise UserError(f"cannot write {where}: {error.strerror}") from None
-    done = len(own) - len(left)
-    if done:
-        progress(f"{done} of {len(own)} parts were done before, in {parts.folder}")
-    if not left:
-        return done
-    sweeper = Sweeper(vessel, plan, min(parts.manifest["part"], space.count))
+
+
+def _run_in_turn(
+    run: PartRunner, left: Sequence[int], done: int, progress: Progress
+) -> Iterator[tuple[int, SweepResult]]:
+    """Parts with what is found of them, one after the other in this process."""
     for before, number in enumerate(left, done):
-        within = partial(_share_of_all, progress, before, len(own))
-        found = sweeper.run(space.rows(*parts.rows(number)), within, whole=True)
-        parts.keep(number, found.table)
-        rate = f"{found.steps_per_second:.2g} vessel-steps/s"
-        told = f"{before + 1} of {len(own)} parts done, {rate}"
-        progress(PartialProgress(told, (before + 1) / len(own)))
-    return done
+        yield number, run(number, partial(_share_of_all, progress, before, done + len(left)))
+
+
+def _failure_text(parts: Parts, failed: Mapping[int, str]) -> str:
+    """Which parts failed on a cluster, each with its designs and why."""
+    lines = []
+    for number, reason in sorted(failed.items())[:TOLD]:
+        begin, end = parts.rows(number)
+        lines.append(f"part {number} (designs {begin} to {end - 1}): {reason}")
+    more = [f"and {len(failed) - TOLD} more"] if len(failed) > TOLD else []
+    tries = f"{len(failed)} of {parts.count} parts failed, each tried {RETRIES + 1} times or more:"
+    return "\n  ".join([tries, *lines, *more])
 
 
 def _share_of_all(progress: Progress, done: int, count: int, message: str) -> None:

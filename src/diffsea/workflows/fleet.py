@@ -5,15 +5,17 @@ not grow with their number. What was found of a boat is kept under the hash of a
 on: files, settings, version. A run that was stopped goes on from there.
 """
 
+import contextlib
 import dataclasses
 import math
 import pathlib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from diffsea.cluster import connected
 from diffsea.errors import UserError
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
@@ -21,8 +23,16 @@ from diffsea.report.pages.fleet import fleet_report
 from diffsea.vessel.files import shipped_vessels
 from diffsea.workflows.audits import Tabulated
 from diffsea.workflows.boat import DEPTHS, moved_parameters
-from diffsea.workflows.boat_processes import done_in_processes, keep_part, kept_part
+from diffsea.workflows.boat_processes import (
+    done_in_processes,
+    done_on_cluster,
+    keep_part,
+    kept_part,
+)
 
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 COLUMNS = ("boat", "vessel", "recording", "mapping", "role")
 ROLES = ("train", "test")
@@ -115,6 +125,7 @@ def fleet(
     per_recording: bool = False,
     parts: str | pathlib.Path | None = None,
     progress: Progress = no_progress,
+    cluster: "Client | str | None" = None,
 ) -> FleetResult:
     """Audit, fit and diagnose many boats, as `diffsea fleet` does.
 
@@ -123,15 +134,18 @@ def fleet(
             `mapping` and `role` (`train` or `test`); a CSV, whose folder paths are relative to,
             or a DataFrame.
         until: `diagnose`, or no further than `fit` or `audit`.
-        jobs: processes at once.
+        jobs: processes at once, without a cluster.
         minutes: after which no further step of a boat's diagnosis is begun.
         free: parameters that are fitted; the hull's derivatives if None.
         per_recording: whether wind and current are each recording's own.
         parts: folder in which the boats done are kept, so that a stopped run goes on; nothing is
             kept if None.
+        cluster: whose workers do the boats, a client or a scheduler's address. Each worker reads
+            vessels, recordings and mappings from the same paths as this process.
 
     Raises:
-        UserError: the manifest cannot be read, or no boat could be done.
+        UserError: the manifest cannot be read, the cluster cannot be used, or no boat could be
+            done.
     """
     if until not in DEPTHS:
         raise UserError(f"a fleet is done until {', '.join(DEPTHS)}, not {until!r}")
@@ -153,14 +167,20 @@ def fleet(
     if reused:
         progress(f"{reused} boats were done before, and are taken from {kept}")
     left = [task for task in tasks if task["boat"] not in found]
-    progress("taking the boats")
-    for task, result in done_in_processes(left, jobs):
-        found[task["boat"]] = result
-        told = result.get("verdict", result["status"])
-        message = f"{task['boat']}: {told} ({len(found)} of {len(tasks)} boats)"
-        progress(PartialProgress(message, (len(found) - reused) / len(left), "taking the boats"))
-        if kept is not None and result["status"] == "done":
-            keep_part(kept, task, result)
+    with contextlib.ExitStack() as stack:
+        if cluster is not None and left:
+            results = done_on_cluster(left, stack.enter_context(connected(cluster, progress)))
+        else:
+            results = done_in_processes(left, jobs)
+        progress("taking the boats")
+        for task, result in results:
+            found[task["boat"]] = result
+            told = result.get("verdict", result["status"])
+            message = f"{task['boat']}: {told} ({len(found)} of {len(tasks)} boats)"
+            share = (len(found) - reused) / len(left)
+            progress(PartialProgress(message, share, "taking the boats"))
+            if kept is not None and result["status"] == "done":
+                keep_part(kept, task, result)
     boats = [found[task["boat"]] for task in tasks]
     if not any(one["status"] == "done" for one in boats):
         told = "\n  ".join(f"{one['boat']}: {one['reason']}" for one in boats)

@@ -2,22 +2,30 @@
 
 import dataclasses
 import pathlib
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.outside.durable import working_folder
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.simulation import planning
 from diffsea.simulation.order_units import require_order_units
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
-from diffsea.studies import sensitivity
+from diffsea.studies import merging, sensitivity
+from diffsea.studies import parts as kept
 from diffsea.studies import sweep as designs
+from diffsea.studies.designs import Grid, LatinHypercube
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, read_vessel
 from diffsea.workflows.audits import Recording, Tabulated, as_recording
+
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 def as_vessel(given: Vessel | VesselFile | str | pathlib.Path) -> Vessel:
@@ -140,7 +148,9 @@ def sweep(
     sample: Mapping[str, tuple[float, float]] | None = None,
     count: int = 1000,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda message: None,
+    progress: Progress = no_progress,
+    cluster: "Client | str | None" = None,
+    part: int = kept.PART,
     **options: Any,
 ) -> pd.DataFrame:
     """One trial of many designs, batched, as `diffsea sweep` runs it.
@@ -148,22 +158,32 @@ def sweep(
     Arguments:
         grid: from, to and how many values, by the name of a vessel's number, `speed` or `thrust`.
         sample: from and to by name, in place of a grid: `count` designs, a Latin hypercube.
+        cluster: whose workers run the designs, a client or a scheduler's address; this process
+            if None.
+        part: designs that a worker of the cluster runs at a time.
         options: those of the trial, see `trial`.
 
     **Returns:** a row for each design: its parameters, the trial's numbers in SI units,
     `imo_<number>` verdicts, and the `outcome`.
 
     Raises:
-        UserError: neither or both of grid and sample, an unknown name, or a trial that the vessel
-            cannot run.
+        UserError: neither or both of grid and sample, an unknown name, a trial that the vessel
+            cannot run, or a cluster that cannot be used or where a part failed.
     """
     if (grid is None) == (sample is None):
         raise UserError("give either a grid or a sample of designs")
     boat = as_vessel(vessel)
-    chosen = designs.sample(sample or {}, count, seed) if grid is None else designs.grid(grid)
+    space = LatinHypercube(sample or {}, count, seed) if grid is None else Grid(grid)
+    chosen = space.all()
     designs.check_names(boat, chosen.names)
     plan = planning.plan_trial(boat, manoeuvre, **{**options, **chosen.slowest()})
-    return designs.sweep(boat, plan, chosen, progress).table
+    if cluster is None:
+        return designs.sweep(boat, plan, chosen, progress).table
+    with working_folder() as folder:
+        parts = kept.parts_of(folder, boat, {}, plan, space, part)
+        kept.do_parts(parts, boat, plan, space, progress=progress, cluster=cluster)
+        merging.merge(parts, folder / "sweep.parquet")
+        return pd.read_parquet(folder / "sweep.parquet")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

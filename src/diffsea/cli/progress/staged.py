@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 from diffsea.cli import options
 from diffsea.cli.progress.compiling import COMPILING
 from diffsea.outside.printable import printable
-from diffsea.progress import PartialProgress
+from diffsea.progress import PartialProgress, Remark
 
 
 if TYPE_CHECKING:
@@ -33,10 +33,10 @@ class StagedProgress:
             tell(PartialProgress("step 1", 0.5))
 
     A message begins the next stage, one that is a `PartialProgress` tells the share that is done
-    of a stage. On a terminal one line is drawn over and over and taken away at the end: the bar,
-    the time left, the stage, and whether a program is being compiled. In a file or a pipe a stage
-    is a line of its own, without escape codes, when it begins. The bar never goes back; the time
-    left follows the pace until then.
+    of a stage, a `Remark` is a line that stays. On a terminal one line is drawn over and over and
+    taken away at the end: the bar, the time left, the stage, and whether a program is being
+    compiled. In a file or a pipe a stage is a line of its own, without escape codes, when it
+    begins. The bar never goes back; the time left follows the pace until then.
     """
 
     def __init__(self, stages: Stages, stream: TextIO | None = None):
@@ -117,6 +117,9 @@ class StagedProgress:
     def __call__(self, message: str) -> None:
         """Say what is being done."""
         COMPILING.listen()
+        if isinstance(message, Remark):
+            self.line(printable(message))
+            return
         share, stage = 0.0, printable(message)
         if isinstance(message, PartialProgress):
             share = min(max(message.share, 0.0), 1.0)

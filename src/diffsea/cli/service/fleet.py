@@ -20,7 +20,9 @@ def register(commands: options.Commands) -> None:
     manifest = "CSV with boat, vessel, recording, mapping, role (train or test)"
     parser.add_argument("manifest", metavar="MANIFEST", type=pathlib.Path, help=manifest)
     add_choice(parser, "--until", DEPTHS, "how far each boat is taken")
-    add_option(parser, "--jobs", "N", options.count, "processes at once", default=1)
+    where = parser.add_mutually_exclusive_group()
+    add_option(where, "--jobs", "N", options.count, "processes at once", default=1)
+    options.add_cluster(where, "the boats")
     budget = "begin no further step of a boat's diagnosis after so long"
     add_option(parser, "--minutes", "M", options.positive, budget)
     free = "parameters to estimate, separated by commas (default: the hull's derivatives)"
@@ -37,6 +39,8 @@ def fleet_command(args: argparse.Namespace) -> None:
     cannot be done, is a row with its reason and ends nothing: the command fails only where no boat
     could be done. Boats that are done are kept in a folder of their own, by the content of their
     files, the settings and the version: run the same command again and it goes on.
+    With --cluster the workers of a Dask cluster do the boats. They need diffsea of the same
+    version, and all files of the manifest at the same paths as here: a file system that is shared.
     Writes fleet.parquet, a row for each recording, and fleet.html: which boats changed, which
     names recur.
 
@@ -44,6 +48,7 @@ def fleet_command(args: argparse.Namespace) -> None:
       diffsea fleet fleet.csv --jobs 4
       diffsea fleet fleet.csv --until audit
       diffsea fleet fleet.csv --minutes 5 --environment per-recording -o out/june
+      diffsea fleet /shared/fleet.csv --cluster tcp://host:8786
     """
     with Outputs(args.output) as out, StagedProgress(2) as tell:
         from diffsea.cli.outputs import json_text
@@ -63,6 +68,7 @@ def fleet_command(args: argparse.Namespace) -> None:
             per_recording=args.environment == "per-recording",
             parts=args.parts or args.output.with_name(f"{args.output.name}-parts"),
             progress=follow,
+            cluster=args.cluster,
         )
         found.table.to_parquet(out.path("fleet.parquet"), index=False)
         out.text("fleet.html", found.html())
