@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from diffsea.designs import Grid, LatinHypercube
 from diffsea.errors import UserError
 from diffsea.outside.durable import working_folder
 from diffsea.progress import Progress, no_progress
@@ -17,7 +18,6 @@ from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import merging, sensitivity
 from diffsea.studies import parts as kept
 from diffsea.studies import sweep as designs
-from diffsea.studies.designs import Grid, LatinHypercube
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.files import VesselFile, read_vessel
