@@ -23,6 +23,7 @@ def test_a_command_of_the_page_does_what_the_page_says(command, tmp_path, monkey
     if "--to fmu" in command and find_spec("pythonfmu3") is None:
         pytest.skip("PythonFMU3 is not installed")
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     status = main(shlex.split(command)[1:])
     if command == "diffsea export otter --to gazebo":
         expected = "cannot express: the cross-flow drag; the lag of 'port'; "
@@ -32,7 +33,7 @@ def test_a_command_of_the_page_does_what_the_page_says(command, tmp_path, monkey
     else:
         assert status == 0
         (written,) = (tmp_path / "out" / "export").iterdir()
-        assert written.suffix in (".sdf", ".param", ".fmu", ".m")
+        assert written.suffix in (".sdf", ".param", ".fmu", ".m", ".mcap", ".parquet")
 
 
 def test_figures_of_the_page_are_those_of_the_code():

@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
 def register(commands: options.Commands) -> None:
     """Add the command."""
-    text = "a vessel for Gazebo, ArduPilot, FMI or MATLAB"
+    text = "a vessel for Gazebo, ArduPilot, FMI or MATLAB; a recording for Foxglove or tables"
     parser = options.add_command(commands, "export", export_command, text)
-    options.add_vessel(parser)
-    targets = options.OneOf(tuple(_WRITERS), "target")
-    text = f"the tool: {', '.join(_WRITERS)}"
+    text = "TOML file, or name of a shipped vessel; for mcap and parquet a RECORDING"
+    parser.add_argument("vessel", metavar="VESSEL", help=text)
+    every = (*_WRITERS, *_OF_RECORDINGS)
+    targets = options.OneOf(every, "target")
+    text = f"the tool: {', '.join(every)}"
     options.add_option(parser, "--to", "TOOL", targets, text, required=True)
     options.add_flag(parser, "--allow-loss", "leave out, by name, what the tool cannot express")
     pilot = parser.add_argument_group("for ardupilot")
@@ -29,10 +31,11 @@ def register(commands: options.Commands) -> None:
     options.add_option(pilot, "--fit", "FILE", pathlib.Path, text)
     text = "cruising speed (default: Froude number 0.2, at most 80 %% of top speed)"
     options.add_option(pilot, "--speed", "M/S", options.positive, text)
+    options.add_reading(parser.add_argument_group("for mcap and parquet"))
 
 
 def export_command(args: argparse.Namespace) -> None:
-    """Write a vessel as another tool's file.
+    """Write a vessel, or a recording, as another tool's file.
 
     gazebo     a model (SDF) with mass, added mass, Hydrodynamics and Thruster systems
     ardupilot  parameters of Rover: speed, turning and steering feed-forward
@@ -41,13 +44,22 @@ def export_command(args: argparse.Namespace) -> None:
 
     What a tool cannot express is refused by name, or left out with --allow-loss.
 
+    mcap       a recording for Foxglove and other viewers, by its schemas (needs the extra `mcap`)
+    parquet    a recording as a long table: run, t, channel, value, unit
+
     examples:
       diffsea export otter --to mss
       diffsea export boat.toml --to fmu -o models
       diffsea export out/fit/vessel.toml --to ardupilot --fit out/fit/fit.json --speed 1.5
+      diffsea export out/trial/recording.csv --to mcap
     """
     if args.to != "ardupilot" and (args.fit is not None or args.speed is not None):
         raise UserError("--fit and --speed are for --to ardupilot; leave them out")
+    if args.to in _OF_RECORDINGS:
+        _export_recording(args)
+        return
+    if any(getattr(args, name) is not None for name in ("mapping", "start", "end")):
+        raise UserError("--mapping, --start and --end are for recordings; leave them out")
     file = options.read_vessel(args)
     with Outputs(args.output) as out, StagedProgress({"writing": 5.0}) as tell:
         tell(f"writing for {args.to}")
@@ -59,6 +71,28 @@ def export_command(args: argparse.Namespace) -> None:
         print(json_text(head | found))
     else:
         out.present(args, f"{file.vessel.name} for {args.to}")
+
+
+def _export_recording(args: argparse.Namespace) -> None:
+    """A recording for viewers and tables."""
+    from diffsea.exports.recordings import long_table, write_mcap
+
+    if args.allow_loss:
+        raise UserError("--allow-loss is for vessels; leave it out")
+    path = pathlib.Path(args.vessel)
+    (run,) = options.read_recordings([path], args)
+    with Outputs(args.output) as out, StagedProgress({"writing": 3.0}) as tell:
+        tell(f"writing for {args.to}")
+        target = out.path(f"{path.stem}.{args.to}")
+        if args.to == "mcap":
+            write_mcap(run, target)
+        else:
+            long_table(run.counted()).to_parquet(target, index=False)
+    told = {"format": 1, "to": args.to, "recording": run.name, "file": str(out.files[0])}
+    if args.json:
+        print(json_text(told | {"rows": len(run.t)}))
+    else:
+        out.present(args, f"{run.name} for {args.to}")
 
 
 def _write_gazebo(file: "VesselFile", args: argparse.Namespace, out: Outputs) -> dict[str, Any]:
@@ -129,3 +163,4 @@ _WRITERS = {
     "fmu": _write_fmu,
     "mss": _write_mss,
 }
+_OF_RECORDINGS = ("mcap", "parquet")

@@ -1,0 +1,174 @@
+"""Recordings, measured or simulated, for viewers and tables: MCAP for Foxglove, Parquet by rows.
+
+MCAP files have messages in JSON by the published schemas `foxglove.PoseInFrame` and
+`foxglove.FrameTransform` (Foxglove, 2026), whose axes are x east, y north, z up, and x ahead,
+y to port, z up in the body; and the native channels as they are under `/diffsea`, x north, y east.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from diffsea.errors import UserError
+from diffsea.trajectory import Trajectory
+
+
+Message = tuple[float, str, dict[str, Any]]  # time (s), topic, content
+
+MAP, BODY = "map", "base_link"  # frames
+UNITS = {
+    "x": "m",
+    "y": "m",
+    "psi": "rad",
+    "u": "m/s",
+    "v": "m/s",
+    "r": "rad/s",
+    "wind_speed": "m/s",
+    "wind_direction": "rad",
+    "phi": "rad",
+    "p": "rad/s",
+}
+
+_NUMBER = {"type": "number"}
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+_TIME = _object(sec={"type": "integer"}, nsec={"type": "integer"})
+_VECTOR = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_QUATERNION = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_TEXT = {"type": "string"}
+_FOXGLOVE = {
+    "/pose": (
+        "foxglove.PoseInFrame",
+        _object(
+            timestamp=_TIME,
+            frame_id=_TEXT,
+            pose=_object(position=_VECTOR, orientation=_QUATERNION),
+        ),
+    ),
+    "/tf": (
+        "foxglove.FrameTransform",
+        _object(
+            timestamp=_TIME,
+            parent_frame_id=_TEXT,
+            child_frame_id=_TEXT,
+            translation=_VECTOR,
+            rotation=_QUATERNION,
+        ),
+    ),
+}
+
+
+def long_table(run: Trajectory) -> pd.DataFrame:
+    """A row for each value: `run`, `t` (s), `channel`, `value`, `unit`.
+
+    Orders and executed values are in their actuator's own unit, which a recording does not have:
+    theirs is empty.
+    """
+    parts = []
+    for channel, values in _channels(run).items():
+        known = np.isfinite(values)
+        part = {"t": run.t[known], "channel": channel, "value": values[known]}
+        parts.append(pd.DataFrame({"run": run.name, **part, "unit": UNITS.get(channel, "")}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _channels(run: Trajectory) -> dict[str, np.ndarray]:
+    """Every channel with a value, by its native name."""
+    named: dict[str, Any] = dict(run.motion)
+    named |= {f"cmd_{name}": values for name, values in run.commanded.items()}
+    named |= {f"exec_{name}": values for name, values in run.executed.items()} | run.extra
+    arrays = {name: np.asarray(values, float) for name, values in named.items()}
+    return {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+
+
+def write_mcap(run: Trajectory, path: Path) -> None:
+    """Write a run as an MCAP file with messages in JSON, one for each row that has the values.
+
+    Raises:
+        UserError: the extra `mcap` is not installed, or times that the format cannot have.
+    """
+    try:
+        from mcap.writer import Writer
+    except ImportError:
+        raise UserError("MCAP needs the extra: pip install 'diffsea[mcap]'") from None
+    run = run.counted()
+    if not (run.t[0] >= 0 and run.t[-1] < 2**63 / 1e9):
+        raise UserError(
+            f"{run.name}: an MCAP file has times from 0 s on, and the run is from {run.t[0]:g} to "
+            f"{run.t[-1]:g} s; shift its clock with a mapping"
+        )
+    native = _native_topics(run)
+    schemas = _FOXGLOVE | {
+        topic: (name, _object(timestamp=_TIME, **{channel: _described(channel) for channel in of}))
+        for topic, (name, of) in native.items()
+    }
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="", library="diffsea")
+        channels = {}
+        for topic, (name, schema) in schemas.items():
+            text = json.dumps(schema | {"title": name}).encode()
+            number = writer.register_schema(name=name, encoding="jsonschema", data=text)
+            channels[topic] = writer.register_channel(topic, "json", number)
+        for number, (t, topic, content) in enumerate(_messages(run, native)):
+            at, data = round(t * 1e9), json.dumps(content).encode()
+            writer.add_message(channels[topic], at, data, at, number)
+        writer.finish()
+
+
+def _native_topics(run: Trajectory) -> dict[str, tuple[str, dict[str, np.ndarray]]]:
+    """Topics under `/diffsea`, with the name of their schema and their channels."""
+    every = _channels(run)
+    groups: Mapping[str, tuple[str, ...]] = {
+        "motion": tuple(run.motion),
+        "orders": tuple(f"cmd_{name}" for name in run.commanded),
+        "executed": tuple(f"exec_{name}" for name in run.executed),
+        "surroundings": tuple(run.extra),
+    }
+    found = {}
+    for group, names in groups.items():
+        known = {name: every[name] for name in names if name in every}
+        if known:
+            found[f"/diffsea/{group}"] = (f"diffsea.{group.capitalize()}", known)
+    return found
+
+
+def _described(channel: str) -> dict[str, str]:
+    return _NUMBER | {"description": UNITS.get(channel, "the actuator's own unit")}
+
+
+def _messages(
+    run: Trajectory, native: Mapping[str, tuple[str, dict[str, np.ndarray]]]
+) -> Iterator[Message]:
+    """The messages in the order of time; a value that is missing is left out."""
+    for row, t in enumerate(run.t):
+        stamp = {
+            "timestamp": dict(zip(("sec", "nsec"), divmod(round(t * 1e9), 10**9), strict=True))
+        }
+        place = [float(run.motion[channel][row]) for channel in ("x", "y", "psi")]
+        if all(map(math.isfinite, place)):
+            north, east, psi = place
+            at = {"x": east, "y": north, "z": 0.0}
+            half = 0.5 * (0.5 * math.pi - psi)  # of the angle from east, counter-clockwise
+            turn = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+            yield (
+                t,
+                "/pose",
+                stamp | {"frame_id": MAP, "pose": {"position": at, "orientation": turn}},
+            )
+            frames = {"parent_frame_id": MAP, "child_frame_id": BODY}
+            yield t, "/tf", stamp | frames | {"translation": at, "rotation": turn}
+        for topic, (_, channels) in native.items():
+            values = {name: float(series[row]) for name, series in channels.items()}
+            known = {name: value for name, value in values.items() if math.isfinite(value)}
+            if known:
+                yield t, topic, stamp | known
