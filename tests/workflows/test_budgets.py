@@ -55,7 +55,7 @@ def test_a_budget_that_is_spent_at_once_ends_with_what_was_left_out(job, data, t
     assert (tmp_path / "vessel.toml").exists()
 
 
-@pytest.mark.parametrize("job", ["fit", "diagnose"])
+@pytest.mark.parametrize("job", ["fit", pytest.param("diagnose", marks=pytest.mark.proof)])
 def test_wherever_the_time_ends_there_is_a_result_that_says_so(job, data, tmp_path, monkeypatch):
     asked, last = [0], [np.inf]
 
@@ -75,7 +75,7 @@ def test_wherever_the_time_ends_there_is_a_result_that_says_so(job, data, tmp_pa
 
 
 @pytest.mark.parametrize("boat", ["stiff", "wild"])
-@pytest.mark.parametrize("job", ["fit", "diagnose"])
+@pytest.mark.parametrize("job", ["fit", pytest.param("diagnose", marks=pytest.mark.proof)])
 def test_a_stiff_or_a_wild_vessel_ends_soon_after_its_budget(job, boat, data, tmp_path, capsys):
     began = time.monotonic()
     status, record, _ = done(job, data, tmp_path, "--budget", "5", boat=boat)

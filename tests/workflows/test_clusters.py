@@ -125,6 +125,7 @@ def test_a_worker_killed_amid_a_sweep_loses_nothing(
     assert results(tmp_path / "out") == whole
 
 
+@pytest.mark.proof
 def test_a_poisoned_part_is_told_and_all_others_are_kept(
     harbour, workers, whole, attempts, tmp_path, monkeypatch, capsys
 ):
@@ -164,6 +165,7 @@ def test_a_fleet_on_a_cluster_is_that_of_one_process_and_goes_on(
     assert "2 boats were done before" in capsys.readouterr().err
 
 
+@pytest.mark.proof
 def test_a_poisoned_boat_is_a_row_and_one_whose_worker_died_is_done(
     harbour, workers, attempts, monkeypatch
 ):
@@ -210,7 +212,7 @@ def test_without_the_extra_nothing_is_written(command, harbour, tmp_path, monkey
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("comes", ["before", "later"])
+@pytest.mark.parametrize("comes", ["before", pytest.param("later", marks=pytest.mark.proof)])
 def test_a_worker_of_another_version_is_refused(comes, harbour, tmp_path, monkeypatch, capsys):
     """Whether it is there at the beginning, or comes when that has been looked at."""
     other = tmp_path / "other" / "diffsea-0.0.1.dist-info"
@@ -235,6 +237,7 @@ def count_tasks(client) -> Any:
     return client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("attempts")
 def test_a_client_that_is_lent_has_no_task_left_after_an_interrupt(harbour, workers, monkeypatch):
     from distributed import Client
@@ -265,6 +268,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("ends", ["interrupt", "scheduler"])
 def test_what_is_under_way_is_given_up(ends, harbour, tmp_path):
     """By Ctrl-C, after which the scheduler has no task left, or when the scheduler is gone."""
