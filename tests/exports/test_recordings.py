@@ -45,6 +45,7 @@ def messages(path):
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             content = json.loads(message.data)
+            assert schema is not None
             stamp = content["timestamp"]
             assert message.log_time == stamp["sec"] * 10**9 + stamp["nsec"]
             found.setdefault(channel.topic, []).append(content)

@@ -108,7 +108,7 @@ def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> Non
     add_reading(parser)
 
 
-def add_reading(parser: argparse.ArgumentParser) -> None:
+def add_reading(parser: Parser) -> None:
     """How recordings are read: `--mapping`, `--start` and `--end`."""
     mapping = "TOML file that says which columns are which, and in which unit (default: by content)"
     add_option(parser, "--mapping", "M", pathlib.Path, mapping)
