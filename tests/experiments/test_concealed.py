@@ -809,3 +809,22 @@ def test_what_a_nuisance_mimics_has_a_limit_of_three_prior_deviations_at_least()
             limit = draw.limits(hull.name)["munk-moment"]
             assert limit > 0.99 * limits.SIGMA * outside.SPREAD * abs(lift), hull.name
     assert draw.limits("craft")["munk-moment"] == pytest.approx(9.75, rel=0.01)
+
+
+def test_the_figures_since_laws_are_asked_as_one_are_those_of_the_results():
+    folder = Path(score.__file__).parent
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    told = page[page.index("**Since laws") : page.index("**Winds on superstructures")]
+    results = json.loads((folder / "results" / "laws.json").read_text(encoding="utf-8"))
+    assert results["revision"] in told and f"balanced part of {results['cases']}" in told
+    for name in (
+        "named rightly, of decided",
+        "named rightly, of all",
+        "pairs: both named, nothing else",
+        "wrong name, any case",
+        "false alarms, clean",
+        "false alarms, benign misfit",
+        "90 % intervals that hold the truth",
+    ):
+        found = results["rates"][name]
+        assert f"{found['hits']}/{found['n']}" in told, name
