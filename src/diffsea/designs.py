@@ -6,11 +6,13 @@ Any design follows from its number alone, so that a sweep can be divided, stoppe
 import abc
 import dataclasses
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt
+from scipy.stats import qmc
 
 from diffsea.errors import UserError
 
@@ -118,6 +120,34 @@ class LatinHypercube(DesignSpace):
     def as_dict(self) -> dict[str, Any]:
         axes = {name: list(axis) for name, axis in self.axes.items()}
         return {"sample": axes, "count": self.number, "seed": self.seed}
+
+
+@dataclasses.dataclass(frozen=True)
+class SobolSequence(DesignSpace):
+    """A scrambled Sobol sequence (SciPy), from and to by name: the first designs cover all ranges
+    evenly, and every further one fills a gap, best where their number is a power of two."""
+
+    number: int
+    seed: int = 0
+
+    @property
+    def count(self) -> int:
+        return self.number
+
+    def rows(self, begin: int, end: int) -> Designs:
+        sequence = qmc.Sobol(len(self.axes), rng=np.random.default_rng(self.seed))
+        if begin:
+            sequence.fast_forward(begin)
+        with warnings.catch_warnings():
+            # Of a part: its balance is that of the whole sequence.
+            warnings.filterwarnings("ignore", message="The balance properties of Sobol")
+            unit = sequence.random(end - begin)
+        low, high = np.array([axis[:2] for axis in self.axes.values()]).T
+        return Designs(self.names, low + unit * (high - low))
+
+    def as_dict(self) -> dict[str, Any]:
+        axes = {name: list(axis) for name, axis in self.axes.items()}
+        return {"sobol": axes, "count": self.number, "seed": self.seed}
 
 
 def permuted(numbers: UInt[np.ndarray, "n"], count: int, key: int) -> UInt[np.ndarray, "n"]:

@@ -41,3 +41,15 @@ def by_name(axes: list[tuple[str, Any]]) -> dict[str, Any]:
         if names.count(name) > 1:
             raise argparse.ArgumentTypeError(f"{name!r} is given twice")
     return dict(axes)
+
+
+def number_and_ranges(words: list[str]) -> tuple[int, dict[str, tuple[float, float]]]:
+    """Of `N NAME=FROM:TO ...` the number, and the ranges by name.
+
+    Raises:
+        ArgumentTypeError: no range, one of another form, or one that is given twice.
+    """
+    number, *ranges = words
+    if not ranges:
+        raise argparse.ArgumentTypeError("give a number of designs, then NAME=FROM:TO")
+    return options.count(number), by_name([range_of(text) for text in ranges])

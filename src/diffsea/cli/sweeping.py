@@ -6,7 +6,7 @@ import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
-from diffsea.cli.axes import GRID_FORM, RANGE_FORM, axis, by_name, range_of
+from diffsea.cli.axes import GRID_FORM, RANGE_FORM, axis, by_name, number_and_ranges
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, json_text, table
@@ -37,7 +37,9 @@ def register(commands: options.Commands) -> None:
     sample = "N random designs that cover all ranges evenly"
     form = ("N", RANGE_FORM)
     add_option(group, "--sample", form, str, sample, nargs="+", action=GivenOnce)
-    add_option(group, "--seed", "K", int, "of the sample (default: 0)", default=0)
+    sobol = "the first N designs of a Sobol sequence; best a power of two"
+    add_option(group, "--sobol", form, str, sobol, nargs="+", action=GivenOnce)
+    add_option(group, "--seed", "K", int, "of the sample or sequence (default: 0)", default=0)
     group = sweep.add_argument_group("parts")
     add_option(group, "--part", "N", options.count, "designs of each part", default=PART)
     shard = "do every n-th part from the i-th on, and merge nothing"
@@ -60,19 +62,17 @@ def shard_of(text: str) -> tuple[int, int]:
 
 
 def _designs(args: argparse.Namespace) -> "DesignSpace":
-    """What `--grid` or `--sample` asks for; bad usage ends here."""
-    from diffsea.designs import Grid, LatinHypercube
+    """What `--grid`, `--sample` or `--sobol` asks for; bad usage ends here."""
+    from diffsea.designs import Grid, LatinHypercube, SobolSequence
 
-    if (args.grid is None) == (args.sample is None):
-        args.usage_error("give either --grid or --sample")
+    if sum(asked is not None for asked in (args.grid, args.sample, args.sobol)) != 1:
+        args.usage_error("give either --grid or --sample or --sobol")
     try:
         if args.grid is not None:
             return Grid(by_name(args.grid))
-        number, *ranges = args.sample
-        if not ranges:
-            raise argparse.ArgumentTypeError("give a number of designs, then NAME=FROM:TO")
-        axes = by_name([range_of(text) for text in ranges])
-        return LatinHypercube(axes, options.count(number), args.seed)
+        space, words = (LatinHypercube, args.sample) if args.sample else (SobolSequence, args.sobol)
+        number, axes = number_and_ranges(words)
+        return space(axes, number, args.seed)
     except argparse.ArgumentTypeError as error:
         args.usage_error(str(error))
         raise

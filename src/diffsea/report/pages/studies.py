@@ -218,6 +218,101 @@ def sensitivity_page(
     )
 
 
+def sobol_page(
+    indices: Mapping[str, Mapping[str, Record]],
+    ranges: Mapping[str, tuple[float, float]],
+    left_out: Sequence[str],
+    title: tuple[str, str],
+    source: Record,
+) -> str:
+    """Sobol indices: which share of each number's variance a parameter makes over its range.
+
+    Arguments:
+        indices: the content of sobol.json.
+        ranges: from and to by parameter.
+        left_out: numbers that some designs do not have.
+        title: the vessel's name, and the trial.
+        source: what was run; shown as it is.
+    """
+    shown = most_informative(list(indices), SHOWN_NUMBERS)
+    lead = "No number changes over these ranges."
+    if shown:
+        row = indices[shown[0]]
+        name = max(row, key=lambda one: row[one]["total"]["value"])
+        share = 100 * row[name]["total"]["value"]
+        lead = (
+            f"{name} has a part in {share:.0f} % of the variance of the {number_words(shown[0])}: "
+            "more than any other parameter."
+        )
+    missing = [
+        f"{number_words(name)}: not a number of every design, left out." for name in left_out
+    ]
+    return render(
+        "sections.html.j2",
+        title=f"Sobol indices of {title[0]}",
+        subtitle=title[1],
+        word="",
+        tone="fit",
+        lead=lead,
+        sentences=["All values of a range are alike likely; intervals are of 90 %.", *missing],
+        sections=[
+            Section(
+                "Share of each number's variance",
+                ["Blue: alone; grey: with what it does together with others."],
+                [_index_bars(number, indices[number]) for number in shown],
+            ),
+            Section("All numbers", tables=[_index_table(indices)]),
+            Section(
+                "Ranges",
+                tables=[
+                    axis_table(
+                        {n: dict(zip(("from", "to"), r, strict=True)) for n, r in ranges.items()}
+                    )
+                ],
+            ),
+        ],
+        provenance=provenance(source, []),
+    )
+
+
+def _index_bars(number: str, row: Mapping[str, Record]) -> Plot:
+    """Bars of total and first indices with intervals, the largest on top."""
+    ranked = sorted(row, key=lambda name: row[name]["total"]["value"])[-SHOWN_BARS:]
+    drawn = plots.figure(showlegend=False, barmode="overlay")
+    for kind, colour, width in (("total", plots.MEASURED, 0.8), ("first", plots.DIAGNOSED, 0.45)):
+        found = [row[name][kind] for name in ranked]
+        values = [one["value"] for one in found]
+        above = [one["high"] - one["value"] for one in found]
+        below = [one["value"] - one["low"] for one in found]
+        error = {"array": plots.numbers(above), "arrayminus": plots.numbers(below), "thickness": 1}
+        drawn.add_bar(
+            x=plots.numbers(values),
+            y=ranked,
+            orientation="h",
+            marker={"color": colour},
+            width=width,
+            name="in all" if kind == "total" else "alone",
+            error_x=error,
+        )
+    drawn.add_annotation(plots.heading(number_words(number), 1.0))
+    drawn.update_layout(xaxis={"title": {"text": "share of the variance"}})
+    text = f"Shares of the variance of the {number_words(number)} by parameter"
+    return Plot(drawn, text, 100 + 26 * len(ranked))
+
+
+def _index_table(indices: Mapping[str, Mapping[str, Record]]) -> Table:
+    rows = []
+    for number, row in indices.items():
+        ranked = sorted(row, key=lambda name: -row[name]["total"]["value"])[:SHOWN_BARS]
+        for name in ranked:
+            cells = []
+            for kind in ("first", "total"):
+                one = row[name][kind]
+                cells.append(f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})")
+            rows.append([number_words(number), Verbatim(name), *cells])
+    return Table(["number", "parameter", "alone", "in all"], rows, numeric=(2, 3))
+
+
 def _tornado(number: str, row: Mapping[str, float]) -> Plot:
     """Bars of the strongest parameters of a number, the strongest on top."""
     least = WEAKEST * max(map(abs, row.values()))
