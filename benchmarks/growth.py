@@ -89,8 +89,8 @@ def ladders() -> Iterator[Ladder]:
 
 def sweeps() -> list[Callable[[], object]]:
     """The sweep of the part `sweep`, of more and more designs."""
-    from diffsea.simulation.planning import plan_trial
     from diffsea.designs import sample
+    from diffsea.simulation.planning import plan_trial
     from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build
 

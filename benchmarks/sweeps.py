@@ -15,8 +15,8 @@ def measure() -> list[Figure]:
     import diffsea
 
     diffsea.prepare_jax()
-    from diffsea.simulation.planning import plan_trial
     from diffsea.designs import sample
+    from diffsea.simulation.planning import plan_trial
     from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build
 
