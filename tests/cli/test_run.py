@@ -233,3 +233,10 @@ def test_grids_and_tunings_that_cannot_be_are_refused(words, status, told, tmp_p
     mission.write_text(SHORT)
     assert main(["run", str(mission), *words, "-o", str(tmp_path / "out")]) == status
     assert told in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_defaults_of_a_tuning_are_those_of_the_library():
+    from diffsea.cli import running
+    from diffsea.missions import tuning
+
+    assert (running.STARTS, running.EFFORT) == (tuning.STARTS, tuning.EFFORT)

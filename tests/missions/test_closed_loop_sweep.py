@@ -11,8 +11,15 @@ import diffsea
 from diffsea.designs import Grid
 from diffsea.missions import mission_of, run, scores
 from diffsea.missions.closed_loop_sweep import closed_loop_sweep
-from diffsea.missions.numbers import full_names, mission_numbers, with_numbers
+from diffsea.missions.numbers import (
+    full_names,
+    mission_numbers,
+    settled,
+    with_numbers,
+    with_numbers_in_file,
+)
 from diffsea.missions.paths import path_offsets
+from diffsea.missions.record import Flow
 
 
 def document(**changes):
@@ -135,3 +142,35 @@ def test_plants_differ_while_the_model_stays():
     heavy = with_numbers(mission, {"vessel.mass": 100.0})
     assert float(heavy.model.rigid_body.mass) == float(mission.model.rigid_body.mass)
     assert dataclasses.replace(heavy, vessel=mission.vessel) == mission
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"vessel.mass": 70.0, "controller.heading.gain": 1.3},
+        {"model.X_u": -70.0},
+        {"weather.current.speed": 0.3, "weather.wind.speed": 3.0},
+    ],
+    ids=["plant", "model", "weather"],
+)
+def test_a_file_with_other_numbers_is_the_mission_with_them(values):
+    written = document()
+    of_file = mission_of(with_numbers_in_file(written, values))
+    pure = with_numbers(settled(mission_of(written), values), values)
+    first, second = scores(run(of_file)), scores(run(pure))
+    assert (
+        first["path_error"]
+        == second["path_error"]
+        != scores(run(mission_of(written)))["path_error"]
+    )
+    assert first["model_differs"] == second["model_differs"]
+    assert "parameters" not in written["vessel"]
+
+
+def test_a_flow_that_changes_is_steady_once_it_has_a_number():
+    turning = [{"time": 0.0, "speed": 0.2, "direction": 1.0}]
+    turning.append({"time": 50.0, "speed": 0.2, "direction": 2.0})
+    mission = mission_of(document(weather={"current": turning}))
+    assert "weather.current.speed" not in mission_numbers(mission)
+    flow = with_numbers(mission, {"weather.current.speed": 0.5}).weather.current
+    assert flow == Flow((0.0,), (0.5,), (1.0,))

@@ -142,6 +142,32 @@ def test_what_cannot_be_tuned_is_refused():
 def test_lanes_run_half_as_long_again_as_the_mission():
     mission = settled(path(), [])
     times = timing(mission)
-    took = float(run(mission).true.t[-1])
-    assert quicker(mission, times).seconds == pytest.approx(1.5 * took, abs=0.3)
-    assert quicker(course(), timing(course())) == timing(course())
+    stands = run(mission)
+    took = float(stands.true.t[-1])
+    assert quicker(times, stands).seconds == pytest.approx(1.5 * took, abs=0.3)
+    assert quicker(times, None) == times
+    timed = timing(course())
+    assert quicker(timed, run(course())) == timed
+
+
+def test_gains_that_diverge_cost_more_than_any_that_do_not():
+    wild = with_numbers(course(), {"vessel.mass": -50.0})
+    names = ("controller.heading.gain",)
+    mission = settled(wild, names)
+
+    def cost(gain):
+        changed = with_numbers(mission, {names[0]: gain})
+        return jnp.sum(cost_residuals(changed, closed_loop(assemble(changed, times)), 1.0) ** 2)
+
+    times = timing(mission)
+    assert bool(jnp.isnan(jax.jit(cost)(2.0)))
+    with pytest.raises(diffsea.UserError, match="no start could be run"):
+        tune(wild, {"heading.gain": (1.0, 3.0)}, starts=1)
+    found = closed_loop_sweep(wild, Grid({"heading.gain": (1.0, 3.0, 2)}))
+    assert found.as_it_stands is None and found.table["outcome"].tolist() == ["diverged"] * 2
+
+
+def test_a_mission_that_judges_has_the_numbers_that_are_tuned():
+    other = path(controller={"kind": "pursuit", "speed": 1.2})
+    with pytest.raises(diffsea.UserError, match="no number 'controller.lookahead'"):
+        tune(path(), {"lookahead": (3.0, 9.0)}, [other])

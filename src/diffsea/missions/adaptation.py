@@ -53,14 +53,11 @@ class AdaptiveController(AbstractController[Learning]):
     start: State  # rough guess of the first state
 
     def init(self) -> Learning:
-        return self._begin(self.start, jnp.zeros(()))
-
-    def _begin(self, start: State, t: Scalar) -> Learning:
-        inner = self.controller.init()
-        orders = self._limited(self.controller.step(inner, start, t, jnp.ones(()))[1])
-        state = self.guard.init(self.guard.estimator.init(start, orders=orders))
-        still = jnp.stack([getattr(start, channel) for channel in MOTION_CHANNELS])
-        told = self.guard.step(state, orders, still * jnp.nan, jnp.zeros(()))[1]
+        inner, zero = self.controller.init(), jnp.zeros(())
+        orders = self._limited(self.controller.step(inner, self.start, zero, jnp.ones(()))[1])
+        state = self.guard.init(self.guard.estimator.init(self.start, orders=orders))
+        unmeasured = jnp.full(len(MOTION_CHANNELS), jnp.nan)
+        told = self.guard.step(state, orders, unmeasured, zero)[1]
         return Learning(state, told, orders, jnp.zeros((), bool), inner)
 
     def step(

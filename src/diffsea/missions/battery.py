@@ -13,19 +13,25 @@ import numpy as np
 from scipy.stats import binomtest
 
 from diffsea.errors import UserError
-from diffsea.missions.record import Flow, Mission, Weather
-from diffsea.missions.running import MissionRun, run
+from diffsea.missions.numbers import with_numbers
+from diffsea.missions.record import Mission
+from diffsea.missions.running import DivergedError, MissionRun, run
 from diffsea.missions.scores import scores
 from diffsea.outside.documents import read_toml
-from diffsea.parameters import check_names, file_parameters, replace, spread_over_places
-from diffsea.vessel.base import Vessel
+from diffsea.parameters import check_names, file_parameters
 from diffsea.vessel.files import check
 from diffsea.vessel.tables import Table, check_keys, needed
 
 
 Range = tuple[float, float]
 
-_WEATHER = ("current_speed", "current_direction", "wind_speed", "wind_direction", "gusts")
+_WEATHER = {  # names of numbers of the mission
+    "current_speed": "weather.current.speed",
+    "current_direction": "weather.current.direction",
+    "wind_speed": "weather.wind.speed",
+    "wind_direction": "weather.wind.direction",
+    "gusts": "weather.wind.gusts",
+}
 _MOST_RUNS = 10_000
 LEVEL = 0.95  # of intervals
 FAILED = "failed"  # outcome of a run that diverged
@@ -129,13 +135,14 @@ def run_battery(
             for name, ends in (*battery.vessel.items(), *battery.weather.items())
         }
         row: dict[str, Any] = {"seed": battery.seed + number, **drawn}
-        plant = _plant(mission.vessel, {name: drawn[name] for name in battery.vessel}, places)
-        weather = _weather(mission.weather, {name: drawn[name] for name in battery.weather})
-        one = dataclasses.replace(mission, vessel=plant, weather=weather, seed=row["seed"])
+        chosen = {f"vessel.{name}": drawn[name] for name in battery.vessel}
+        chosen |= {_WEATHER[name]: drawn[name] for name in battery.weather}
+        one = with_numbers(dataclasses.replace(mission, seed=row["seed"]), chosen)
+        check(one.vessel)
         try:
             found = run(one)
         except UserError as error:
-            if number == 0 and not str(error).startswith(f"{mission.name}: the run diverged"):
+            if number == 0 and not isinstance(error, DivergedError):
                 raise
             row |= {"outcome": FAILED, "why": str(error)}
         else:
@@ -144,28 +151,6 @@ def run_battery(
         table.append(row)
         progress(number + 1)
     return BatteryRun(mission, tuple(runs), tuple(table))
-
-
-def _plant(
-    vessel: Vessel, values: Mapping[str, float], places: Mapping[str, tuple[str, ...]]
-) -> Vessel:
-    plant = replace(vessel, spread_over_places(places, values))
-    check(plant)
-    return plant
-
-
-def _weather(weather: Weather, drawn: Mapping[str, float]) -> Weather:
-    """The weather with a steady current and wind in place of those that are drawn."""
-    changed: dict[str, Any] = {}
-    for flow in ("current", "wind"):
-        if f"{flow}_speed" in drawn or f"{flow}_direction" in drawn:
-            stated: Flow | None = getattr(weather, flow)
-            speed, direction = (stated.speeds[0], stated.directions[0]) if stated else (0.0, 0.0)
-            speed = drawn.get(f"{flow}_speed", speed)
-            direction = drawn.get(f"{flow}_direction", direction)
-            changed[flow] = Flow((0.0,), (speed,), (direction,))
-    changed |= {"gusts": drawn["gusts"]} if "gusts" in drawn else {}
-    return dataclasses.replace(weather, **changed)
 
 
 def _summary(told: Mapping[str, Any]) -> dict[str, Any]:

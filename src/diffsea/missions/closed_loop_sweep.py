@@ -16,6 +16,8 @@ from diffsea.missions.numbers import full_names, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, Performance, performance
 from diffsea.missions.record import Mission
 from diffsea.missions.running import (
+    DivergedError,
+    MissionRun,
     Timing,
     assemble,
     closed_loop,
@@ -38,11 +40,13 @@ class ClosedLoopSweep:
     """What was found of every design, a row each.
 
     `table` has the design's numbers by their whole names, the performance and the outcome; nulls
-    where the run diverged.
+    where the run diverged. `as_it_stands` is the mission with its own numbers, None where that
+    diverged.
     """
 
     mission: Mission
     table: pd.DataFrame
+    as_it_stands: MissionRun | None
     steps_per_second: float
 
 
@@ -60,8 +64,8 @@ def closed_loop_sweep(
     names = full_names(mission, space.names)
     mission = settled(mission, names)
     designs = Designs(tuple(names), space.rows(0, space.count).values)
-    times = common_timing(mission, designs)
-    found, steps, seconds = _run_designs(mission, designs, quicker(mission, times), progress)
+    times, stands = common_timing(mission, designs), run_if_possible(mission)
+    found, steps, seconds = _run_designs(mission, designs, quicker(times, stands), progress)
     late = found.outcome == Outcome.TIME_LIMIT
     if late.any() and mission.waypoints:
         progress(f"{late.sum()} designs take longer; they run again")
@@ -70,14 +74,23 @@ def closed_loop_sweep(
         for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
             old[late] = new
         steps, seconds = steps + more[0], seconds + more[1]
-    return ClosedLoopSweep(mission, _table(mission, designs, found), steps / max(seconds, 1e-9))
+    speed = steps / max(seconds, 1e-9)
+    return ClosedLoopSweep(mission, _table(mission, designs, found), stands, speed)
 
 
-def quicker(mission: Mission, times: Timing) -> Timing:
+def run_if_possible(mission: Mission) -> MissionRun | None:
+    """The mission as it stands; None where it diverges."""
+    try:
+        return run(mission)
+    except DivergedError:
+        return None
+
+
+def quicker(times: Timing, stands: MissionRun | None) -> Timing:
     """Half as long again as the mission takes as it stands: lanes run for as long as they may."""
-    if not mission.waypoints:
+    if stands is None or not stands.mission.waypoints:
         return times
-    took = 1.5 * float(run(mission).true.t[-1])
+    took = 1.5 * float(stands.true.t[-1])
     return times._replace(seconds=min(times.seconds, math.ceil(took / times.period) * times.period))
 
 
@@ -101,11 +114,6 @@ def common_timing(mission: Mission, designs: Designs) -> Timing:
         require_controllable(fastest)
     require_controllable(slowest)
     return timing(slowest)
-
-
-def run_designs(mission: Mission, designs: Designs, times: Timing) -> Performance:
-    """How well every design did, leaves with the designs first."""
-    return _run_designs(mission, designs, times, no_progress)[0]
 
 
 def _run_designs(

@@ -29,8 +29,8 @@ _CALM = Flow((0.0,), (0.0,), (0.0,))
 def mission_numbers(mission: Mission) -> dict[str, float]:
     """Every number that can be changed, with its value: as stated, or the usual one.
 
-    Weather and sensors are numbers where they are steady; numbers that say which of two things is
-    done (a throttle beside a speed) only where they are stated.
+    Weather is where it is steady; a number that says which of two things is done (a throttle
+    beside a speed) only where it is stated.
     """
     found = {f"controller.{k}": v for k, v in _of_controller(mission).items()}
     for whose in ("vessel", "model"):
@@ -134,13 +134,14 @@ def _with_gains(asked: Controller, values: Values) -> Controller:
 
 
 def _with_flows(weather: Weather, values: Values) -> Weather:
+    """Weather with flows that are steady at what is given, else at what they begin with."""
     changed: dict[str, Any] = {}
     for name in _FLOWS:
         flow: Flow = getattr(weather, name) or _CALM
-        parts = {"speeds": f"{name}.speed", "directions": f"{name}.direction"}
-        given = {part: (values[key],) for part, key in parts.items() if key in values}
-        if given:
-            changed[name] = dataclasses.replace(flow, **given)
+        speed, direction = f"{name}.speed", f"{name}.direction"
+        if speed in values or direction in values:
+            now = values.get(speed, flow.speeds[0]), values.get(direction, flow.directions[0])
+            changed[name] = Flow((0.0,), *((value,) for value in now))
     if "wind.gusts" in values:
         changed["gusts"] = values["wind.gusts"]
     return dataclasses.replace(weather, **changed)
@@ -163,12 +164,15 @@ def settled(mission: Mission, names: Iterable[str]) -> Mission:
 def with_numbers_in_file(
     document: Mapping[str, Any], values: Mapping[str, float]
 ) -> dict[str, Any]:
-    """The content of a mission's file with some numbers replaced, by their whole names."""
+    """The content of a mission's file with some numbers replaced, by their whole names.
+
+    The model that was the vessel itself stays what it was where the vessel changes.
+    """
     changed = copy.deepcopy(dict(document))
+    if any(name.startswith(("vessel.", "model.")) for name in values):
+        changed.setdefault("model", copy.deepcopy(changed["vessel"]))
     for name, value in values.items():
         group, _, rest = name.partition(".")
-        if group == "model":
-            changed.setdefault("model", copy.deepcopy(changed["vessel"]))
         if group in ("vessel", "model"):
             changed[group].setdefault("parameters", {})[rest] = value
             continue
@@ -177,5 +181,7 @@ def with_numbers_in_file(
         for one in tables:
             table = table.setdefault(one, {})
             table = table[0] if isinstance(table, list) else table
+        if group == "weather":
+            table |= {"speed": 0.0, "direction": 0.0} | table
         table[key] = value
     return changed

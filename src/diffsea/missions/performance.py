@@ -18,7 +18,7 @@ from diffsea.missions.running import order_limits
 from diffsea.scales import time_scale
 from diffsea.simulation.closed_loop import ClosedLoop
 from diffsea.simulation.control.timed import in_force
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import Outcome, Trajectory
 from diffsea.types import Scalar
 
 
@@ -27,7 +27,6 @@ Series = Float[Array, "time"]
 HEADING_SCALE = math.radians(10.0)  # an error that counts as much as one ship length off the path
 SPEED_SCALE = 0.1  # of the mission's speed, likewise
 _AT_LIMIT = 1e-6  # of the room between both limits: nearer is at the limit
-
 
 NUMBERS = (  # that a run may have, the likeliest to be looked at first
     "path_rms",
@@ -100,14 +99,18 @@ def performance(mission: Mission, loop: ClosedLoop) -> Performance:
         numbers["missed"] = jnp.sum(~reached).astype(float)
     shares = []
     for channel, orders in run.commanded.items():
-        low, high = order_limits(mission, channel)
-        room = _AT_LIMIT * jnp.where(jnp.isfinite(high - low), high - low, 1.0)
-        there = valid & ((orders >= high - room) | (orders <= low + room))
+        there = at_limit(orders, *order_limits(mission, channel))
         shares.append(there.mean(where=valid))
     numbers["at_limit"] = jnp.max(jnp.stack(shares))
     changes = jnp.stack([*order_changes(mission, run).values()])
     numbers["effort"] = jnp.sqrt(jnp.mean(jnp.stack([rms(one, valid[1:]) ** 2 for one in changes])))
     return Performance(numbers, jnp.asarray(run.outcome), count)
+
+
+def at_limit(orders: Series, lower: Scalar, upper: Scalar) -> Bool[Array, "time"]:
+    """Which orders are at either of their limits."""
+    room = _AT_LIMIT * jnp.where(jnp.isfinite(upper - lower), upper - lower, 1.0)
+    return (orders >= upper - room) | (orders <= lower + room)
 
 
 def order_changes(mission: Mission, run: Trajectory) -> dict[str, Float[Array, "change"]]:
@@ -131,6 +134,7 @@ def cost_residuals(mission: Mission, loop: ClosedLoop, effort: float) -> Float[A
 
     The mean square of tracking errors, in ship lengths off the path, or in 10 deg of heading and
     tenths of the speed; and `effort` times that of the changes of orders (`order_changes`).
+    Those of a run that diverged are not numbers.
     """
     run, valid = loop.trajectory, jnp.asarray(loop.trajectory.valid)
     scales = {
@@ -144,4 +148,5 @@ def cost_residuals(mission: Mission, loop: ClosedLoop, effort: float) -> Float[A
     changes = order_changes(mission, run)
     weight = jnp.sqrt(effort / len(changes)) * share[1:]
     parts += [jnp.where(valid[1:], one, 0.0) * weight for one in changes.values()]
-    return jnp.concatenate(parts)
+    diverged = jnp.asarray(run.outcome) == Outcome.DIVERGED
+    return jnp.where(diverged, jnp.nan, jnp.concatenate(parts))

@@ -40,6 +40,10 @@ _LARGEST_RUN = 2e6  # steps
 _DELAY_MARGIN = 1.5  # longest delay over the vessel's own, as in trials
 
 
+class DivergedError(UserError):
+    """A run left every plausible range."""
+
+
 class Timing(NamedTuple):
     """How long a mission is run and in which steps, s."""
 
@@ -214,12 +218,13 @@ def run(mission: Mission) -> MissionRun:
     """Run a mission; `closed_loop` of its `setup` is the same as a pure function.
 
     Raises:
-        UserError: as `setup`, or the run diverged.
+        UserError: as `setup`.
+        DivergedError: the run diverged.
     """
     made = setup(mission)
     loop = _compiled_loop(dataclasses.replace(made, vessel=as_inputs(made.vessel)))
     if Outcome(int(loop.trajectory.outcome)) is Outcome.DIVERGED:
-        raise UserError(
+        raise DivergedError(
             f"{mission.name}: {Outcome.DIVERGED.sentence}. Try a time_step below "
             f"{made.times.time_step:g}, or other gains"
         )

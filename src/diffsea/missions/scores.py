@@ -3,11 +3,12 @@
 import math
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from diffsea.identification.online.guarded import OnlineRun
 from diffsea.missions.controllers import radius_of
-from diffsea.missions.performance import tracking_errors
+from diffsea.missions.performance import at_limit, tracking_errors
 from diffsea.missions.record import Mission
 from diffsea.missions.running import MissionRun
 from diffsea.parameters import named
@@ -20,7 +21,6 @@ from diffsea.trajectory import Samples, Trajectory
 
 _NOTICED = 0.05  # of the largest moment: less turns nothing
 _LASTING = 5.0  # sqrt(L / g), that the wrong way must last
-_AT_LIMIT = 1e-6  # of the room between both limits: nearer is at the limit
 
 
 def scores(run: MissionRun) -> dict[str, Any]:
@@ -150,8 +150,7 @@ def orders_against_limits(run: MissionRun) -> dict[str, dict[str, Any]]:
     vessel, found = run.mission.vessel, {}
     for channel, orders in run.true.commanded.items():
         lower, upper = run.limits(channel)
-        room = _AT_LIMIT * (upper - lower if math.isfinite(upper - lower) else 1.0)
-        at_limit = (orders >= upper - room) | (orders <= lower + room)
+        there = np.asarray(at_limit(jnp.asarray(orders), lower, upper))
         rate = float(np.abs(np.diff(orders)).max(initial=0.0)) / run.setup.times.period
         slew = vessel.servos[channel].rate_limit
         found[channel] = {
@@ -160,8 +159,8 @@ def orders_against_limits(run: MissionRun) -> dict[str, dict[str, Any]]:
             "largest": float(orders.max()),
             "lower": lower,
             "upper": upper,
-            "at_limit": float(at_limit.mean()),
-            "limit_events": int(at_limit[0]) + int(np.sum(at_limit[1:] & ~at_limit[:-1])),
+            "at_limit": float(there.mean()),
+            "limit_events": int(there[0]) + int(np.sum(there[1:] & ~there[:-1])),
             "largest_rate": rate,
             "rate_limit": math.inf if slew is None else float(slew),
         }

@@ -18,7 +18,11 @@ from jaxtyping import Array, Float
 from diffsea.designs import Designs, LatinHypercube
 from diffsea.errors import UserError
 from diffsea.identification.least_squares import iterate_least_squares, value_and_jacobian
-from diffsea.missions.closed_loop_sweep import common_timing, quicker
+from diffsea.missions.closed_loop_sweep import (
+    common_timing,
+    quicker,
+    run_if_possible,
+)
 from diffsea.missions.numbers import full_names, mission_numbers, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, cost_residuals, performance
 from diffsea.missions.record import Mission
@@ -91,8 +95,8 @@ def tune(
         starts: the numbers as they stand, and others spread over the ranges.
 
     Raises:
-        UserError: a name of no number, a range that is none, a mission without a task to judge by,
-            or no start from which the mission can be run.
+        UserError: a name of no number of the mission or of one that judges, a range that is none,
+            a mission without a task to judge by, or no start from which it can be run.
     """
     names = full_names(mission, list(ranges))
     ranges = dict(zip(names, ranges.values(), strict=True))
@@ -108,9 +112,13 @@ def tune(
         spread = LatinHypercube(ranges, starts - 1, mission.seed).all().values
         rows += [_inside(dict(zip(names, row, strict=True)), ranges) for row in spread.tolist()]
     ends = np.array([list(pair) for pair in ranges.values()]).T
+    for judge in judges:
+        full_names(judge, names)
     times = common_timing(mission, Designs(tuple(names), np.vstack([ends, list(own.values())])))
+    if "controller.speed" not in names:  # else the slower ones would be cut off before they err
+        times = quicker(times, run_if_possible(mission))
     trained = [mission, mirrored(mission)]
-    found = _descend(trained, ranges, rows, quicker(mission, times), effort, progress)
+    found = _descend(trained, ranges, rows, times, effort, progress)
     best = min(found, key=lambda one: one.cost)
     if not math.isfinite(best.cost):
         raise UserError("no start could be run: narrow the ranges, or give a smaller time_step")
@@ -147,7 +155,6 @@ def _descend(
         Parameter(name, middles[name], lower=low, upper=high)
         for name, (low, high) in ranges.items()
     ]
-
     noise = noise_for(missions[0])
 
     def decoded(at: Coordinates) -> dict[str, Scalar]:
@@ -178,23 +185,23 @@ def _descend(
 
 
 def _judge(mission: Mission, values: Mapping[str, float], effort: float) -> dict[str, float]:
-    """Cost and performance of a mission with some numbers."""
+    """Cost and performance of a mission with some numbers; an infinite cost where it diverges."""
     changed = with_numbers(mission, values)
     names = [name for name in values if name == "controller.speed"]
     times = common_timing(changed, Designs(tuple(names), np.array([[values[n] for n in names]])))
-
     noise = noise_for(changed)
 
     @eqx.filter_jit
     def judged() -> tuple[Scalar, dict[str, Scalar]]:
         loop = closed_loop(assemble(changed, times, noise))
-        return jnp.sum(cost_residuals(changed, loop, effort) ** 2), performance(
-            changed, loop
-        ).numbers
+        residuals = cost_residuals(changed, loop, effort)
+        return jnp.sum(residuals**2), performance(changed, loop).numbers
 
     cost, numbers = judged()
     known = (name for name in NUMBERS if name in numbers)
-    return {"cost": float(cost)} | {name: float(numbers[name]) for name in known}
+    return {"cost": float(jnp.nan_to_num(cost, nan=jnp.inf))} | {
+        name: float(numbers[name]) for name in known
+    }
 
 
 def mirrored(mission: Mission) -> Mission:

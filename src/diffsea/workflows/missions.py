@@ -192,9 +192,7 @@ def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str,
     table, mission = found.table, found.mission
     names = list(table)[: len(space.names)]
     numeric = [name for name in list(table)[len(names) :] if name != "outcome"]
-    stand = scores(missions.run(mission))
-    judged = [name for name in ("path", "heading") if f"{name}_error" in stand]
-    judged_by = f"{judged[0]}_rms" if judged else None
+    judged_by = next((name for name in ("path_rms", "heading_rms") if name in numeric), None)
     record: dict[str, Any] = {
         "format": 1,
         "mission": mission.name,
@@ -208,11 +206,13 @@ def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str,
         },
         "metrics": {name: _extent(table[name].to_numpy(float)) for name in numeric},
         "judged_by": judged_by,
-        "vessel_steps_per_second": found.steps_per_second,
         "source": {"mission": mission.name, "seed": mission.seed, "designs": space.as_dict()},
     }
     if judged_by:
-        record["as_it_stands"] = {judged_by: stand[f"{judged[0]}_error"]["rms"]}
+        stands, error = found.as_it_stands, judged_by.replace("_rms", "_error")
+        record["as_it_stands"] = {
+            judged_by: None if stands is None else scores(stands)[error]["rms"]
+        }
         ranked = _completed(table).sort_values(judged_by).to_dict("records")
         if ranked:
             record["best"] = {name: float(ranked[0][name]) for name in (*names, *numeric)}

@@ -63,7 +63,9 @@ def best_sentences(record: Record) -> list[str]:
     at = ", ".join(f"{name} {significant(best[name], 3)}" for name in record["parameters"])
     name = record["judged_by"]
     told = f"Smallest {number_words(name)} of completed runs: {_told(best[name], name)}, at {at}"
-    return [f"{told}; as the mission stands {_told(record['as_it_stands'][name], name)}."]
+    stands = record["as_it_stands"][name]
+    own = "it diverged" if stands is None else _told(stands, name)
+    return [f"{told}; as the mission stands {own}."]
 
 
 def _told(value: float, name: str) -> str:
