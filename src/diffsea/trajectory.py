@@ -19,6 +19,18 @@ Series = Float[Any, "time"]  # of NumPy or JAX
 Samples = Float[np.ndarray, "time"]  # of NumPy, as recordings have them
 
 MOTION_CHANNELS = ("x", "y", "psi", "u", "v", "r")
+CHANNEL_UNITS = {  # of all native channels but orders and what was executed
+    "x": "m",
+    "y": "m",
+    "psi": "rad",
+    "u": "m/s",
+    "v": "m/s",
+    "r": "rad/s",
+    "wind_speed": "m/s",
+    "wind_direction": "rad",
+    "phi": "rad",
+    "p": "rad/s",
+}
 
 
 class Outcome(enum.IntEnum):

@@ -15,24 +15,13 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError
-from diffsea.trajectory import Trajectory
+from diffsea.recordings.readers import to_frame
+from diffsea.trajectory import CHANNEL_UNITS, MOTION_CHANNELS, Trajectory
 
 
 Message = tuple[float, str, dict[str, Any]]  # time (s), topic, content
 
 MAP, BODY = "map", "base_link"  # frames
-UNITS = {
-    "x": "m",
-    "y": "m",
-    "psi": "rad",
-    "u": "m/s",
-    "v": "m/s",
-    "r": "rad/s",
-    "wind_speed": "m/s",
-    "wind_direction": "rad",
-    "phi": "rad",
-    "p": "rad/s",
-}
 
 _NUMBER = {"type": "number"}
 
@@ -73,21 +62,9 @@ def long_table(run: Trajectory) -> pd.DataFrame:
     Orders and executed values are in their actuator's own unit, which a recording does not have:
     theirs is empty.
     """
-    parts = []
-    for channel, values in _channels(run).items():
-        known = np.isfinite(values)
-        part = {"t": run.t[known], "channel": channel, "value": values[known]}
-        parts.append(pd.DataFrame({"run": run.name, **part, "unit": UNITS.get(channel, "")}))
-    return pd.concat(parts, ignore_index=True)
-
-
-def _channels(run: Trajectory) -> dict[str, np.ndarray]:
-    """Every channel with a value, by its native name."""
-    named: dict[str, Any] = dict(run.motion)
-    named |= {f"cmd_{name}": values for name, values in run.commanded.items()}
-    named |= {f"exec_{name}": values for name, values in run.executed.items()} | run.extra
-    arrays = {name: np.asarray(values, float) for name, values in named.items()}
-    return {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    long = to_frame(run).melt("t", var_name="channel").dropna(subset="value")
+    long.insert(0, "run", run.name)
+    return long.assign(unit=long["channel"].map(CHANNEL_UNITS).fillna("")).reset_index(drop=True)
 
 
 def write_mcap(run: Trajectory, path: Path) -> None:
@@ -127,23 +104,20 @@ def write_mcap(run: Trajectory, path: Path) -> None:
 
 def _native_topics(run: Trajectory) -> dict[str, tuple[str, dict[str, np.ndarray]]]:
     """Topics under `/diffsea`, with the name of their schema and their channels."""
-    every = _channels(run)
-    groups: Mapping[str, tuple[str, ...]] = {
-        "motion": tuple(run.motion),
-        "orders": tuple(f"cmd_{name}" for name in run.commanded),
-        "executed": tuple(f"exec_{name}" for name in run.executed),
-        "surroundings": tuple(run.extra),
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for name, column in to_frame(run).drop(columns="t").items():
+        prefix = str(name).partition("_")[0]
+        usual = "motion" if name in MOTION_CHANNELS else "surroundings"
+        group = {"cmd": "orders", "exec": "executed"}.get(prefix, usual)
+        groups.setdefault(group, {})[str(name)] = column.to_numpy(float)
+    return {
+        f"/diffsea/{group}": (f"diffsea.{group.capitalize()}", channels)
+        for group, channels in groups.items()
     }
-    found = {}
-    for group, names in groups.items():
-        known = {name: every[name] for name in names if name in every}
-        if known:
-            found[f"/diffsea/{group}"] = (f"diffsea.{group.capitalize()}", known)
-    return found
 
 
 def _described(channel: str) -> dict[str, str]:
-    return _NUMBER | {"description": UNITS.get(channel, "the actuator's own unit")}
+    return _NUMBER | {"description": CHANNEL_UNITS.get(channel, "the actuator's own unit")}
 
 
 def _messages(

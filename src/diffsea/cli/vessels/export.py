@@ -87,7 +87,7 @@ def _export_recording(args: argparse.Namespace) -> None:
         if args.to == "mcap":
             write_mcap(run, target)
         else:
-            long_table(run.counted()).to_parquet(target, index=False)
+            long_table(run).to_parquet(target, index=False)
     told = {"format": 1, "to": args.to, "recording": run.name, "file": str(out.files[0])}
     if args.json:
         print(json_text(told | {"rows": len(run.t)}))

@@ -16,7 +16,7 @@ from diffsea.recordings.auditing.finding import Finding, finding_of
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.series import integrate, median_interval, stretches
 from diffsea.statistics import robust_scale
-from diffsea.trajectory import MOTION_CHANNELS, Samples, Trajectory
+from diffsea.trajectory import CHANNEL_UNITS, MOTION_CHANNELS, Samples, Trajectory
 
 
 _IRREGULAR = 0.2  # an interval this far (relative) from the usual one is irregular
@@ -26,7 +26,6 @@ _CHANNEL_GAP = 5.0  # times a channel's own interval
 _LOST_SHARE = 0.05  # of single samples that is worth a finding
 _STANDSTILL_ROWS = 10  # repetitions, nearly without a break, that are a standstill
 
-_UNITS = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 # Steps of rounding, in these units, below which it does no harm to anything.
 _HARMLESS_STEP = {"x": 0.02, "y": 0.02, "psi": 0.004, "u": 0.01, "v": 0.01, "r": 0.002}
 _FEWEST_SAMPLES = 30  # from which a channel's usual behaviour is judged
@@ -202,7 +201,7 @@ def rounding_findings(trajectory: Trajectory) -> list[Finding]:
         rest = series - series.min() - step * multiples
         error = np.std(rest) / max(np.sqrt(np.sum(multiples**2)), 1.0)
         std = float(max(error, 1e-9 * step))
-        words = {"unit": _UNITS[channel], "levels": int(round(np.ptp(series) / step)) + 1}
+        words = {"unit": CHANNEL_UNITS[channel], "levels": int(round(np.ptp(series) / step)) + 1}
         found.append(finding_of("quantised", (channel,), step, std, words))
     return found
 
