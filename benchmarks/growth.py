@@ -89,7 +89,7 @@ def ladders() -> Iterator[Ladder]:
 
 def sweeps() -> list[Callable[[], object]]:
     """The sweep of the part `sweep`, of more and more designs."""
-    from diffsea.designs import sample
+    from diffsea.simulation.designs import sample
     from diffsea.simulation.planning import plan_trial
     from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build

@@ -15,7 +15,7 @@ def measure() -> list[Figure]:
     import diffsea
 
     diffsea.prepare_jax()
-    from diffsea.designs import sample
+    from diffsea.simulation.designs import sample
     from diffsea.simulation.planning import plan_trial
     from diffsea.studies.sweep import sweep
     from diffsea.vessel.files import build

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from diffsea import TrialPlan, Vessel, named
-from diffsea.designs import Designs
 from diffsea.simulation import planning
 from diffsea.simulation.control import speed_for, throttle_for_thrust
+from diffsea.simulation.designs import Designs
 from diffsea.types import Scalar
 
 

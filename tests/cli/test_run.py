@@ -236,7 +236,7 @@ def test_grids_and_tunings_that_cannot_be_are_refused(words, status, told, tmp_p
 
 
 def test_defaults_of_a_tuning_are_those_of_the_library():
-    from diffsea.cli import running
-    from diffsea.missions import tuning
+    from diffsea.cli.studies import running
+    from diffsea.missions.studies import tuning
 
     assert (running.STARTS, running.EFFORT) == (tuning.STARTS, tuning.EFFORT)

@@ -17,7 +17,7 @@ from diffsea.missions import (
     run_battery,
     scores,
 )
-from diffsea.missions.battery import battery_of
+from diffsea.missions.studies.battery import battery_of
 
 
 OTTER = {

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import diffsea
-from diffsea.designs import Grid
 from diffsea.missions import mission_of, run, scores
-from diffsea.missions.closed_loop_sweep import closed_loop_sweep
 from diffsea.missions.numbers import (
     full_names,
     mission_numbers,
@@ -20,6 +18,8 @@ from diffsea.missions.numbers import (
 )
 from diffsea.missions.paths import path_offsets
 from diffsea.missions.record import Flow
+from diffsea.missions.studies.sweep import closed_loop_sweep
+from diffsea.simulation.designs import Grid
 
 
 def document(**changes):

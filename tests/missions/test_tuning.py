@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import diffsea
-from diffsea.designs import Grid
 from diffsea.missions import mission_of, run, scores
-from diffsea.missions.closed_loop_sweep import closed_loop_sweep, quicker
 from diffsea.missions.numbers import settled, with_numbers
 from diffsea.missions.performance import cost_residuals
 from diffsea.missions.running import assemble, closed_loop, timing
-from diffsea.missions.tuning import mirrored, tune, turned
+from diffsea.missions.studies.sweep import closed_loop_sweep, quicker
+from diffsea.missions.studies.tuning import mirrored, tune, turned
+from diffsea.simulation.designs import Grid
 
 
 def course(**changes):

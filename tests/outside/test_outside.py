@@ -63,7 +63,7 @@ def test_nothing_that_is_read_is_unpickled_or_evaluated():
         r"\b(?:cloud)?pickle\b|\bmarshal\b|\bshelve\b|allow_pickle=True|np\.load\(|joblib|dill|"
         r"(?<![\w.])(?:eval|exec)\(|yaml\.load\(|read_pickle|read_hdf"
     )
-    for path in set((ROOT / "src").rglob("*.py")) - {ROOT / "src" / "diffsea" / "cluster.py"}:
+    for path in set((ROOT / "src").rglob("*.py")) - {ROOT / "src/diffsea/outside/cluster.py"}:
         for line in path.read_text().splitlines():
             assert not risky.search(line), f"{path.name}: {line}"
 

@@ -11,7 +11,8 @@ import pytest
 from diffsea import Trajectory
 from diffsea.recordings import Finding
 from diffsea.report.pages.recordings import audit_page, segments_page
-from diffsea.report.pages.studies import sensitivity_page, sweep_page
+from diffsea.report.pages.sensitivity import sensitivity_page
+from diffsea.report.pages.sweep import sweep_page
 from diffsea.segments.segments import segments_of
 from diffsea.segments.signals import signals_of
 

@@ -9,7 +9,7 @@ from tests.boats import BOAT
 
 from diffsea import UserError
 from diffsea.cli import main
-from diffsea.designs import AT_ONCE, Grid, LatinHypercube
+from diffsea.simulation.designs import AT_ONCE, Grid, LatinHypercube
 from diffsea.studies import merging
 from diffsea.studies.sweep import Sweeper
 

@@ -9,8 +9,8 @@ from scipy.stats import qmc
 
 import diffsea
 from diffsea.cli import main
-from diffsea.designs import SobolSequence
 from diffsea.simulation import planning
+from diffsea.simulation.designs import SobolSequence
 from diffsea.studies import sobol
 
 

@@ -15,8 +15,8 @@ from tests.faults.commands import write_inputs
 from tests.poisoned import ATTEMPTS, DyingOnce, Poisoned, Slow, Watched, poisoned_boat
 
 import diffsea
-from diffsea import cluster
 from diffsea.cli import main
+from diffsea.outside import cluster
 from diffsea.progress import PartialProgress
 from diffsea.studies import parts
 from diffsea.workflows import boat_processes

@@ -64,7 +64,8 @@ def long_table(run: Trajectory) -> pd.DataFrame:
     """
     long = to_frame(run).melt("t", var_name="channel").dropna(subset="value")
     long.insert(0, "run", run.name)
-    return long.assign(unit=long["channel"].map(CHANNEL_UNITS).fillna("")).reset_index(drop=True)
+    units = [CHANNEL_UNITS.get(channel, "") for channel in long["channel"]]
+    return long.assign(unit=units).reset_index(drop=True)
 
 
 def write_mcap(run: Trajectory, path: Path) -> None:

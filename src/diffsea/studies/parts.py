@@ -19,13 +19,13 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from diffsea.cluster import RETRIES, Failed, connected
-from diffsea.designs import DesignSpace, check_count
 from diffsea.errors import UserError
+from diffsea.outside.cluster import RETRIES, Failed, connected
 from diffsea.outside.documents import read_json
 from diffsea.outside.durable import written_beside
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
+from diffsea.simulation.designs import DesignSpace, check_count
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Sweeper, SweepResult, check_names
 from diffsea.vessel.base import Vessel

@@ -11,9 +11,9 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from diffsea.designs import Designs
 from diffsea.errors import UserError
 from diffsea.progress import Progress, no_progress
+from diffsea.simulation.designs import Designs
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Sweeper, check_names
 from diffsea.vessel.base import Vessel

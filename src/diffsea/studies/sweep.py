@@ -15,14 +15,14 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.designs import OF_THE_TRIAL, Designs
-from diffsea.designs import grid as grid
-from diffsea.designs import sample as sample
 from diffsea.errors import UserError, nearest
 from diffsea.parameters import file_parameters, replace, spread_over_places
 from diffsea.simulation import planning
 from diffsea.simulation.batches import batch_size, in_batches
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
+from diffsea.simulation.designs import OF_THE_TRIAL, Designs
+from diffsea.simulation.designs import grid as grid
+from diffsea.simulation.designs import sample as sample
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.studies.sensitivity import Places
 from diffsea.trajectory import Outcome

@@ -16,8 +16,8 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from diffsea.cluster import RETRIES, Failed, Workers
 from diffsea.errors import UserError
+from diffsea.outside.cluster import RETRIES, Failed, Workers
 from diffsea.outside.durable import working_folder, written_beside
 from diffsea.vessel.files import shipped_vessels
 

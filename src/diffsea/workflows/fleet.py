@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from diffsea.cluster import connected
 from diffsea.errors import UserError
+from diffsea.outside.cluster import connected
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.report.pages.fleet import fleet_report

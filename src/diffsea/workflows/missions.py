@@ -12,7 +12,6 @@ import pandas as pd
 import tomli_w
 
 from diffsea import missions
-from diffsea.designs import DesignSpace
 from diffsea.missions import (
     Battery,
     BatteryRun,
@@ -24,9 +23,9 @@ from diffsea.missions import (
     read_mission,
     scores,
 )
-from diffsea.missions.closed_loop_sweep import ClosedLoopSweep, closed_loop_sweep
 from diffsea.missions.numbers import with_numbers_in_file
-from diffsea.missions.tuning import EFFORT, STARTS, Tuning, tune
+from diffsea.missions.studies.sweep import ClosedLoopSweep, closed_loop_sweep
+from diffsea.missions.studies.tuning import EFFORT, STARTS, Tuning, tune
 from diffsea.outside.documents import read_toml
 from diffsea.progress import Progress, no_progress
 from diffsea.report.pages.battery import battery_page, share_sentences
@@ -37,6 +36,7 @@ from diffsea.report.pages.closed_loop import (
     tuning_page,
 )
 from diffsea.report.pages.mission import mission_page
+from diffsea.simulation.designs import DesignSpace
 from diffsea.simulation.planning import outcome_label
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.workflows.audits import Tabulated

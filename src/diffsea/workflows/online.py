@@ -15,7 +15,7 @@ from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
-from diffsea.identification.online.closures import ClosedSpan, closed_spans
+from diffsea.identification.online.closed_spans import ClosedSpan, closed_spans
 from diffsea.identification.online.estimator import (
     DRIFT,
     ESTIMATORS,

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from diffsea.designs import Grid, LatinHypercube
 from diffsea.errors import UserError
 from diffsea.outside.durable import working_folder
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.simulation import planning
+from diffsea.simulation.designs import Grid, LatinHypercube
 from diffsea.simulation.order_units import require_order_units
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
 from diffsea.studies import merging, sensitivity

@@ -8,7 +8,7 @@ from diffsea.missions import MissionRun
 from diffsea.report.page import Section, Table, Verbatim, provenance, render
 from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pages.mission import error_sentences, order_table, run_plots, source_of_run
-from diffsea.report.pages.studies import (
+from diffsea.report.pages.sweep import (
     axis_table,
     drawn_numbers,
     extent_table,

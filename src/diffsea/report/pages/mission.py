@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from diffsea.identification.online.closures import closed_spans
+from diffsea.identification.online.closed_spans import closed_spans
 from diffsea.missions import MissionRun
 from diffsea.missions.performance import held_values, tracking_errors
 from diffsea.report import plots

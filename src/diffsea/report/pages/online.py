@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from diffsea.identification.online.closures import ClosedSpan
+from diffsea.identification.online.closed_spans import ClosedSpan
 from diffsea.identification.online.guarded import OnlineRun
 from diffsea.identification.online.trust import ALARM_TRUST
 from diffsea.parameters import named, parameter_unit

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from diffsea.designs import Designs, DesignSpace
 from diffsea.errors import UserError
 from diffsea.missions.numbers import full_names, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, Performance, performance
@@ -28,6 +27,7 @@ from diffsea.missions.running import (
 )
 from diffsea.progress import Progress, no_progress
 from diffsea.simulation.batches import batch_size, in_batches
+from diffsea.simulation.designs import Designs, DesignSpace
 from diffsea.simulation.planning import outcome_label
 from diffsea.trajectory import Outcome
 

@@ -8,7 +8,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt
@@ -93,12 +93,10 @@ class Grid(DesignSpace):
 
 
 @dataclasses.dataclass(frozen=True)
-class LatinHypercube(DesignSpace):
-    """Designs that cover every axis evenly (McKay, Beckman and Conover 1979), from and to by name.
+class Sample(DesignSpace):
+    """So many designs drawn by a seed, from and to by name."""
 
-    On each axis every design has an interval of its own, and a place in it by chance. Which one is
-    a permutation by a Feistel network, calculated of the design's number.
-    """
+    kind: ClassVar[str]
 
     number: int
     seed: int = 0
@@ -106,6 +104,21 @@ class LatinHypercube(DesignSpace):
     @property
     def count(self) -> int:
         return self.number
+
+    def as_dict(self) -> dict[str, Any]:
+        axes = {name: list(axis) for name, axis in self.axes.items()}
+        return {self.kind: axes, "count": self.number, "seed": self.seed}
+
+
+@dataclasses.dataclass(frozen=True)
+class LatinHypercube(Sample):
+    """Designs that cover every axis evenly (McKay, Beckman and Conover 1979).
+
+    On each axis every design has an interval of its own, and a place in it by chance. Which one is
+    a permutation by a Feistel network, calculated of the design's number.
+    """
+
+    kind = "sample"
 
     def rows(self, begin: int, end: int) -> Designs:
         numbers = np.arange(begin, end, dtype=np.uint64)
@@ -117,22 +130,16 @@ class LatinHypercube(DesignSpace):
             columns.append(low + share * (high - low))
         return Designs(self.names, np.stack(columns, axis=-1))
 
-    def as_dict(self) -> dict[str, Any]:
-        axes = {name: list(axis) for name, axis in self.axes.items()}
-        return {"sample": axes, "count": self.number, "seed": self.seed}
-
 
 @dataclasses.dataclass(frozen=True)
-class SobolSequence(DesignSpace):
-    """A scrambled Sobol sequence (SciPy), from and to by name: the first designs cover all ranges
-    evenly, and every further one fills a gap, best where their number is a power of two."""
+class SobolSequence(Sample):
+    """A scrambled Sobol sequence, by SciPy.
 
-    number: int
-    seed: int = 0
+    The first designs cover all ranges evenly, and every further one fills a gap; best where their
+    number is a power of two.
+    """
 
-    @property
-    def count(self) -> int:
-        return self.number
+    kind = "sobol"
 
     def rows(self, begin: int, end: int) -> Designs:
         sequence = qmc.Sobol(len(self.axes), rng=np.random.default_rng(self.seed))
@@ -144,10 +151,6 @@ class SobolSequence(DesignSpace):
             unit = sequence.random(end - begin)
         low, high = np.array([axis[:2] for axis in self.axes.values()]).T
         return Designs(self.names, low + unit * (high - low))
-
-    def as_dict(self) -> dict[str, Any]:
-        axes = {name: list(axis) for name, axis in self.axes.items()}
-        return {"sobol": axes, "count": self.number, "seed": self.seed}
 
 
 def permuted(numbers: UInt[np.ndarray, "n"], count: int, key: int) -> UInt[np.ndarray, "n"]:

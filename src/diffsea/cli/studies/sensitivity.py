@@ -3,11 +3,11 @@
 import argparse
 
 from diffsea.cli import options
-from diffsea.cli.axes import RANGE_FORM, number_and_ranges
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
+from diffsea.cli.studies.axes import RANGE_FORM, number_and_ranges
 from diffsea.cli.trial import add_trial_command, require_run, trial_plan
 
 
@@ -45,7 +45,7 @@ def sensitivity_command(args: argparse.Namespace) -> None:
       diffsea sensitivity usv.toml --manoeuvre turning-circle --parameters mass,N_r,N_rr
       diffsea sensitivity wamv --manoeuvre zigzag --sobol 256 mass=200:350 N_r=-1200:-500
     """
-    from diffsea.report.pages.studies import sensitivity_page
+    from diffsea.report.pages.sensitivity import sensitivity_page
     from diffsea.report.pictures import save_tornado
     from diffsea.simulation.planning import run_and_measure
     from diffsea.studies.sensitivity import parameter_names, sensitivities
@@ -81,7 +81,7 @@ def sensitivity_command(args: argparse.Namespace) -> None:
 
 def _sobol_indices(args: argparse.Namespace) -> None:
     """Shares of variance over ranges."""
-    from diffsea.report.pages.studies import sobol_page
+    from diffsea.report.pages.sensitivity import sobol_page
     from diffsea.studies.sobol import sobol_indices
 
     if args.parameters is not None:

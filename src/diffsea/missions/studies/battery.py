@@ -84,7 +84,7 @@ def battery_of(document: Table) -> Battery:
     for key, table in tables.items():
         if not isinstance(table, dict):
             raise UserError(f"write [{key}] as a table of ranges, for example mass = [70.0, 90.0]")
-    check_keys(tables["weather"], _WEATHER, "[weather]")
+    check_keys(tables["weather"], tuple(_WEATHER), "[weather]")
     ranges = {
         key: {name: _range(pair, f"[{key}] {name}") for name, pair in table.items()}
         for key, table in tables.items()

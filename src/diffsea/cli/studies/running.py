@@ -5,11 +5,11 @@ import pathlib
 from typing import TYPE_CHECKING
 
 from diffsea.cli import options
-from diffsea.cli.axes import GRID_FORM, RANGE_FORM, axis, by_name, range_of
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
+from diffsea.cli.studies.axes import GRID_FORM, RANGE_FORM, axis, by_name, range_of
 
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _run_battery(args: argparse.Namespace) -> None:
 
 def _run_grid(args: argparse.Namespace) -> None:
     """The mission with every combination of some of its numbers."""
-    from diffsea.designs import Grid
+    from diffsea.simulation.designs import Grid
     from diffsea.workflows.missions import sweep_mission
 
     try:

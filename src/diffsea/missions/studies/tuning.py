@@ -15,20 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.designs import Designs, LatinHypercube
 from diffsea.errors import UserError
 from diffsea.identification.least_squares import iterate_least_squares, value_and_jacobian
-from diffsea.missions.closed_loop_sweep import (
-    common_timing,
-    quicker,
-    run_if_possible,
-)
 from diffsea.missions.numbers import full_names, mission_numbers, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, cost_residuals, performance
 from diffsea.missions.record import Mission
 from diffsea.missions.running import Timing, assemble, closed_loop, noise_for
+from diffsea.missions.studies.sweep import (
+    common_timing,
+    quicker,
+    run_if_possible,
+)
 from diffsea.parameters import Parameter
 from diffsea.progress import PartialProgress, Progress, no_progress
+from diffsea.simulation.designs import Designs, LatinHypercube
 from diffsea.types import Scalar
 
 

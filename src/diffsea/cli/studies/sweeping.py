@@ -6,17 +6,17 @@ import pathlib
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
-from diffsea.cli.axes import GRID_FORM, RANGE_FORM, axis, by_name, number_and_ranges
 from diffsea.cli.grammar import GivenOnce
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, json_text, table
 from diffsea.cli.progress.staged import StagedProgress
+from diffsea.cli.studies.axes import GRID_FORM, RANGE_FORM, axis, by_name, number_and_ranges
 from diffsea.cli.trial import add_trial_command, trial_plan
 from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.designs import DesignSpace
+    from diffsea.simulation.designs import DesignSpace
     from diffsea.studies.parts import Parts
 
 
@@ -63,7 +63,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 def _designs(args: argparse.Namespace) -> "DesignSpace":
     """What `--grid`, `--sample` or `--sobol` asks for; bad usage ends here."""
-    from diffsea.designs import Grid, LatinHypercube, SobolSequence
+    from diffsea.simulation.designs import Grid, LatinHypercube, SobolSequence
 
     if sum(asked is not None for asked in (args.grid, args.sample, args.sobol)) != 1:
         args.usage_error("give either --grid or --sample or --sobol")
@@ -151,7 +151,7 @@ def _do_parts(args: argparse.Namespace, designs: "DesignSpace | None" = None) ->
 
 def _write_results(parts: "Parts", out: Outputs) -> dict[str, Any]:
     """The results of all parts; returns the content of sweep.json."""
-    from diffsea.report.pages.studies import sweep_page
+    from diffsea.report.pages.sweep import sweep_page
     from diffsea.report.pictures import save_map
     from diffsea.studies.merging import every_nth, merge, summarise
 

@@ -1,0 +1,1 @@
+"""Commands for designing: `diffsea sweep`, `diffsea sensitivity`, `diffsea run`."""

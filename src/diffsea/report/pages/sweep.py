@@ -1,0 +1,164 @@
+"""Designs of a trial as a page: the numbers over the parameters."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+
+from diffsea.report import plots
+from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, render
+from diffsea.report.pages.campaign import number_unit, number_words
+from diffsea.report.pictures import most_informative
+from diffsea.report.quantities import for_people, significant
+from diffsea.report.words import Record, enumeration
+
+
+SHOWN_NUMBERS = 6  # of a trial, the most informative ones, that are drawn
+NO_INFLUENCE = 1e-6  # of a number: rounding, and how steady an approach is
+DRAWN_DESIGNS = 4000  # of a cloud: more cannot be told apart, and make the page long
+FAILS = "fails the criterion"
+
+
+def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
+    """A sweep: the numbers over the parameters, how many designs meet the criteria.
+
+    Arguments:
+        table: a row for each design, as sweep.parquet has them.
+        summary: the content of sweep.json.
+        source: what was run; shown as it is.
+    """
+    names = list(summary["parameters"])
+    shown = drawn_numbers(table, names)
+    drawn = [number_plot(table, names, number) for number in shown]
+    outcomes = [f"{count} {name}" for name, count in summary["outcomes"].items()]
+    how = "a grid" if _is_grid(table, names) else "a sample"
+    return render(
+        "sections.html.j2",
+        bundle="cartesian",
+        title=f"Designs of {summary['vessel']}",
+        subtitle=f"{summary['manoeuvre']}, {how} over {enumeration(names)}",
+        word="",
+        tone="fit",
+        lead=f"{summary['designs']} designs: {enumeration(outcomes)}.",
+        sentences=[_criterion_sentence(name, found) for name, found in summary["imo"].items()],
+        sections=[
+            Section("Numbers over parameters", how_drawn(table, names), drawn),
+            Section("What was swept", tables=[axis_table(summary["parameters"])]),
+            Section("Numbers", tables=[extent_table(summary["metrics"])]),
+        ],
+        provenance=provenance(source, []),
+    )
+
+
+def drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """The most informative numbers that differ among the designs."""
+    numeric = [str(n) for n in table.select_dtypes("number") if n not in names]
+    values = {name: table[name].dropna() for name in numeric}
+    differing = [n for n, v in values.items() if np.ptp(v) > NO_INFLUENCE * np.abs(v).max()]
+    return most_informative(differing, SHOWN_NUMBERS)
+
+
+def _is_grid(table: pd.DataFrame, names: Sequence[str]) -> bool:
+    counts = [len(set(table[name])) for name in names]
+    return math.prod(counts) == len(table)
+
+
+def how_drawn(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    if len(names) == 1 or (len(names) == 2 and _is_grid(table, names)):
+        return ["Designs that failed, or whose trial has no such number, are left out."]
+    return [
+        "Each number over the parameter that orders it best (Spearman's rank correlation); what "
+        "the others do is the scatter."
+    ]
+
+
+def _criterion_sentence(name: str, found: Mapping[str, int]) -> str:
+    judged = found["pass"] + found["fail"]
+    return (
+        f"{number_words(name)}: {found['pass']} of {judged} meet the criterion of IMO MSC.137(76)."
+    )
+
+
+def number_plot(table: pd.DataFrame, names: Sequence[str], number: str) -> Plot:
+    """One number over the parameters, in the units of people."""
+    unit = for_people(0.0, number_unit(number))[1]
+    label = f"{number_words(number)}{f' ({unit})' if unit else ''}"
+    if len(names) == 2 and _is_grid(table, names):
+        drawn = _map(table, names, number)
+    else:
+        ranks = {name: _rank_correlation(table, name, number) for name in names}
+        drawn = _cloud(table, max(ranks, key=lambda name: ranks[name]), number)
+    drawn.add_annotation(plots.heading(label, 1.0))
+    return Plot(drawn, f"{label} over {enumeration(list(names))}", 330)
+
+
+def _rank_correlation(table: pd.DataFrame, parameter: str, number: str) -> float:
+    """Spearman's rank correlation of a number with a parameter, without its sign."""
+    both = table[[parameter, number]].dropna()
+    if len(both) < 3 or len(set(both[parameter])) < 2:
+        return 0.0
+    return abs(float(np.corrcoef(both.rank().to_numpy().T)[0, 1]))
+
+
+def _scaled(values: Iterable[float], number: str) -> np.ndarray:
+    return for_people(1.0, number_unit(number))[0] * np.asarray(list(values), float)
+
+
+def _map(table: pd.DataFrame, names: Sequence[str], number: str) -> go.Figure:
+    """A heat map over a grid of two parameters; crosses fail the criterion."""
+    surface = table.pivot(index=names[1], columns=names[0], values=number)
+    z = [plots.numbers(_scaled(row, number)) for _, row in surface.iterrows()]
+    x, y = (plots.numbers(axis.to_numpy(float)) for axis in (surface.columns, surface.index))
+    heat = go.Heatmap(x=x, y=y, z=z, colorscale="Viridis", colorbar={"thickness": 12})
+    drawn = plots.figure(heat, showlegend=False)
+    failing = _failing(table, number)
+    if len(failing):
+        marker = {"symbol": "x", "color": plots.NOMINAL, "size": 6}
+        points = [plots.numbers(failing[name].to_numpy(float)) for name in names]
+        drawn.add_scatter(x=points[0], y=points[1], mode="markers", marker=marker, name=FAILS)
+    return drawn.update_layout(xaxis={"title": {"text": names[0]}}, yaxis_title_text=names[1])
+
+
+def _cloud(table: pd.DataFrame, parameter: str, number: str) -> go.Figure:
+    """A point for each design; those that fail the criterion in another colour."""
+    known = table[table[number].notna()].iloc[:: max(1, -(-len(table) // DRAWN_DESIGNS))]
+    failing = _failing(known, number)
+    drawn = plots.figure(showlegend=bool(len(failing)))
+    for part, name, colour in (
+        (known.drop(failing.index), "design", plots.DIAGNOSED),
+        (failing, FAILS, plots.NOMINAL),
+    ):
+        points = (
+            plots.numbers(part[parameter].to_numpy(float)),
+            plots.numbers(_scaled(part[number], number)),
+        )
+        marker = {"color": colour, "size": 5, "opacity": 0.6}
+        drawn.add_scatter(x=points[0], y=points[1], mode="markers", marker=marker, name=name)
+    return drawn.update_layout(xaxis={"title": {"text": f"{parameter} (SI units)"}})
+
+
+def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
+    verdict = f"imo_{number}"
+    return table.loc[table[verdict] == "fail"] if verdict in table else table.iloc[:0]
+
+
+def axis_table(axes: Mapping[str, Record]) -> Table:
+    rows = [
+        [Verbatim(name), significant(axis["from"], 4), significant(axis["to"], 4)]
+        for name, axis in axes.items()
+    ]
+    return Table(["parameter", "from", "to"], rows, "SI units", (1, 2))
+
+
+def extent_table(metrics: Mapping[str, Record]) -> Table:
+    rows = []
+    for name, column in metrics.items():
+        if not column["designs"]:
+            continue
+        scale, unit = for_people(1.0, number_unit(name))
+        ends = [significant(scale * column[key], 3) for key in ("least", "median", "most")]
+        rows.append([number_words(name), *ends, unit, str(column["designs"])])
+    columns = ["number", "least", "median", "most", "unit", "designs that have it"]
+    return Table(columns, rows, numeric=(1, 2, 3, 5))
