@@ -16,10 +16,13 @@ from diffsea.missions.numbers import (
     with_numbers,
     with_numbers_in_file,
 )
-from diffsea.missions.paths import path_offsets
+from diffsea.missions.paths import legs_in_force, path_offsets
 from diffsea.missions.record import Flow
 from diffsea.missions.studies.sweep import closed_loop_sweep
 from diffsea.simulation.designs import Grid
+
+
+LIMITED = {"limits": {"port": [-6.0, 9.0]}}
 
 
 def document(**changes):
@@ -38,13 +41,16 @@ def document(**changes):
     "axes",
     [
         {"lookahead": (3.0, 9.0, 2), "heading.gain": (1.0, 2.5, 2)},
+        {"controller.speed": (0.4, 1.2, 2), "radius": (2.0, 3.0, 2)},
         {"vessel.mass": (55.0, 100.0, 2), "model.X_u": (-90.0, -60.0, 2)},
         {"weather.current.speed": (0.0, 0.4, 2), "controller.speed": (0.8, 1.3, 2)},
     ],
-    ids=["gains", "plant-and-model", "weather-and-speed"],
+    ids=["gains", "slow-ones", "plant-and-model", "weather-and-speed"],
 )
 def test_every_design_is_the_mission_with_its_numbers(axes):
-    mission = mission_of(document())
+    limited = document()
+    limited["controller"] |= LIMITED
+    mission = mission_of(limited)
     found = closed_loop_sweep(mission, Grid(axes)).table
     names = full_names(mission, list(axes))
     assert list(found)[:2] == names and len(found) == 4
@@ -57,6 +63,7 @@ def test_every_design_is_the_mission_with_its_numbers(axes):
         assert row["missed"] == sum(not point["reached"] for point in alone["waypoints"])
         at_limit = max(one["at_limit"] for one in alone["orders"].values())
         assert row["at_limit"] == pytest.approx(at_limit)
+    assert found["at_limit"].max() > 0
 
 
 def test_a_course_is_judged_by_heading_and_speed():
@@ -116,11 +123,15 @@ def test_a_speed_beyond_reach_is_told():
 
 def test_distances_from_a_path_have_derivatives_on_it_and_beyond_its_ends():
     points = jnp.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
-    track = jnp.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [13.0, 4.0], [10.0, 14.0]])
+    track = jnp.array(
+        [[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [13.0, 4.0], [10.0, 14.0], [13.0, 14.0], [7.0, 14.0]]
+    )
     offsets = path_offsets(points, track, 0.5)
-    # On the path twice, 2 m to starboard, then 3 m to port of the second leg and 4 m past its end.
-    np.testing.assert_allclose(np.abs(offsets), [0.0, 0.0, 2.0, 3.0, 4.0], atol=1e-12)
-    assert offsets[2] > 0 > offsets[3]
+    # On the path twice, 2 m to starboard, 3 m to port of the second leg, which begins abeam of the
+    # corner; then past its end straight ahead, to port and to starboard.
+    np.testing.assert_allclose(np.abs(offsets), [0.0, 0.0, 2.0, 3.0, 4.0, 5.0, 5.0], atol=1e-12)
+    assert offsets[2] > 0 > offsets[3] and offsets[6] > 0 > offsets[5]
+    assert legs_in_force(points, track, 0.5).tolist() == [0, 0, 0, 1, 1, 1, 1]
     slopes = jax.jacfwd(lambda track: path_offsets(points, track, 0.5))(track)
     assert bool(jnp.all(jnp.isfinite(slopes)))
     assert slopes[2, 2].tolist() == [0.0, 1.0] and slopes[3, 3].tolist() == [-1.0, 0.0]

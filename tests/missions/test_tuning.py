@@ -73,6 +73,7 @@ def test_tuning_finds_the_least_cost_of_a_grid_from_afar():
     found = tune(mission, ranges, starts=2, effort=0.05)
     assert found.after["controller.heading.gain"] != found.before["controller.heading.gain"]
     best = min(found.starts, key=lambda one: one.cost)
+    assert found.after == best.found
     assert best.cost < min(one.cost_before for one in found.starts)
     # The cost of a grid, by the runs alone: mean squares of errors and of changes of orders.
     grid = closed_loop_sweep(mission, Grid({"heading.gain": (0.2, 4.0, 20)})).table
