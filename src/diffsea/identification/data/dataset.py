@@ -20,12 +20,15 @@ from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.coordinates import TimeSpan
+from diffsea.vessel.servo import ORDERS_PER_STEP
 
 
 SEPARATION = 1e4  # s from run to run on the data set's clock, at least: beyond any delay
-LONGEST_STEP = 0.3  # of sqrt(L / g): integration and thinning blur nothing of the motion
+STEP = 0.3  # of sqrt(L / g), that rows are thinned to: it blurs nothing of the motion
+LONGEST_STEP = 0.45  # of sqrt(L / g), that is integrated in one: thinning comes as near as this
 LONGEST_GAP = 3.0  # usual rows, or sqrt(L / g) where longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
+ORDERS_PER_ROW = ORDERS_PER_STEP - 1  # that a servo can begin to follow within one row
 LEAST_ROWS = 10  # of a run: with fewer nothing can be estimated
 LONGEST_DELAY = 1.5  # of a channel, in sqrt(L / g), within which its past state is known
 FIRST_VALUES = 20  # of a position, from which a first velocity is estimated
@@ -41,6 +44,7 @@ class DatasetShape(NamedTuple):
     runs: int = 0
     steps: int = 0
     batches: int = 0
+    orders_within_rows: bool = False
 
     def both(self, other: "DatasetShape") -> "DatasetShape":
         """The larger of each number."""
@@ -64,12 +68,13 @@ class Dataset(eqx.Module):
     heel: Float[Array, "row"]  # rad, as predicted from before; zero where none was recorded
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
-    order_times: Float[Array, "order"]  # s, with one order long before each run
+    order_times: dict[str, Float[Array, "order"]]  # s, with one order long before each run
     order_values: dict[str, Float[Array, "order"]]
     batches: BatchLayout
     runs: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
     memory: int = eqx.field(static=True)  # rows that delayed channels may reach back
+    orders_within_rows: bool = eqx.field(static=True)  # whether any is given within a row
 
     @property
     def recorded_rows(self) -> Bool[np.ndarray, "row"]:
@@ -111,7 +116,7 @@ class Dataset(eqx.Module):
     @property
     def shape(self) -> DatasetShape:
         """The numbers that its compiled programs depend on."""
-        return DatasetShape(self.t.size, self.runs, *self.batches.shape)
+        return DatasetShape(self.t.size, self.runs, *self.batches.shape, self.orders_within_rows)
 
 
 def merge_spans(spans: Iterable[TimeSpan]) -> list[TimeSpan]:
@@ -130,9 +135,9 @@ def make_dataset(
 ) -> Dataset:
     """Lay recordings on a data set of at least this shape, spare rows and runs empty.
 
-    Recordings sampled much faster than the vessel moves are thinned to 0.3 sqrt(L / g), all
+    Recordings sampled much faster than the vessel moves are thinned to about 0.3 sqrt(L / g), all
     rows that hold a slowly sampled channel kept; over the rows between, orders and measured
-    actuation are averaged.
+    actuation are averaged. A servo meets orders at their own times, as `_orders_given` has them.
 
     Raises:
         UserError: a recording lacks a channel's orders, or has fewer than ten rows.
@@ -157,20 +162,31 @@ def make_dataset(
 
     channels = vessel.channels
     measured = [c for c in channels if all(c in run.executed for run in runs)]
-    order_times, order_values = _order_table(runs, channels, used + spare + count)
+    room = ORDERS_PER_ROW * (used + spare) + count
+    tables = {c: _order_table(runs, c, room) for c in channels}
     whole = np.concatenate([run.columns["run"] for run in runs])
     return Dataset(
         **{name: lay_out(run.columns[name] for run in runs) for name in runs[0].columns},
         orders={c: lay_out(run.orders[c] for run in runs) for c in channels},
         executed={c: lay_out(run.executed[c] for run in runs) for c in measured},
-        order_times=order_times,
-        order_values=order_values,
+        order_times={c: times for c, (times, _) in tables.items()},
+        order_values={c: values for c, (_, values) in tables.items()},
         batches=batch_layout(whole, used + spare, (least.steps, least.batches)),
         runs=count,
         substeps=max(1, math.ceil(longest / (LONGEST_STEP * time) - 1e-9)),
         # Eight or sixteen, so that programs are shared.
         memory=8 if LONGEST_DELAY * time <= 8 * longest else 16,
+        orders_within_rows=least.orders_within_rows
+        or any(given.within_rows for run in runs for given in run.given.values()),
     )
+
+
+class _Orders(NamedTuple):
+    """When a channel is given which orders: each holds until the next."""
+
+    t: Float[np.ndarray, "order"]  # s since the run's first row
+    value: Float[np.ndarray, "order"]
+    within_rows: bool  # whether any is given between two rows
 
 
 class _RunRows(NamedTuple):
@@ -179,6 +195,7 @@ class _RunRows(NamedTuple):
     columns: dict[str, np.ndarray]
     orders: dict[str, Float[np.ndarray, "row"]]
     executed: dict[str, Float[np.ndarray, "row"]]
+    given: dict[str, _Orders]
 
 
 def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows:
@@ -190,7 +207,7 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
             "least ten, better a whole manoeuvre"
         )
     time = time_scale(float(vessel.rigid_body.length))
-    every = max(1, int(LONGEST_STEP * time / median_interval(t) * (1 + 1e-9)))
+    every = _rows_in_one(median_interval(t) / time)
     # One row in so many, and those with a value of a channel that is sampled slowly.
     given = np.isfinite(motion)
     slow = (given.sum(0) * every < 1.5 * len(given)) & (every > 1)
@@ -226,7 +243,15 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         {c: _means_of_rows(all_times, one, keep) for c, one in by_channel.items()}
         for by_channel in (orders, executed)
     )
-    return _RunRows(columns, *actuation)
+    as_given = {c: _orders_given(all_times, one, keep) for c, one in orders.items()}
+    return _RunRows(columns, *actuation, as_given)
+
+
+def _rows_in_one(step: float) -> int:
+    """How many rows (each a `step` of sqrt(L / g)) make one that is nearest to `STEP`."""
+    fewer = max(1, int(STEP / step * (1 + 1e-9)))
+    more = (fewer + 1) * step
+    return fewer + 1 if more <= LONGEST_STEP and more / STEP < STEP / (fewer * step) else fewer
 
 
 def _means_of_rows(
@@ -270,16 +295,33 @@ def _first_state(
     return first
 
 
+def _orders_given(
+    t: Float[np.ndarray, "time"], series: Float[np.ndarray, "time"], keep: Int[np.ndarray, "row"]
+) -> _Orders:
+    """Orders as they change; where they do so three times in a kept row, means over its thirds."""
+    changes = np.flatnonzero(np.append(True, np.diff(series) != 0))
+    row = np.searchsorted(keep, changes, side="right") - 1
+    busy = np.bincount(row, minlength=len(keep)) >= ORDERS_PER_ROW
+    length = np.diff(np.append(keep, len(t)))
+    thirds = [keep + length * part // ORDERS_PER_ROW for part in range(1, ORDERS_PER_ROW)]
+    parts = np.unique(np.concatenate([keep, changes[~busy[row]], *(at[busy] for at in thirds)]))
+    held = np.maximum.reduceat(series, parts) == np.minimum.reduceat(series, parts)
+    values = np.where(held, series[parts], _means_of_rows(t, series, parts))
+    new = np.append(True, np.diff(values) != 0)
+    at = parts[new]
+    return _Orders(t[at] - t[0], values[new], not np.isin(at, keep).all())
+
+
 def _order_table(
-    runs: list[_RunRows], channels: tuple[str, ...], length: int
-) -> tuple[Float[np.ndarray, "order"], dict[str, Float[np.ndarray, "order"]]]:
-    """Times (s) and values of all orders, the first one of each run also long before it."""
-    times = [run.columns["t"] for run in runs]
-    filled = np.concatenate([np.append(t[0] - 0.5 * SEPARATION, t) for t in times])
-    values = {
-        c: np.concatenate([np.append(r.orders[c][0], r.orders[c]) for r in runs]) for c in channels
-    }
+    runs: list[_RunRows], channel: str, length: int
+) -> tuple[Float[np.ndarray, "order"], Float[np.ndarray, "order"]]:
+    """Times (s) and values of a channel's orders, the first one of each run also long before it."""
+    times, values = [], []
+    for run in runs:
+        begin, orders = run.columns["t"][0], run.given[channel]
+        times.append(np.append(begin - 0.5 * SEPARATION, begin + orders.t))
+        values.append(np.append(orders.value[0], orders.value))
+    filled = np.concatenate(times)
     spare = length - len(filled)
     late = filled[-1] + SEPARATION * np.arange(1, spare + 1)
-    padded = {c: np.pad(v, (0, spare), mode="edge") for c, v in values.items()}
-    return np.append(filled, late), padded
+    return np.append(filled, late), np.pad(np.concatenate(values), (0, spare), mode="edge")

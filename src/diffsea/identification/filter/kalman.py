@@ -125,7 +125,8 @@ def _actuator_response(vessel: Vessel, channel: str, dataset: Dataset) -> Respon
         return Response(*[jax.vmap(servo.target)(orders)] * 4)
 
     # Which orders fall into a row does not depend on the rows before: found for all at once.
-    history = OrderHistory(dataset.order_times, dataset.order_values[channel])
+    servo = servo.with_delay() if dataset.orders_within_rows else servo
+    history = OrderHistory(dataset.order_times[channel], dataset.order_values[channel])
     dt = servo.usable_length(dataset.dt)
     given = servo.order_segments(history, dataset.t, dt) if servo.delay is not None else None
 

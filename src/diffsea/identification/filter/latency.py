@@ -20,7 +20,6 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import change_servos
-from diffsea.vessel.servo import Servo
 
 
 BEFORE_RUN_STEP = 0.1  # s from row to row of the history that is made up before a run
@@ -128,10 +127,6 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
     late = clock.late(dataset.run_time)
     t = dataset.t - late
 
-    def with_delay(servo: Servo, _: eqx.Module) -> Servo:
-        """With a delay, of zero where there is none: orders change within rows."""
-        return servo if servo.delay is not None else dataclasses.replace(servo, delay=0.0)
-
     moved = dataclasses.replace(
         dataset,
         t=t,
@@ -142,5 +137,5 @@ def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Data
         },
     )
     right = dataclasses.replace(vessel.sensors, clock=None)
-    vessel = change_servos(vessel, vessel.channels, with_delay)
+    vessel = change_servos(vessel, vessel.channels, lambda servo, _: servo.with_delay())
     return dataclasses.replace(vessel, sensors=right), moved

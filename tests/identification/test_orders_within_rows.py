@@ -1,0 +1,89 @@
+"""Recordings that are sampled fast are thinned; a servo still meets every order at its time."""
+
+import copy
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+
+from diffsea import Trajectory
+from diffsea.identification.coordinates import vessel_at
+from diffsea.identification.filter.kalman import filter_rows
+from diffsea.identification.problem import make_problem
+from diffsea.vessel.files import build
+
+
+STEP = 0.02  # s
+LAG = 0.4  # s
+
+
+def recording(orders: dict[str, np.ndarray]) -> Trajectory:
+    """At rest, whatever is ordered."""
+    t = STEP * np.arange(len(next(iter(orders.values()))))
+    rest = np.zeros(t.size)
+    return Trajectory(t, *[rest] * 6, orders, {}, {}, np.ones(t.size, bool))
+
+
+def executed(orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) of the rows that a data set has, and what the port thruster has reached there."""
+    document = copy.deepcopy(load(str(ORACLE / "usv.toml")))
+    for thruster in document["thruster"]:
+        thruster["time_constant"] = LAG
+    run = recording({"port": orders, "starboard": np.zeros(orders.size)})
+    problem = make_problem(build(document), [run], ("X_u",))
+    vessel, flows = vessel_at(problem.base, problem.layout, jnp.zeros(problem.layout.size))
+    found = filter_rows(vessel, flows, problem.dataset)
+    rows = np.asarray(problem.dataset.recorded_rows)
+    ends = np.asarray(found.run_time + found.dt)[rows]
+    return ends[:-1], np.asarray(found.response["port"].final)[rows][:-1]
+
+
+def lagged(orders: np.ndarray) -> np.ndarray:
+    """What a lag makes of orders, by its exact solution from sample to sample."""
+    out, reached = [], orders[0]
+    for order in orders:
+        out.append(reached)
+        reached = order + (reached - order) * np.exp(-STEP / LAG)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("late", range(1, 8))
+def test_a_step_between_rows_acts_from_its_own_time_on(late):
+    orders = np.where(np.arange(400) < 100 + late, 0.0, 50.0)
+    t, reached = executed(orders)
+    assert len(t) < 100  # thinned
+    np.testing.assert_allclose(reached, lagged(orders)[np.rint(t / STEP).astype(int)], atol=1e-9)
+
+
+def test_two_steps_in_one_row_are_both_met():
+    orders = np.zeros(400)
+    orders[203:205] = 50.0
+    t, reached = executed(orders)
+    np.testing.assert_allclose(reached, lagged(orders)[np.rint(t / STEP).astype(int)], atol=1e-9)
+
+
+def test_of_orders_that_never_rest_the_means_are_met():
+    """Thirds of a row, a few hundredths of a second, against a lag of 0.4 s."""
+    orders = np.random.default_rng(3).normal(20.0, 10.0, 400)
+    orders[:20] = 20.0
+    t, reached = executed(orders)
+    exact = lagged(orders)[np.rint(t / STEP).astype(int)]
+    assert np.abs(reached - exact).max() < 1.0
+    assert np.abs(reached - exact).mean() < 0.1 * np.std(exact)
+
+
+@pytest.mark.parametrize(
+    ("of_time", "rows"), [(0.16, 2), (0.18, 2), (0.21, 2), (0.23, 1), (0.3, 1), (0.5, 1), (0.06, 5)]
+)
+def test_thinning_comes_as_near_to_the_pace_of_the_vessel_as_rows_allow(of_time, rows):
+    """Both neighbours of 0.3 sqrt(L / g) are as far from it by their ratio at sqrt(1 / 2)."""
+    document = load(str(ORACLE / "usv.toml"))
+    step = of_time * np.sqrt(build(document).rigid_body.length / 9.81)
+    t = step * np.arange(300)
+    rest, orders = np.zeros(t.size), {name: np.zeros(t.size) for name in ("port", "starboard")}
+    run = Trajectory(t, *[rest] * 6, orders, {}, {}, np.ones(t.size, bool))
+    problem = make_problem(build(document), [run], ("X_u",))
+    assert int(problem.dataset.recorded_rows.sum()) == -(-300 // rows)
+    assert problem.dataset.substeps == (2 if of_time > 0.45 else 1)
