@@ -26,11 +26,13 @@ def recording(orders: dict[str, np.ndarray]) -> Trajectory:
     return Trajectory(t, *[rest] * 6, orders, {}, {}, np.ones(t.size, bool))
 
 
-def executed(orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def executed(orders: np.ndarray, delay: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) of the rows that a data set has, and what the port thruster has reached there."""
     document = copy.deepcopy(load(str(ORACLE / "usv.toml")))
     for thruster in document["thruster"]:
         thruster["time_constant"] = LAG
+        if delay:
+            thruster["delay"] = delay
     run = recording({"port": orders, "starboard": np.zeros(orders.size)})
     problem = make_problem(build(document), [run], ("X_u",))
     vessel, flows = vessel_at(problem.base, problem.layout, jnp.zeros(problem.layout.size))
@@ -55,6 +57,16 @@ def test_a_step_between_rows_acts_from_its_own_time_on(late):
     t, reached = executed(orders)
     assert len(t) < 100  # thinned
     np.testing.assert_allclose(reached, lagged(orders)[np.rint(t / STEP).astype(int)], atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [1, 3, 8, 31])
+def test_delayed_orders_do_too(delay):
+    """Orders that change at random instants, three in two rows at most."""
+    rng = np.random.default_rng(delay)
+    orders = np.repeat(rng.normal(20.0, 10.0, 100), rng.integers(6, 20, 100))
+    t, reached = executed(orders, delay * STEP)
+    late = np.concatenate([np.full(delay, orders[0]), orders])
+    np.testing.assert_allclose(reached, lagged(late)[np.rint(t / STEP).astype(int)], atol=1e-9)
 
 
 def test_two_steps_in_one_row_are_both_met():

@@ -132,8 +132,8 @@ def _actuator_response(vessel: Vessel, channel: str, dataset: Dataset) -> Respon
 
     def body(executed: Scalar, row: tuple) -> tuple[Scalar, Response]:
         starts, order, dt, given = row
-        executed = jnp.where(starts, servo.target(order), executed)
         breaks, values = ([0.0, 1.0], [order]) if given is None else given
+        executed = jnp.where(starts, servo.target(values[0]), executed)
         response = servo.respond_to(executed, breaks, values, dt)
         return response.final, response
 
