@@ -23,12 +23,15 @@ from diffsea.statistics import autocorrelation, long_run_covariance
 
 
 ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
-NOISE_STEPS = 1  # of Fisher scoring in one round
+NOISE_STEPS = 1  # of the search for the noise in one round: more would take for noise what is
+MORE_NOISE_STEPS = 4  # a parameter's; and where the noise gains more than parameters do
 FIRST_NOISE_STEPS = 15  # and in the first one
 NOISE_ROUNDS = 5  # of noise alone
 STEP_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a Gauss-Newton step, tried one after the other
 LEAST_GAIN = 0.05  # of -2 log posterior, below which a round is the last: no error shows it
 RELATIVE_GAIN = 1e-6  # likewise, of its value: rounding of a long recording's sum
+LINE_STEP = 0.5  # standard errors to both sides, by which a parabola is laid
+LINE_REACH = 3.0  # of them that its vertex may be away
 RESTARTS = 2  # of a fit that stalled
 RESTART_DISTANCE = 2.0  # standard errors that it starts from its end
 STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard error away
@@ -105,11 +108,12 @@ def estimate(
         if current_budget().skips("rounds of a fit"):
             outcome = FitOutcome.OUT_OF_TIME
             break
-        last, taken = now.deviance, steps
+        last, taken, by_noise = now.deviance, steps, 0.0
         if not fixed_noise:
             better = refine_noise(now.run, times, now.noise, problem.prior, steps)
             there = filter_at(problem, now.coordinates, better)
             now = there if there.better_than(now) else now
+        by_noise = last - now.deviance
         before, target = now.coordinates, now.coordinates.copy()
         inputs = residual_inputs(problem, now.run.gains, before, index)
         target[index] = fit_coordinates(inputs, before[index])
@@ -125,14 +129,51 @@ def estimate(
         progress(PartialProgress(message, (number + 1) / rounds))
         gained = last - now.deviance
         settled = abs(gained) < LEAST_GAIN + RELATIVE_GAIN * abs(now.deviance)
-        if settled and (fixed_noise or taken > NOISE_STEPS):
-            outcome = FitOutcome.CONVERGED
-            break
+        if settled and (fixed_noise or taken == FIRST_NOISE_STEPS):
+            there = now
+            if refused.any() and not fixed_noise:
+                there = line_minima(problem, now, index, refused)
+                refused = np.zeros(len(index))
+            if not now.deviance - there.deviance > LEAST_GAIN:
+                outcome = FitOutcome.CONVERGED
+                break
+            now = there
         # Noise creeps along flat directions: a fit is at its end where many steps gain nothing.
-        steps = FIRST_NOISE_STEPS if settled else NOISE_STEPS
+        more = MORE_NOISE_STEPS if by_noise > 0.5 * gained else NOISE_STEPS
+        steps = FIRST_NOISE_STEPS if settled else more
     else:
         progress(f"the fit is not at its end after {rounds} steps")
     return _with_covariance(problem, free, now, index, path, outcome, refused)
+
+
+def line_minima(
+    problem: Problem, now: FilteredPoint, index: FreeIndex, refused: Float[np.ndarray, "free"]
+) -> FilteredPoint:
+    """The point after one search along each principal axis of the posterior, by parabolas.
+
+    A step with the gains held fixed neglects how they change with the coordinates: where a step
+    that promised something was `refused`, what the filter itself says leads on.
+    """
+    J = linearise(problem, now.run.gains, now.coordinates, index).jacobian
+    if not refused @ J.T @ J @ refused > LEAST_GAIN:
+        return now
+    values, axes = np.linalg.eigh(J.T @ J)
+
+    def along(axis: Float[np.ndarray, "free"], errors: float) -> FilteredPoint:
+        there = now.coordinates.copy()
+        there[index] += errors * axis
+        return filter_at(problem, there, now.noise)
+
+    for axis in (axes / np.sqrt(values)).T:
+        tried = [along(axis, -LINE_STEP), along(axis, LINE_STEP)]
+        below, above = (one.deviance for one in tried)
+        bend = (above + below - 2 * now.deviance) / LINE_STEP**2
+        if bend > 0:
+            vertex = (below - above) / (2 * LINE_STEP * bend)
+            tried.append(along(axis, float(np.clip(vertex, -LINE_REACH, LINE_REACH))))
+        for there in tried:
+            now = there if there.better_than(now) else now
+    return now
 
 
 def estimate_surely(

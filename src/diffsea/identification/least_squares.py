@@ -29,10 +29,22 @@ ResidualAndJacobian = Callable[[Array, Any], tuple[Array, Array]]
 REJECTED_SHARE = 1e-3  # of the tolerance: where such steps are rejected, it is at a kink
 
 
-def value_and_jacobian(function: Callable[[Array], Any], at: Float[Array, "n"]) -> tuple[Any, Any]:
-    """A function's value, calculated once, and its derivatives along each coordinate, last axis."""
+def value_and_jacobian(
+    function: Callable[[Array], Any], at: Float[Array, "n"], at_once: int | None = None
+) -> tuple[Any, Any]:
+    """A function's value and its derivatives along each coordinate, last axis.
+
+    All derivatives are found together and the value once; or as many `at_once` as divide n.
+    """
     along = lambda direction: jax.jvp(function, (at,), (direction,))
-    return jax.vmap(along, out_axes=(None, -1))(jnp.eye(at.size))
+    together = jax.vmap(along, out_axes=(None, -1))
+    if at_once is None:
+        return together(jnp.eye(at.size))
+    groups = jnp.eye(at.size).reshape(-1, at_once, at.size)
+    values, slopes = jax.lax.map(together, groups)
+    value = jax.tree.map(lambda of_groups: of_groups[0], values)
+    joined = lambda of_groups: jnp.concatenate(jnp.unstack(of_groups), axis=-1)
+    return value, jax.tree.map(joined, slopes)
 
 
 class LeastSquaresPoint(NamedTuple):

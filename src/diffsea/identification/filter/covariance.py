@@ -123,7 +123,7 @@ def measurement_update(
         h = jnp.where(known, h, 0.0)
         Ph = jnp.sum(P * h, axis=1)
         now, since = jnp.sum(h * Ph), late * jnp.sum(h * jnp.sum(Q * h, axis=1))
-        old = jnp.where(since > 0, now / (now + since), 1.0)
+        old = jnp.where(since > 0, now / jnp.where(since > 0, now + since, 1.0), 1.0)
         noise = noise / old
         s = jnp.where(known, now + noise, 1.0)
         fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C, axis=0), 0.0)
