@@ -239,12 +239,12 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         "first": np.stack(firsts)[part],
         "heel": _means_of_rows(all_times, predicted_heel(recording), keep),
     }
-    actuation = (
-        {c: _means_of_rows(all_times, one, keep) for c, one in by_channel.items()}
-        for by_channel in (orders, executed)
+    return _RunRows(
+        columns,
+        {c: _means_of_rows(all_times, one, keep) for c, one in orders.items()},
+        {c: _means_of_rows(all_times, one, keep) for c, one in executed.items()},
+        {c: _orders_given(all_times, one, keep) for c, one in orders.items()},
     )
-    as_given = {c: _orders_given(all_times, one, keep) for c, one in orders.items()}
-    return _RunRows(columns, *actuation, as_given)
 
 
 def _rows_in_one(step: float) -> int:
