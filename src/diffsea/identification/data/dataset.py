@@ -14,21 +14,26 @@ from jaxtyping import Array, Bool, Float, Int
 from diffsea.errors import UserError
 from diffsea.identification.data.batching import BatchLayout, batch_layout
 from diffsea.identification.data.heel import predicted_heel
+from diffsea.identification.data.orders import (
+    ORDERS_PER_ROW,
+    SEPARATION,
+    GivenOrders,
+    means_of_rows,
+    order_table,
+    orders_given,
+)
 from diffsea.scales import time_scale
 from diffsea.series import median_interval
 from diffsea.simulation.actuation import over_rows, recorded_actuation
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.coordinates import TimeSpan
-from diffsea.vessel.servo import ORDERS_PER_STEP
 
 
-SEPARATION = 1e4  # s from run to run on the data set's clock, at least: beyond any delay
 STEP = 0.3  # of sqrt(L / g), that rows are thinned to: it blurs nothing of the motion
 LONGEST_STEP = 0.45  # of sqrt(L / g), that is integrated in one: thinning comes as near as this
 LONGEST_GAP = 3.0  # usual rows, or sqrt(L / g) where longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
-ORDERS_PER_ROW = ORDERS_PER_STEP - 1  # that a servo can begin to follow within one row
 LEAST_ROWS = 10  # of a run: with fewer nothing can be estimated
 LONGEST_DELAY = 1.5  # of a channel, in sqrt(L / g), within which its past state is known
 FIRST_VALUES = 20  # of a position, from which a first velocity is estimated
@@ -137,7 +142,7 @@ def make_dataset(
 
     Recordings sampled much faster than the vessel moves are thinned to about 0.3 sqrt(L / g), all
     rows that hold a slowly sampled channel kept; over the rows between, orders and measured
-    actuation are averaged. A servo meets orders at their own times, as `_orders_given` has them.
+    actuation are averaged. A servo meets orders at their own times, as `orders_given` has them.
 
     Raises:
         UserError: a recording lacks a channel's orders, or has fewer than ten rows.
@@ -163,7 +168,11 @@ def make_dataset(
     channels = vessel.channels
     measured = [c for c in channels if all(c in run.executed for run in runs)]
     room = ORDERS_PER_ROW * (used + spare) + count
-    tables = {c: _order_table(runs, c, room) for c in channels}
+    begins = [float(run.columns["t"][0]) for run in runs]
+    tables = {
+        c: order_table(zip(begins, (run.given[c] for run in runs), strict=True), room)
+        for c in channels
+    }
     whole = np.concatenate([run.columns["run"] for run in runs])
     return Dataset(
         **{name: lay_out(run.columns[name] for run in runs) for name in runs[0].columns},
@@ -181,21 +190,13 @@ def make_dataset(
     )
 
 
-class _Orders(NamedTuple):
-    """When a channel is given which orders: each holds until the next."""
-
-    t: Float[np.ndarray, "order"]  # s since the run's first row
-    value: Float[np.ndarray, "order"]
-    within_rows: bool  # whether any is given between two rows
-
-
 class _RunRows(NamedTuple):
     """The rows of one run: columns of a `Dataset` by name, orders and actuation by channel."""
 
     columns: dict[str, np.ndarray]
     orders: dict[str, Float[np.ndarray, "row"]]
     executed: dict[str, Float[np.ndarray, "row"]]
-    given: dict[str, _Orders]
+    given: dict[str, GivenOrders]
 
 
 def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows:
@@ -237,13 +238,13 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
         "run": np.full(len(t), number),
         "starts": starts,
         "first": np.stack(firsts)[part],
-        "heel": _means_of_rows(all_times, predicted_heel(recording), keep),
+        "heel": means_of_rows(all_times, predicted_heel(recording), keep),
     }
     return _RunRows(
         columns,
-        {c: _means_of_rows(all_times, one, keep) for c, one in orders.items()},
-        {c: _means_of_rows(all_times, one, keep) for c, one in executed.items()},
-        {c: _orders_given(all_times, one, keep) for c, one in orders.items()},
+        {c: means_of_rows(all_times, one, keep) for c, one in orders.items()},
+        {c: means_of_rows(all_times, one, keep) for c, one in executed.items()},
+        {c: orders_given(all_times, one, keep) for c, one in orders.items()},
     )
 
 
@@ -252,22 +253,6 @@ def _rows_in_one(step: float) -> int:
     fewer = max(1, int(STEP / step * (1 + 1e-9)))
     more = (fewer + 1) * step
     return fewer + 1 if more <= LONGEST_STEP and more / STEP < STEP / (fewer * step) else fewer
-
-
-def _means_of_rows(
-    t: Float[np.ndarray, "time"], series: Float[np.ndarray, "time"], keep: Int[np.ndarray, "row"]
-) -> Float[np.ndarray, "row"]:
-    """Mean of a held series from each kept row to the next.
-
-    The first value would be late by half a row wherever an order moves between rows, and the
-    vessel would seem to act before it.
-    """
-    if len(keep) == len(t):
-        return series
-    length = np.append(np.diff(t), 0.0)
-    total = np.add.reduceat(series * length, keep)
-    span = np.add.reduceat(length, keep)
-    return np.where(span > 0, total / np.where(span > 0, span, 1.0), series[keep])
 
 
 def _first_state(
@@ -293,35 +278,3 @@ def _first_state(
         first[3] = np.cos(first[2]) * north + np.sin(first[2]) * east
         first[4] = np.cos(first[2]) * east - np.sin(first[2]) * north
     return first
-
-
-def _orders_given(
-    t: Float[np.ndarray, "time"], series: Float[np.ndarray, "time"], keep: Int[np.ndarray, "row"]
-) -> _Orders:
-    """Orders as they change; where they do so three times in a kept row, means over its thirds."""
-    changes = np.flatnonzero(np.append(True, np.diff(series) != 0))
-    row = np.searchsorted(keep, changes, side="right") - 1
-    busy = np.bincount(row, minlength=len(keep)) >= ORDERS_PER_ROW
-    length = np.diff(np.append(keep, len(t)))
-    thirds = [keep + length * part // ORDERS_PER_ROW for part in range(1, ORDERS_PER_ROW)]
-    parts = np.unique(np.concatenate([keep, changes[~busy[row]], *(at[busy] for at in thirds)]))
-    held = np.maximum.reduceat(series, parts) == np.minimum.reduceat(series, parts)
-    values = np.where(held, series[parts], _means_of_rows(t, series, parts))
-    new = np.append(True, np.diff(values) != 0)
-    at = parts[new]
-    return _Orders(t[at] - t[0], values[new], not np.isin(at, keep).all())
-
-
-def _order_table(
-    runs: list[_RunRows], channel: str, length: int
-) -> tuple[Float[np.ndarray, "order"], Float[np.ndarray, "order"]]:
-    """Times (s) and values of a channel's orders, the first one of each run also long before it."""
-    times, values = [], []
-    for run in runs:
-        begin, orders = run.columns["t"][0], run.given[channel]
-        times.append(np.append(begin - 0.5 * SEPARATION, begin + orders.t))
-        values.append(np.append(orders.value[0], orders.value))
-    filled = np.concatenate(times)
-    spare = length - len(filled)
-    late = filled[-1] + SEPARATION * np.arange(1, spare + 1)
-    return np.append(filled, late), np.pad(np.concatenate(values), (0, spare), mode="edge")
