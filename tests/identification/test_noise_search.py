@@ -1,0 +1,93 @@
+"""Where the search for noise and the last steps of a fit end, against optimisers of SciPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
+
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.kalman import first_variance
+from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, rerun_linearised
+from diffsea.identification.fit import estimate, filter_at, line_minima
+from diffsea.identification.problem import make_problem
+from diffsea.vessel.files import build
+
+
+FREE = ("X_u", "Y_v", "N_r")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A boat whose orders act late, which its model does not know: innovations are not white."""
+    document = load(str(ORACLE / "usv.toml"))
+    effects = {"thrust-delay": {"delay": 0.4, "actuators": ["port", "starboard"]}}
+    runs = [random_steps(document, seed, 60.0, 0.25, effects) for seed in (4, 5)]
+    return make_problem(build(document), runs, FREE)
+
+
+@pytest.fixture(scope="module")
+def found(problem):
+    return estimate(problem, FREE)
+
+
+@pytest.fixture(scope="module")
+def search(problem, found):
+    """A run of the filter, its rows, and its deviance by the scales of the noise, x and y alike."""
+    data = problem.dataset
+    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    _, noise = problem.start()
+    run = problem.run_filter(found.coordinates, noise)
+
+    @jax.jit
+    def deviance(free: jax.Array) -> jax.Array:
+        log = jnp.insert(free, 10, free[9])
+        white, variance = rerun_linearised(run, times, Noise.of(log))
+        off = (log - problem.prior.mean) / problem.prior.spread
+        return jnp.sum(white**2) + jnp.sum(jnp.log(variance)) + jnp.sum(off**2)
+
+    return run, times, noise, deviance
+
+
+def free_of(noise: Noise) -> np.ndarray:
+    return np.delete(np.asarray(noise.scales), 10)
+
+
+def test_many_steps_end_where_another_optimiser_does(problem, search):
+    run, times, noise, deviance = search
+    prior = problem.prior
+    bounds = np.delete(np.stack([prior.lowest, prior.highest], 1), 10, axis=0)
+    best = minimize(
+        jax.value_and_grad(deviance), free_of(noise), jac=True, method="L-BFGS-B", bounds=bounds,
+        options={"maxiter": 500, "ftol": 1e-14},
+    )  # fmt: skip
+    before, after = (
+        float(deviance(free_of(at))) for at in (noise, refine_noise(run, times, noise, prior, 15))
+    )
+    assert before - best.fun > 100
+    assert after - best.fun < 1.0
+
+
+def test_each_step_gains(problem, search):
+    run, times, noise, deviance = search
+    ends = [
+        float(deviance(free_of(refine_noise(run, times, noise, problem.prior, steps))))
+        for steps in (1, 2, 4, 8)
+    ]
+    assert np.all(np.diff([float(deviance(free_of(noise))), *ends]) <= 0)
+    assert ends[1] < ends[0] - 1.0
+
+
+def test_lines_lead_on_where_a_step_was_refused(problem, found):
+    """From two standard errors away along no principal axis, nearly to where the fit ended."""
+    index, away = found.index, 2 * found.stds * np.array([1.0, -1.0, 1.0])
+    there = found.coordinates.copy()
+    there[index] += away
+    now = filter_at(problem, there, found.noise)
+    assert now.deviance - found.deviance > 4
+    led = line_minima(problem, now, index, away)
+    assert led.deviance - found.deviance < 0.1
+    assert line_minima(problem, now, index, 1e-3 * found.stds) is now
