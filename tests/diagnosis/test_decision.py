@@ -63,6 +63,8 @@ def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
         best, motion=dataclasses.replace(harm, worse={20.0: ChanceOfLoss(0.9, 1.0)})
     )
     assert decide(listed(chance, near), None) is chance
+    little = dataclasses.replace(best, motion=dataclasses.replace(harm, ratio={20.0: 1.09}))
+    assert decide(listed(little, near), None) is little
 
 
 def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
