@@ -12,6 +12,7 @@ from diffsea import Trajectory
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.filter.kalman import filter_rows
 from diffsea.identification.problem import make_problem
+from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
@@ -19,11 +20,13 @@ STEP = 0.02  # s
 LAG = 0.4  # s
 
 
-def recording(orders: dict[str, np.ndarray]) -> Trajectory:
+def recording(orders: dict[str, np.ndarray], step: float = STEP) -> Trajectory:
     """At rest, whatever is ordered."""
-    t = STEP * np.arange(len(next(iter(orders.values()))))
-    rest = np.zeros(t.size)
-    return Trajectory(t, *[rest] * 6, orders, {}, {}, np.ones(t.size, bool))
+    t = step * np.arange(len(next(iter(orders.values()))))
+    at_rest = {channel: np.zeros(t.size) for channel in MOTION_CHANNELS}
+    return Trajectory(
+        t=t, **at_rest, commanded=orders, executed={}, extra={}, valid=np.ones(t.size, bool)
+    )
 
 
 def executed(orders: np.ndarray, delay: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -93,9 +96,7 @@ def test_thinning_comes_as_near_to_the_pace_of_the_vessel_as_rows_allow(of_time,
     """Both neighbours of 0.3 sqrt(L / g) are as far from it by their ratio at sqrt(1 / 2)."""
     document = load(str(ORACLE / "usv.toml"))
     step = of_time * np.sqrt(build(document).rigid_body.length / 9.81)
-    t = step * np.arange(300)
-    rest, orders = np.zeros(t.size), {name: np.zeros(t.size) for name in ("port", "starboard")}
-    run = Trajectory(t, *[rest] * 6, orders, {}, {}, np.ones(t.size, bool))
+    run = recording({name: np.zeros(300) for name in ("port", "starboard")}, step)
     problem = make_problem(build(document), [run], ("X_u",))
     assert int(problem.dataset.recorded_rows.sum()) == -(-300 // rows)
     assert problem.dataset.substeps == (2 if of_time > 0.45 else 1)
