@@ -12,7 +12,6 @@ from diffsea import Trajectory
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.filter.kalman import filter_rows
 from diffsea.identification.problem import make_problem
-from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.files import build
 
 
@@ -23,10 +22,11 @@ LAG = 0.4  # s
 def recording(orders: dict[str, np.ndarray], step: float = STEP) -> Trajectory:
     """At rest, whatever is ordered."""
     t = step * np.arange(len(next(iter(orders.values()))))
-    at_rest = {channel: np.zeros(t.size) for channel in MOTION_CHANNELS}
+    rest = np.zeros(t.size)
     return Trajectory(
-        t=t, **at_rest, commanded=orders, executed={}, extra={}, valid=np.ones(t.size, bool)
-    )
+        t=t, x=rest, y=rest, psi=rest, u=rest, v=rest, r=rest,
+        commanded=orders, executed={}, extra={}, valid=np.ones(t.size, bool),
+    )  # fmt: skip
 
 
 def executed(orders: np.ndarray, delay: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
