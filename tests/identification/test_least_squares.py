@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from diffsea.identification.least_squares import iterate_least_squares
+from diffsea.identification.least_squares import iterate_least_squares, value_and_jacobian
 
 
 TIMES = np.linspace(0.0, 3.0, 40)
@@ -41,3 +41,15 @@ def test_a_residual_that_was_called_before_is_not_compiled_again(caplog):
         compiled(*given)
         list(iterate_least_squares(compiled, *given, 50))
     assert sum("Finished XLA compilation of jit(slow)" in text for text in caplog.messages) == 1
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 3, 6])
+def test_derivatives_some_at_once_are_those_of_all_together(at_once):
+    def function(x):
+        return jnp.outer(x, jnp.sin(x)), {"product": jnp.prod(x)}
+
+    at = jnp.linspace(0.3, 1.7, 6)
+    value, slopes = value_and_jacobian(function, at, at_once)
+    together = value_and_jacobian(function, at)
+    for one, other in zip(jax.tree.leaves((value, slopes)), jax.tree.leaves(together), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14, atol=1e-14)
