@@ -23,8 +23,8 @@ from diffsea.statistics import autocorrelation, long_run_covariance
 
 
 ROUNDS = 60  # from afar, with sensors of little noise, thirty are needed
-NOISE_STEPS = 1  # of the search for the noise in one round: more would take for noise what is
-MORE_NOISE_STEPS = 4  # a parameter's; and where the noise gains more than parameters do
+NOISE_STEPS = 1  # of the search for noise in one round: from afar, more take misfit for noise
+MORE_NOISE_STEPS = 4  # where the noise gains more than the parameters do
 FIRST_NOISE_STEPS = 15  # and in the first one
 NOISE_ROUNDS = 5  # of noise alone
 STEP_SHARES = (1.0, 0.5, 0.2, 0.05)  # of a Gauss-Newton step, tried one after the other
@@ -108,7 +108,7 @@ def estimate(
         if current_budget().skips("rounds of a fit"):
             outcome = FitOutcome.OUT_OF_TIME
             break
-        last, taken, by_noise = now.deviance, steps, 0.0
+        last, taken = now.deviance, steps
         if not fixed_noise:
             better = refine_noise(now.run, times, now.noise, problem.prior, steps)
             there = filter_at(problem, now.coordinates, better)
@@ -139,7 +139,7 @@ def estimate(
                 break
             now = there
         # Noise creeps along flat directions: a fit is at its end where many steps gain nothing.
-        more = MORE_NOISE_STEPS if by_noise > 0.5 * gained else NOISE_STEPS
+        more = MORE_NOISE_STEPS if by_noise > gained - by_noise else NOISE_STEPS
         steps = FIRST_NOISE_STEPS if settled else more
     else:
         progress(f"the fit is not at its end after {rounds} steps")

@@ -29,8 +29,7 @@ HORIZONS = (20.0, 60.0)  # s ahead, at which predictions must not get worse
 SPACING = 5.0  # s from start to start
 DRAWS = 500  # of the bootstrap
 BEYOND_CHANCE = 0.99  # level of both: a cause that is true may cost a little by chance
-NOTICEABLE = 1.1  # times the mean square: resampling does not see that parameters err, which
-# moves the predictions of all windows alike
+NOTICEABLE = 1.1  # times the mean square: errors of parameters move all draws alike, unseen
 PROBABLE = 0.95  # level at which they speak for a cause that one-step errors leave open
 LARGEST_RATIO = 10.0  # of one prediction's loss over the usual one: more says no more
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.optimize import BFGS, lsq_linear
 from scipy.stats import chi2
 
 from diffsea.identification.data.dataset import Dataset
@@ -35,11 +35,11 @@ BLOCK_ROWS = 1024  # of the excerpt that follow one another
 LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is not noise
 PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
-STEP_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, of which the best is taken
+LINE_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, of which the best is taken
 FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
 TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
 ISOTROPIC = np.insert(np.eye(14), TIED, np.eye(14)[TIED - 1], axis=0)  # all from those that move
-SCALES_AT_ONCE = 5  # that the likelihood is differentiated by: three times as fast as all fifteen
+SCALES_AT_ONCE = 5  # that the likelihood is differentiated by: twice as fast as all fifteen
 SMALLEST = float(np.finfo(float).tiny)  # a bound that is no step at all
 ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
 
@@ -271,11 +271,14 @@ def refine_noise(
 
     value, gradient, curvature = map(np.asarray, _score(*at(log)))
     gradient, curvature = ISOTROPIC.T @ gradient, ISOTROPIC.T @ curvature @ ISOTROPIC
+    if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+        return noise
+    curvature = 0.5 * (curvature + curvature.T)
+    learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
+    learnt.initialize(len(log), "hess")
     for left in reversed(range(steps)):
-        if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
-            break
         step = _bounded_step(log, gradient, curvature, prior)
-        there = {share: float(_deviance(*at(log + share * step))) for share in STEP_SHARES}
+        there = {share: float(_deviance(*at(log + share * step))) for share in LINE_SHARES}
         share = min(there, key=lambda one: np.nan_to_num(there[one], nan=np.inf))
         gained, step = float(value) - there[share], share * step
         if not gained > 0:
@@ -284,8 +287,10 @@ def refine_noise(
         if gained < ENOUGH_GAIN or not left:
             break
         value, slope = map(np.asarray, _slope(*at(log)))
-        curvature = _corrected(curvature, step, ISOTROPIC.T @ slope - gradient)
-        gradient = ISOTROPIC.T @ slope
+        if not np.isfinite(slope).all():
+            break
+        learnt.update(step, ISOTROPIC.T @ slope - gradient)
+        gradient, curvature = ISOTROPIC.T @ slope, learnt.get_matrix()
     return Noise.of(ISOTROPIC @ log)
 
 
@@ -305,16 +310,3 @@ def _bounded_step(
     root = np.linalg.cholesky(curvature)
     target = -solve_triangular(root, gradient, lower=True)
     return lsq_linear(root.T, target, (least, most), method="bvls").x
-
-
-def _corrected(
-    curvature: Float[np.ndarray, "14 14"],
-    step: Float[np.ndarray, "14"],
-    change: Float[np.ndarray, "14"],
-) -> Float[np.ndarray, "14 14"]:
-    """Curvature that agrees with how a step changed the gradient, and stays positive."""
-    if not step @ change > 0:
-        return curvature
-    bent = curvature @ step
-    learnt = np.outer(change, change) / (step @ change)
-    return curvature - np.outer(bent, bent) / (step @ bent) + learnt
