@@ -7,8 +7,9 @@ import numpy as np
 from tests.oracle import simulator
 
 from diffsea import EFFECTS, Trajectory, Vessel
+from diffsea.diagnosis.constancy import Constancy
 from diffsea.diagnosis.hypotheses import Hypothesis
-from diffsea.diagnosis.score import Constancy, ScoreTest
+from diffsea.diagnosis.score import ScoreTest
 from diffsea.diagnosis.screening import Candidate
 from diffsea.identification.coordinates import ExpansionPoint
 from diffsea.identification.estimates import Estimate, posterior_estimate

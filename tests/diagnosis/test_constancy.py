@@ -8,7 +8,7 @@ from tests.diagnosis.small import DOCUMENT, usv
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Trajectory
-from diffsea.diagnosis.score import TOLERATED_SHARE, Constancy, constancy_test
+from diffsea.diagnosis.constancy import TOLERATED_SHARE, Constancy, constancy_test
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.budget import in_this_budget
-from diffsea.diagnosis.score import Constancy, constancy_test
+from diffsea.diagnosis.constancy import Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate, estimate_surely

@@ -1,4 +1,4 @@
-"""Efficient score tests: of candidates, of the strongest of many, and of an effect's constancy.
+"""Efficient score tests: of candidates, and of the strongest of many.
 
 With residual e, Jacobian J_n of the nuisances and J_a of a candidate, the efficient score is
 `J_a' M e` with M the projection off J_n (Rao 1948, Neyman 1959). Its variance is taken with the
@@ -27,7 +27,6 @@ from diffsea.identification.filter.kalman import Gains
 from diffsea.identification.problem import Problem
 from diffsea.identification.residual import innovations_at, linearise
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
-from diffsea.vessel.effects import EFFECTS
 
 
 NULL_DRAWS = 1999  # of the joint null: its one per cent is then known to a fifth of itself
@@ -35,10 +34,6 @@ NULL_SEED = 7
 COUNTABLE = 0.02  # share of the draws from which on they are counted: forty of them
 NO_INFORMATION = 1e-12  # of a column, in squared standard deviations of the innovations
 LEVEL = 0.01  # of significance, shared by the tests
-PARTS = (2, 8)  # of each run: what changes once, and what comes and goes
-TOLERATED_SHARE = 0.25  # of what the effect explains: below it the law is good enough to be named
-TOLERATED_OF_SENSORS = 0.1  # kinematics has no laws that only nearly hold
-LAWS = ("actuator", "hull")  # families whose amounts are coefficients of one law, not components
 
 Columns = Float[np.ndarray, "value column"]  # six to each row of the data set, then the prior's
 PerColumn = Float[np.ndarray, "column"]
@@ -278,90 +273,3 @@ class LinearisedModel:
             else:
                 batches.append(([number], {point.effect}, size))
         return [members for members, _, _ in batches]
-
-
-class Constancy(NamedTuple):
-    """Outcome of the test that an effect's size is one."""
-
-    statistic: float  # chi-squared under a constant size
-    p_value: float
-    share: float  # of the statistic of the effect itself
-    tolerated: float = TOLERATED_SHARE
-    degrees: int = 0  # of freedom
-
-    @property
-    def holds(self) -> bool:
-        """Whether the size is constant, or differs by little against the effect itself."""
-        return self.p_value > LEVEL / len(PARTS) or self.share < self.tolerated
-
-    @property
-    def scatter(self) -> float:
-        """How far sizes in parts of the data are apart over what their errors say; at least one.
-
-        The ratio of Birge (1932), by which errors are to be widened: a law that holds nearly
-        gives each part of the data another size.
-        """
-        return max(1.0, self.statistic / self.degrees) ** 0.5 if self.degrees else 1.0
-
-
-def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: float) -> Constancy:
-    """Test one effect of a fitted model with a size for each half, and each eighth, of every run.
-
-    Its coefficients and its time are the same in all parts, and of a law of hull or actuators the
-    proportion of its amounts: where a part has but one order or manoeuvre, these would be bent anew
-    until they fit whatever else is missing there. The components of a flow, or of a sensor's error,
-    are asked one by one: else a force that turns with the vessel would pass for a wind. Of the two
-    tests, the one that speaks more against one size. How the innovations depend on one another in
-    time is taken from what is left with those sizes: with one size, what comes and goes would pass
-    for coloured gusts.
-
-    Arguments:
-        effect: its name; one of those that `fitted` was fitted with.
-        explained: the drop of the deviance by it.
-    """
-    residual, nuisance = linearise_model(problem, fitted).by_name(fitted.free)
-    run = np.asarray(problem.dataset.run)
-    owners = [name for name in fitted.free for _ in problem.layout.indices((name,))]
-    J = nuisance[:, [owner == effect for owner in owners]]
-    amounts = EFFECTS[effect].amounts
-    sizes = J[:, np.tile(amounts, J.shape[1] // len(amounts))]
-    if EFFECTS[effect].family in LAWS:
-        found = fitted.coordinates[problem.layout.indices((effect,))]
-        sizes = (J @ found)[:, None]
-    # All parts together are the effect but for its prior, which says nothing of constancy.
-    own = np.array(J)
-    own[: 6 * len(run)] = 0.0
-    is_sensor = EFFECTS[effect].family == "sensor"
-    tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
-    tests = []
-    for count in PARTS:
-        parts = _columns_of_parts(problem, sizes, count)
-        degrees = parts.shape[1] - sizes.shape[1]
-        if degrees <= 0:
-            tests.append(Constancy(0.0, 1.0, 0.0, tolerated))
-            continue
-        richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
-        whole = np.concatenate([nuisance, own], axis=1)
-        projection = Projection(residual, whole, run, richer.correlation)
-        score = projection.test(projection.efficient(parts))
-        p_value = float(stats.chi2.sf(score.statistic, degrees))
-        excess = max(score.statistic - degrees, 0.0)
-        share = excess * score.inflation / max(explained, 1e-9)
-        tests.append(Constancy(score.statistic, p_value, share, tolerated, degrees))
-    return min(tests, key=lambda test: (test.holds, test.p_value))
-
-
-def _columns_of_parts(
-    problem: Problem, J: Columns, count: int
-) -> Float[np.ndarray, "value part_column"]:
-    """An effect's columns in each of `count` parts of every run, without those of the prior."""
-    parts = []
-    for rows in problem.dataset.rows_of_runs:
-        for part in np.array_split(rows, count):
-            if len(part):
-                member = np.zeros(len(J))
-                member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
-                parts.append(J * member[:, None])
-    columns = np.concatenate(parts, axis=1)
-    # A part without information has nothing to differ in.
-    return columns[:, (columns**2).sum(0) > 1e-9 * (J**2).sum()]
