@@ -12,7 +12,7 @@ import tomli_w
 from tests.oracle.simulator import Simulator
 from tests.runs import state_of
 
-from diffsea import Environment, Trajectory, run_controlled
+from diffsea import Environment, Trajectory, UserError, run_controlled
 from diffsea.missions import mission_of, run, scores
 from diffsea.missions.performance import tracking_errors
 from diffsea.missions.record import Flow, Weather
@@ -345,6 +345,16 @@ def test_pursuit_and_track_keeping_reach_their_waypoints(folder):
         told = scores(run(mission_of(given, folder)))
         assert told["outcome"] == "completed", kind
         assert told["waypoints"][-1]["closest_approach"] < RADIUS + 0.5
+
+
+def test_a_track_keeper_knows_the_weather_of_its_model_where_it_is_asked_to(folder):
+    kept = {"kind": "track-keeping", "speed": 1.2, "radius": RADIUS, "feedforward": True}
+    keeper = setup(mission_of(document(controller=kept), folder)).controller.inner
+    assert keeper.feedforward
+    del kept["feedforward"]
+    assert not setup(mission_of(document(controller=kept), folder)).controller.inner.feedforward
+    with pytest.raises(UserError, match="feedforward = 1 is neither true nor false"):
+        mission_of(document(controller=kept | {"feedforward": 1}), folder)
 
 
 def test_a_setup_is_what_the_mission_states(folder):

@@ -95,7 +95,7 @@ def controller_of(mission: Mission, period: float) -> AbstractController:
         fields = {key: value for key, value in asked.numbers.items() if key != "radius"}
         return waypoint_logic(model, points, radius_of(mission), **fields)
     if asked.kind == "track-keeping":
-        keeper = track_keeper(model, speed_of(mission), points, period)
+        keeper = track_keeper(model, speed_of(mission), points, period, asked.feedforward)
         return eqx.tree_at(lambda one: one.path.radius, keeper, radius_of(mission))
     guidance, speed = _guidance(mission, points), _speed_law(mission)
     steering = Steering(guidance, _heading_law(asked, model, speed_of(mission)), speed)

@@ -59,6 +59,7 @@ class ControllerKind(NamedTuple):
     needs: tuple[str, ...] = ()
 
 
+_TABLES = ("heading", "speed_law")
 _STEERED = ("speed", "throttle", "heading", "speed_law")
 _OF_PAIRS = ("K_p", "K_d", "T_f", "base_min", "base_max", "near", "far", "radius")
 _OF_LOGIC = ("full_thrust", "full_angle", "wide", "wide_share", "near", "near_share", "sharpness")
@@ -67,7 +68,7 @@ CONTROLLERS = {
         "waypoint", (*_STEERED, "lookahead", "radius", "integral_gain")
     ),
     "pursuit": ControllerKind("waypoint", (*_STEERED, "radius")),
-    "track-keeping": ControllerKind("waypoint", ("speed", "radius")),
+    "track-keeping": ControllerKind("waypoint", ("speed", "radius", "feedforward")),
     "waypoint-logic": ControllerKind("waypoint", ("radius", *_OF_LOGIC)),
     "dynamic-pd": ControllerKind("waypoint", (*_OF_PAIRS, "largest"), _OF_PAIRS),
     "course": ControllerKind("step", ("heading", "speed_law")),
@@ -199,7 +200,8 @@ def _controller(table: Table, vessel: Vessel) -> Controller:
     check_keys(table, ("kind", "limits", *keys), f"{where} of kind {kind!r}")
     for key in needs:
         needed(table, key, where)
-    stated = numbers(table, (key for key in keys if key not in ("heading", "speed_law")), where)
+    of_numbers = [key for key in keys if key not in (*_TABLES, "feedforward")]
+    stated = numbers(table, of_numbers, where)
     for key in _POSITIVE:
         if key in stated:
             positive(table, key, where)
@@ -220,7 +222,16 @@ def _controller(table: Table, vessel: Vessel) -> Controller:
         HeadingLaw(law, numbers(heading, heading, f"{where} heading")),
         numbers(speed_law, speed_law, f"{where} speed_law"),
         _limits(_table(table, "limits", {}), vessel),
+        _truth(table, "feedforward", False, where),
     )
+
+
+def _truth(table: Table, key: str, default: bool, where: str) -> bool:
+    """A key that is true or false."""
+    value = table.get(key, default)
+    if not isinstance(value, bool):
+        raise UserError(f"{where}: {key} = {value!r} is neither true nor false")
+    return value
 
 
 def _limits(table: Table, vessel: Vessel) -> dict[str, tuple[float, float]]:
@@ -340,12 +351,10 @@ def _estimator(table: Table, model: Vessel) -> OnlineEstimator:
         raise UserError(f"{where} kind = {kind!r}{hint}; it is one of {', '.join(ESTIMATORS)}")
     own = _OF_ESTIMATORS[kind]
     check_keys(table, ("kind", "free", "adapt", own), f"{where} of kind {kind!r}")
-    free, adapt = table.get("free", []), table.get("adapt", True)
+    free, adapt = table.get("free", []), _truth(table, "adapt", True, where)
     if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
         raise UserError(f'{where}: free = {free!r} is no list of names, for example ["N_r"]')
     check_names(model, free)
-    if not isinstance(adapt, bool):
-        raise UserError(f"{where}: adapt = {adapt!r} is neither true nor false")
     stated = {own: positive(table, own, where)} if own in table else {}
     return OnlineEstimator(kind, tuple(free), **stated, adapt=adapt)
 

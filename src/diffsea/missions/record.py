@@ -27,6 +27,7 @@ class Controller:
     heading: HeadingLaw = HeadingLaw()
     speed_law: Mapping[str, Scalar] = dataclasses.field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    feedforward: bool = False  # of the current and wind in the vessel that it believes in
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,6 +31,8 @@ from diffsea.simulation.control.lqr import track_keeper as track_keeper
 from diffsea.simulation.control.timed import TimedCourse as TimedCourse
 from diffsea.simulation.control.timed import TimedOrders as TimedOrders
 from diffsea.simulation.control.timed import TimedSpeed as TimedSpeed
+from diffsea.simulation.control.trim import Trim as Trim
+from diffsea.simulation.control.trim import straight_trim as straight_trim
 from diffsea.simulation.control.waypoints import DynamicPD as DynamicPD
 from diffsea.simulation.control.waypoints import WaypointLogic as WaypointLogic
 from diffsea.simulation.control.waypoints import dynamic_pd as dynamic_pd

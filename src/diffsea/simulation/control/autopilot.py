@@ -93,10 +93,12 @@ class SpeedHold(AbstractSpeedLaw[Scalar]):
     gain: Scalar = 4.0
     integral_gain: Scalar = 1.0
     largest: Scalar = jnp.inf  # throttle
+    offset: Scalar = 0.0  # throttle, that a current or wind is known to ask for besides
 
     def step(self, memory: Scalar, state: State, dt: Scalar) -> tuple[Scalar, Scalar]:
         slow = 1.0 - state.u / jnp.maximum(self.speed, 1e-6)
-        wanted = self.throttle * (1.0 + self.gain * slow + self.integral_gain * memory)
+        share = 1.0 + self.gain * slow + self.integral_gain * memory
+        wanted = self.throttle * share + self.offset
         throttle = jnp.clip(wanted, -self.largest, self.largest)
         grown = memory + slow * dt / self.time_scale
         return jnp.where(throttle == wanted, grown, memory), throttle

@@ -4,6 +4,9 @@ All of it is differentiable and can be batched: the Riccati equation is solved b
 fixed number of passes, of which each squares the closed loop's decay.
 """
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -21,6 +24,7 @@ from diffsea.simulation.control.autopilot import (
     speed_hold,
     within_half_turn,
 )
+from diffsea.simulation.control.trim import straight_trim
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
@@ -101,7 +105,8 @@ class TrackKeeper(AbstractController[tuple]):
     """Keeps a vessel on the legs between waypoints by state feedback on the rudder.
 
     Memory: that of the path and of the speed hold. The state fed back is sway velocity (m/s), yaw
-    rate (rad/s), course error (rad) and cross-track error (m).
+    rate (rad/s), course error (rad) and cross-track error (m): what is off the trim of the leg
+    where there is feedforward, else off the leg itself.
     """
 
     gain: Float[Array, "4"]
@@ -109,6 +114,8 @@ class TrackKeeper(AbstractController[tuple]):
     speed: SpeedHold
     allocation: ControlAllocation
     largest_cross: Scalar  # m, beyond which an error is met no harder
+    # Whether it steers for the trim of the leg in the current and wind that its vessel is in.
+    feedforward: bool = eqx.field(static=True, default=False)
 
     def init(self) -> tuple:
         return self.path.init(), self.speed.init()
@@ -119,9 +126,16 @@ class TrackKeeper(AbstractController[tuple]):
         path, _ = self.path.step(memory[0], state, dt)
         leg = self.path.leg(path[0], state)
         cross = jnp.clip(leg.cross, -self.largest_cross, self.largest_cross)
-        fed_back = jnp.stack([state.v, state.r, within_half_turn(state.psi - leg.course), cross])
-        angle = jnp.clip(-self.gain @ fed_back, -_LARGEST_ANGLE, _LARGEST_ANGLE)
-        speed, throttle = self.speed.step(memory[1], state, dt)
+        off = within_half_turn(state.psi - leg.course)
+        wanted, crab, sway, hold = jnp.zeros(()), 0.0, 0.0, self.speed
+        if self.feedforward:
+            crab, sway, wanted, throttle, _ = straight_trim(
+                self.allocation.vessel, hold.speed, leg.course
+            )
+            hold = dataclasses.replace(hold, offset=throttle - hold.throttle)
+        fed_back = jnp.stack([state.v - sway, state.r, off - crab, cross])
+        angle = jnp.clip(wanted - self.gain @ fed_back, -_LARGEST_ANGLE, _LARGEST_ANGLE)
+        speed, throttle = hold.step(memory[1], state, dt)
         return (path, speed), self.allocation.orders(throttle, angle)
 
     def is_finished(self, memory: tuple) -> Bool[Array, ""]:
@@ -129,7 +143,11 @@ class TrackKeeper(AbstractController[tuple]):
 
 
 def track_keeper(
-    vessel: Vessel, speed: Scalar, waypoints: Float[Array, "waypoint 2"], period: float
+    vessel: Vessel,
+    speed: Scalar,
+    waypoints: Float[Array, "waypoint 2"],
+    period: float,
+    feedforward: bool = False,
 ) -> TrackKeeper:
     """A track keeper that suits a vessel at `speed` m/s and steers every `period` s.
 
@@ -138,6 +156,8 @@ def track_keeper(
 
     Arguments:
         waypoints: m, north and east; the first leg begins at the first.
+        feedforward: meet the current and wind of the vessel's environment by the trim of each leg
+            (`straight_trim`), so that feedback is left with what is not known.
 
     Its gain is not finite where no rudder law steadies the vessel.
 
@@ -154,4 +174,4 @@ def track_keeper(
     gain = discrete_lqr(*discretise(whole, inputs, period), Q, jnp.eye(1) / _LARGEST_ANGLE**2)
     path = LineOfSight(jnp.asarray(waypoints, float), 2 * length, length)
     hold = speed_hold(vessel, jnp.asarray(speed, float))
-    return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), 2 * length)
+    return TrackKeeper(gain[0], path, hold, ControlAllocation(vessel), 2 * length, feedforward)
