@@ -59,9 +59,11 @@ from .workflows.missions import sweep_mission as sweep_mission
 from .workflows.missions import tune_mission as tune_mission
 from .workflows.online import OnlineResult as OnlineResult
 from .workflows.online import online as online
+from .workflows.trials import InverseDesignResult as InverseDesignResult
 from .workflows.trials import PredictionResult as PredictionResult
 from .workflows.trials import SensitivityResult as SensitivityResult
 from .workflows.trials import TrialResult as TrialResult
+from .workflows.trials import inverse_design as inverse_design
 from .workflows.trials import predict as predict
 from .workflows.trials import sensitivities as sensitivities
 from .workflows.trials import sweep as sweep

@@ -151,3 +151,47 @@ def test_bad_usage_of_designs_is_told(tmp_path, capsys, words, message):
     out = tmp_path / "out"
     assert main(["sweep", "wamv", "--manoeuvre", "zigzag", *words, "-o", str(out)]) == 2
     assert message in capsys.readouterr().err and not out.exists()
+
+
+LOOKED_FOR = ["--sample", "16", "mass=150:230", "N_r=-400:-200", "--speed", "1.2"]
+
+
+def test_a_sweep_finds_what_it_is_to_look_for(tmp_path, capsys):
+    (tmp_path / "boat.toml").write_text(BOAT)
+    words = ["sweep", str(tmp_path / "boat.toml"), *ORDERED, *LOOKED_FOR, "--front", "overshoot_1"]
+    words += ["initial_turning_distance", "--wanted", "overshoot_1=0.2", "-o", str(tmp_path / "o")]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    summary = json.loads((tmp_path / "o" / "sweep.json").read_text())
+    front = pd.read_csv(tmp_path / "o" / "front.csv")
+    swept = pd.read_parquet(tmp_path / "o" / "sweep.parquet")
+    assert 1 <= len(front) == summary["front"]["designs"] < 16
+    least = [np.min(table["overshoot_1"].to_numpy(float)) for table in (front, swept)]
+    assert least[0] == pytest.approx(least[1])
+    assert f"{len(front)} designs no other beats in: least overshoot_1" in told
+    assert summary["inverse"]["wanted"] == {"overshoot_1": 0.2}
+    found = summary["inverse"]["designs"]
+    assert all(set(one) == {"parameters", "metrics", "off", "steps"} for one in found)
+    assert "overshoot_1 = 0.2" in told and "off by" in told
+    page = (tmp_path / "o" / "sweep.html").read_text()
+    assert "Designs that no other beats" in page and "Designs that are wanted" in page
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--wanted", "overshoot_1"], "not of the form NAME=VALUE"),
+        (["--wanted", "overshoot_1=0.1", "overshoot_1=0.2"], "--wanted has a number twice"),
+        (["--front", "overshoot_1:best"], "write overshoot_1:least or overshoot_1:most"),
+        (["--front", "overshoot_1", "--shard", "1/2"], "a shard has no results"),
+    ],
+)
+def test_what_cannot_be_looked_for_is_refused(words, message, tmp_path, capsys):
+    (tmp_path / "boat.toml").write_text(BOAT)
+    command = ["sweep", str(tmp_path / "boat.toml"), *ORDERED, *LOOKED_FOR, *words]
+    try:
+        status = main([*command, "-o", str(tmp_path / "o")])
+    except SystemExit as left:
+        status = left.code
+    assert status in (1, 2) and message in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()

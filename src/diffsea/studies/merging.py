@@ -117,12 +117,18 @@ def summarise(table: Path, parameters: list[str]) -> dict[str, Any]:
     }
 
 
+def row_batches(table: Path) -> Iterator[pd.DataFrame]:
+    """A merged table, a part of its rows at a time."""
+    for batch in pq.ParquetFile(table).iter_batches():
+        yield batch.to_pandas()
+
+
 def every_nth(table: Path, step: int) -> pd.DataFrame:
     """Every `step`-th row of a merged table, from the first on."""
     kept, begun = [], 0
-    for batch in pq.ParquetFile(table).iter_batches():
-        kept.append(batch.to_pandas().iloc[-begun % step :: step])
-        begun += batch.num_rows
+    for rows in row_batches(table):
+        kept.append(rows.iloc[-begun % step :: step])
+        begun += len(rows)
     return pd.concat(kept, ignore_index=True)
 
 

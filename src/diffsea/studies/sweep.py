@@ -92,7 +92,7 @@ class Sweeper:
             at_once: how many designs come together at most.
         """
         self.vessel, self.plan = vessel, plan
-        self._plans = _quicker_plans(vessel, plan)
+        self._plans = shorter_plans(vessel, plan)
         self._batch = batch_size(at_once)
 
     def run(
@@ -125,7 +125,7 @@ class Sweeper:
         return SweepResult(table, steps / max(seconds, 1e-9))
 
 
-def _quicker_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
+def shorter_plans(vessel: Vessel, plan: TrialPlan) -> list[TrialPlan]:
     """The plan with time limits of half as much again as the vessel itself needs, and of six times.
 
     A batch runs for as long as it may, whenever its lanes end; last comes the plan itself. Where

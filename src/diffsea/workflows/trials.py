@@ -15,7 +15,7 @@ from diffsea.simulation import planning
 from diffsea.simulation.designs import Grid, LatinHypercube
 from diffsea.simulation.order_units import require_order_units
 from diffsea.simulation.replay import horizon_errors, replay, replay_errors
-from diffsea.studies import merging, sensitivity
+from diffsea.studies import inverse, merging, sensitivity
 from diffsea.studies import parts as kept
 from diffsea.studies import sweep as designs
 from diffsea.trajectory import Outcome, Trajectory
@@ -184,6 +184,59 @@ def sweep(
         kept.do_parts(parts, boat, plan, space, progress=progress, cluster=cluster)
         merging.merge(parts, folder / "sweep.parquet")
         return pd.read_parquet(folder / "sweep.parquet")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class InverseDesignResult(Tabulated):
+    """Designs found for wanted numbers, the best first, and the sweep that they started from."""
+
+    wanted: dict[str, float]  # by number, SI units
+    found: list[inverse.FoundDesign]
+    swept: pd.DataFrame
+
+    def headline(self) -> str:
+        return inverse.found_sentence(self.wanted, [one.off for one in self.found])
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [
+            {**one.parameters, **{name: one.numbers.get(name) for name in self.wanted}}
+            | {"off": one.off}
+            for one in self.found
+        ]
+
+
+def inverse_design(
+    vessel: Vessel | VesselFile | str | pathlib.Path,
+    manoeuvre: str,
+    ranges: Mapping[str, tuple[float, float]],
+    wanted: Mapping[str, float],
+    count: int = 256,
+    seed: int = 0,
+    progress: Progress = no_progress,
+    **options: Any,
+) -> InverseDesignResult:
+    """Designs within ranges whose trial has the numbers that are wanted.
+
+    A sweep of `count` designs, a Latin hypercube, finds where to start; from its nearest designs
+    exact derivatives lead on.
+
+    Arguments:
+        ranges: from and to by the name of a vessel's number, `speed` or `thrust`; SI units.
+        wanted: numbers of the trial by name, SI units.
+        options: those of the trial, see `trial`.
+
+    Raises:
+        UserError: an unknown name, a range that is none, a trial that the vessel cannot run, or no
+            design that has all the wanted numbers.
+    """
+    boat = as_vessel(vessel)
+    space = LatinHypercube(ranges, count, seed)
+    chosen = space.all()
+    designs.check_names(boat, chosen.names)
+    plan = planning.plan_trial(boat, manoeuvre, **{**options, **chosen.slowest()})
+    swept = designs.sweep(boat, plan, chosen, progress).table
+    found = inverse.designs_for(boat, plan, ranges, wanted, swept, progress)
+    return InverseDesignResult(dict(wanted), found, swept)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -16,13 +16,24 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pandas as pd
+
     from diffsea.simulation.designs import DesignSpace
+    from diffsea.simulation.standard import TrialPlan
+    from diffsea.studies.front import Goals
     from diffsea.studies.parts import Parts
+    from diffsea.vessel.base import Vessel
+    from diffsea.vessel.files import VesselFile
+
+    Search = Callable[[pd.DataFrame], dict[str, Any]]
 
 
 PART = 4096  # as the library has it, which would import JAX to be asked
 MAPPED = 100_000  # designs that are drawn at most
 MERGE = "merge"  # in the place of a vessel
+WANTED_FORM = "NAME=VALUE"
 
 
 def register(commands: options.Commands) -> None:
@@ -48,6 +59,11 @@ def register(commands: options.Commands) -> None:
     folder = "folder in which parts that are done are kept (default: DIR with -parts at its end)"
     add_option(group, "--parts", "FOLDER", pathlib.Path, folder)
     options.add_cluster(group, "the parts")
+    group = sweep.add_argument_group("what is looked for")
+    front = "designs that no other beats: the least of each number, or the most (NAME:most)"
+    add_option(group, "--front", "NAME", str, front, nargs="+", action=GivenOnce)
+    wanted = "designs with these numbers, found from the nearest of the sweep, within its ranges"
+    add_option(group, "--wanted", WANTED_FORM, wanted_number, wanted, nargs="+", action=GivenOnce)
     sweep.set_defaults(usage_error=sweep.error)
 
 
@@ -59,6 +75,16 @@ def shard_of(text: str) -> tuple[int, int]:
     if not 1 <= int(number) <= int(count):
         raise argparse.ArgumentTypeError(f"{text!r}: shards are numbered from 1 to {count}")
     return int(number), int(count)
+
+
+def wanted_number(text: str) -> tuple[str, float]:
+    """A type of argument: a number of the trial and its value, such as `overshoot_1=0.14`."""
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not of the form {WANTED_FORM}, for example overshoot_1=0.14"
+        )
+    return name, options.number(value)
 
 
 def _designs(args: argparse.Namespace) -> "DesignSpace":
@@ -88,7 +114,8 @@ def sweep_command(args: argparse.Namespace) -> None:
     cluster run the parts; they need diffsea of the same version, and no files.
     Writes sweep.parquet with one row per design: parameters, metrics, IMO verdicts and outcome; a
     summary in sweep.json; sweep.html; and map.png for a grid over two parameters. A design that
-    diverges or is impossible has nulls and its outcome says so.
+    diverges or is impossible has nulls and its outcome says so. With --front the designs that no
+    other beats in front.csv; with --wanted those that have the wanted numbers in sweep.json.
 
     examples:
       diffsea sweep wamv --manoeuvre zigzag --grid mass=200:350:16 N_r=-1200:-500:16
@@ -97,39 +124,62 @@ def sweep_command(args: argparse.Namespace) -> None:
       diffsea sweep otter --manoeuvre zigzag --sample 1000000 mass=60:160 --shard 3/16
       diffsea sweep otter --manoeuvre zigzag --sample 1000000 mass=60:160 --cluster tcp://host:8786
       diffsea sweep merge out/sweep-parts -o out/sweep
+      diffsea sweep otter --manoeuvre zigzag --sample 500 mass=60:160 N_r=-60:-30 \\
+          --front overshoot_1 initial_turning_distance
+      diffsea sweep otter --manoeuvre zigzag --sample 500 mass=60:160 N_r=-60:-30 \\
+          --wanted overshoot_1=0.07
     """
+    from diffsea.studies.front import goals_of
+
+    goals = goals_of(args.front or [])
     if args.vessel == MERGE:
         folder: pathlib.Path = args.merged or args.usage_error("merge takes the folder of parts")
+        if args.wanted is not None:
+            args.usage_error("--wanted needs the vessel: give it with the command that swept")
         from diffsea.studies.parts import read_parts
 
         with Outputs(args.output) as out:
-            summary = _write_results(read_parts(folder), out)
+            summary = _write_results(read_parts(folder), out, goals)
         out.present(args, _summary_text(summary))
         return
     if args.merged is not None or args.manoeuvre is None:
         extra = f"unrecognized arguments: {args.merged}"
         args.usage_error("--manoeuvre is required" if args.merged is None else extra)
     if args.shard is not None:
-        parts = _do_parts(args)
+        if goals or args.wanted is not None:
+            args.usage_error("a shard has no results: give --front to `diffsea sweep merge`")
+        designs = _designs(args)
+        parts = _do_parts(args, designs, *_planned(args, designs))
         told = f"shard {args.shard[0]} of {args.shard[1]} is done"
         text = f"{told}; when all are: diffsea sweep merge {parts.folder}"
         print(json_text(parts.manifest) if args.json else text)
         return
     designs = _designs(args)
     with Outputs(args.output) as out:
-        summary = _write_results(_do_parts(args, designs), out)
+        file, plan = _planned(args, designs)
+        search = None
+        if args.wanted is not None:
+            search = _search(file.vessel, plan, designs, _wanted(args))
+        parts = _do_parts(args, designs, file, plan)
+        summary = _write_results(parts, out, goals, search)
     out.present(args, _summary_text(summary))
 
 
-def _do_parts(args: argparse.Namespace, designs: "DesignSpace | None" = None) -> "Parts":
-    """The parts that the options ask for, those of the shard done."""
-    from diffsea.studies import parts as kept
+def _planned(args: argparse.Namespace, designs: "DesignSpace") -> "tuple[VesselFile, TrialPlan]":
+    """The vessel, and the plan of its trial."""
     from diffsea.studies.sweep import check_names
 
-    designs = designs or _designs(args)
     file = options.read_vessel(args)
     check_names(file.vessel, designs.names)
-    plan = trial_plan(_at_slowest(args, designs), file.vessel)
+    return file, trial_plan(_at_slowest(args, designs), file.vessel)
+
+
+def _do_parts(
+    args: argparse.Namespace, designs: "DesignSpace", file: "VesselFile", plan: "TrialPlan"
+) -> "Parts":
+    """The parts that the options ask for, those of the shard done."""
+    from diffsea.studies import parts as kept
+
     folder = args.parts or args.output.with_name(f"{args.output.name}-parts")
     parts = kept.parts_of(folder, file.vessel, file.document, plan, designs, args.part)
     if args.resume and not (parts.folder / kept.MANIFEST).exists():
@@ -149,22 +199,57 @@ def _do_parts(args: argparse.Namespace, designs: "DesignSpace | None" = None) ->
     return parts
 
 
-def _write_results(parts: "Parts", out: Outputs) -> dict[str, Any]:
-    """The results of all parts; returns the content of sweep.json."""
+def _wanted(args: argparse.Namespace) -> dict[str, float]:
+    """The numbers that are wanted; one that is given twice is bad usage."""
+    wanted = dict(args.wanted)
+    if len(wanted) < len(args.wanted):
+        args.usage_error("--wanted has a number twice")
+    return wanted
+
+
+def _search(
+    vessel: "Vessel", plan: "TrialPlan", designs: "DesignSpace", wanted: dict[str, float]
+) -> "Search":
+    """A function of a sweep's table that finds the designs which are wanted."""
+    from diffsea.studies.inverse import designs_for
+
+    ranges = {name: (float(axis[0]), float(axis[1])) for name, axis in designs.axes.items()}
+
+    def search(swept: "pd.DataFrame") -> dict[str, Any]:
+        with StagedProgress({"searching": 20.0}) as tell:
+            tell("searching from the nearest designs")
+            found = designs_for(vessel, plan, ranges, wanted, swept, tell)
+        return {"wanted": wanted, "designs": [one.as_dict() for one in found]}
+
+    return search
+
+
+def _write_results(
+    parts: "Parts", out: Outputs, goals: "Goals", search: "Search | None" = None
+) -> dict[str, Any]:
+    """The results of all parts; returns the content of sweep.json, with the front's size and
+    the designs that were wanted."""
     from diffsea.report.pages.sweep import sweep_page
     from diffsea.report.pictures import save_map
-    from diffsea.studies.merging import every_nth, merge, summarise
+    from diffsea.studies.front import front
+    from diffsea.studies.merging import every_nth, merge, row_batches, summarise
 
     manifest = parts.manifest
     target, names = out.path("sweep.parquet"), manifest["parameters"]
     merge(parts, target)
     about = {key: manifest[key] for key in ("vessel", "manoeuvre")}
     summary = about | summarise(target, names)
-    out.json("sweep.json", summary)
     shown = every_nth(target, -(-summary["designs"] // MAPPED))
+    best = front(row_batches(target), goals) if goals else None
+    if best is not None:
+        summary["front"] = {"goals": dict(goals), "designs": len(best)}
+        out.text("front.csv", best.to_csv(index=False))
+    if search is not None:
+        summary["inverse"] = search(shown)
+    out.json("sweep.json", summary)
     # Not the options, of which some say how the parts were divided and change no result.
     source = about | {key: manifest[key] for key in ("space", "versions")}
-    out.text("sweep.html", sweep_page(shown, summary, source))
+    out.text("sweep.html", sweep_page(shown, summary, source, best))
     if "grid" in manifest["space"] and len(names) == 2 and summary["designs"] <= MAPPED:
         title = f"{manifest['vessel']}: {manifest['manoeuvre']}"
         save_map(shown, tuple(names), out.path("map.png"), title)
@@ -183,7 +268,26 @@ def _summary_text(summary: dict[str, Any]) -> str:
     lines += [table(rows, ("number (SI)", "least", "median", "most"))] if rows else []
     for name, verdict in summary["imo"].items():
         lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
+    if "front" in summary:
+        goals = ", ".join(f"{goal} {name}" for name, goal in summary["front"]["goals"].items())
+        lines.append(f"{summary['front']['designs']} designs no other beats in: {goals}")
+    if "inverse" in summary:
+        lines.append(_found_text(**summary["inverse"]))
     return "\n".join(lines)
+
+
+def _found_text(wanted: dict[str, float], designs: list[dict[str, Any]]) -> str:
+    """The designs that were found, for a person."""
+    from diffsea.studies.inverse import found_sentence
+
+    names = list(designs[0]["parameters"])
+    rows = []
+    for one in designs:
+        values = [one["parameters"][name] for name in names]
+        values += [one["metrics"].get(name, math.nan) for name in wanted]
+        rows.append((*(f"{value:.5g}" for value in values), f"{100 * one['off']:.1g} %"))
+    told = found_sentence(wanted, [one["off"] for one in designs])
+    return f"{told}\n{table(rows, (*names, *wanted, 'off by'))}"
 
 
 def _at_slowest(args: argparse.Namespace, designs: "DesignSpace") -> argparse.Namespace:

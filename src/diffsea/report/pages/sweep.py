@@ -13,21 +13,26 @@ from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pictures import most_informative
 from diffsea.report.quantities import for_people, significant
 from diffsea.report.words import Record, enumeration
+from diffsea.studies.inverse import MET
 
 
 SHOWN_NUMBERS = 6  # of a trial, the most informative ones, that are drawn
 NO_INFLUENCE = 1e-6  # of a number: rounding, and how steady an approach is
 DRAWN_DESIGNS = 4000  # of a cloud: more cannot be told apart, and make the page long
+SHOWN_OF_FRONT = 12  # designs, in its table
 FAILS = "fails the criterion"
 
 
-def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
+def sweep_page(
+    table: pd.DataFrame, summary: Record, source: Record, front: pd.DataFrame | None = None
+) -> str:
     """A sweep: the numbers over the parameters, how many designs meet the criteria.
 
     Arguments:
         table: a row for each design, as sweep.parquet has them.
         summary: the content of sweep.json.
         source: what was run; shown as it is.
+        front: designs that no other beats, where some were asked for.
     """
     names = list(summary["parameters"])
     shown = drawn_numbers(table, names)
@@ -44,12 +49,89 @@ def sweep_page(table: pd.DataFrame, summary: Record, source: Record) -> str:
         lead=f"{summary['designs']} designs: {enumeration(outcomes)}.",
         sentences=[_criterion_sentence(name, found) for name, found in summary["imo"].items()],
         sections=[
+            *_looked_for(table, summary, front),
             Section("Numbers over parameters", how_drawn(table, names), drawn),
             Section("What was swept", tables=[axis_table(summary["parameters"])]),
             Section("Numbers", tables=[extent_table(summary["metrics"])]),
         ],
         provenance=provenance(source, []),
     )
+
+
+def _looked_for(table: pd.DataFrame, summary: Record, front: pd.DataFrame | None) -> list[Section]:
+    """What was found of what the sweep was to find: wanted numbers, and the best designs."""
+    sections = []
+    if "inverse" in summary:
+        wanted, found = summary["inverse"]["wanted"], summary["inverse"]["designs"]
+        met = sum(one["off"] <= MET for one in found)
+        words = enumeration([f"{number_words(n)} {_told(v, n)}" for n, v in wanted.items()])
+        told = f"{met} designs of these ranges were found" if met > 1 else "One design was found"
+        if not met:
+            told = "No design of these ranges was found; here are the nearest ones"
+        tables = [_found_table(wanted, found)]
+        sections.append(
+            Section("Designs that are wanted", [f"{told}. Wanted: {words}."], (), tables)
+        )
+    if front is not None and len(front):
+        goals, names = summary["front"]["goals"], list(summary["parameters"])
+        words = enumeration([f"the {goal} {number_words(n)}" for n, goal in goals.items()])
+        told = (
+            f"{len(front)} of {summary['designs']} designs, for {words}: no other is better in one "
+            "of these without being worse in another."
+        )
+        drawn = [_front_plot(table, front, list(goals))] if len(goals) > 1 else []
+        shown = _front_table(front, names, list(goals))
+        sections.append(Section("Designs that no other beats", [told], drawn, [shown]))
+    return sections
+
+
+def _found_table(wanted: Mapping[str, float], found: Sequence[Record]) -> Table:
+    names = list(found[0]["parameters"])
+    rows = []
+    for one in found:
+        values = [significant(one["parameters"][name], 5) for name in names]
+        reached = [_told(one["metrics"].get(name, math.nan), name) for name in wanted]
+        off = "-" if one["off"] <= MET else f"{significant(100 * one['off'], 2)} %"
+        rows.append([*values, *reached, off])
+    columns = [*map(Verbatim, names), *map(number_words, wanted), "off by"]
+    return Table(columns, rows, "Parameters in SI units", tuple(range(len(columns))))
+
+
+def _front_table(front: pd.DataFrame, names: Sequence[str], goals: Sequence[str]) -> Table:
+    shown = front.iloc[:: max(1, -(-len(front) // SHOWN_OF_FRONT))]
+    rows = [
+        [significant(row[name], 4) for name in names] + [_told(row[goal], goal) for goal in goals]
+        for row in shown.to_dict("records")
+    ]
+    columns = [*map(Verbatim, names), *map(number_words, goals)]
+    return Table(columns, rows, "Parameters in SI units", tuple(range(len(columns))))
+
+
+def _told(value: float, number: str) -> str:
+    if not math.isfinite(value):
+        return "-"
+    scaled, unit = for_people(float(value), number_unit(number))
+    return f"{significant(scaled, 4)} {unit}".strip()
+
+
+def _front_plot(table: pd.DataFrame, front: pd.DataFrame, goals: Sequence[str]) -> Plot:
+    """All designs and those of the front over the first two numbers."""
+    units = [for_people(0.0, number_unit(goal))[1] for goal in goals[:2]]
+    labels = [
+        f"{number_words(goal)}{f' ({unit})' if unit else ''}"
+        for goal, unit in zip(goals, units, strict=False)
+    ]
+    cloud = table.dropna(subset=list(goals[:2]))
+    drawn = plots.figure(showlegend=True)
+    for part, name, colour, opacity in (
+        (cloud.iloc[:: max(1, -(-len(cloud) // DRAWN_DESIGNS))], "design", plots.DIAGNOSED, 0.35),
+        (front, "no other beats it", plots.NOMINAL, 1.0),
+    ):
+        x, y = (plots.numbers(_scaled(part[goal], goal)) for goal in goals[:2])
+        marker = {"color": colour, "size": 6, "opacity": opacity}
+        drawn.add_scatter(x=x, y=y, mode="markers", marker=marker, name=name)
+    drawn.update_layout(xaxis={"title": {"text": labels[0]}}, yaxis_title_text=labels[1])
+    return Plot(drawn, f"{labels[1]} over {labels[0]}", 330)
 
 
 def drawn_numbers(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
