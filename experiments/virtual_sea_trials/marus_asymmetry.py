@@ -8,7 +8,7 @@ prior (Laplace), both by the misfits that the best of them leaves.
 import dataclasses
 from collections.abc import Callable
 
-from experiments.virtual_sea_trials import marus_fit, marus_vessel
+from experiments.virtual_sea_trials import marus_vessel
 
 import jax
 import numpy as np
@@ -27,15 +27,7 @@ class Candidate:
     estimate: Estimate
     parameters: dict[str, float]  # SI units
     drop: float  # of the deviance against the even vessel
-    occam: float  # twice the log of prior over posterior volume
-    size: int = 1  # coordinates
-    inflation: float = 1.0  # of the misfits under the best candidate
-
-    @property
-    def evidence(self) -> float:
-        """Twice the log of the Bayes factor against the even vessel."""
-        room = self.occam - self.size * np.log(self.inflation)
-        return self.drop / self.inflation - max(room, 0.0)
+    evidence: float  # twice the log of the Bayes factor against the even vessel
 
     @property
     def log10_odds(self) -> float:
@@ -45,28 +37,31 @@ class Candidate:
 
 def tried(objective: TrialNumbers, even: Estimate, say: Callable[[str], None]) -> list[Candidate]:
     """Every candidate refitted from the even vessel, best first."""
-    found = []
+    fits = {}
     for effect in objective.effects:
-        found.append(_refitted(objective, even, effect))
-        say(f"{effect.name}: the deviance falls by {found[-1].drop:.1f}")
+        start = np.array(even.coordinates, float)
+        fits[effect.name] = objective.fit((*even.free, effect.name), start)
+        drop = even.deviance - fits[effect.name].deviance
+        say(f"{effect.name}: the deviance falls by {drop:.1f}")
         # Programs of one candidate serve no other, and a process can map only so many.
         jax.clear_caches()
-    best = max(found, key=lambda one: one.drop)
-    ratio = marus_fit.inflation(objective, best.estimate)
-    found = [dataclasses.replace(one, inflation=ratio) for one in found]
+    ratio = objective.inflation(min(fits.values(), key=lambda one: one.deviance))
+    found = [
+        _candidate(objective, even, fits[effect.name], effect, ratio)
+        for effect in objective.effects
+    ]
     return sorted(found, key=lambda one: -one.evidence)
 
 
-def _refitted(objective: TrialNumbers, even: Estimate, effect: Effect) -> Candidate:
+def _candidate(
+    objective: TrialNumbers, even: Estimate, fitted: Estimate, effect: Effect, ratio: float
+) -> Candidate:
     places = [k for k, owner in enumerate(objective.owners) if owner == effect.name]
-    fitted = objective.fit((*even.free, effect.name), np.array(even.coordinates, float))
-    volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(even.precision)[1]
-    occam = float(volume + 2 * np.log(objective.spreads[places]).sum())
     sizes = np.array(objective.sizes[effect.name])
     said = effect.decode(marus_vessel.start(), fitted.coordinates[places] * sizes)
     parameters = {name: float(value) for name, value in said.items()}
-    drop = even.deviance - fitted.deviance
-    return Candidate(effect.name, fitted, parameters, drop, occam, len(places))
+    evidence = objective.evidence(fitted, even, effect, ratio)
+    return Candidate(effect.name, fitted, parameters, even.deviance - fitted.deviance, evidence)
 
 
 def rivals(candidates: list[Candidate]) -> list[str]:

@@ -75,13 +75,6 @@ def misfits() -> dict[str, float]:
     return scales | {"deg": math.sqrt(float(np.mean(spread)))}
 
 
-def inflation(objective: TrialNumbers, fitted: Estimate) -> float:
-    """Misfit of a fit over what its figures leave free, at least one."""
-    white = objective.misfits_and_jacobian(fitted.coordinates)[0]
-    free = len(white) - float(np.sum(fitted.shrinkage))
-    return max(1.0, float(white @ white) / free)
-
-
 def best_of(
     misfit: dict[str, float], free: tuple[str, ...], starts: int, say: Callable[[str], None]
 ) -> tuple[TrialNumbers, Estimate, list[float]]:

@@ -150,7 +150,7 @@ def _fitted(found, uneven) -> dict:
         "asymmetry": [
             {
                 "name": one.name, "parameters": one.parameters, "drop": one.drop,
-                "occam": one.occam, "log10_odds": one.log10_odds, "share": shares[one.name],
+                "log10_odds": one.log10_odds, "share": shares[one.name],
             }
             for one in candidates
         ],

@@ -255,7 +255,7 @@ def test_the_script_lets_go_at_once(event, mode):
 # -- the fit -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_the_fit_is_that_of_the_results(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "examples.blueboat.coefficients", "--quick", "-o", str(tmp_path)],

@@ -1,5 +1,6 @@
 """The virtual sea trials: the quick run, and the pieces against closed forms and scipy."""
 
+import dataclasses
 import json
 import math
 
@@ -205,10 +206,9 @@ def test_steady_from_the_start_the_tactical_diameter_is_that_times_the_cosine(be
     assert end[1] == pytest.approx(2 * radius * math.cos(beta), rel=1e-7)
 
 
-def test_evidence_is_the_drop_less_the_price_of_room(parts):
-    one = parts["asymmetry"].Candidate("a", None, {}, drop=30.0, occam=4.0)
-    other = parts["asymmetry"].Candidate("b", None, {}, drop=30.0, occam=4.0 + 2 * math.log(10))
-    assert one.evidence == 26.0
+def test_shares_follow_the_evidence(parts):
+    one = parts["asymmetry"].Candidate("a", None, {}, drop=30.0, evidence=26.0)
+    other = dataclasses.replace(one, name="b", evidence=26.0 - 2 * math.log(10))
     assert one.log10_odds - other.log10_odds == pytest.approx(1.0)
     shares = parts["asymmetry"].shares([one, other])
     assert sum(shares.values()) == pytest.approx(1.0)

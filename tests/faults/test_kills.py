@@ -6,7 +6,7 @@ import pytest
 from tests.faults.kill import Kills
 
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.proof
 
 
 def test_a_killed_sweep_that_is_begun_again_ends_as_one_left_alone(tmp_path):

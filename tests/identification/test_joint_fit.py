@@ -22,9 +22,13 @@ from diffsea.identification.estimates import (
 from diffsea.identification.fit import filter_at
 from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
-from diffsea.identification.objectives.joint import acts_in_trials, with_trial_numbers
+from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
-from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
+from diffsea.identification.objectives.trial_numbers import (
+    MeasuredTrial,
+    TrialNumbers,
+    acts_in_trials,
+)
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.uncertainty.sources import sources
 from diffsea.simulation import planning

@@ -41,9 +41,14 @@ def document(**changes):
     "axes",
     [
         {"lookahead": (3.0, 9.0, 2), "heading.gain": (1.0, 2.5, 2)},
-        {"controller.speed": (0.4, 1.2, 2), "radius": (2.0, 3.0, 2)},
+        pytest.param(
+            {"controller.speed": (0.4, 1.2, 2), "radius": (2.0, 3.0, 2)}, marks=pytest.mark.proof
+        ),
         {"vessel.mass": (55.0, 100.0, 2), "model.X_u": (-90.0, -60.0, 2)},
-        {"weather.current.speed": (0.0, 0.4, 2), "controller.speed": (0.8, 1.3, 2)},
+        pytest.param(
+            {"weather.current.speed": (0.0, 0.4, 2), "controller.speed": (0.8, 1.3, 2)},
+            marks=pytest.mark.proof,
+        ),
     ],
     ids=["gains", "slow-ones", "plant-and-model", "weather-and-speed"],
 )

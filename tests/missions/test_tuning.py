@@ -89,6 +89,7 @@ def test_tuning_finds_the_least_cost_of_a_grid_from_afar():
     assert len(judge) == 1 and judge[0].after["cost"] < judge[0].before["cost"]
 
 
+@pytest.mark.proof
 def test_a_mission_that_judges_is_not_tuned_on():
     other = course(name="other", step=[{"time": 0.0, "heading": -1.0, "speed": 0.8}])
     found = tune(course(), {"heading.gain": (0.5, 3.0)}, [other], starts=1)

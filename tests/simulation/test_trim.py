@@ -71,20 +71,21 @@ def test_a_wind_too_strong_for_a_trim_says_so():
 
 
 @pytest.mark.parametrize("drag", ["linear", "quadratic"])
-@pytest.mark.parametrize("east", [0.0, 0.25])
-def test_a_trim_has_the_derivative_of_its_differences(drag, east):
-    vessel, _ = boat("wind" if east else "current", drag)
+def test_a_trim_has_the_derivative_of_its_differences(drag):
+    """Also where there is no drift, where a quadratic drag has no slope."""
+    vessel, _ = boat("current", drag)
 
-    @jax.jit
     def trim(current):
         still = {"current_north": 0.1, "current_east": current}
         found = straight_trim(replace(vessel, still), SPEED, 0.4)
         return jnp.stack([found.crab, found.sway, found.angle, found.throttle])
 
-    at, step = jnp.asarray(east), 1e-3
-    wanted = (trim(at + step) - trim(at - step)) / (2 * step)
-    np.testing.assert_allclose(jax.jacfwd(trim)(at), wanted, rtol=5e-3, atol=5e-3)
-    np.testing.assert_allclose(jax.jacrev(trim)(at), jax.jacfwd(trim)(at), rtol=1e-4, atol=1e-6)
+    slope = jax.jit(lambda at: (trim(at), jax.jacfwd(trim)(at), jax.jacrev(trim)(at)))
+    for east, step in ((0.0423, 1e-3), (0.25, 1e-3)):  # the first along the course, nearly
+        forward, reverse = slope(east)[1:]
+        wanted = (slope(east + step)[0] - slope(east - step)[0]) / (2 * step)
+        np.testing.assert_allclose(forward, wanted, rtol=5e-3, atol=5e-3)
+        np.testing.assert_allclose(reverse, forward, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.slow

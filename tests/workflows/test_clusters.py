@@ -148,6 +148,7 @@ def test_a_poisoned_part_is_told_and_all_others_are_kept(
     assert results(tmp_path / "out") == whole
 
 
+@pytest.mark.proof
 def test_a_fleet_on_a_cluster_is_that_of_one_process_and_goes_on(
     harbour, workers, tmp_path, monkeypatch, capsys
 ):

@@ -51,7 +51,7 @@ def register(commands: options.Commands) -> None:
         "those whose likelihood is asymmetric)"
     )
     add_option(fit, "--profile", "NAMES", options.names, profile)
-    effects = "effects of the catalogue to estimate besides, for example current,wind"
+    effects = "effects to estimate besides: current,wind; of a sheet thrust-asymmetry ..."
     add_option(fit, "--effects", "NAMES", options.names, effects, default=())
 
     summary = "find the physics that the model leaves out"
@@ -201,6 +201,8 @@ def _fit_record(found: "FitResult") -> dict[str, Any]:
     if found.data.trials:
         residuals = study.objective.residuals(study.estimate.coordinates)
         record["trial_numbers"] = [dataclasses.asdict(one) for one in residuals]
+    if study.log10_odds:
+        record["log10_odds"] = dict(study.log10_odds)
     if found.not_done:
         record["not_done"] = list(found.not_done)
     if study.sources is not None:
@@ -231,9 +233,9 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 def _summary_text(found: "FitResult") -> str:
     """fit.json for a person: free predictions, a table of parameters, then sentences."""
     from diffsea.budget import left_out_sentence
-    from diffsea.report.fit import MODELS, worse_warning
+    from diffsea.report.fit import MODELS, fitted_effects, worse_warning
     from diffsea.report.predictions import horizon_table
-    from diffsea.report.words import effect_lines, horizon_line, quick_sentence
+    from diffsea.report.words import horizon_line, quick_sentence
 
     study, sources = found.study, found.study.sources
     horizons = [horizon_line(row, tuple(MODELS)) for row in horizon_table(found.predicted)]
@@ -253,7 +255,7 @@ def _summary_text(found: "FitResult") -> str:
         f"{name.replace('_', ' ')} {value:.2f}" for name, value in found.misfit.items()
     )
     parts += [table(rows, header), "", f"normalised misfit (1 = noise level): {misfit}"]
-    parts += [line for item in study.effects.items() for line in effect_lines(*item)]
+    parts += fitted_effects(study)
     parts += [study.anchor, study.estimate.outcome.sentence]
     parts += [] if study.agreement is None else [study.agreement.sentence]
     if study.outliers:

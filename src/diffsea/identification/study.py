@@ -18,7 +18,6 @@ from diffsea.identification.estimates import (
     effect_table,
     is_known,
     parameter_estimates,
-    parameter_records,
 )
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import noise_at, normalised_rms
@@ -36,7 +35,11 @@ from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.joint import with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
-from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
+from diffsea.identification.objectives.trial_numbers import (
+    MeasuredTrial,
+    TrialNumbers,
+    acts_in_trials,
+)
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import FitVerdict, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
@@ -106,6 +109,8 @@ class Study:
     next: NextManoeuvre | None  # None: the data leave nothing open, or trial numbers were fitted
     outliers: dict[str, int]  # left out of each motion channel
     sources: Sources | None = None  # where recordings and trial numbers were fitted together
+    # Decimal logarithms of each effect's odds against none, where trial numbers alone were fitted.
+    log10_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -128,15 +133,13 @@ class Study:
     @property
     def effects(self) -> dict[str, list[dict[str, ParameterRecord]]]:
         """Parameters of each effect with standard errors, for each of its per-run instances."""
-        problem = self.problem
-        effects = () if problem is None else problem.layout.effects
-        return {e.name: parameter_records(self.recorded, self.estimate, e.name) for e in effects}
+        return self.objective.effect_records(self.estimate)
 
     @property
     def effect_tables(self) -> list[dict]:
         """Tables for the vessel file of the effects seen that all recordings share."""
         return [
-            effect_table(self.recorded.base, name, instances[0])
+            effect_table(self.objective.base, name, instances[0])
             for name, instances in self.effects.items()
             if len(instances) == 1 and is_known(instances[0])
         ]
@@ -253,9 +256,10 @@ def identify(
     parameters = free_parameters(vessel, settings)
     objective = _objective(vessel, parameters, data, settings)
     problem, agreement = objective.problem, None
-    effects = () if problem is None else problem.layout.effects
-    names = tuple(one.name for one in (*parameters, *effects))
-    besides = None if problem is None else effect_starts(problem)
+    names = tuple(one.name for one in (*parameters, *objective.effects))
+    of_sheet = objective if isinstance(objective, TrialNumbers) else None
+    besides = effect_starts(problem) if problem is not None else None
+    besides = of_sheet.effect_starts() if of_sheet is not None else besides
     if settings.starts > 1 or (besides is not None and len(besides) > 1):
         fitted, agreement = multistart(
             objective, names, settings.starts, settings.seed, progress, besides
@@ -291,6 +295,7 @@ def identify(
         proposal,
         objective.outliers,
         sources(objective, fitted),
+        {} if of_sheet is None else of_sheet.log10_odds(fitted, progress),
     )
 
 
@@ -366,9 +371,14 @@ def _objective(
             "recordings, with or without sheets besides; give the data that go with it"
         )
     if name == "trial-numbers":
-        if settings.effects:
-            raise UserError("effects are estimated from recordings, not from trial numbers")
-        return TrialNumbers(vessel, parameters, sheets)
+        chosen = effects_to_estimate(vessel, settings.effects)
+        for effect in chosen:
+            if not acts_in_trials(effect):
+                raise UserError(
+                    f"{effect.name} belongs to recordings: trial numbers are those of the vessel, "
+                    "whose hull or actuators an effect has to be of"
+                )
+        return TrialNumbers(vessel, parameters, sheets, chosen)
     recordings = [one for one in data if isinstance(one, Trajectory)]
     priors = {p.name: p for p in parameters}
     effects = effects_to_estimate(vessel, settings.effects)

@@ -81,7 +81,7 @@ def fit_report(
         is_missing=verdict.missing,
         parameters=parameter_table(study.rows),
         anchor=words.capital(study.anchor) + ".",
-        effects=[line for item in study.effects.items() for line in words.effect_lines(*item)],
+        effects=fitted_effects(study),
         open_questions=[*_open_questions(study), *([quick] if quick else [])],
         sources=None if study.sources is None else source_table(study.sources),
         source_notes=[] if study.sources is None else _source_notes(study.sources),
@@ -94,6 +94,12 @@ def fit_report(
             source, [(r, "fitted") for r in recordings] + [(r, "held out") for r in test]
         ),
     )
+
+
+def fitted_effects(study: Study) -> list[str]:
+    """The effects that were fitted besides, in words."""
+    found = [words.effect_lines(*i, study.log10_odds.get(i[0])) for i in study.effects.items()]
+    return [line for lines in found for line in lines]
 
 
 def compare_fit(

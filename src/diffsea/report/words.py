@@ -349,18 +349,20 @@ def parameter_lines(effect: Record) -> list[str]:
     return lines
 
 
-def effect_lines(name: str, runs: Sequence[Record]) -> list[str]:
+def effect_lines(name: str, runs: Sequence[Record], log10_odds: float | None = None) -> list[str]:
     """A fitted effect in a line, or in one line for each recording.
 
     Arguments:
         name: in the registry, `rate-limit:propulsion`.
         runs: parameters by name, each with `value`, `std` and `unit`, for each recording.
+        log10_odds: decimal logarithm of its odds against none, where it is known.
     """
+    sure = "" if log10_odds is None else f"; odds against none {odds(log10_odds)}"
     lines = []
     for number, parameters in enumerate(runs, start=1):
         sizes = ", ".join(parameter_lines({"name": name, "parameters": parameters}))
         where = f", recording {number}" if len(runs) > 1 else ""
-        lines.append(f"{as_words(name).replace(':', ', ')}{where}: {sizes}")
+        lines.append(f"{as_words(name).replace(':', ', ')}{where}: {sizes}{sure}")
     return lines
 
 

@@ -11,10 +11,12 @@ import abc
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.problem import Coordinates, Names, NumberResidual, Problem
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, no_progress
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import Effect
 
 
 Starts = Float[np.ndarray, "start coordinate"]
@@ -25,13 +27,17 @@ class AbstractObjective(abc.ABC):
     """Something that data say about the parameters of a vessel.
 
     Attributes:
+        base: the vessel as it was.
+        effects: of the catalogue, estimated besides.
         parameters: those that coordinates belong to, in order.
         problem: the recordings'; None where there are no recordings.
         outliers: how many samples of each motion channel the fit has left out.
         one_sample_in: channels whose errors follow one another: of how many samples one is used.
     """
 
+    base: Vessel
     parameters: tuple[Parameter, ...]
+    effects: tuple[Effect, ...]
     problem: Problem | None
     outliers: dict[str, int]
     one_sample_in: dict[str, int]
@@ -63,6 +69,11 @@ class AbstractObjective(abc.ABC):
 
         Infinite where the steps lead to what cannot be.
         """
+
+    def effect_records(self, fitted: Estimate) -> dict[str, list[dict[str, ParameterRecord]]]:
+        """Parameters of each effect with standard errors, for each of its per-run instances."""
+        assert self.problem is not None
+        return {one.name: parameter_records(self.problem, fitted, one.name) for one in self.effects}
 
     def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
         """The numbers of trials at some coordinates; none where recordings alone are fitted."""

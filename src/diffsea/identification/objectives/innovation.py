@@ -44,7 +44,8 @@ class Innovations(AbstractObjective):
     def __init__(self, problem: Problem):
         """Set up; `problem` loses the samples that fits leave out."""
         self.problem: Problem = problem
-        self.parameters = problem.layout.parameters
+        self.base, self.parameters = problem.base, problem.layout.parameters
+        self.effects = problem.layout.effects
         self.outliers, self.one_sample_in = {}, {}
 
     def fit(

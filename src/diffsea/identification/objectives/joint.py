@@ -24,18 +24,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
+from diffsea.identification.objectives.trial_numbers import (
+    MeasuredTrial,
+    TrialNumbers,
+    acts_in_trials,
+)
 from diffsea.identification.problem import Coordinates, NumberResidual, Problem
-from diffsea.vessel.effects import Effect
-
-
-def acts_in_trials(effect: Effect) -> bool:
-    """Whether an effect is the vessel's own, and so acts in the trials of a sheet too.
-
-    Weather and sensors belong to the recordings, and so does the time of a change: the sheet's
-    trials are run in the environment of the vessel file.
-    """
-    return effect.family in ("actuator", "hull") and effect.scanned is None
 
 
 def with_trial_numbers(problem: Problem, trials: Sequence[MeasuredTrial]) -> Problem:

@@ -178,7 +178,8 @@ class OutputError(AbstractObjective):
         """Set up, with windows of 20 sqrt(L / g)."""
         self._window_seconds = WINDOW * time_scale(float(problem.base.rigid_body.length))
         self.problem: Problem = problem
-        self.parameters = problem.layout.parameters
+        self.base, self.parameters = problem.base, problem.layout.parameters
+        self.effects = problem.layout.effects
         self.outliers, self.one_sample_in = {}, {}  # the soft loss leaves nothing out
         self.windows = shooting_windows(problem.dataset, self._window_seconds)
         self._inputs = ShootingInputs(problem.base, problem.layout, problem.dataset, self.windows)

@@ -38,7 +38,15 @@ from jaxtyping import Array, Float
 
 from diffsea.budget import current_budget
 from diffsea.errors import UserError, nearest
-from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
+from diffsea.identification.coordinates import expansion_points
+from diffsea.identification.estimates import (
+    Estimate,
+    FitOutcome,
+    ParameterRecord,
+    is_at_bound,
+    parameters_with_errors,
+    posterior_estimate,
+)
 from diffsea.identification.least_squares import (
     iterate_least_squares,
     solve_least_squares,
@@ -170,6 +178,15 @@ _EFFECT_SPREAD = 3.0  # prior of an effect's coordinates, in its own sizes
 _MISSED = 30.0  # standard deviations that count for a number which a trial does not reach
 
 
+def acts_in_trials(effect: Effect) -> bool:
+    """Whether an effect is the vessel's own, and so acts in the trials of a sheet too.
+
+    Weather and sensors belong to the recordings, and so does the time of a change: the sheet's
+    trials are run in the environment of the vessel file.
+    """
+    return effect.family in ("actuator", "hull") and effect.scanned is None
+
+
 class TrialInputs(eqx.Module):
     """What the compiled misfits need. Trials of one kind run side by side."""
 
@@ -234,7 +251,7 @@ class TrialNumbers(AbstractObjective):
         trials: Sequence[MeasuredTrial],
         effects: Sequence[Effect] = (),
     ):
-        self.parameters, self.effects = tuple(parameters), tuple(effects)
+        self.base, self.parameters, self.effects = vessel, tuple(parameters), tuple(effects)
         self.problem, self.outliers, self.one_sample_in = None, {}, {}
         self.trials = tuple(trials)
         self.sizes = {effect.name: effect.sizes(vessel) for effect in effects}
@@ -324,6 +341,68 @@ class TrialNumbers(AbstractObjective):
         """Where a few steps of all parameters lead from several starts at once, and the cost."""
         ends = np.asarray(_improve_all(jnp.asarray(starts), self._inputs))
         return ends, np.array([self.cost(end) for end in ends])
+
+    def effect_records(self, fitted: Estimate) -> dict[str, list[dict[str, ParameterRecord]]]:
+        """Parameters of each effect with standard errors."""
+        found = {}
+        for effect in self.effects:
+            places = self._places(effect)
+            rows = [list(fitted.index).index(k) for k in places]
+            sizes = np.array(self.sizes[effect.name])
+            covariance = fitted.covariance[np.ix_(rows, rows)] * np.outer(sizes, sizes)
+            values = sizes * fitted.coordinates[places]
+            record = parameters_with_errors(self.base, effect, values, covariance)
+            found[effect.name] = [record]
+        return found
+
+    def effect_starts(self) -> Starts:
+        """Coordinates without any effect, then those with each where it may show itself."""
+        rows = [np.zeros(len(self.owners))]
+        for effect in self.effects:
+            for point in expansion_points(effect, self.base, []):
+                if any(point.at):
+                    rows.append(np.zeros(len(self.owners)))
+                    rows[-1][self._places(effect)] = point.at
+        return np.array(rows)
+
+    def log10_odds(self, fitted: Estimate, progress: Progress = no_progress) -> dict[str, float]:
+        """Odds of each effect against the fit without it, as decimal logarithms.
+
+        By Laplace's approximation, and by misfits as large as the fit with all effects leaves.
+        """
+        inflation, found = self.inflation(fitted), {}
+        for effect in self.effects:
+            progress(f"fitting without {effect.name}")
+            start = np.array(fitted.coordinates)
+            start[self._places(effect)] = 0.0
+            left = tuple(name for name in fitted.free if name != effect.name)
+            without = self.fit(left, start)
+            evidence = self.evidence(fitted, without, effect, inflation)
+            found[effect.name] = evidence / (2 * math.log(10))
+        return found
+
+    def inflation(self, fitted: Estimate) -> float:
+        """Squared misfits of a fit over the numbers that it leaves free, at least one."""
+        square, count = self.squares(fitted)
+        free = count - float(np.sum(fitted.shrinkage))
+        return max(1.0, square / free) if free > 0 else 1.0
+
+    def evidence(
+        self, fitted: Estimate, without: Estimate, effect: Effect, inflation: float = 1.0
+    ) -> float:
+        """Twice the log of the Bayes factor of a fit against one without an effect (Laplace).
+
+        The fall of the deviance less the price of the effect's room in the prior, both by the
+        misfits' `inflation`.
+        """
+        places = self._places(effect)
+        volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(without.precision)[1]
+        room = volume + 2 * np.log(self.spreads[places]).sum() - len(places) * np.log(inflation)
+        return float((without.deviance - fitted.deviance) / inflation - max(room, 0.0))
+
+    def _places(self, effect: Effect) -> list[int]:
+        """Where an effect's coordinates stand."""
+        return [k for k, owner in enumerate(self.owners) if owner == effect.name]
 
     def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
         """All numbers as they were given and as they are simulated."""
