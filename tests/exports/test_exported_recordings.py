@@ -76,17 +76,31 @@ def test_native_channels_come_back_as_they_were(recording, tmp_path):
     found, names = messages(tmp_path / "out" / "run.mcap")
     assert names["/diffsea/motion"] == "diffsea.Motion"
     assert "psi" not in found["/diffsea/motion"][2] and len(found["/diffsea/motion"]) == ROWS
-    columns = {c: f"/diffsea/motion:{c}" for c in ("x", "y", "psi", "u", "v", "r")}
-    columns |= {"cmd_port": "/diffsea/orders:cmd_port", "exec_port": "/diffsea/executed:exec_port"}
-    mapping = tmp_path / "mapping.toml"
-    lines = ["[columns]", *(f'{name} = "{column}"' for name, column in columns.items())]
-    mapping.write_text("\n".join(lines))
-    again = diffsea.read_recording(tmp_path / "out" / "run.mcap", diffsea.read_mapping(mapping))
+    again = diffsea.read_recording(tmp_path / "out" / "run.mcap")  # without a mapping
     np.testing.assert_allclose(again.t - again.t[0], table["t"] - table["t"][0], atol=1e-9)
     for channel in ("x", "y", "u", "v", "r"):
         np.testing.assert_array_equal(getattr(again, channel), table[channel])
     np.testing.assert_array_equal(again.commanded["port"], table["cmd_port"])
     np.testing.assert_array_equal(again.executed["port"], table["exec_port"])
+    np.testing.assert_array_equal(again.extra["wind_speed"], table["wind_speed"])
+
+
+def test_what_is_missing_is_missing_when_it_is_read_back(recording, tmp_path):
+    path, table = recording
+    table.loc[table.index % 3 != 0, ["x", "y"]] = np.nan
+    table.to_csv(path, index=False)
+    assert main(["export", str(path), "--to", "mcap", "-o", str(tmp_path / "out")]) == 0
+    again = diffsea.read_recording(tmp_path / "out" / "run.mcap")
+    for channel in ("x", "y", "psi", "u"):
+        np.testing.assert_array_equal(getattr(again, channel), table[channel])
+
+
+def test_an_export_is_recognised_as_such(recording, tmp_path, capsys):
+    path, _ = recording
+    assert main(["export", str(path), "--to", "mcap", "-o", str(tmp_path / "out")]) == 0
+    log = str(tmp_path / "out" / "run.mcap")
+    assert main(["audit", log, "-o", str(tmp_path / "audit")]) == 0
+    assert "read as an export of diffsea (mcap-json)" in capsys.readouterr().err
 
 
 def test_a_long_table_has_a_row_for_each_value_with_its_unit(recording, tmp_path):

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.recordings.known.recognition import OWN_TOPICS
 from diffsea.recordings.readers import to_frame
 from diffsea.trajectory import CHANNEL_UNITS, MOTION_CHANNELS, Trajectory
 
@@ -112,7 +113,7 @@ def _native_topics(run: Trajectory) -> dict[str, tuple[str, dict[str, np.ndarray
         group = {"cmd": "orders", "exec": "executed"}.get(prefix, usual)
         groups.setdefault(group, {})[str(name)] = column.to_numpy(float)
     return {
-        f"/diffsea/{group}": (f"diffsea.{group.capitalize()}", channels)
+        f"{OWN_TOPICS}{group}": (f"diffsea.{group.capitalize()}", channels)
         for group, channels in groups.items()
     }
 

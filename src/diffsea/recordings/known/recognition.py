@@ -20,6 +20,7 @@ from diffsea.trajectory import MOTION_CHANNELS
 _LAYOUTS = importlib.resources.files("diffsea.recordings.known") / "layouts"
 _GROUPS = ("position", "heading", "velocity", "yaw_rate", "roll", "armed", "orders")
 _BOAT = 2  # FRAME_CLASS of Rover
+OWN_TOPICS = "/diffsea/"  # under which an exported recording has its channels as they are
 _NEEDED = ("position", "velocity", "heading", "yaw_rate", "orders")
 
 Contents = dict[str, list[str]]  # fields by topic
@@ -77,6 +78,8 @@ def recognise(path: str | Path) -> Recognised | None:
     if form is None or layout is None:
         return None
     found, others, file = logs.contents(path), [], dict(layout.get("file", {}))
+    if own := {t: fields for t, fields in found.items() if t.startswith(OWN_TOPICS)}:
+        return _exported(form.name, own, path)
     channels: dict[str, Any] = {}
     parameters: dict[str, float] = {}
     outputs: list[Output] = []
@@ -115,6 +118,21 @@ def recognise(path: str | Path) -> Recognised | None:
         tuple(missing),
         tuple(others),
     )
+
+
+def _exported(log: str, found: Contents, path: Path) -> Recognised:
+    """A recording that was exported: its own channels under their own names."""
+    channels = {
+        field: f"{topic}:{field}"
+        for topic, fields in found.items()
+        for field in fields
+        if not field.startswith("timestamp.")
+    }
+    clock = next((t for t in found if t.endswith("motion")), next(iter(found)))
+    mapping = mapping_from({"file": {"clock": clock}, "columns": channels}, path)
+    title = "an export of diffsea"
+    mapping = dataclasses.replace(mapping, name=f"the channels of {title}")
+    return Recognised(log, title, mapping, (), _craft(channels, {}), (), ())
 
 
 @functools.cache
