@@ -72,6 +72,40 @@ def test_hovering_moves_the_cursor_in_all_plots_of_the_run(page):
     assert page.complaints == []
 
 
+def test_the_slider_of_time_moves_the_cursor_and_follows_it(page):
+    track, times = plot("held-out", 0), plot("held-out", 1)
+    slider = f"{track}.parentElement.querySelector('.time input')"
+    assert page.run(f"[+{slider}.min, +{slider}.max]") == pytest.approx([0.0, 69.5], abs=0.5)
+    page.run(f"{slider}.value = 20; {slider}.dispatchEvent(new Event('input'))")
+    page.until(f"Math.abs({times}.layout.shapes[0].x0 - 20) < 0.2")
+    assert page.run(f"{slider}.nextElementSibling.textContent") == "20.0 s"
+    hover(page, times, 0.5, 0.5)
+    page.until(f"Math.abs(+{slider}.value - 0.5 * 69.5) < 3")
+    assert page.complaints == []
+
+
+def test_plots_follow_the_readers_colours_and_paper_is_light(page):
+    def colours() -> list[str]:
+        drawn = f"{plot('held-out', 1)}._fullLayout"
+        body = "getComputedStyle(document.body).backgroundColor"
+        return page.run(f"[{drawn}.paper_bgcolor, {drawn}.font.color, {body}]")
+
+    light = colours()
+    assert light[0] in ("#fff", "rgb(255, 255, 255)")
+    scheme = {"name": "prefers-color-scheme", "value": "dark"}
+    page.send("Emulation.setEmulatedMedia", features=[scheme])
+    page.until(f"{plot('held-out', 1)}._fullLayout.paper_bgcolor === 'rgba(0,0,0,0)'")
+    dark = colours()
+    assert dark[1] != light[1] and dark[2] != light[2]
+    page.run("dispatchEvent(new Event('beforeprint'))")
+    page.until(f"{plot('held-out', 1)}._fullLayout.paper_bgcolor === '{light[0]}'")
+    page.run("dispatchEvent(new Event('afterprint'))")
+    page.until(f"{plot('held-out', 1)}._fullLayout.paper_bgcolor === 'rgba(0,0,0,0)'")
+    page.send("Emulation.setEmulatedMedia", features=[])
+    page.until(f"{plot('held-out', 1)}._fullLayout.paper_bgcolor === '{light[0]}'")
+    assert colours() == light and page.complaints == []
+
+
 def test_hovering_a_map_moves_the_mark_on_its_track(page):
     heat, track = plot("where", 2), plot("where", 3)
     hover(page, heat, 0.5, 0.5)

@@ -55,7 +55,6 @@ def check_report(checks: Sequence[LogCheck | Finding], told: Sequence[str], sour
         "check.html.j2",
         title=f"Check of {enumeration([log['name'] for log in logs])}",
         subtitle=f"{len(logs)} log{'s' * (len(logs) != 1)}, {kinds}",
-        dark=True,
         logs=logs,
         provenance=provenance(source, [(one.run, "checked") for one in read]),
     )

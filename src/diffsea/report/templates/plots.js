@@ -4,32 +4,47 @@
   const touch = matchMedia("(pointer: coarse)").matches;
   const groups = {};
   const moving = {};
+  const sliders = {};
   const chooser = document.querySelector("select.colouring");
   // Without its bar of tools: dragging zooms, a double click goes back.
   const config = { responsive: true, displayModeBar: false };
 
-  // Pages that follow the reader's colours have plots without a ground of their own.
-  const dark =
-    document.documentElement.classList.contains("auto") &&
-    matchMedia("(prefers-color-scheme: dark)").matches;
+  // Plots follow the reader's colours without a ground of their own; paper is always light.
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+  const templates = new Map(); // of each plot, as it came
 
-  function darken(layout) {
-    const style = layout.template.layout;
+  function darkened(template) {
+    const dark = structuredClone(template);
+    const style = dark.layout;
     style.paper_bgcolor = style.plot_bgcolor = "rgba(0,0,0,0)";
     style.font.color = "#e4e9ee";
     for (const axis of [style.xaxis, style.yaxis]) axis.gridcolor = "#323b45";
+    return dark;
   }
+
+  function recolour(dark) {
+    for (const [holder, template] of templates) {
+      Plotly.relayout(holder, { template: dark ? darkened(template) : template });
+    }
+  }
+
+  scheme.addEventListener("change", () => recolour(scheme.matches));
+  addEventListener("beforeprint", () => scheme.matches && recolour(false));
+  addEventListener("afterprint", () => scheme.matches && recolour(true));
 
   async function draw(holder) {
     if (holder.dataset.drawn) return;
     holder.dataset.drawn = "yes";
     const { data, layout } = JSON.parse(holder.nextElementSibling.textContent);
-    if (dark) darken(layout);
+    const template = layout.template;
+    if (scheme.matches) layout.template = darkened(template);
     if (touch) layout.dragmode = false; // a finger scrolls the page
     await Plotly.newPlot(holder, data, layout, config);
+    templates.set(holder, template);
     const meta = layout.meta || {};
     if (!meta.group) return;
     (groups[meta.group] ||= []).push(holder);
+    if (meta.cursor === "track" && !sliders[meta.group]) slide(holder, meta);
     holder.on("plotly_hover", (event) => point(meta, event));
     holder.on("plotly_legendclick", (event) => toggle(meta.group, event));
   }
@@ -38,13 +53,44 @@
     const at = event.points[0];
     const time = meta.cursor === "track" ? at.customdata : event.xvals ? event.xvals[0] : at.x;
     if (!Number.isFinite(time)) return;
-    if (!(meta.group in moving)) requestAnimationFrame(() => move(meta.group));
-    moving[meta.group] = time;
+    follow(meta.group, time);
+  }
+
+  function follow(group, time) {
+    if (!(group in moving)) requestAnimationFrame(() => move(group));
+    moving[group] = time;
+  }
+
+  // A slider below the track says the time, for fingers and keys as well as for a mouse.
+  function slide(holder, meta) {
+    const times = meta.curves.flatMap((curve) => [
+      holder.data[curve].customdata[0],
+      holder.data[curve].customdata.at(-1),
+    ]);
+    const input = Object.assign(document.createElement("input"), { type: "range" });
+    input.min = Math.min(...times);
+    input.max = Math.max(...times);
+    input.step = (input.max - input.min) / 500 || "any";
+    input.value = input.min;
+    input.setAttribute("aria-label", "time along the run, s");
+    const label = document.createElement("label");
+    label.className = "time";
+    const output = document.createElement("output");
+    output.textContent = "time";
+    label.append(input, output);
+    holder.after(label);
+    sliders[meta.group] = label;
+    input.addEventListener("input", () => follow(meta.group, Number(input.value)));
   }
 
   function move(group) {
     const time = moving[group];
     delete moving[group];
+    if (sliders[group]) {
+      const [input, output] = sliders[group].children;
+      input.value = time;
+      output.textContent = `${time.toFixed(1)} s`;
+    }
     for (const holder of groups[group]) {
       const meta = holder.layout.meta;
       const change = meta.cursor === "track" ? markers(holder, meta, time) : line(time);
