@@ -270,6 +270,9 @@ def identify(
     wanted = settings.profiles
     if wanted is None:
         wanted = asymmetric_parameters(objective, fitted)
+        if wanted:
+            many = f"{len(wanted)} interval{'s' if len(wanted) > 1 else ''}"
+            progress(f"{many} by profile likelihood; --profile none leaves them out")
     profiles, left = {}, current_budget()
     for name in wanted:
         if not left.skips(f"the profile of {name}"):
