@@ -15,6 +15,7 @@ import numpy as np
 
 from diffsea import State, Vessel, run_controlled
 from diffsea.simulation.control.waypoints import DynamicPD, Pursued
+from diffsea.types import Scalar
 
 
 PERIOD = 0.1  # s, of the controller
@@ -56,12 +57,28 @@ class Driven:
         return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 
+class FixedPD(DynamicPD):
+    """The same law with gains that depend on neither distance nor heading error."""
+
+    def heading_gain(self, distance: Scalar) -> Scalar:
+        return self.K_p
+
+    def rate_gain(self, error: Scalar) -> Scalar:
+        return self.K_d
+
+
+LAWS: dict[str, type[DynamicPD]] = {"dynamic": DynamicPD, "fixed": FixedPD}
+
+
 def controller(
-    waypoints: Path, gains: Mapping[str, float] = GAINS, smoothing: float = 0.0
+    waypoints: Path,
+    gains: Mapping[str, float] = GAINS,
+    smoothing: float = 0.0,
+    law: type[DynamicPD] = DynamicPD,
 ) -> DynamicPD:
-    """The paper's law with a set of gains."""
+    """The paper's law, or another of its form, with a set of gains."""
     numbers = {name: jnp.asarray(value, float) for name, value in gains.items()}
-    return DynamicPD(
+    return law(
         jnp.asarray(waypoints), **numbers, radius=RADIUS, largest=LARGEST, smoothing=smoothing
     )
 

@@ -105,6 +105,22 @@ def tuned(runs: dict[str, dict[str, Driven]], found: Tuned) -> Figure:
     return figure
 
 
+def laws(runs: dict[str, dict[str, Driven]]) -> Figure:
+    """The plant's ways under fixed gains and under those that follow distance and heading error."""
+    paths = PATHS | KEPT_BACK
+    figure, rows = panels(2, len(paths), 12.0, 8.0)
+    for axes, how in zip(rows, ("by hand", "tuned"), strict=True):
+        for one, (path, points) in zip(axes, paths.items(), strict=True):
+            _legs(one, points)
+            for colour, law in ((PAPER, "fixed"), (OURS, "dynamic")):
+                motion = runs[f"{law}, {how}"][path].motion
+                one.plot(motion["y"], motion["x"], color=colour, lw=1.2, label=f"{law} gains")
+            one.set(xlabel="east, m", ylabel="north, m", title=f"{path}, {how}")
+            one.set_aspect("equal", adjustable="datalim")
+    rows[0][0].legend(fontsize=7, frameon=False)
+    return figure
+
+
 def diagnosis(record: dict) -> Figure:
     """What the diagnosis found beside the truth."""
     figure, ((axes,),) = panels(1, 1, 6.0, 2.4)

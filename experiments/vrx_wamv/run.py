@@ -30,18 +30,22 @@ def main() -> None:
         *tables.plant_rows(checks), *tables.procedure_rows(found, arithmetic),
         *tables.mass_rows(), *tables.path_rows(followed),
     ]  # fmt: skip
+    compared = stages.laws(found.vessel("joint"), gains, 4 if run.quick else 15)
     results = {
         "comparison": rows, "checks": checks, "values": found.values, "seconds_of": found.seconds,
         "arithmetic": arithmetic, "prediction_errors": errors, "paths": followed.table,
+        "laws": {"fixed": compared.gains, "on_plant": compared.table},
         "beyond": {"gains": gains, "verified": quiet,
                    "costs": {name: one.costs for name, one in tuned.items()}},
     }  # fmt: skip
     texts = {"published": comparison(rows), "quality": tables.quality(found, errors),
-             "parameters": tables.parameters(found), "paths": tables.paths(followed)}  # fmt: skip
+             "parameters": tables.parameters(found), "paths": tables.paths(followed),
+             "laws": tables.laws(compared.table)}  # fmt: skip
     if not run.quick:
         thorough(run, found, followed, gains, tuned, quiet, results, texts)
         run.save(plots.identification(found), "identification")
         run.save(plots.following(followed.plant, followed.models), "paths")
+        run.save(plots.laws(compared.runs), "laws")
         run.save(plots.tuned(ways, tuned["tuned"]), "tuned")
     run.write(results, texts)
 

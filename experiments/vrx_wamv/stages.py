@@ -5,8 +5,10 @@ from collections.abc import Callable, Mapping
 
 from experiments.vrx_wamv.campaign import Campaign, campaign, held_out
 from experiments.vrx_wamv.closed import (
+    LAWS,
     SLOWEST,
     Driven,
+    FixedPD,
     controller,
     differences,
     on_model,
@@ -167,6 +169,43 @@ def _compared(run: Driven, plant: Driven) -> dict:
 def tuning(found: Identified, gains: Mapping[str, float], evaluations: int, model: str) -> Tuned:
     """Gains tuned on a model, over the paper's two paths."""
     return tune(found.vessel(model), list(PATHS.values()), gains, evaluations)
+
+
+@dataclasses.dataclass(frozen=True)
+class Laws:
+    """The fixed law's gains, and runs of both laws on the plant: by law and gains, then by path."""
+
+    gains: dict[str, dict[str, float]]
+    runs: dict[str, dict[str, Driven]]
+    table: dict[str, dict[str, dict[str, float]]]
+
+
+def laws(vessel: Vessel, gains: Mapping[str, Mapping[str, float]], evaluations: int) -> Laws:
+    """Gains that follow distance and heading error against fixed ones, each at its best.
+
+    Both by hand, as the paper finds them, and tuned alike on the paper's paths; all of them judged
+    on the plant, on a path that was kept back, too.
+
+    Arguments:
+        gains: of the dynamic law, `by hand` and `tuned`.
+    """
+    ways = list(PATHS.values())
+    hand = by_hand(vessel, ways, FixedPD)
+    fixed = {"by hand": hand, "tuned": tune(vessel, ways, hand, evaluations, FixedPD).gains}
+    sets = {"dynamic": {name: dict(gains[name]) for name in fixed}, "fixed": fixed}
+    runs = {
+        f"{law}, {name}": {
+            path: on_plant(NEW, controller(points, numbers, law=LAWS[law]))
+            for path, points in (PATHS | KEPT_BACK).items()
+        }
+        for law, own in sets.items()
+        for name, numbers in own.items()
+    }
+    table = {
+        name: {path: track(run, (PATHS | KEPT_BACK)[path]) for path, run in of.items()}
+        for name, of in runs.items()
+    }
+    return Laws(fixed, runs, table)
 
 
 def verified(gains: Mapping[str, Mapping[str, float]], noisy: bool) -> tuple[dict, dict]:

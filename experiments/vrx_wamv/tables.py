@@ -163,6 +163,18 @@ def verified(quiet: dict, noisy: dict) -> str:
     return table(head, rows)
 
 
+def laws(found: dict[str, dict]) -> str:
+    """Fixed gains and those that follow distance and heading error, on the plant."""
+    rows = [
+        (path, name, one["rms"], one["largest"], one["seconds"], one["finished"])
+        for name, ways in found.items()
+        for path, one in ways.items()
+    ]
+    rows.sort(key=lambda row: row[0])
+    head = ("path", "gains", "off the path, rms m", "largest, m", "time, s", "finished")
+    return table(head, rows)
+
+
 def gains(sets: dict[str, dict], results: dict[str, Tuned]) -> str:
     """The gains of every set."""
     return table(

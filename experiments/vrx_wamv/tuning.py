@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from diffsea import State, Vessel, run_controlled
+from diffsea.simulation.control.waypoints import DynamicPD
 
 
 # What is tuned and where it is looked for. The largest base order is what the boat is run at.
@@ -26,6 +27,7 @@ BOUNDS = {
     "K_p": (0.5, 40.0), "K_d": (0.05, 40.0), "T_f": (0.1, 3.0), "base_min": (6.0, 26.0),
     "near": (1.0, 8.0), "far": (8.5, 40.0),
 }  # fmt: skip
+FIXED_BOUNDS = {"K_p": (0.5, 160.0), "K_d": (0.05, 160.0)}  # logarithms reach four
 WEIGHT = 1.0  # m^2 for all of the time before
 SMOOTHING = 0.5  # s
 NAMES = tuple(BOUNDS)
@@ -41,14 +43,16 @@ class Tuned:
     evaluations: int
 
 
-def by_hand(vessel: Vessel, paths: Sequence[Path]) -> dict[str, float]:
+def by_hand(
+    vessel: Vessel, paths: Sequence[Path], law: type[DynamicPD] = DynamicPD
+) -> dict[str, float]:
     """K_p doubled from 1 until every path is followed without circling a waypoint.
 
     The paper's way, "from small to large"; the other numbers stay as in `GAINS`.
     """
-    for K_p in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
+    for K_p in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0):
         gains = GAINS | {"K_p": K_p}
-        runs = [on_model(vessel, controller(path, gains)) for path in paths]
+        runs = [on_model(vessel, controller(path, gains, law=law)) for path in paths]
         short = [
             run.length < LOOPED * length_of(path) for run, path in zip(runs, paths, strict=True)
         ]
@@ -64,12 +68,17 @@ def length_of(waypoints: Path) -> float:
 
 
 def tune(
-    vessel: Vessel, paths: Sequence[Path], before: Mapping[str, float], evaluations: int = 15
+    vessel: Vessel,
+    paths: Sequence[Path],
+    before: Mapping[str, float],
+    evaluations: int = 15,
+    law: type[DynamicPD] = DynamicPD,
 ) -> Tuned:
     """Gains with the least cost over some paths, from gains that work, by Gauss-Newton steps."""
-    given = problem(vessel, paths, before)
+    given = problem(vessel, paths, before, law)
     start = np.log([before[name] for name in NAMES])
-    low, high = np.log(np.array([BOUNDS[name] for name in NAMES])).T
+    bounds = BOUNDS if law is DynamicPD else BOUNDS | FIXED_BOUNDS
+    low, high = np.log(np.array([bounds[name] for name in NAMES])).T
     costs: list[float] = []
 
     def slopes(z: np.ndarray) -> np.ndarray:
@@ -93,15 +102,22 @@ class Given(eqx.Module):
     lengths: jax.Array  # m
     seconds: jax.Array  # that each path took before
     fixed: dict[str, jax.Array]
+    law: type[DynamicPD] = eqx.field(static=True, default=DynamicPD)
 
 
-def problem(vessel: Vessel, paths: Sequence[Path], before: Mapping[str, float]) -> Given:
+def problem(
+    vessel: Vessel,
+    paths: Sequence[Path],
+    before: Mapping[str, float],
+    law: type[DynamicPD] = DynamicPD,
+) -> Given:
     """The cost's inputs; times are those under the gains `before`."""
-    seconds = [on_model(vessel, controller(path, before)).seconds for path in paths]
+    runs = [on_model(vessel, controller(path, before, law=law)) for path in paths]
+    seconds = [run.seconds for run in runs]
     fixed = {name: jnp.asarray(v) for name, v in before.items() if name not in NAMES}
     return Given(
         vessel, jnp.asarray(np.array(paths)), jnp.array([length_of(p) for p in paths]),
-        jnp.array(seconds), fixed,
+        jnp.array(seconds), fixed, law,
     )  # fmt: skip
 
 
@@ -110,7 +126,7 @@ def residuals(z: jax.Array, given: Given, smoothing: float) -> jax.Array:
     gains = given.fixed | dict(zip(NAMES, jnp.exp(z), strict=True))
 
     def one(waypoints: jax.Array, length: jax.Array, seconds: jax.Array) -> jax.Array:
-        law = controller(waypoints, gains, smoothing)
+        law = controller(waypoints, gains, smoothing, given.law)
         start = State(*(jnp.zeros(()) for _ in range(6)))
         run = run_controlled(given.vessel, law, start, SECONDS, PERIOD, STEP)
         rows = run.trajectory

@@ -5,6 +5,7 @@ Reads lines of JSON from standard input: `kind`, `file` and a folder `out`. Answ
 (largest resident memory) and `left` (what it wrote although it failed).
 """
 
+import importlib
 import json
 import os
 import pathlib
@@ -23,6 +24,24 @@ from tests.fuzz.seeds import SUPPORT, write_support
 SECONDS = 20.0
 MEGABYTES = 2000.0
 ADDRESSES = 6_000_000_000  # bytes: a bound so that a bomb does not take the machine along
+# What children would else import anew for each input, half a second long.
+LOADED = (
+    "diffsea.cli.recordings",
+    "diffsea.exports.ardupilot",
+    "diffsea.identification.objectives.trial_numbers",
+    "diffsea.metrics",
+    "diffsea.recordings",
+    "diffsea.report.pages.recordings",
+    "diffsea.report.pictures",
+    "diffsea.vessel.files",
+    "mcap.reader",
+    "pyarrow.parquet",
+    "pymavlink.DFReader",
+    "pymavlink.mavutil",
+    "pyulog",
+    "rosbags.highlevel",
+    "scipy.io",
+)
 SIZE = "200MB"  # to which files may expand here
 
 
@@ -117,12 +136,8 @@ def judge(kind, file, out):
 
 
 def main():
-    import diffsea.cli.recordings
-    import diffsea.identification.objectives.trial_numbers
-    import diffsea.metrics
-    import diffsea.recordings
-    import diffsea.vessel.files  # noqa: F401
-
+    for name in LOADED:
+        importlib.import_module(name)
     folder = pathlib.Path(tempfile.mkdtemp())
     write_support(folder)
     print(json.dumps("ready"), flush=True)

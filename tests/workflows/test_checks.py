@@ -170,7 +170,7 @@ def test_the_page_is_one_file_and_shows_what_the_record_has(checked):
     assert "Check of boat.bin" in page and 'http-equiv="Content-Security-Policy"' in page
     for one in record["cannot_tell"]:
         assert one["what"] in page
-    assert "upside down" in page and "IMU:GyrZ" in page and 'class="auto"' in page
+    assert "upside down" in page and "IMU:GyrZ" in page and "prefers-color-scheme: dark" in page
 
 
 def test_a_place_that_is_hidden_is_in_nothing_that_is_written(logs, tmp_path):

@@ -109,9 +109,9 @@ class DynamicPD(AbstractController[Pursued]):
         error = wrap(state.psi - bearing(north, east))
         distance = _distance(north, east)
         change = jnp.where(memory.begun, wrap(error - memory.error), 0.0)
-        gain = self.K_d * jnp.log1p(jnp.rad2deg(jnp.abs(error)))
-        derivative = (self.T_f * memory.derivative + gain * change) / (self.T_f + dt)
-        difference = self.K_p * jnp.log1p(distance) * error + derivative
+        damping = self.rate_gain(error) * change
+        derivative = (self.T_f * memory.derivative + damping) / (self.T_f + dt)
+        difference = self.heading_gain(distance) * error + derivative
         base = self.base(distance, error)
         over = number >= self.waypoints.shape[0]
 
@@ -127,6 +127,14 @@ class DynamicPD(AbstractController[Pursued]):
 
     def is_finished(self, memory: Pursued) -> Bool[Array, ""]:
         return memory.number >= self.waypoints.shape[0]
+
+    def heading_gain(self, distance: Scalar) -> Scalar:
+        """Order per rad of heading error at a distance (m) from the waypoint."""
+        return self.K_p * jnp.log1p(distance)
+
+    def rate_gain(self, error: Scalar) -> Scalar:
+        """Order s per rad of change of the heading error, at an error (rad)."""
+        return self.K_d * jnp.log1p(jnp.rad2deg(jnp.abs(error)))
 
     def base(self, distance: Scalar, error: Scalar) -> Scalar:
         """Base order of Algorithm 1 at a distance (m) and a heading error (rad)."""
