@@ -11,6 +11,7 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 
 from diffsea import EFFECTS, UserError, Vessel
+from diffsea.budget import time_budget
 from diffsea.identification.objectives.trial_numbers import MeasuredTrial, TrialNumbers
 from diffsea.identification.study import FitSettings, Study, identify
 from diffsea.simulation import planning
@@ -97,6 +98,12 @@ def test_the_evidence_is_that_of_the_whole_posterior(vessel):
 
 def _weights(costs, fitted) -> np.ndarray:
     return np.exp(-0.5 * (np.array(costs) - fitted.deviance))
+
+
+def test_odds_that_there_is_no_time_for_are_not_stated(uneven):
+    with time_budget(-1.0) as left:
+        assert uneven.objective.log10_odds(uneven.estimate) == {}
+    assert "the odds of thrust-asymmetry" in left.left_out
 
 
 def test_what_belongs_to_recordings_is_refused(vessel):

@@ -369,14 +369,19 @@ class TrialNumbers(AbstractObjective):
         """Odds of each effect against the fit without it, as decimal logarithms.
 
         By Laplace's approximation, and by misfits as large as the fit with all effects leaves.
+        Those that there is no time for are left out.
         """
-        inflation, found = self.inflation(fitted), {}
+        inflation, found, left_out = self.inflation(fitted), {}, current_budget()
         for effect in self.effects:
+            if left_out.skips(f"the odds of {effect.name}"):
+                continue
             progress(f"fitting without {effect.name}")
             start = np.array(fitted.coordinates)
             start[self._places(effect)] = 0.0
             left = tuple(name for name in fitted.free if name != effect.name)
             without = self.fit(left, start)
+            if left_out.skips(f"the odds of {effect.name}"):
+                continue  # its fit was cut short
             evidence = self.evidence(fitted, without, effect, inflation)
             found[effect.name] = evidence / (2 * math.log(10))
         return found
