@@ -16,11 +16,16 @@ from diffsea.diagnosis.screening import (
     expected_evidence,
     mimicry,
     nearby_points,
+    one_sided,
     scan_spacings,
     short_list,
     spectral_peaks,
 )
-from diffsea.identification.coordinates import CoordinateLayout, expansion_points
+from diffsea.identification.coordinates import (
+    CoordinateLayout,
+    ExpansionPoint,
+    expansion_points,
+)
 from diffsea.identification.data.dataset import merge_spans
 
 
@@ -77,6 +82,19 @@ def test_what_answers_late_is_looked_at_from_afar_too(boat):
     for name in ("thrust-lag", "thrust-delay", "rate-limit", "backlash"):
         assert [point.secant for point in points(name)] == [False, True, True, True], name
     assert all(point.secant for point in points("thrust-saturation"))
+
+
+def test_the_reverse_of_a_secant_counts_where_there_is_one_only():
+    """A lag is never negative, an exponent may lie on either side of its own."""
+    for_it, against = (ScoreTest(50.0, 1e-11, np.array([step]), 1.2) for step in (0.8, -0.8))
+    lag = ExpansionPoint("thrust-lag:propulsion", (1.0,), (0,), secant=True)
+    assert one_sided(lag, for_it) is for_it
+    assert one_sided(lag, against)._replace(step=0) == ScoreTest(0.0, 1.0, 0, 1.2)
+    assert not one_sided(lag, against).step.any()
+    exponent = ExpansionPoint("thrust-curve", (0.0, 2.5, 0.0, 0.0), (1,), secant=True)
+    assert one_sided(exponent, against) is against
+    tangent = dataclasses.replace(lag, at=(0.0,), secant=False)
+    assert one_sided(tangent, against) is against
 
 
 def test_a_superstructure_is_not_asked_for_where_each_run_has_a_wind_of_its_own(boat):

@@ -378,6 +378,52 @@ def test_executed_thrust_that_jumps_is_an_order_unless_it_equals_its_command():
     assert kinds(edited(run, executed={"port": port})) == []
 
 
+def _chattering_orders(t):
+    """Orders that move in every row, as those of a controller do."""
+    return 20 * np.sin(0.4 * t) + 5 * np.sin(2.1 * t)
+
+
+def test_feedback_that_is_read_seldom_is_told_as_old_and_not_as_an_order():
+    run = recording("zigzag", 1)
+    ordered = _chattering_orders(run.t)
+    lagged = _chattering_orders(run.t - 0.7)
+    seldom = np.sort(np.random.default_rng(3).choice(run.t.size, run.t.size // 12, replace=False))
+    held = lagged[seldom][np.maximum(np.searchsorted(seldom, range(run.t.size), "right") - 1, 0)]
+    orders = run.commanded | {"pod": ordered}
+    read = edited(run, commanded=orders, executed={"pod": held})
+    finding = only(read, "stuck")
+    assert finding.channels == ("exec_pod",)
+    assert finding.value == pytest.approx(np.median(np.diff(run.t[seldom])), rel=0.3)
+    assert "exec_pod" in finding.message and "leave exec_pod out" in finding.repair
+    done = repair(read)
+    assert [step.outcome for step in done.steps] == ["applied"]
+    assert "pod" not in done.run.executed
+    np.testing.assert_array_equal(done.run.commanded["pod"], ordered)
+
+
+def test_feedback_that_follows_late_dead_or_rounded_is_not_old():
+    run = recording("zigzag", 1)
+    step = run.t[1] - run.t[0]
+    ordered = _chattering_orders(run.t)
+    late = _chattering_orders(run.t - 4 * step)
+    smooth = _chattering_orders(run.t - 0.5)
+    play = np.empty_like(ordered)
+    play[0] = ordered[0]
+    for k in range(1, len(play)):
+        play[k] = np.clip(play[k - 1], ordered[k] - 3, ordered[k] + 3)
+    seldom_ordered = np.floor(run.t / (20 * step)) % 3 * 10.0
+    shifted = np.append(np.full(4, seldom_ordered[0]), seldom_ordered[:-4])
+    cases = {
+        "late": (ordered, late),
+        "with play": (ordered, play),
+        "rounded": (ordered, np.round(smooth)),
+        "steps": (seldom_ordered, shifted),
+    }
+    for what, (order, done) in cases.items():
+        told = edited(run, commanded=run.commanded | {"pod": order}, executed={"pod": done})
+        assert "stuck" not in kinds(told), what
+
+
 def test_irregular_time_steps():
     t, true, orders = motion("zigzag", 1)
     run = sampled(t, true, orders, 1)

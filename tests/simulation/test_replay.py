@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from diffsea import Outcome, Sensors, Trajectory, UserError, horizon_errors, replay
-from diffsea.simulation.actuation import how_actuated, over_rows, recorded_actuation
+from diffsea.simulation.actuation import (
+    how_actuated,
+    over_rows,
+    recorded_actuation,
+    with_common_feedback,
+)
 from diffsea.simulation.replay import prediction_misses, replay_errors
 from diffsea.vessel.files import build
 from diffsea.vessel.sensors import Clock
@@ -92,6 +97,16 @@ def test_executed_values_hold_until_the_next_but_not_where_they_were_lost():
     np.testing.assert_allclose(executed(gap)["screw"][t < 8], 30.0 + np.floor(t[t < 8]))
     for lost in (t > 5, t < 12, (t < 8) | (t > 12), t > 30):
         assert executed(lost) == {}
+
+
+def test_executed_values_are_not_lost_where_the_recording_pauses_as_a_whole():
+    t = np.arange(0.0, 20.0, 0.25)
+    t = t[(t < 8) | (t > 12)]
+    done = 30.0 + t
+    run = dataclasses.replace(straight(t), executed={"screw": done})
+    np.testing.assert_array_equal(recorded_actuation(boat(), run)[1]["screw"], done)
+    lost = np.where((t > 5) & (t < 7.5), np.nan, done)
+    assert recorded_actuation(boat(), dataclasses.replace(run, executed={"screw": lost}))[1] == {}
 
 
 def test_a_measured_actuator_on_its_way_acts_between_its_samples():
@@ -277,3 +292,24 @@ def test_a_run_of_speeds_alone_is_predicted_straight_ahead():
     assert replay_errors(predicted, run) == {"u": pytest.approx(0.0, abs=1e-5)}
     late = boat(delay=5.0)
     assert set(horizon_errors(late, run, (5.0,))[5.0]) == {"u", "starts"}
+
+
+def test_measured_actuation_counts_where_every_recording_has_it_and_what_is_left_out_is_told():
+    t = np.arange(0.0, 20.0, 0.25)
+    orders = {"screw": np.full(t.shape, 50.0)}
+    done = {"screw": np.full(t.shape, 48.0)}
+    whole = dataclasses.replace(straight(t), name="whole", commanded=orders, executed=done)
+    lost = {"screw": np.where((t > 5) & (t < 15), np.nan, 48.0)}
+    gappy = dataclasses.replace(whole, name="gappy", executed=lost)
+    unordered = dataclasses.replace(whole, name="unordered", commanded={})
+    kept, notes = with_common_feedback(boat(), [whole, whole])
+    assert kept[0] is whole and kept[1] is whole and not notes
+    (first, second), _ = with_common_feedback(boat(), [whole, whole], stale={"screw"})
+    assert not first.executed and not second.executed
+    (first, second, third), notes = with_common_feedback(boat(), [whole, gappy, unordered])
+    assert not first.executed and not second.executed
+    assert third.executed == done  # it stands for the orders
+    assert notes == [
+        "exec_screw is not known throughout in gappy: what was executed is reconstructed from "
+        "the orders"
+    ]

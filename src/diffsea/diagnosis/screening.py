@@ -28,7 +28,7 @@ from diffsea.identification.problem import Problem
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.coordinates import PRIOR_SPREAD
+from diffsea.vessel.effects.coordinates import PRIOR_SPREAD, Size
 
 
 SHORT_LIST = 6  # of the strongest candidates, all refitted
@@ -125,7 +125,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         """Keep those that promise more than what was tried before; the columns of all."""
         columns = [projection.efficient(J) for J in model.by_points(points)]
         for point, E in zip(points, columns, strict=True):
-            score, name = projection.test(E), point.effect
+            score, name = one_sided(point, projection.test(E)), point.effect
             one = Candidate(point, score, E, expected_evidence(score, E), spacing[name])
             if name not in best or one.expected > best[name].expected:
                 best[name] = one
@@ -144,6 +144,21 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         around = [nearby_points(point, spacing[point.effect] / finer) for point in promising]
         test_points([point for several in around for point in several])
     return Screening(best, cells, _null_distribution(projection, columns, unnamed))
+
+
+def one_sided(point: ExpansionPoint, score: ScoreTest) -> ScoreTest:
+    """The test of a secant, which says nothing where data ask for its reverse and there is none.
+
+    What a dead time of a second does, taken away, is no dead time of minus a second.
+    """
+    if not point.secant:
+        return score
+    place = point.directions[0]
+    coordinate = EFFECTS[point.effect].coordinates[place]
+    has_reverse = not (isinstance(coordinate, Size) and coordinate.positive)
+    if has_reverse or score.step[0] * point.at[place] > 0:
+        return score
+    return ScoreTest(0.0, 1.0, np.zeros_like(score.step), score.inflation)
 
 
 def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> Screening:

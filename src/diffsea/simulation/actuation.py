@@ -1,6 +1,7 @@
 """What acts along a recording: orders, executed actuation and heel, measured or reconstructed."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Container, Sequence
 
 import equinox as eqx
 import jax
@@ -59,13 +60,57 @@ def recorded_actuation(
     return orders, executed
 
 
+def with_common_feedback(
+    vessel: Vessel, recordings: Sequence[Trajectory], stale: Container[str] = ()
+) -> tuple[list[Trajectory], list[str]]:
+    """Recordings with the measured actuation that all of them have, and sentences on the rest.
+
+    What a model is fitted to and judged by is of one kind throughout. A channel counts as measured
+    where every recording has it without long gaps; elsewhere it is left out of those that have
+    orders for it, from which what was executed is then reconstructed.
+
+    Arguments:
+        stale: channels that are not to count as measured in any case.
+    """
+    used = [recorded_actuation(vessel, run)[1] for run in recordings]
+    left_out, lacking = set[str](), dict[tuple[str, ...], list[str]]()
+    for channel in vessel.channels:
+        known = [channel in own and channel not in stale for own in used]
+        if not all(known) and any(channel in run.executed for run in recordings):
+            left_out.add(channel)
+            names = [run.name for run, there in zip(recordings, known, strict=True) if not there]
+            lacking.setdefault(tuple(names), []).append(channel)
+    common = [
+        dataclasses.replace(
+            run,
+            executed={
+                channel: values
+                for channel, values in run.executed.items()
+                if channel not in left_out or channel not in run.commanded
+            },
+        )
+        for run in recordings
+    ]
+    notes = [
+        f"{', '.join(f'exec_{channel}' for channel in channels)} is not known throughout in "
+        f"{', '.join(names)}: what was executed is reconstructed from the orders"
+        for names, channels in lacking.items()
+    ]
+    return (common if left_out else list(recordings)), notes
+
+
 def _measured_throughout(t: Samples, values: Samples) -> bool:
-    """Whether no stretch of the run (times in s) lacks values for long."""
-    known = t[np.isfinite(values)]
+    """Whether no stretch of the run (times in s) lacks values for long.
+
+    Time of which the recording has no row at all does not count: orders are unknown there, too.
+    """
+    steps = np.diff(t)
+    clock = np.append(0.0, np.cumsum(np.minimum(steps, np.median(steps)))) if len(steps) else t
+    known = clock[np.isfinite(values)]
     if not len(known):
         return False
     usual = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    longest = np.diff([t[0], *known, t[-1]]).max()
+    longest = np.diff([clock[0], *known, clock[-1]]).max()
     return bool(longest <= _LONGEST_GAP * usual * (1 + 1e-9))
 
 

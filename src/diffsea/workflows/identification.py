@@ -27,11 +27,12 @@ from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
+from diffsea.recordings.auditing.actuators import stale_feedback
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
 from diffsea.report.words import verdict_text
-from diffsea.simulation.actuation import how_actuated
+from diffsea.simulation.actuation import how_actuated, with_common_feedback
 from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -78,6 +79,17 @@ def fitted_data(
     check_held_out(tests, bool(runs))
     read = as_recordings([*runs, *tests], mapping)
     return FittedData(read[: len(runs)], trials, read[len(runs) :])
+
+
+def _with_same_feedback(
+    vessel: Vessel, runs: list[Trajectory], held_out: list[Trajectory], progress: Progress
+) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Both with the measured actuation that all have, which says what is left out."""
+    stale = {channel for run in (*runs, *held_out) for channel in stale_feedback(run)}
+    common, notes = with_common_feedback(vessel, [*runs, *held_out], stale)
+    for note in notes:
+        progress(note)
+    return common[: len(runs)], common[len(runs) :]
 
 
 def check_held_out(test: Sequence[Recording], recorded: bool) -> None:
@@ -217,6 +229,8 @@ def fit(
         )
         numbers = (len(given.recordings), "recordings"), (len(given.trials), "trials of sheets")
         told = " and ".join(f"{number} {what}" for number, what in numbers if number)
+        same = _with_same_feedback(file.vessel, given.recordings, given.test, progress)
+        given = given._replace(recordings=same[0], test=same[1])
         progress(f"fitting {told}, {len(given.test)} held out")
         study = identify(file.vessel, [*given.recordings, *given.trials], settings, progress)
         source = f"{', '.join(study.values)} fitted to {told}"
@@ -343,6 +357,7 @@ def diagnose(
         audited = list(audit([*runs, *held_out]))
         audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
         findings = [finding.as_dict() for finding in audited]
+        runs, held_out = _with_same_feedback(file.vessel, runs, held_out, progress)
         not_done: tuple[str, ...] = ()
         if quick:
             whole = [*runs, *held_out]

@@ -27,6 +27,10 @@ _AT_LIMIT = 0.95  # of the largest executed value, from which on a limit may hav
 _FASTEST_RUDDER = np.radians(35.0)  # rad/s; what turns faster from sample to sample is no rudder
 _JUMP = 0.2  # of a channel's range within one sample
 _JUMP_SECONDS = 0.5  # within which thrust may jump and be an order
+_MOVES = 0.01  # of an order's usual range: less from row to row is no move
+_STANDS = 0.8  # share of rows at which a reading stays, from which on it may be stale
+_SELDOM = 1 / 3  # of the rows at which the order moves, those at which a stale reading does
+_LEAST_READINGS = 8  # from which on it is said how old readings are
 
 _Settled = Float[np.ndarray, "order"]
 
@@ -219,13 +223,20 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
     A rudder that turns by a large part of its range, and faster than 35 deg/s, from one
     sample to the next, and does so for most of its travel, is a command; so is thrust that
     moves in jumps of a fifth of its range between samples at most half a second apart. Thrust
-    that equals its command throughout is let pass: a simulated thruster may have no lag.
+    that equals its command throughout is let pass: a simulated thruster may have no lag. What jumps
+    because it is read too seldom is told as that.
     """
-    run = trajectory.counted()
+    run, stale = trajectory.counted(), stale_feedback(trajectory)
     found = []
     for name, values in run.executed.items():
         angle = any(word in name.lower() for word in _ANGLES)
-        ordered = run.commanded.get(name)
+        ordered, channels = run.commanded.get(name), (f"exec_{name}",)
+        edit = ExecutedToCommanded(name)
+        if name in stale:
+            words = {"channel": channels[0], "order": f"cmd_{name}"}
+            size = stale[name], median_interval(run.t)
+            found.append(finding_of("stale-feedback", channels, *size, words, edit))
+            continue
         if ordered is not None and not angle and np.array_equal(ordered, values, equal_nan=True):
             continue
         finite = np.isfinite(values)
@@ -240,6 +251,42 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
         jump = float(np.max(change))
         words = {"name": name, "unit": "rad" if angle else "1"}
         words["jump"] = f"{np.degrees(jump):.3g} deg" if angle else f"{jump:.4g}"
-        edit, channels = ExecutedToCommanded(name), (f"exec_{name}",)
         found.append(finding_of("order-not-motion", channels, jump, 0.0, words, edit))
     return found
+
+
+def stale_feedback(run: Trajectory) -> dict[str, float]:
+    """Actuators whose feedback is read too seldom: for how long a reading stays (s, median).
+
+    It stays for many rows while its order goes on, and then jumps. An actuator that rests, or
+    follows late, moves at as many rows as its orders; one with a dead band or a play does not jump.
+    """
+    counted = run.counted()
+    ages = {
+        name: _reading_age(counted.t, counted.commanded[name], values)
+        for name, values in counted.executed.items()
+        if name in counted.commanded
+    }
+    return {name: age for name, age in ages.items() if age > 0}
+
+
+def _reading_age(t: Samples, ordered: Samples, executed: Samples) -> float:
+    """How long a reading stays while its order moves on, s, median; zero if it does not."""
+    both = np.isfinite(ordered) & np.isfinite(executed)
+    t, ordered, executed = t[both], ordered[both], executed[both]
+    low, high = np.quantile(ordered, [0.05, 0.95]) if t.size else (0.0, 0.0)
+    if t.size < 30 or low == high:
+        return 0.0
+    least = _MOVES * float(high - low)
+    moves = np.abs(np.diff(ordered)) > least
+    reads = np.flatnonzero(np.diff(executed) != 0)
+    seldom = min((1 - _STANDS) * (t.size - 1), _SELDOM * float(moves.sum()))
+    if not _LEAST_READINGS <= reads.size <= seldom:
+        return 0.0
+    # Readings between which the order moved: an actuator at rest is read in vain.
+    moved = np.diff(np.append(0, np.cumsum(moves))[reads]) > 0
+    apart = np.diff(t[reads])[moved]
+    jumps = np.abs(np.diff(executed))[reads[1:]][moved]
+    if apart.size < _LEAST_READINGS or np.median(jumps) < least:
+        return 0.0
+    return float(np.median(apart))
