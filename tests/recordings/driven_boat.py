@@ -261,7 +261,7 @@ def json_log(boat, path):
                 (t, {"type": "HEARTBEAT", "base_mode": {"bits": 128 * int(boat.armed[row])}})
             )
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, chunk_size=4096)  # as a recorder that loses little
         writer.start()
         schema = writer.register_schema("mavlink", "jsonschema", b"{}")
         channels = {}

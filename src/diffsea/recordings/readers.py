@@ -90,16 +90,19 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
         return _from_table(table.rename(columns=str), mapping, _FRAME, 1, [origin, *through])
     path = Path(source)
     if not logs.is_log(path):
-        table, first_line = read_table(path, mapping)
+        found = read_table(path, mapping)
         notes = [f"read {path.name}, sha256 {_digest(path)}", *through]
-        return _from_table(table, mapping, str(path), first_line, notes, path.name)
+        notes += [found.cut_off] if found.cut_off else []
+        run = _from_table(found.table, mapping, str(path), found.first_line, notes, path.name)
+        return dataclasses.replace(run, read=dataclasses.replace(run.read, cut_off=found.cut_off))
     known = recognise(path) if mapping is None else None
     log = logs.read_log(path, known.mapping if known else mapping)
     told = (known.sentence, *known.others, *known.missing) if known else ()
     notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *told, *log.notes]
     run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
     return dataclasses.replace(
-        run, read=dataclasses.replace(run.read, recognised=told, rates=log.rates)
+        run,
+        read=dataclasses.replace(run.read, recognised=told, rates=log.rates, cut_off=log.cut_off),
     )
 
 

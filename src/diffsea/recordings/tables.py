@@ -6,6 +6,7 @@ import re
 import warnings
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,14 +21,27 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 MOST_COLUMNS = 20_000
 # pandas 2 ends the process on it: its parser of numbers counts the exponent in 32 bits.
 _LONG_EXPONENT = re.compile(rb"[0-9.][eE][+-]?[0-9]{9,}")
+_LAST_LINES = 1 << 20  # bytes that hold them
 _HALF_A_DAY = 43_200.0  # s by which a time of day falls where the next day begins
 
 
-def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
-    """The table as it stands, and the number that its first row has in messages.
+class TableFile(NamedTuple):
+    """A table as it stands in a file.
 
-    Parquet by the suffix, else CSV as `mapping` says, or comma-separated UTF-8. Raises `UserError`
-    for what is no file, no text or no table.
+    Attributes:
+        first_line: the number that its first row has in messages.
+        cut_off: that the file ends within a row, which is left out, in words; else empty.
+    """
+
+    table: pd.DataFrame
+    first_line: int
+    cut_off: str = ""
+
+
+def read_table(path: Path, mapping: Mapping | None) -> TableFile:
+    """The table in a file: Parquet by the suffix, else CSV as `mapping` says, or comma-separated.
+
+    Raises `UserError` for what is no file, no text or no table.
     """
     _check_file(path)
     if path.suffix.lower() in PARQUET_SUFFIXES:
@@ -37,10 +51,14 @@ def read_table(path: Path, mapping: Mapping | None) -> tuple[pd.DataFrame, int]:
             raise
         except Exception as error:  # pyarrow raises many kinds for a broken file
             raise UserError(f"{path} cannot be read as Parquet: {error}") from error
-        return table.rename(columns=str), 1
+        return TableFile(table.rename(columns=str), 1)
     mapping = Mapping(channels={}) if mapping is None else mapping
     names, skipped = _find_header(path, mapping)
-    return _read_csv(path, mapping, names, skipped), skipped + 1
+    table = _read_csv(path, mapping, names, skipped)
+    if not _ends_within_a_row(path, mapping.delimiter, mapping.encoding):
+        return TableFile(table, skipped + 1)
+    told = f"{path.name} ends within a row, which is left out; what is before it is used"
+    return TableFile(table.iloc[:-1], skipped + 1, told)
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:
@@ -232,6 +250,21 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
             "or list all names under [file] columns of a mapping"
         )
     return names, max(count, best + 1)
+
+
+def _ends_within_a_row(path: Path, delimiter: str, encoding: str) -> bool:
+    """Whether the last line has no end and fewer cells than the one before it.
+
+    One that was cut off within its last cell cannot be told from one that ends there.
+    """
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _LAST_LINES, 0))
+        last = file.read().decode(encoding, errors="replace").split("\n")[-2:]
+    if len(last) < 2 or not last[1]:
+        return False
+    separator = None if delimiter == "whitespace" else delimiter
+    before, cut = (line.split(separator) for line in last)
+    return len(cut) < len(before) or (not cut[-1].strip() and bool(before[-1].strip()))
 
 
 def _check_exponents(path: Path) -> None:

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.recordings.logs.streams import Stream, unreadable
+from diffsea.recordings.logs.streams import Stream, ends_within_a_message, unreadable
 from diffsea.recordings.mappings import Mapping
 
 
 _TIME_FIELDS = {"TimeUS": 1e-6, "TimeMS": 1e-3}  # of present and of old firmware
+_HEAD = b"\xa3\x95"  # with which a message begins
 _FORMATS_ID = 0x80  # the message that defines the others
 # A satellite fix below two dimensions (GPS.Status) measures nothing.
 _FIX_STATUS = {"GPS": "Status", "GPS2": "Status"}
@@ -20,7 +21,7 @@ _NUMBERS = "bBhHiIqQfdgcCeELM"  # characters of formats that are numbers; M is a
 
 def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message that has a time; instances have their number in []."""
-    log, _ = _open_log(path)
+    log, *_ = _open_log(path)
     with unreadable(path, "an ArduPilot log"):
         found = {
             form.name: _numeric_fields(form)
@@ -44,7 +45,7 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
         UserError: the file is no such log or has no data, or a topic has no time.
     """
     del mapping
-    log, notes = _open_log(path)
+    log, notes, cut_off = _open_log(path)
     bases = {topic.partition("[")[0] for topic in topics}
     messages: dict[str, list] = {}
     with unreadable(path, "an ArduPilot log"):
@@ -57,13 +58,13 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     for topic in topics:
         found = messages.get(topic) or messages.get(f"{topic}[0]")
         if found:
-            streams[topic] = _stream(topic, found, path, notes)
+            streams[topic] = _stream(topic, found, path, notes, cut_off)
     return streams
 
 
 def parameters(path: Path) -> list[tuple[str, float]]:
     """The autopilot's parameters as they were told (PARM), in the order of the file."""
-    log, _ = _open_log(path)
+    log, *_ = _open_log(path)
     found = []
     with unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=["PARM"])) is not None:
@@ -71,8 +72,8 @@ def parameters(path: Path) -> list[tuple[str, float]]:
     return found
 
 
-def _open_log(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """The log, and a note where some of the file is damaged."""
+def _open_log(path: Path) -> tuple[Any, tuple[str, ...], str]:
+    """The log, a note where some of the file is damaged, and whether it is cut off, in words."""
     from pymavlink import DFReader
 
     with unreadable(path, "an ArduPilot log"):
@@ -83,10 +84,15 @@ def _open_log(path: Path) -> tuple[Any, tuple[str, ...]]:
         covered = sum(log.counts[number] * log.formats[number].len for number in known)
     size = path.stat().st_size
     if covered == size:
-        return log, ()
-    if covered > size:
-        return log, (f"{path.name} ends within a message; what is before it is used",)
-    return log, (f"{path.name}: {size - covered} of {size} bytes belong to no message",)
+        return log, (), ""
+    if covered > size or _begins_a_message(path.read_bytes()[covered:]):
+        return log, (), ends_within_a_message(path)
+    return log, (f"{path.name}: {size - covered} of {size} bytes belong to no message",), ""
+
+
+def _begins_a_message(rest: bytes) -> bool:
+    """Whether these are the first bytes of a message, and no more than its name."""
+    return 0 < len(rest) <= len(_HEAD) + 1 and rest.startswith(_HEAD[: len(rest)])
 
 
 def _numeric_fields(form: Any) -> list[str]:
@@ -97,7 +103,7 @@ def _numeric_fields(form: Any) -> list[str]:
     ]
 
 
-def _stream(topic: str, messages: list, path: Path, notes: tuple[str, ...]) -> Stream:
+def _stream(topic: str, messages: list, path: Path, notes: tuple[str, ...], cut_off: str) -> Stream:
     form = messages[0].fmt
     time = next((name for name in _TIME_FIELDS if name in form.columns), None)
     if time is None:
@@ -113,4 +119,4 @@ def _stream(topic: str, messages: list, path: Path, notes: tuple[str, ...]) -> S
             name: series if series is status else np.where(status < _TWO_DIMENSIONS, np.nan, series)
             for name, series in columns.items()
         }
-    return Stream(topic, t, columns, "the autopilot's time since boot", notes)
+    return Stream(topic, t, columns, "the autopilot's time since boot", notes, cut_off=cut_off)

@@ -31,7 +31,7 @@ def contents(path: Path) -> dict[str, list[str]]:
     found = {}
     for topic, file in _tables(path).items():
         try:
-            table, _ = read_table(file, None)
+            table = read_table(file, None).table
         except UserError:
             found[topic] = []
             continue
@@ -78,7 +78,7 @@ def _stream(file: Path, topic: str, mapping: Mapping) -> Stream:
     clock = _clock(topic, mapping)
     names = sorted({*fields, clock.column})
     wanted = {name: Column(name) for name in names}
-    table, first_line = read_table(file, dataclasses.replace(mapping, channels=wanted))
+    table, first_line, cut_off = read_table(file, dataclasses.replace(mapping, channels=wanted))
     missing = [name for name in names if name not in table.columns]
     if missing:
         has = list_fields({topic: [str(name) for name in table.columns]})
@@ -92,7 +92,7 @@ def _stream(file: Path, topic: str, mapping: Mapping) -> Stream:
     known = np.isfinite(t)
     series = {name: numeric_column(table, name, str(file), first_line)[known] for name in fields}
     said = f"the column {clock.column!r}"
-    return Stream(topic, t[known], series, said, _left_out(topic, known))
+    return Stream(topic, t[known], series, said, _left_out(topic, known), cut_off=cut_off)
 
 
 def _left_out(topic: str, known: np.ndarray) -> tuple[str, ...]:

@@ -15,7 +15,10 @@ _RESTARTED = 1.0  # s by which the time since boot falls where the autopilot was
 
 
 def mavlink_streams(
-    received: Mapping[str, Samples], fields: Mapping[str, dict[str, Samples]], file: str
+    received: Mapping[str, Samples],
+    fields: Mapping[str, dict[str, Samples]],
+    file: str,
+    cut_off: str = "",
 ) -> dict[str, Stream]:
     """Streams of MAVLink messages on the autopilot's clock, seconds since boot.
 
@@ -28,6 +31,7 @@ def mavlink_streams(
         fields: series of the same lengths by topic; their names may be paths that end in the
             names of MAVLink's fields.
         file: for the note on a restart.
+        cut_off: as a stream has it.
     """
     boots = {topic: _field(own, "time_boot_ms") for topic, own in fields.items()}
     since_boot = {topic: ms * 1e-3 for topic, ms in boots.items() if ms is not None}
@@ -45,7 +49,10 @@ def mavlink_streams(
             t: _boot_time(received[t], own, since_boot.get(t), zero) for t, own in fields.items()
         }
         clock, notes = "the autopilot's time since boot", ()
-    return {topic: _stream(topic, times[topic], fields[topic], clock, notes) for topic in fields}
+    return {
+        topic: _stream(topic, times[topic], fields[topic], clock, notes, cut_off)
+        for topic in fields
+    }
 
 
 def _boot_time(
@@ -63,7 +70,12 @@ def _boot_time(
 
 
 def _stream(
-    topic: str, t: Samples, fields: dict[str, Samples], clock: str, notes: tuple[str, ...]
+    topic: str,
+    t: Samples,
+    fields: dict[str, Samples],
+    clock: str,
+    notes: tuple[str, ...],
+    cut_off: str,
 ) -> Stream:
     """The stream in the order of its times, with what the messages say of themselves."""
     order = np.argsort(t, kind="stable")
@@ -76,7 +88,7 @@ def _stream(
     if all(places):  # zero and zero stand for no fix
         none = np.all([fields[name] == 0 for name in places], axis=0)
         fields |= {name: np.where(none, np.nan, fields[name]) for name in places}
-    return Stream(topic, t[order], fields, clock, notes)
+    return Stream(topic, t[order], fields, clock, notes, cut_off=cut_off)
 
 
 def _name(fields: Mapping[str, Samples], name: str) -> str:

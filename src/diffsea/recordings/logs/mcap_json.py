@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Iterator
+import struct
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,13 @@ import numpy as np
 from diffsea.outside.sizes import Meter
 from diffsea.recordings.logs.chunks import check_chunks
 from diffsea.recordings.logs.mavlink import mavlink_streams
-from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, euler_angles, unreadable
+from diffsea.recordings.logs.streams import (
+    LONGEST_ARRAY,
+    Stream,
+    ends_within_a_message,
+    euler_angles,
+    unreadable,
+)
 from diffsea.recordings.mappings import Mapping
 
 
@@ -27,7 +34,22 @@ def is_json(path: Path) -> bool:
         found = set(_CODED.findall(file.read(_LOOKED_AT)))
         file.seek(max(path.stat().st_size - _LOOKED_AT, 0))
         found |= set(_CODED.findall(file.read()))
-    return found == {b"json"}
+    return found == {b"json"} if found else _begins_with_json(path)
+
+
+def _begins_with_json(path: Path) -> bool:
+    """Whether the first message is in JSON, of a file that is cut off, its channels packed."""
+    try:
+        from mcap.reader import NonSeekingReader
+    except ImportError:
+        return False
+    check_chunks(path)
+    with path.open("rb") as file:
+        try:
+            messages = NonSeekingReader(file).iter_messages(log_time_order=False)
+            return any(channel.message_encoding == "json" for _, channel, _ in islice(messages, 1))
+        except Exception:  # the reader says what is wrong with the file
+            return False
 
 
 def contents(path: Path) -> dict[str, list[str]]:
@@ -53,7 +75,7 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
 def parameters(path: Path) -> list[tuple[str, float]]:
     """The parameters of a vehicle as they were told (PARAM_VALUE of MAVLink), in that order."""
     found = []
-    for topic, _, content in _messages(path):
+    for topic, _, content in _messages(path)[0]:
         if topic.endswith("PARAM_VALUE"):
             message = content.get("message", content)
             name = message["param_id"]
@@ -65,7 +87,8 @@ def parameters(path: Path) -> list[tuple[str, float]]:
 def _streams(path: Path) -> dict[str, Stream]:
     rows: dict[str, list[dict[str, float]]] = {}
     received: dict[str, list[float]] = {}
-    for topic, stamp, content in _messages(path):
+    messages, cut_off = _messages(path)
+    for topic, stamp, content in messages:
         fields: dict[str, float] = {}
         _flatten(content, "", fields)
         rows.setdefault(topic, []).append(fields)
@@ -85,23 +108,33 @@ def _streams(path: Path) -> dict[str, Stream]:
                 w, x, y, z = (part for part in parts if part is not None)
                 angles = euler_angles(w, x, y, z)
                 series[topic] |= {f"{base}.{name}": angle for name, angle in angles.items()}
-    return mavlink_streams(times, series, path.name)
+    return mavlink_streams(times, series, path.name, cut_off)
 
 
-def _messages(path: Path) -> Iterator[tuple[str, float, Any]]:
-    """Topics, receive times (s) and objects, in the order of their times."""
-    from mcap.reader import make_reader
+def _messages(path: Path) -> tuple[list[tuple[str, float, Any]], str]:
+    """Topics, receive times (s) and objects, in the order of their times; and where it is cut off.
+
+    The file is read from its beginning, so that one whose end is missing, as after a power cut, is
+    read up to there.
+    """
+    from mcap.exceptions import EndOfFile
+    from mcap.reader import NonSeekingReader
 
     check_chunks(path)
-    meter = Meter(path)
+    meter, cut_off = Meter(path), ""
+    every: list[tuple[str, float, Any]] = []
     with unreadable(path, "an MCAP file with JSON messages"), path.open("rb") as file:
-        every = []
-        for _, channel, message in make_reader(file).iter_messages():
-            if channel.message_encoding == "json":
-                meter.add(len(message.data))
-                content = json.loads(message.data, parse_int=float)
-                every.append((_topic(channel.topic, content), message.log_time * 1e-9, content))
-    yield from every
+        try:
+            for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+                if channel.message_encoding == "json":
+                    meter.add(len(message.data))
+                    content = json.loads(message.data, parse_int=float)
+                    every.append((_topic(channel.topic, content), message.log_time * 1e-9, content))
+        except (EndOfFile, struct.error):  # within a record, or within the length of one
+            if not every:
+                raise
+            cut_off = ends_within_a_message(path)
+    return sorted(every, key=lambda one: one[1]), cut_off
 
 
 def _topic(topic: str, content: Any) -> str:

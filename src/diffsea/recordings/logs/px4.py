@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from diffsea.recordings.logs.streams import Stream, euler_angles, unreadable
+from diffsea.recordings.logs.streams import (
+    Stream,
+    ends_within_a_message,
+    euler_angles,
+    unreadable,
+)
 from diffsea.recordings.mappings import Mapping
 
 
@@ -22,7 +27,7 @@ _NEEDED = {
 
 def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message; instances other than the first have their number in []."""
-    log, _ = _open_log(path, None)
+    log, *_ = _open_log(path, None)
     found = {}
     for data in sorted(log.data_list, key=lambda data: (data.name, data.multi_id)):
         instance = f"[{data.multi_id}]" if data.multi_id else ""
@@ -45,19 +50,19 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     for topic in topics:
         parts = re.fullmatch(r"(.+)\[(\d+)\]", topic)
         wanted[topic] = (parts[1], int(parts[2])) if parts else (topic, 0)
-    log, notes = _open_log(path, [name for name, _ in wanted.values()])
+    log, notes, cut_off = _open_log(path, [name for name, _ in wanted.values()])
     data = {(data.name, data.multi_id): data for data in log.data_list}
     streams = {}
     for topic, instance in wanted.items():
         if instance in data:
             t = data[instance].data["timestamp"] * 1e-6
             fields, clock = _fields(data[instance]), "the autopilot's time since boot"
-            streams[topic] = Stream(topic, t, fields, clock, notes)
+            streams[topic] = Stream(topic, t, fields, clock, notes, cut_off=cut_off)
     return streams
 
 
-def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]]:
-    """The messages of these names, all if None, and a note where the file is damaged."""
+def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...], str]:
+    """The messages of these names, all if None; a note where the file is damaged or cut off."""
     import pyulog
 
     with unreadable(path, "a PX4 log (ULog)"), path.open("rb") as file:
@@ -65,14 +70,14 @@ def _open_log(path: Path, names: list[str] | None) -> tuple[Any, tuple[str, ...]
         if not log.message_formats:
             raise ValueError("it ends before its definitions")
     if log.file_corruption:
-        return log, (f"{path.name} is damaged; what could be read of it is used",)
+        return log, (f"{path.name} is damaged; what could be read of it is used",), ""
     # Every message begins with its length and its kind.
     content, at = path.read_bytes(), 16  # bytes of the file's header
     while at + 3 <= len(content):
         at += 3 + int.from_bytes(content[at : at + 2], "little")
     if at != len(content):
-        return log, (f"{path.name} ends within a message; what is before it is used",)
-    return log, ()
+        return log, (), ends_within_a_message(path)
+    return log, (), ""
 
 
 def _fields(data: Any) -> dict[str, np.ndarray]:

@@ -81,12 +81,14 @@ class LogChannels(NamedTuple):
         notes: what was done to them, in words.
         repeated_times: of every topic that had such.
         rates: samples per second, by channel.
+        cut_off: that the file ends within a message, in words.
     """
 
     values: dict[str, Samples]
     notes: list[str]
     repeated_times: tuple[RowsLeftOut, ...]
     rates: dict[str, float]
+    cut_off: str = ""
 
 
 def is_log(path: Path) -> bool:
@@ -142,7 +144,8 @@ def read_log(path: Path, mapping: Mapping | None) -> LogChannels:
     merged = [stream.repeated_times for stream in streams.values()]
     rates = {name: channel.rate for name, channel in channels.items()}
     repeated = tuple(one for one in merged if one)
-    return LogChannels({"t": clock.t} | values, [*notes, *lost], repeated, rates)
+    cut_off = next((one.cut_off for one in streams.values() if one.cut_off), "")
+    return LogChannels({"t": clock.t} | values, [*notes, *lost], repeated, rates, cut_off)
 
 
 def _check_columns(
@@ -282,7 +285,8 @@ def _pick_channels(
         + ", ".join(names)
         for topic, names in sources.items()
     ]
-    notes += [note for stream in streams.values() for note in stream.notes]
+    damage = [(*one.notes, *filter(None, [one.cut_off])) for one in streams.values()]
+    notes += dict.fromkeys(note for stream in damage for note in stream)
     late = {name: column.delay for name, column in columns.items() if column.delay}
     notes += [f"{name} shifted by {-delay:g} s" for name, delay in late.items()]
     if mapping.frame != "NED":

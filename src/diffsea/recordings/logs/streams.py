@@ -21,6 +21,11 @@ LONGEST_ARRAY = 64
 _LISTED_FIELDS = 12  # of a topic, in a message: more would hide the other topics
 
 
+def ends_within_a_message(path: Path) -> str:
+    """That a file does, in words."""
+    return f"{path.name} ends within a message; what is before it is used"
+
+
 @dataclasses.dataclass(frozen=True)
 class Stream:
     """The messages of one topic: flat fields, as they stand in the file, over time.
@@ -34,6 +39,7 @@ class Stream:
         notes: what was damaged or put right in the file, in words.
         unfit: fields that cannot be used, and why.
         repeated_times: what `merge_repeated_times` made one.
+        cut_off: that the file ends within a message, in words; empty where it does not.
     """
 
     topic: str
@@ -43,6 +49,7 @@ class Stream:
     notes: tuple[str, ...] = ()
     unfit: dict[str, str] = dataclasses.field(default_factory=dict)
     repeated_times: RowsLeftOut | None = None
+    cut_off: str = ""
 
     @property
     def title(self) -> str:

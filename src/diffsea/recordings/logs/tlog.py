@@ -1,14 +1,18 @@
 """MAVLink telemetry logs (`.tlog`) of ground stations: every message of the vehicle a stream."""
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffsea.recordings.logs.mavlink import mavlink_streams
-from diffsea.recordings.logs.streams import LONGEST_ARRAY, Stream, unreadable
+from diffsea.recordings.logs.streams import (
+    LONGEST_ARRAY,
+    Stream,
+    ends_within_a_message,
+    unreadable,
+)
 from diffsea.recordings.mappings import Mapping
 
 
@@ -40,7 +44,7 @@ def parameters(path: Path) -> list[tuple[str, float]]:
     """The vehicle's parameters as they were told (PARAM_VALUE), in the order of the file."""
     return [
         (message.param_id.rstrip("\x00"), float(message.param_value))
-        for message in _vehicle_messages(path)
+        for message in _vehicle_messages(path)[0]
         if message.get_type() == "PARAM_VALUE"
     ]
 
@@ -48,7 +52,8 @@ def parameters(path: Path) -> list[tuple[str, float]]:
 def _streams(path: Path) -> dict[str, Stream]:
     rows: dict[str, list[dict[str, float]]] = {}
     received: dict[str, list[float]] = {}
-    for message in _vehicle_messages(path):
+    messages, cut_off = _vehicle_messages(path)
+    for message in messages:
         topic, fields = message.get_type(), _numbers(message)
         if topic == "SERVO_OUTPUT_RAW" and fields.get("port"):
             topic = f"{topic}[{fields['port']:.0f}]"
@@ -62,11 +67,11 @@ def _streams(path: Path) -> dict[str, Stream]:
         for topic, own in rows.items()
     }
     times = {topic: np.array(stamps, dtype=float) for topic, stamps in received.items()}
-    return mavlink_streams(times, series, path.name)
+    return mavlink_streams(times, series, path.name, cut_off)
 
 
-def _vehicle_messages(path: Path) -> Iterator[Any]:
-    """The messages that come from the vehicle, in the order of the file."""
+def _vehicle_messages(path: Path) -> tuple[list[Any], str]:
+    """The vehicle's messages in the order of the file; and whether that is cut off, in words."""
     from pymavlink import mavutil
 
     with unreadable(path, "a MAVLink telemetry log"):
@@ -75,6 +80,7 @@ def _vehicle_messages(path: Path) -> Iterator[Any]:
         while (message := log.recv_msg()) is not None:
             if message.get_type() != "BAD_DATA":
                 messages.append(message)
+        cut_off = ends_within_a_message(path) if log.mav.buf_len() else ""
         log.close()
         if not messages:
             raise ValueError("it has no MAVLink messages")
@@ -84,10 +90,13 @@ def _vehicle_messages(path: Path) -> Iterator[Any]:
         if message.get_type() == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT
     )
     vehicle = beats.most_common(1)[0][0] if beats else messages[0].get_srcSystem()
-    for message in messages:
-        of_autopilot = message.get_type() != "HEARTBEAT" or message.autopilot != _NO_AUTOPILOT
-        if message.get_srcSystem() == vehicle and of_autopilot:
-            yield message
+    own = [
+        message
+        for message in messages
+        if message.get_srcSystem() == vehicle
+        and (message.get_type() != "HEARTBEAT" or message.autopilot != _NO_AUTOPILOT)
+    ]
+    return own, cut_off
 
 
 def _numbers(message: Any) -> dict[str, float]:

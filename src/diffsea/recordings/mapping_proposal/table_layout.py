@@ -58,7 +58,7 @@ def sniff_layout(path: Path) -> TableLayout:
         UserError: it is no file, or no table of numbers of at least two columns.
     """
     if path.suffix.lower() in PARQUET_SUFFIXES:
-        names = tuple(map(str, read_table(path, None)[0].columns))
+        names = tuple(map(str, read_table(path, None).table.columns))
         mapping = Mapping({name: Column(name) for name in names})
         return TableLayout(names, tuple(unit_in(name) for name in names), mapping, text=False)
     lines, encoding = _first_lines(path)
@@ -77,7 +77,7 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
 
     Stamps of text are in seconds. Columns without any number are left out.
     """
-    table = read_table(path, layout.mapping)[0]
+    table = read_table(path, layout.mapping).table
     found = {}
     for name in layout.names:
         column = table[name] if name and name in table.columns else None

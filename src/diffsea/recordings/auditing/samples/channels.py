@@ -7,6 +7,7 @@ channels are compared.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Inexact
@@ -56,6 +57,9 @@ def clock_findings(trajectory: Trajectory) -> list[Finding]:
     if empty is not None:
         words = dataclasses.asdict(empty)
         found.append(finding_of("empty-rows", ("t",), float(empty.count), 0.0, words))
+    if run.read.cut_off:
+        words = {"told": run.read.cut_off, "end": run.t[-1]}
+        found.append(finding_of("cut-off", ("t",), math.nan, math.nan, words))
     ahead = steps[steps > 0]
     if ahead.size < 3:
         return found
