@@ -85,11 +85,11 @@ def table(rows=30):
 
 @functools.cache
 def _boat():
-    """Twelve seconds of a boat under way."""
+    """Twelve seconds of a boat that turns to both sides."""
     from tests.recordings.driven_boat import drive
 
     boat = drive()
-    part = slice(4000, 4600)
+    part = slice(7100, 7700)
     fields = {f.name: getattr(boat, f.name)[part] for f in dataclasses.fields(boat)}
     return dataclasses.replace(boat, **fields | {"t": boat.t[: fields["t"].size]})
 

@@ -19,10 +19,9 @@ pytest.importorskip("rosbags", reason="needs diffsea[ros]")
 
 LOGS = ("bin", "tlog", "ulg", "mcap", "ros1", "ros2", "rosmcap")
 TABLES = ("csv", "parquet", "mat")
-# What the coarsest formats keep of each channel, twice (two of a pair may have it): hundredths of
-# a degree, four bytes for a metre, whole milliseconds; and a turn per row where rates meet at
-# other instants than angles.
-RESOLUTION = {"x": 1e-4, "y": 1e-4, "psi": 2e-4, "u": 5e-4, "v": 5e-4, "r": 0.02}
+# What the coarsest of them keep: four bytes for a number, hundredths of a degree, by which speeds
+# are turned, too, and yaw rates that are sampled more often.
+RESOLUTION = {"x": 1e-5, "y": 1e-5, "psi": 1e-4, "u": 2e-4, "v": 2e-4, "r": 1e-3}
 ORDERS = 1e-6
 
 
