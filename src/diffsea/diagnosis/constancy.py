@@ -29,6 +29,7 @@ class Constancy(NamedTuple):
     share: float  # of the statistic of the effect itself
     tolerated: float = TOLERATED_SHARE
     degrees: int = 0  # of freedom
+    same_in_runs: bool = False  # whether several runs, each as a whole, show one size
 
     @property
     def holds(self) -> bool:
@@ -74,13 +75,12 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
     own[: 6 * len(run)] = 0.0
     is_sensor = EFFECTS[effect].family == "sensor"
     tolerated = TOLERATED_OF_SENSORS if is_sensor else TOLERATED_SHARE
-    tests = []
-    for count in PARTS:
+
+    def in_parts(count: int) -> Constancy:
         parts = _columns_of_parts(problem, sizes, count)
         degrees = parts.shape[1] - sizes.shape[1]
         if degrees <= 0:
-            tests.append(Constancy(0.0, 1.0, 0.0, tolerated))
-            continue
+            return Constancy(0.0, 1.0, 0.0, tolerated)
         richer = Projection(residual, np.concatenate([nuisance, parts], axis=1), run)
         whole = np.concatenate([nuisance, own], axis=1)
         projection = Projection(residual, whole, run, richer.correlation)
@@ -88,8 +88,11 @@ def constancy_test(problem: Problem, fitted: Estimate, effect: str, explained: f
         p_value = float(stats.chi2.sf(score.statistic, degrees))
         excess = max(score.statistic - degrees, 0.0)
         share = excess * score.inflation / max(explained, 1e-9)
-        tests.append(Constancy(score.statistic, p_value, share, tolerated, degrees))
-    return min(tests, key=lambda test: (test.holds, test.p_value))
+        return Constancy(score.statistic, p_value, share, tolerated, degrees)
+
+    worst = min(map(in_parts, PARTS), key=lambda test: (test.holds, test.p_value))
+    runs = in_parts(1)
+    return worst._replace(same_in_runs=runs.degrees > 0 and runs.p_value > LEVEL)
 
 
 def _columns_of_parts(
