@@ -39,6 +39,7 @@ def test_a_lasting_bias_has_one_size(plain):
     found = judged(plain, np.full(len(plain.t), BIAS))
     assert found.holds and found.share < 0.05
     assert found.scatter < 1.5
+    assert not found.same_in_runs  # there is but one
 
 
 def test_a_bias_that_comes_and_goes_in_each_half_has_not(plain):
@@ -94,7 +95,7 @@ def test_a_law_of_several_numbers_has_one_size_where_their_proportion_is_the_sam
     fitted = estimate(problem, (*FREE, name), start)
     found = constancy_test(problem, fitted, name, without.deviance - fitted.deviance)
     assert found.degrees in (3, 15)
-    assert found.holds == (where == "in both runs")
+    assert found.holds == found.same_in_runs == (where == "in both runs")
 
 
 def test_errors_widened_by_the_scatter_of_parts_cover_their_mean():

@@ -82,6 +82,21 @@ def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
     assert not mixed.is_better
 
 
+def test_a_law_with_one_size_in_every_run_does_where_other_runs_are_predicted_better():
+    better = MotionChange({20.0: 0.8}, {20.0: ChanceOfLoss(0.0, 0.0)})
+    within = UNSTEADY._replace(share=1.1, same_in_runs=True)
+    law = dataclasses.replace(judged("rudder-interaction", 60.0, within), motion=better)
+    assert decide(listed(law), None) is law
+    # A wind, or a sensor's error, has no law that only nearly holds.
+    for name in ("wind", "gyro-bias"):
+        other = dataclasses.replace(judged(name, 60.0, within), motion=better)
+        assert decide(listed(other), None) is None
+    open_gain = dataclasses.replace(law, gain=Gain(8.0, 9.0))
+    apart = dataclasses.replace(law, constancy=within._replace(same_in_runs=False))
+    for doubtful in (open_gain, apart, dataclasses.replace(law, motion=None)):
+        assert decide(listed(doubtful), None) is None
+
+
 def test_what_single_steps_leave_open_is_decided_by_free_predictions():
     spoilt = judged("wind", 60.0, STEADY, Gain(-8.0, 9.0))
     assert decide(listed(spoilt), None) is None

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.budget import in_this_budget
-from diffsea.diagnosis.constancy import Constancy, constancy_test
+from diffsea.diagnosis.constancy import LAWS, Constancy, constancy_test
 from diffsea.diagnosis.screening import CONFUSABLE, Candidate, Screening, mimicry, short_list
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate, estimate_surely
@@ -75,17 +75,18 @@ class Hypothesis:
     def has_one_size(self) -> bool:
         """Whether it was fitted to its end and has one size in all the data.
 
-        Or one size predicts the motion better beyond chance, and explains most of what it does or
-        is that of every run: on real vessels laws hold nearly, a wind blows in gusts, and what else
-        is missing comes and goes with the phases of a manoeuvre.
+        Or one size predicts the motion better beyond chance, and explains most of what it does, or
+        is, of a law of hull or actuators, that of every run: on real vessels laws hold nearly, a
+        wind blows in gusts, and what else is missing comes and goes with the phases of a manoeuvre.
         """
         if self.constancy is None:
             return False
         if self.constancy.holds:
             return True
         is_better = self.motion is not None and self.motion.is_better
-        in_runs = self.constancy.same_in_runs and self.gain is not None and self.gain.clear
-        return is_better and (in_runs or self.constancy.share < NEARLY_ONE_SIZE)
+        in_runs = self.constancy.same_in_runs and EFFECTS[self.effect].family in LAWS
+        predicts = in_runs and self.gain is not None and self.gain.clear
+        return is_better and (predicts or self.constancy.share < NEARLY_ONE_SIZE)
 
     def is_part_of(self, other: "Hypothesis") -> bool:
         """Whether the other is this with something more, on the same channels."""
