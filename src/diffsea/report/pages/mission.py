@@ -165,7 +165,8 @@ def order_table(orders: Record) -> Table:
             return significant(scale * one[key], 3) if math.isfinite(one[key]) else "none"
 
         extent = f"{cell('least')} to {cell('largest')}"
-        limits = f"{cell('lower')} to {cell('upper')}"
+        bounds = [cell("lower"), cell("upper")]
+        limits = "none" if bounds == ["none", "none"] else " to ".join(bounds)
         share, events = f"{100 * one['at_limit']:.1f} %", str(one["limit_events"])
         rates = [cell("largest_rate"), cell("rate_limit")]
         rows.append([Verbatim(channel), unit, extent, limits, share, events, *rates])
