@@ -1,0 +1,100 @@
+"""When did the thrusters of milliAmpere act? The motion asked, beside the motors' own readings.
+
+    python -m experiments.concealed_real.shifted_orders
+
+The facts of `facts.py` are from the measured speeds of the motors. Here orders are written late or
+lagged by hand, before anything is fitted, and the vessel, its gusts, its sensors' noise and a
+latency of the velocities are fitted anew to each: how much less likely is the motion than at best?
+Writes `results/shifted_orders.json`, with how seldom the motors' readings change.
+"""
+
+import dataclasses
+import json
+
+from experiments.concealed_real import sets
+from experiments.concealed_real.material import Material, Run
+from experiments.concealed_real.results import FOLDER
+from experiments.concealed_real.run import WORK
+
+import numpy as np
+
+import diffsea
+
+
+PATH = FOLDER / "shifted_orders.json"
+LATE = "sensor-latency:velocity"
+DELAYS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)  # s
+LAGGED = ((0.6, 0.5), (0.6, 0.8), (0.6, 1.3))  # s of dead time and of lag, as the motors read
+CHANNELS = ("a1", "a2", "a3", "a4")
+
+
+def held_late(t: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
+    """Orders that hold until the next, so much later; the first one before it."""
+    return values[np.maximum(np.searchsorted(t, t - delay + 1e-9, side="right") - 1, 0)]
+
+
+def lagged(t: np.ndarray, values: np.ndarray, constant: float) -> np.ndarray:
+    """Values behind a first-order lag (s)."""
+    out = np.array(values, float)
+    for k in range(1, len(out)) if constant else ():
+        kept = np.exp(-(t[k] - t[k - 1]) / constant)
+        out[k] = values[k] + (out[k - 1] - values[k]) * kept
+    return out
+
+
+def shifted(run: Run, delay: float, constant: float) -> Run:
+    """The run with all orders late, and the speeds of the motors lagged besides."""
+    out, t = run.copy(), run["t"].to_numpy()
+    for name in CHANNELS:
+        force = held_late(t, run[f"cmd_{name}.force"].to_numpy(), delay)
+        speed = lagged(t, np.sign(force) * np.sqrt(np.abs(force)), constant)
+        out[f"cmd_{name}.force"] = speed * np.abs(speed)
+        out[f"cmd_{name}.angle"] = held_late(t, run[f"cmd_{name}.angle"].to_numpy(), delay)
+    return out
+
+
+def deviance(material: Material) -> float:
+    """-2 log likelihood of the training runs, priors included, at the best fit."""
+    # Once diffsea has set JAX up.
+    from diffsea.identification.coordinates import free_by_default
+    from diffsea.identification.fit import estimate, estimate_surely
+    from diffsea.identification.problem import make_problem
+    from diffsea.vessel.effects import EFFECTS
+
+    path, train, _ = material.write(WORK / "shifted_orders")
+    vessel = diffsea.read_vessel(path).vessel
+    runs = [diffsea.read_recording(file) for file in train]
+    free = free_by_default(vessel)
+    problem = make_problem(vessel, runs, free, (EFFECTS[LATE],), False, 1)
+    rough = estimate(problem, free)
+    return estimate_surely(problem, (*free, LATE), rough.coordinates, rough.noise).deviance
+
+
+def readings_that_repeat(run: Run) -> float:
+    """Share of rows in which a motor's speed is read as in the row before while its order moves."""
+    same = []
+    for name in CHANNELS:
+        read, order = (run[f"{kind}_{name}.force"].to_numpy() for kind in ("exec", "cmd"))
+        same.append((np.diff(read) == 0)[np.diff(order) != 0])
+    return float(np.mean(np.concatenate(same)))
+
+
+def main() -> None:
+    """Fit to the orders shifted in each way, and write what was found."""
+    diffsea.prepare_jax()
+    whole = sets.SETS["milliampere"].load()
+    orders = dataclasses.replace(sets.SETS["milliampere-orders"].load(), test={})
+    found = []
+    for delay, constant in [(delay, 0.0) for delay in DELAYS] + list(LAGGED):
+        told = orders.with_runs(lambda run, d=delay, c=constant: shifted(run, d, c))
+        found.append({"delay": delay, "lag": constant, "deviance": deviance(told)})
+        print(found[-1], flush=True)
+    least = min(one["deviance"] for one in found)
+    for one in found:
+        one["worse"] = round(one.pop("deviance") - least, 1)
+    repeated = {name: round(readings_that_repeat(run), 3) for name, run in whole.train.items()}
+    PATH.write_text(json.dumps({"shifts": found, "repeated": repeated}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
