@@ -5,15 +5,16 @@ long after the start a filter follows its model, and each innovation is what u i
 """
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import expit
-from tests.diagnosis.small import DOCUMENT, hypothesis, linear_estimate
+from tests.diagnosis.small import DOCUMENT, hypothesis, judged, linear_estimate
 from tests.runs import varied
 
-from diffsea import EFFECTS, Trajectory
+from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.diagnosis.experiment import (
     DECISIVE,
     LONGEST,
@@ -21,10 +22,13 @@ from diffsea.diagnosis.experiment import (
     choose_manoeuvre,
     commands,
     expected_evidence,
+    next_experiment,
 )
+from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import make_problem
+from diffsea.identification.uncertainty import design
 from diffsea.identification.uncertainty.design import LIBRARY, SECONDS, simulate_manoeuvre
 from diffsea.scales import time_scale
 from diffsea.vessel.files import build
@@ -82,6 +86,27 @@ def test_no_order_is_beyond_what_the_actuators_can_do(slow, name):
             series = sequence[f"cmd_{channel}"]
             assert np.isfinite(series).all()
             assert series.min() >= LOWER and series.max() <= UPPER
+
+
+def test_a_vessel_that_its_model_leaves_without_thrust_gets_no_manoeuvre(document, monkeypatch):
+    """A drag that no thrust overcomes, of a vessel whose thrusters state no limit."""
+    thrusters = [
+        {key: value for key, value in thruster.items() if key not in ("max_force", "min_force")}
+        for thruster in document["thruster"]
+    ]
+    endless = build(document | {"thruster": thrusters})
+    monkeypatch.setattr(design, "throttle_for", lambda *_: np.nan)
+    with pytest.raises(UserError, match="no limit to its throttle"):
+        simulate_manoeuvre(endless, LIBRARY["zigzag"])
+    train = trained(endless, ("current", "wind"))
+    wind, current = (
+        dataclasses.replace(judged(name, 60.0), estimate=linear_estimate(size=train.layout.size))
+        for name in ("wind", "current")
+    )
+    accepted = AcceptedEffect(wind, ShortList((wind, current), 10.0))
+    assert accepted.rivals == ("current",)
+    found = SimpleNamespace(split=SimpleNamespace(train=train), effects=[accepted])
+    assert next_experiment(found) is None  # pyright: ignore[reportArgumentType]
 
 
 def test_rivals_that_act_alike_get_no_manoeuvre(slow):

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.score import LinearisedModel
 from diffsea.diagnosis.search import Diagnosis
+from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (
     Problem,
@@ -57,20 +58,26 @@ class Experiment:
 
 
 def next_experiment(diagnosis: Diagnosis) -> Experiment | None:
-    """What to record next, if two explanations could not be told apart."""
+    """What to record next, if two explanations could not be told apart.
+
+    None, too, where one of them leaves the vessel without the thrust for any manoeuvre.
+    """
     train = diagnosis.split.train
     for accepted in diagnosis.effects:
         one = accepted.hypothesis
         for two in accepted.short_list.hypotheses:
             if catalogue_name(two.effect) not in accepted.rivals or two.effect == one.effect:
                 continue
-            evidence = {
-                manoeuvre: min(
-                    expected_evidence(train, one, two, schedule),
-                    expected_evidence(train, two, one, schedule),
-                )
-                for manoeuvre, schedule in LIBRARY.items()
-            }
+            try:
+                evidence = {
+                    manoeuvre: min(
+                        expected_evidence(train, one, two, schedule),
+                        expected_evidence(train, two, one, schedule),
+                    )
+                    for manoeuvre, schedule in LIBRARY.items()
+                }
+            except UserError:
+                return None
             return choose_manoeuvre(train.base, one.effect, two.effect, evidence)
     return None
 

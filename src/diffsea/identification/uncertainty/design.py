@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (
     Problem,
@@ -70,12 +71,13 @@ class NextManoeuvre:
         return dataclasses.asdict(self) | {"message": self.sentence}
 
 
-def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre:
+def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre | None:
     """The manoeuvre of the library with the largest gain of information on what was fitted.
 
     Recordings are simulated with the sensors of those that were fitted and the noise that was
     found; the gain is 1/2 log det(I + C J), C the covariance now and J the information of the
-    manoeuvre (D-optimality, Goodwin and Payne 1977).
+    manoeuvre (D-optimality, Goodwin and Payne 1977). None where the vessel as fitted can do none
+    of them, for want of thrust.
     """
     fitted_parameters = fitted.of_vessel(problem.layout.parameters)
     free, chosen = tuple(p.name for p in fitted_parameters.values()), list(fitted_parameters)
@@ -84,7 +86,10 @@ def next_manoeuvre(problem: Problem, fitted: Estimate) -> NextManoeuvre:
     measured = problem.dataset.recorded_channels
     gains, after = {}, {}
     for manoeuvre, schedule in LIBRARY.items():
-        recording = simulate_manoeuvre(vessel, schedule, measured)
+        try:
+            recording = simulate_manoeuvre(vessel, schedule, measured)
+        except UserError:
+            return None
         J = manoeuvre_information(problem, recording, fitted, free)
         root = np.linalg.cholesky(covariance)
         values = np.linalg.eigvalsh(root.T @ J @ root)
@@ -133,6 +138,9 @@ def manoeuvre_orders(
     """Times (s) and orders of a manoeuvre by channel, within the limits of the vessel.
 
     Full throttle is, for a vessel without a limit, the one for Froude number 0.3.
+
+    Raises:
+        UserError: by its model no throttle brings the vessel there.
     """
     length = float(vessel.rigid_body.length)
     time = time_scale(length)
@@ -141,6 +149,11 @@ def manoeuvre_orders(
     full = float(full_throttle(vessel))
     if not np.isfinite(full):
         full = float(throttle_for(vessel, froude_speed(length, UNLIMITED_FROUDE)))
+    if not np.isfinite(full):
+        raise UserError(
+            f"{vessel.name} has no limit to its throttle, and by this model none brings it to "
+            f"Froude number {UNLIMITED_FROUDE:g}: give its propulsion a limit in the vessel file"
+        )
     allocation = ControlAllocation(vessel)
     given = jax.vmap(allocation.orders)(jnp.asarray(full * share), jnp.asarray(angle))
     orders = {}
