@@ -76,6 +76,19 @@ def test_what_the_page_says_of_facts_is_what_was_found():
     assert f"**{sum(every)} of {len(every)} hold**" in text
 
 
+def test_what_the_page_says_of_shifted_orders_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    found = json.loads((FOLDER / "results" / "shifted_orders.json").read_text(encoding="utf-8"))
+    worse = {(one["delay"], one["lag"]): one["worse"] for one in found["shifts"]}
+    best = min(worse, key=lambda shift: worse[shift])
+    assert best[1] == 0 and f"fit the motion best {best[0]:g} s late" in text
+    assert f"At 0.6 s twice the log likelihood is {worse[0.6, 0.0]} less" in text
+    assert f"besides, {worse[0.6, 0.5]} to {worse[0.6, 1.3]} less" in text
+    shares = [100 * found["repeated"][f"{run}.csv"] for run in ("nlp1", "maneuvering1")]
+    told = f"{shares[0]:.1f} % (`nlp1`) and {shares[1]:.1f} % (`maneuvering1`)"
+    assert told in " ".join(text.split())
+
+
 @real
 def test_what_the_page_says_of_injected_cases_is_what_was_found():
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
