@@ -190,6 +190,7 @@ def test_straight_runs_say_nothing_of_turning_and_the_next_manoeuvre_does(straig
     unknown = {name for direction in told.undetermined for name in direction.weights}
     assert unknown == {"N_r", "Y_v"}
     proposed = next_manoeuvre(problem, fitted)
+    assert proposed is not None
     assert proposed.manoeuvre == max(proposed.gains, key=lambda name: proposed.gains[name])
     assert proposed.gains["speed steps"] < 0.5 < proposed.gains["zigzag"]
     assert proposed.stds["N_r"] < 0.1 and proposed.stds["Y_v"] < 0.2
