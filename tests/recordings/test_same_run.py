@@ -85,7 +85,7 @@ def test_the_same_run_in_every_format_has_the_same_channels(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["csv", "bin", "tlog", "ulg", "mcap"])
-@pytest.mark.parametrize("places", [40, pytest.param(1000, marks=pytest.mark.proof)])
+@pytest.mark.parametrize("places", [15, pytest.param(1000, marks=pytest.mark.proof)])
 def test_of_a_log_that_is_cut_what_is_before_is_read_and_the_audit_says_where(
     tmp_path, kind, places
 ):
