@@ -46,7 +46,8 @@ def _begins_with_json(path: Path) -> bool:
     check_chunks(path)
     with path.open("rb") as file:
         try:
-            messages = NonSeekingReader(file).iter_messages(log_time_order=False)
+            reader = NonSeekingReader(file, record_size_limit=path.stat().st_size)
+            messages = reader.iter_messages(log_time_order=False)
             return any(channel.message_encoding == "json" for _, channel, _ in islice(messages, 1))
         except Exception:  # the reader says what is wrong with the file
             return False
@@ -117,20 +118,22 @@ def _messages(path: Path) -> tuple[list[tuple[str, float, Any]], str]:
     The file is read from its beginning, so that one whose end is missing, as after a power cut, is
     read up to there.
     """
-    from mcap.exceptions import EndOfFile
+    from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
     from mcap.reader import NonSeekingReader
 
     check_chunks(path)
     meter, cut_off = Meter(path), ""
     every: list[tuple[str, float, Any]] = []
     with unreadable(path, "an MCAP file with JSON messages"), path.open("rb") as file:
+        reader = NonSeekingReader(file, record_size_limit=path.stat().st_size)
         try:
-            for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+            for _, channel, message in reader.iter_messages(log_time_order=False):
                 if channel.message_encoding == "json":
                     meter.add(len(message.data))
                     content = json.loads(message.data, parse_int=float)
                     every.append((_topic(channel.topic, content), message.log_time * 1e-9, content))
-        except (EndOfFile, struct.error):  # within a record, or within the length of one
+        except (EndOfFile, RecordLengthLimitExceeded, struct.error):
+            # Within a record, whose length may be that of more than there is, or within the length.
             if not every:
                 raise
             cut_off = ends_within_a_message(path)
