@@ -418,6 +418,7 @@ def test_feedback_that_follows_late_dead_or_rounded_is_not_old():
         "with play": (ordered, play),
         "rounded": (ordered, np.round(smooth)),
         "steps": (seldom_ordered, shifted),
+        "flickers": (ordered, np.where(np.arange(run.t.size) % 40 < 20, 5.0, 5.2)),
     }
     for what, (order, done) in cases.items():
         told = edited(run, commanded=run.commanded | {"pod": order}, executed={"pod": done})
