@@ -68,6 +68,8 @@ class Page:
 
     def close(self) -> None:
         """End the browser."""
+        if hasattr(self, "_socket"):
+            self._socket.close()
         self._browser.terminate()
         self._browser.wait(PATIENCE)
 

@@ -1,5 +1,7 @@
 """ArduPilot's `.bin` logs: every message a stream on the autopilot's one clock."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,7 @@ _NUMBERS = "bBhHiIqQfdgcCeELM"  # characters of formats that are numbers; M is a
 
 def contents(path: Path) -> dict[str, list[str]]:
     """The fields of every message that has a time; instances have their number in []."""
-    log, *_ = _open_log(path)
-    with unreadable(path, "an ArduPilot log"):
+    with _opened(path) as (log, *_), unreadable(path, "an ArduPilot log"):
         found = {
             form.name: _numeric_fields(form)
             for number, form in sorted(log.formats.items(), key=lambda item: item[1].name)
@@ -45,10 +46,9 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
         UserError: the file is no such log or has no data, or a topic has no time.
     """
     del mapping
-    log, notes, cut_off = _open_log(path)
     bases = {topic.partition("[")[0] for topic in topics}
     messages: dict[str, list] = {}
-    with unreadable(path, "an ArduPilot log"):
+    with _opened(path) as (log, notes, cut_off), unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=list(bases))) is not None:
             name, instance = message.get_type(), message.fmt.instance_field
             if instance is not None:
@@ -64,30 +64,37 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
 
 def parameters(path: Path) -> list[tuple[str, float]]:
     """The autopilot's parameters as they were told (PARM), in the order of the file."""
-    log, *_ = _open_log(path)
     found = []
-    with unreadable(path, "an ArduPilot log"):
+    with _opened(path) as (log, *_), unreadable(path, "an ArduPilot log"):
         while (message := log.recv_match(type=["PARM"])) is not None:
             found.append((message.Name, float(message.Value)))
     return found
 
 
-def _open_log(path: Path) -> tuple[Any, tuple[str, ...], str]:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, tuple[str, ...], str]]:
     """The log, a note where some of the file is damaged, and whether it is cut off, in words."""
     from pymavlink import DFReader
 
     with unreadable(path, "an ArduPilot log"):
         log = DFReader.DFReader_binary(str(path))
-        if not log.counts[_FORMATS_ID]:
-            raise ValueError("it defines no messages")
-        known = [number for number in range(256) if log.counts[number] and number in log.formats]
-        covered = sum(log.counts[number] * log.formats[number].len for number in known)
+    with contextlib.closing(log):
+        with unreadable(path, "an ArduPilot log"):
+            if not log.counts[_FORMATS_ID]:
+                raise ValueError("it defines no messages")
+            known = [k for k in range(256) if log.counts[k] and k in log.formats]
+            covered = sum(log.counts[k] * log.formats[k].len for k in known)
+        yield log, *_damage(path, covered)
+
+
+def _damage(path: Path, covered: int) -> tuple[tuple[str, ...], str]:
+    """A note where bytes belong to no message, and whether the log is cut off, in words."""
     size = path.stat().st_size
     if covered == size:
-        return log, (), ""
+        return (), ""
     if covered > size or _begins_a_message(path.read_bytes()[covered:]):
-        return log, (), ends_within_a_message(path)
-    return log, (f"{path.name}: {size - covered} of {size} bytes belong to no message",), ""
+        return (), ends_within_a_message(path)
+    return (f"{path.name}: {size - covered} of {size} bytes belong to no message",), ""
 
 
 def _begins_a_message(rest: bytes) -> bool:
