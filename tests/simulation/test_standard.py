@@ -1,11 +1,14 @@
 """Standard trials by name: defaults on any vessel, and numbers with a closed form."""
 
+import dataclasses
 import math
 
+import equinox as eqx
 import numpy as np
 import pytest
 
 from diffsea import Outcome, UserError, read_vessel, shipped_vessels
+from diffsea.metrics import stopping_metrics, turning_metrics, zigzag_metrics
 from diffsea.simulation import planning
 from diffsea.simulation.control import full_throttle, speed_for, throttle_for, throttle_for_thrust
 from diffsea.vessel.files import build
@@ -53,10 +56,43 @@ def test_stopping_under_reversed_thrust(boat):
     """u = 4 exp(-t / T) - 2 is zero at T ln 2, after 2 T - 2 T ln 2 m."""
     found = measured(boat, "stopping")
     assert found["stopping_time"] == pytest.approx(LAG * math.log(2), rel=1e-6)
-    # Between two samples the track is a chord: at 0.4 m/s2 and 0.1 s off by 0.5 mm at most.
-    assert found["track_reach"] == pytest.approx(2 * LAG * (1 - math.log(2)), abs=5e-4)
+    assert found["track_reach"] == pytest.approx(2 * LAG * (1 - math.log(2)), abs=1e-5)
     assert found["track_reach_over_L"] == pytest.approx(found["track_reach"] / 4)
     assert found["imo"]["track_reach"]["verdict"] == "pass"
+
+
+@pytest.mark.parametrize(
+    ("manoeuvre", "measure", "side"),
+    [
+        ("zigzag", zigzag_metrics, {"side": -1.0}),
+        ("turning-circle", turning_metrics, {"side": -1.0}),
+        ("stopping", stopping_metrics, {}),
+    ],
+)
+def test_spare_rows_change_no_number(boat, manoeuvre, measure, side):
+    """The rows that count, given alone, have the numbers of all rows with those that repeat."""
+    plan = planning.plan_trial(boat, manoeuvre, speed=2.0, side=-1)
+    trial, found = planning.run_and_measure(boat, plan)
+    assert not np.all(trial.trajectory.valid)
+    times = float(trial.execute_time)
+    if manoeuvre == "zigzag":
+        times = np.append(times, np.asarray(trial.switch_times)[:-1])
+    alone = eqx.filter_jit(measure)(trial.trajectory.counted(), times, **side)
+    assert alone.keys() == found.keys()
+    for name, value in alone.items():
+        # Rows that repeat tell the corners at orders; differences across them are a little off.
+        assert float(found[name]) == pytest.approx(float(value), rel=5e-5, abs=1e-9), name
+
+
+def test_nothing_follows_an_approach_that_is_not_steady(boat):
+    plan = planning.plan_trial(boat, "zigzag", speed=2.0)
+    short = dataclasses.replace(plan, approach_seconds=3.0, speed=1.0, throttle=0.8)
+    trial, numbers = planning.run_and_measure(boat, short)
+    assert int(trial.trajectory.outcome) == Outcome.APPROACH_UNSTEADY
+    counted = trial.trajectory.counted()
+    assert len(counted.t) == round(3.0 / plan.settings.step)
+    assert np.all(np.isnan(trial.switch_times)) and np.all(counted.commanded["port"] > 0)
+    assert math.isnan(numbers["overshoot_1"]) and math.isnan(numbers["initial_turning_time"])
 
 
 def test_a_spiral_ends_every_step_at_the_yaw_rate_of_its_angle(boat):

@@ -6,6 +6,7 @@ trajectories and rotations: not vessels, nor recordings.
 """
 
 from diffsea.metrics.crossings import Curve as Curve
+from diffsea.metrics.crossings import DifferencedCurve as DifferencedCurve
 from diffsea.metrics.crossings import curve as curve
 from diffsea.metrics.crossings import first_crossing as first_crossing
 from diffsea.metrics.crossings import highest as highest

@@ -8,8 +8,11 @@ one last Newton step with the derivatives on then carries the implicit-function 
     dt = -(dvalue - dlevel) / rate
 
 exactly, in forward and reverse mode, because at the solution the step has length zero.
+
+Samples alone say where to look; the cubics are those of a few intervals there.
 """
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,18 +25,55 @@ from diffsea.types import Scalar
 
 # Halves the bracket to below one unit in the last place even if Newton never helps.
 _ITERATIONS = 55
+_MARGIN = 2  # rows to either side that differences look at
+_BESIDE = 2  # intervals to either side of a sample that are looked at; one of them may be empty
 
 
-class Curve(eqx.Module):
-    """Samples of one channel with time derivatives; times never decrease.
+class AbstractCurve(eqx.Module):
+    """Samples of one channel that have time derivatives; times never decrease.
 
     A repeated time stamp marks a switching event: the value is continuous there and the
-    empty interval is never used. Build it with `curve` when some rows do not count.
+    empty interval is never used.
     """
+
+    t: eqx.AbstractVar[Float[Array, "time"]]  # s
+    value: eqx.AbstractVar[Float[Array, "time"]]
+
+    @abc.abstractmethod
+    def rates(self, row: Int[Array, ""], before: int, after: int) -> Float[Array, "near"]:
+        """Derivatives (1/s times the unit of `value`) from so many rows before a row to as many
+        after it; beyond the ends those there."""
+
+    def near(self, row: Int[Array, ""], before: int, after: int) -> "Curve":
+        """The same curve from so many rows before a row to as many after it."""
+        rows = self.rows(row, before, after)
+        return Curve(self.t[rows], self.value[rows], self.rates(row, before, after))
+
+    def rows(self, row: Int[Array, ""], before: int, after: int) -> Int[Array, "near"]:
+        """Rows around one; beyond the ends those there, as if their time were repeated."""
+        return jnp.clip(row + jnp.arange(-before, after + 1), 0, self.t.shape[0] - 1)
+
+
+class Curve(AbstractCurve):
+    """A curve with a derivative at each sample. `curve` builds it where some rows do not count."""
 
     t: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # s
     value: Float[Array, "time"] = eqx.field(converter=jnp.asarray)
     rate: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # 1/s times the unit of `value`
+
+    def rates(self, row: Int[Array, ""], before: int, after: int) -> Float[Array, "near"]:
+        return self.rate[self.rows(row, before, after)]
+
+
+class DifferencedCurve(AbstractCurve):
+    """A curve whose derivatives are three-point differences, taken where they are needed."""
+
+    t: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # s
+    value: Float[Array, "time"] = eqx.field(converter=jnp.asarray)
+
+    def rates(self, row: Int[Array, ""], before: int, after: int) -> Float[Array, "near"]:
+        rows = self.rows(row, before + _MARGIN, after + _MARGIN)
+        return slopes(self.t[rows], self.value[rows])[_MARGIN:-_MARGIN]
 
 
 class Crossing(NamedTuple):
@@ -88,16 +128,19 @@ def interval_at(t: Float[Array, "time"], time: Scalar) -> Int[Array, ""]:
     return jnp.clip(jnp.sum(t <= time) - 1, 0, t.shape[0] - 2)
 
 
-def value_at(curve: Curve, time: Scalar) -> Float[Array, ""]:
+def value_at(curve: AbstractCurve, time: Scalar) -> Float[Array, ""]:
     """Interpolated value at a time (s), differentiable in it; held before and after."""
     time = jnp.clip(time, curve.t[0], curve.t[-1])
-    i = interval_at(curve.t, time)
-    piece = _pieces(curve, i, i + 1)
+    piece = _piece(curve, interval_at(curve.t, time))
     return _hermite(piece, (time - piece.t) / piece.step)
 
 
 def first_crossing(
-    curve: Curve, level: Scalar, direction: int, after: Scalar = -jnp.inf, before: Scalar = jnp.inf
+    curve: AbstractCurve,
+    level: Scalar,
+    direction: int,
+    after: Scalar = -jnp.inf,
+    before: Scalar = jnp.inf,
 ) -> Crossing:
     """First time that a curve passes a level between two times.
 
@@ -116,9 +159,9 @@ def first_crossing(
     upwards = (low < 0) & (high >= 0)
     downwards = (low > 0) & (high <= 0)
     hits = {1: upwards, -1: downwards, 0: upwards | downwards}[direction] & inside & (first < last)
-    i = _first(hits)
+    i = first_row(hits)
     found = hits[i]
-    piece = _pieces(curve, i, i + 1)
+    piece = _piece(curve, i)
     still = jax.lax.stop_gradient(piece)
     left, right = (jnp.clip((time - still.t) / still.step, 0.0, 1.0) for time in (first, last))
     s = _bisected_newton((still, jax.lax.stop_gradient(level)), left, right)
@@ -128,27 +171,44 @@ def first_crossing(
     return Crossing(jnp.where(found, piece.t + s * piece.step, fixed.t[-1]), found)
 
 
-def _first(where: Bool[Array, "row"]) -> Int[Array, ""]:
+def first_row(where: Bool[Array, "row"]) -> Int[Array, ""]:
     """The first row where it holds, the last row if in none: a third of the time of `argmax`."""
     last = where.shape[0] - 1
     return jnp.min(jnp.where(where, jnp.arange(last + 1), last))
 
 
-def _excess_at(fixed: Curve, time: Scalar, level: Scalar) -> Float[Array, ""]:
+def _excess_at(fixed: AbstractCurve, time: Scalar, level: Scalar) -> Float[Array, ""]:
     """Value above a level at a time (s); no derivative."""
     return value_at(fixed, time) - jax.lax.stop_gradient(level)
 
 
 def highest(
-    curve: Curve, sense: Scalar, after: Scalar = -jnp.inf, before: Scalar = jnp.inf
+    curve: AbstractCurve, sense: Scalar, after: Scalar = -jnp.inf, before: Scalar = jnp.inf
 ) -> Extremum:
     """Highest turning point between two times; the lowest where `sense` is -1.
 
     A turning point is where the derivative of the Hermite cubic, a quadratic, vanishes:
-    a closed form in every interval. There is none if the curve is still beyond it at the
-    end of the window, for then it has not turned back. The bounds (s) carry no derivative.
+    a closed form in an interval. It is looked for beside the highest sample that is no lower than
+    those before and after it. There is none if the curve is still beyond it at the end of the
+    window, for then it has not turned back. The bounds (s) carry no derivative.
     """
     fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
+    t, value = fixed.t, fixed.value * sense
+    # The window's first and last samples may be those beside a turning point between them.
+    inside = (t[1:-1] >= bounds[0]) & (t[1:-1] <= bounds[1])
+    inside = inside & (value[1:-1] >= value[:-2]) & (value[1:-1] >= value[2:])
+    height = jnp.where(inside, value[1:-1], -jnp.inf)
+    row = 1 + first_row(height == jnp.max(height))
+    found = _highest_near(curve.near(row, _BESIDE, _BESIDE), sense, bounds)
+    at_end = sense * value_at(fixed, bounds[1])
+    return found._replace(
+        found=found.found & (jax.lax.stop_gradient(sense * found.value) >= at_end)
+    )
+
+
+def _highest_near(curve: Curve, sense: Scalar, bounds: tuple[Scalar, Scalar]) -> Extremum:
+    """The highest turning point of a few intervals between two times (s)."""
+    fixed = jax.lax.stop_gradient(curve)
     upright = Curve(fixed.t, fixed.value * sense, fixed.rate * sense)
     pieces = _pieces(upright, *_ALL)
     s = _maximum(pieces)
@@ -157,8 +217,8 @@ def highest(
     usable = pieces.proper & (jnp.abs(s - 0.5) <= 0.5 + 1e-6)
     usable = usable & (time >= bounds[0]) & (time <= bounds[1])
     height = jnp.where(usable, _hermite(pieces, jnp.where(usable, s, 0.0)), -jnp.inf)
-    i = _first(height == jnp.max(height))
-    found = usable[i] & (height[i] >= value_at(upright, bounds[1]))
+    i = first_row(height == jnp.max(height))
+    found = usable[i]
     piece = _pieces(curve, i, i + 1)
     s = jnp.where(found, s[i], 0.0)
     _, _, c2, c3 = _cubic(piece)
@@ -231,6 +291,12 @@ def _pieces(curve: Curve, first: Int[Array, ""] | slice, after: Int[Array, ""] |
 _ALL = slice(None, -1), slice(1, None)  # every interval of a curve
 
 
+def _piece(curve: AbstractCurve, row: Int[Array, ""]) -> _Piece:
+    """The interval that a sample begins."""
+    both = curve.near(row, 0, 1)
+    return _pieces(both, jnp.asarray(0), jnp.asarray(1))
+
+
 def _cubic(p: _Piece) -> tuple[Array, Array, Array, Array]:
     rise = p.end - p.start
     square = 3 * rise - 2 * p.start_slope - p.end_slope
@@ -260,18 +326,22 @@ def _bisected_newton(problem: tuple[_Piece, Scalar], left: Array, right: Array) 
     piece, level = problem
     sign = jnp.sign(_hermite(piece, right) - _hermite(piece, left))
 
-    def narrow(_, carry):
-        low, high, s = carry
+    def narrow(carry: tuple) -> tuple:
+        passes, low, high, s, _ = carry
         excess = _hermite(piece, s) - level
         below = sign * excess < 0
         low, high = jnp.where(below, s, low), jnp.where(below, high, s)
         slope = _hermite_rate(piece, s)
         newton = s - excess / jnp.where(slope == 0, 1.0, slope)
         inside = (newton > low) & (newton < high) & (slope != 0)
-        return low, high, jnp.where(inside, newton, 0.5 * (low + high))
+        after = jnp.where(inside, newton, 0.5 * (low + high))
+        return passes + 1, low, high, after, after != s
 
-    start = (left, right, 0.5 * (left + right))
-    return jax.lax.fori_loop(0, _ITERATIONS, narrow, start)[2]
+    def unsettled(carry: tuple) -> Bool[Array, ""]:
+        return (carry[0] < _ITERATIONS) & carry[-1]
+
+    start = (0, left, right, 0.5 * (left + right), jnp.ones((), bool))
+    return jax.lax.while_loop(unsettled, narrow, start)[3]
 
 
 def _maximum(p: _Piece) -> Array:

@@ -5,6 +5,9 @@ can be differentiated, in both modes, with respect to the trajectory and the tim
 orders; under `vmap` it works on a batch. Definitions follow IMO MSC.137(76) and
 MSC/Circ.1053. A number that the run does not contain is NaN with derivative zero.
 
+Rows that do not count are brought to the end first. Those of a simulated trial repeat the
+row before and do no harm: with `spare_rows_repeat` they stay, which takes half of the time.
+
 The axes are those of the approach: distances are along the original heading and, for a
 turn, towards the side that the vessel turns to. Angles are positive that way too.
 """
@@ -12,18 +15,21 @@ turn, towards the side that the vessel turns to. Angles are positive that way to
 import math
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.kinematics import to_body, to_earth
 from diffsea.metrics.crossings import (
+    AbstractCurve,
     Crossing,
     Curve,
+    DifferencedCurve,
     first_crossing,
+    first_row,
     highest,
     interval_at,
-    slopes,
     valid_rows,
     value_at,
     value_or_nan,
@@ -40,6 +46,7 @@ INITIAL_TURN = math.radians(10)
 _REVERSAL_MARGIN = math.radians(1)
 # Spread of the points, relative to its larger axis, below which they lie on a line.
 _FLATTEST = 1e-6
+_AROUND_PEAK = 4  # samples to either side of the largest yaw rate, for differences beside it
 
 
 def fitted_radius(
@@ -67,7 +74,12 @@ def fitted_radius(
 
 
 def turning_metrics(
-    trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None = None
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    side: Scalar,
+    psi0: Scalar | None = None,
+    *,
+    spare_rows_repeat: bool = False,
 ) -> dict[str, Float[Array, ""]]:
     """Turning circle after one order that is held to the end of the record.
 
@@ -83,7 +95,7 @@ def turning_metrics(
     The steady part is what follows 360 deg, or in a shorter record the last 180 deg but
     nothing before 180 deg; it needs 270 deg in all.
     """
-    run = _refer_to_execute(trajectory, execute_time, side, psi0)
+    run = _refer_to_execute(trajectory, execute_time, side, psi0, spare_rows_repeat)
     turn, start = run.heading, execute_time
     quarters = jnp.array([0.5, 1.0, 1.5]) * math.pi
     crossings = jax.vmap(lambda angle: first_crossing(turn, angle, +1, after=start))(quarters)
@@ -116,6 +128,8 @@ def zigzag_metrics(
     switch_times: Float[Array, "switch"],
     psi0: Scalar | None = None,
     side: Scalar = 1.0,
+    *,
+    spare_rows_repeat: bool = False,
 ) -> dict[str, Float[Array, ""]]:
     """Zig-zag with its orders at the switch times.
 
@@ -138,7 +152,7 @@ def zigzag_metrics(
     happened = jnp.isfinite(times)
     times = jnp.where(happened, times, 0.0)
     start, first = times[0], times[1]
-    run = _refer_to_execute(trajectory, start, side, psi0)
+    run = _refer_to_execute(trajectory, start, side, psi0, spare_rows_repeat)
     turned = first_crossing(run.heading, INITIAL_TURN, +1, after=start)
     under_order = ~happened[1] | (value_at(run.heading, first) > INITIAL_TURN - _REVERSAL_MARGIN)
     turned = Crossing(turned.time, turned.found & under_order)
@@ -161,13 +175,17 @@ def zigzag_metrics(
         "initial_turning_time": value_or_nan(turned.time - start, turned.found),
         "reach_time": value_or_nan(back.time - start, back.found & happened[1]),
         "period": period,
-        "peak_yaw_rate": _peak_yaw_rate(with_corners(run.yaw, times), start),
+        "peak_yaw_rate": _peak_yaw_rate(run.yaw, start, times),
         "approach_speed": _approach_speed(run, start),
     }
 
 
 def stopping_metrics(
-    trajectory: Trajectory, execute_time: Scalar, psi0: Scalar | None = None
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    psi0: Scalar | None = None,
+    *,
+    spare_rows_repeat: bool = False,
 ) -> dict[str, Float[Array, ""]]:
     """Stopping trial: from the order until the surge velocity passes zero.
 
@@ -175,11 +193,11 @@ def stopping_metrics(
     heading; `lateral_deviation` (m), positive to starboard; `stopping_time` (s);
     `heading_change` (rad) until then; `approach_speed` (m/s).
     """
-    run = _refer_to_execute(trajectory, execute_time, 1.0, psi0)
+    run = _refer_to_execute(trajectory, execute_time, 1.0, psi0, spare_rows_repeat)
     # A simulated run ends at the stop, with a speed that rounding may leave above zero.
     stopped = 1e-12 * jax.lax.stop_gradient(jnp.abs(value_at(run.surge, execute_time)))
     stop = first_crossing(run.surge, stopped, -1, after=execute_time)
-    travelled = _distance_travelled(run, stop.time) - _distance_travelled(run, execute_time)
+    travelled = _distance_between(run, execute_time, stop.time)
     return {
         "track_reach": value_or_nan(travelled, stop.found),
         "head_reach": value_or_nan(value_at(run.along, stop.time), stop.found),
@@ -190,52 +208,65 @@ def stopping_metrics(
     }
 
 
+class _Position(AbstractCurve):
+    """A position along an axis of the approach; its derivative is the velocity along that axis."""
+
+    t: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # s
+    value: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # m
+    u: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # m/s
+    v: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # m/s, towards the side
+    heading: Float[Array, "time"] = eqx.field(converter=jnp.asarray)  # rad, towards the side
+    axis: int = eqx.field(static=True)  # 0 along, 1 across
+
+    def rates(self, row: Int[Array, ""], before: int, after: int) -> Float[Array, "near"]:
+        rows = self.rows(row, before, after)
+        north, east = to_earth(self.u[rows], self.v[rows], self.heading[rows])
+        return jnp.asarray(east if self.axis else north)
+
+
 class _TrialFrame(NamedTuple):
     """A trajectory referred to the position and heading at the execute."""
 
     heading: Curve  # rad, change towards the side
-    along: Curve  # m, in the direction of the original heading
-    across: Curve  # m, towards the side
-    surge: Curve  # m/s
-    sway: Curve  # m/s
-    path: Float[Array, "time"]  # m travelled
-    yaw: Curve  # rad/s, towards the side
+    along: _Position  # m, in the direction of the original heading
+    across: _Position  # m, towards the side
+    surge: DifferencedCurve  # m/s
+    sway: DifferencedCurve  # m/s, towards the side
+    yaw: DifferencedCurve  # rad/s, towards the side
+    speed: Float[Array, "time"]  # m/s
     counts: Bool[Array, "time"]
 
 
 def _refer_to_execute(
-    trajectory: Trajectory, execute_time: Scalar, side: Scalar, psi0: Scalar | None
+    trajectory: Trajectory,
+    execute_time: Scalar,
+    side: Scalar,
+    psi0: Scalar | None,
+    spare_rows_repeat: bool,
 ) -> _TrialFrame:
     valid = jnp.asarray(trajectory.valid)
-    rows = valid_rows(valid)
+    rows = slice(None) if spare_rows_repeat else valid_rows(valid)
     t, x, y, psi, u, v, r = (
         jnp.asarray(getattr(trajectory, name))[rows]
         for name in ("t", "x", "y", "psi", "u", "v", "r")
     )
-    heading = Curve(t, psi, r)
-    psi0 = value_at(heading, execute_time) if psi0 is None else psi0
-    north, east = to_earth(u, v, psi)
-    x0 = value_at(Curve(t, x, north), execute_time)
-    y0 = value_at(Curve(t, y, east), execute_time)
+    psi0 = value_at(Curve(t, psi, r), execute_time) if psi0 is None else psi0
+    x0, y0 = (
+        value_at(_Position(t, value, u, v, psi, axis), execute_time)
+        for axis, value in enumerate((x, y))
+    )
     along, across = to_body(x - x0, y - y0, psi0)
-    ahead, abeam = to_body(north, east, psi0)
-    surge, sway = Curve(t, u, slopes(t, u)), Curve(t, v, slopes(t, v))
-    # Distance travelled by trapezoids with their end correction. Its slopes are not differences of
-    # the speed: those smear its kink where the vessel stops.
-    speed = _magnitude(u, v)
-    growth = u * surge.rate + v * sway.rate
-    slope = jnp.where(speed > 0, growth / _one_unless_positive(speed), 0.0)
-    step = jnp.diff(t)
-    part = step * (speed[1:] + speed[:-1]) / 2 + step**2 * (slope[:-1] - slope[1:]) / 12
+    # As if the first order were to starboard: a turn to port is its mirror image.
+    across, heading, v, r = (jnp.asarray(side * one) for one in (across, psi - psi0, v, r))
     return _TrialFrame(
-        heading=Curve(t, side * (psi - psi0), side * r),
-        along=Curve(t, along, ahead),
-        across=Curve(t, side * across, side * abeam),
-        surge=surge,
-        sway=sway,
-        path=jnp.concatenate([jnp.zeros_like(step[:1]), jnp.cumsum(part)]),
-        yaw=Curve(t, side * r, side * slopes(t, r)),
-        counts=jnp.arange(t.shape[0]) < jnp.sum(valid),
+        heading=Curve(t, heading, r),
+        along=_Position(t, jnp.asarray(along), u, v, heading, 0),
+        across=_Position(t, across, u, v, heading, 1),
+        surge=DifferencedCurve(t, u),
+        sway=DifferencedCurve(t, v),
+        yaw=DifferencedCurve(t, r),
+        speed=_magnitude(u, v),
+        counts=jnp.append(True, t[1:] > t[:-1]),
     )
 
 
@@ -243,13 +274,39 @@ def _speed_at(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
     return _magnitude(value_at(run.surge, time), value_at(run.sway, time))
 
 
-def _distance_travelled(run: _TrialFrame, time: Scalar) -> Float[Array, ""]:
-    """Distance (m) travelled by a time: by the sample before it and on from there."""
-    t = run.surge.t
-    time = jnp.clip(time, t[0], t[-1])
-    i = interval_at(t, time)
-    last = _magnitude(run.surge.value[i], run.sway.value[i])
-    return run.path[i] + (time - t[i]) * (last + _speed_at(run, time)) / 2
+def _distance_between(run: _TrialFrame, begin: Scalar, end: Scalar) -> Float[Array, ""]:
+    """Distance (m) travelled from a time to a later one: trapezoids with their end correction.
+
+    The correction of an interval is h^2 / 12 times how much less the speed grows at its end than at
+    its start. Over evenly spaced samples only the first and the last growth are left of it.
+    """
+    t, speed = run.surge.t, run.speed
+    times = [jnp.clip(time, t[0], t[-1]) for time in (begin, end)]
+    first, last = (interval_at(t, time) for time in times)
+    row = jnp.arange(t.shape[0])
+    step, pair = t[1:] - t[:-1], speed[1:] + speed[:-1]
+    whole = jnp.where((row[:-1] >= first) & (row[:-1] < last), step * pair, 0.0)
+    within = (row[1:-1] > first) & (row[1:-1] < last)
+    uneven = jnp.where(within, (speed[2:] - speed[:-2]) * (step[1:] - step[:-1]), 0.0)
+    before = step[jnp.maximum(last - 1, 0)]
+    growth = step[first] ** 2 * _growth(run, first) - before**2 * _growth(run, last)
+    growth = jnp.where(last > first, growth, 0.0)
+    lead, rest = (
+        (time - t[i]) * (speed[i] + _speed_at(run, time)) / 2
+        for i, time in zip((first, last), times, strict=True)
+    )
+    return jnp.sum(whole) / 2 + (jnp.sum(uneven) + growth) / 12 + rest - lead
+
+
+def _growth(run: _TrialFrame, row: Int[Array, ""]) -> Float[Array, ""]:
+    """How fast the speed grows (m/s^2) at a sample.
+
+    By the components' differences: those of the speed smear its kink where the vessel stops.
+    """
+    u, v = run.surge.value[row], run.sway.value[row]
+    growth = u * run.surge.rates(row, 0, 0)[0] + v * run.sway.rates(row, 0, 0)[0]
+    speed = run.speed[row]
+    return jnp.where(speed > 0, growth / _one_unless_positive(speed), 0.0)
 
 
 def _magnitude(u: Array, v: Array) -> Array:
@@ -262,19 +319,23 @@ def _approach_speed(run: _TrialFrame, execute_time: Scalar) -> Float[Array, ""]:
     """Mean speed (m/s) over the last 10 s before the execute, fewer if not recorded."""
     begin = jnp.maximum(execute_time - APPROACH_SECONDS, run.surge.t[0])
     duration = execute_time - begin
-    ends = jnp.stack([jnp.asarray(time, float) for time in (begin, execute_time)])
-    before, after = jax.vmap(lambda time: _distance_travelled(run, time))(ends)
-    mean = (after - before) / _one_unless_positive(duration)
+    mean = _distance_between(run, begin, execute_time) / _one_unless_positive(duration)
     return jnp.where(duration > 0, mean, _speed_at(run, execute_time))
 
 
-def _peak_yaw_rate(yaw: Curve, execute_time: Scalar) -> Float[Array, ""]:
-    """Largest yaw rate (rad/s) to either side after the execute."""
-    sampled = jnp.max(jnp.where(yaw.t >= execute_time, jnp.abs(yaw.value), -jnp.inf))
-    senses = jnp.array([1.0, -1.0])
-    peaks = jax.vmap(lambda sense: highest(yaw, sense, after=execute_time))(senses)
-    between = jnp.max(jnp.where(peaks.found, senses * peaks.value, -jnp.inf))
-    return jnp.maximum(sampled, between)
+def _peak_yaw_rate(
+    yaw: DifferencedCurve, execute_time: Scalar, orders: Float[Array, "order"] | None = None
+) -> Float[Array, ""]:
+    """Largest yaw rate (rad/s) to either side after the execute, at an order's corner or beside
+    the largest sample."""
+    sizes = jnp.where(yaw.t >= execute_time, jnp.abs(yaw.value), -jnp.inf)
+    sampled = jnp.max(sizes)
+    row = first_row(sizes == sampled)
+    around = yaw.near(row, _AROUND_PEAK, _AROUND_PEAK)
+    around = around if orders is None else with_corners(around, orders)
+    sense = jnp.where(yaw.value[row] < 0, -1.0, 1.0)
+    peak = highest(around, sense, after=execute_time)
+    return jnp.maximum(sampled, jnp.where(peak.found, sense * peak.value, -jnp.inf))
 
 
 def _steady_turn(run: _TrialFrame) -> dict[str, Float[Array, ""]]:
@@ -286,7 +347,7 @@ def _steady_turn(run: _TrialFrame) -> dict[str, Float[Array, ""]]:
     radius, round_ = fitted_radius(run.along.value, run.across.value, chosen)
     duration = jnp.where(enough, turn.t[-1] - begin.time, 1.0)
     turned = (run.heading.value[-1] - value_at(run.heading, begin.time)) / duration
-    travelled = (run.path[-1] - _distance_travelled(run, begin.time)) / duration
+    travelled = _distance_between(run, begin.time, turn.t[-1]) / duration
     return {
         "steady_turning_diameter": value_or_nan(2 * radius, enough & round_),
         "steady_yaw_rate": value_or_nan(turned, enough),

@@ -17,11 +17,9 @@ from jaxtyping import Array, Float
 from diffsea.errors import UserError, nearest
 from diffsea.metrics import (
     RECORDED_TRIALS,
-    Curve,
+    DifferencedCurve,
     RecordedTrial,
-    curve,
     first_crossing,
-    slopes,
     stopping_metrics,
     turning_metrics,
     value_at,
@@ -108,7 +106,18 @@ def standard_trial(name: str) -> StandardTrial:
 def zigzag_numbers(side: float, trial: Trial) -> Numbers:
     """Overshoots, times and rates of a zig-zag."""
     times = jnp.concatenate([jnp.asarray(trial.execute_time)[None], trial.switch_times[:-1]])
-    return zigzag_metrics(trial.trajectory, times, side=side)
+    return zigzag_metrics(trial.trajectory, times, side=side, spare_rows_repeat=True)
+
+
+def turning_circle_numbers(side: float, trial: Trial) -> Numbers:
+    """Advance, diameters, speeds and rates of a turn."""
+    run = trial.trajectory
+    return turning_metrics(run, trial.execute_time, side, spare_rows_repeat=True)
+
+
+def stopping_numbers(side: float, trial: Trial) -> Numbers:
+    """Reaches and times of a stop."""
+    return stopping_metrics(trial.trajectory, trial.execute_time, spare_rows_repeat=True)
 
 
 def speed_change_numbers(trial: Trial, share: float, upwards: bool, time_name: str) -> Numbers:
@@ -122,9 +131,8 @@ def speed_change_numbers(trial: Trial, share: float, upwards: bool, time_name: s
     final, first = surge.value[-1], value_at(surge, start)
     level = first + share * ((final if upwards else 0.0) - first)
     reached = first_crossing(surge, level, +1 if upwards else -1, after=start)
-    last = jnp.max(jnp.where(run.valid, run.t, -jnp.inf))
     north, east = (
-        value_at(track, last) - value_at(track, start)
+        track.value[-1] - value_at(track, start)
         for track in (_channel_curve(run, position) for position in (run.x, run.y))
     )
     square = north**2 + east**2
@@ -167,8 +175,9 @@ def spiral_numbers(side: float, trial: Trial) -> Numbers:
     return {f"yaw_rate_{k + 1}": value_or_nan(rates[k], there[k]) for k in range(ends.size)}
 
 
-def _channel_curve(run: Trajectory, values: Float[Array, "time"]) -> Curve:
-    return curve(run.t, values, slopes(run.t, values), run.valid)
+def _channel_curve(run: Trajectory, values: Float[Array, "time"]) -> DifferencedCurve:
+    """A channel of a simulated run, whose spare rows repeat the row before."""
+    return DifferencedCurve(run.t, values)
 
 
 # What is ordered, and for how long at most
@@ -200,7 +209,7 @@ STANDARD_TRIALS: dict[str, StandardTrial] = {
     "turning-circle": StandardTrial(
         help="one order held through 540 deg",
         stages=lambda plan: manoeuvres.turning_circle(plan.signed_angle),
-        numbers=lambda side, trial: turning_metrics(trial.trajectory, trial.execute_time, side),
+        numbers=turning_circle_numbers,
         limit=lambda plan: 120.0 * _slow_turn(plan),
         angle=35.0,
         recorded=RECORDED_TRIALS["turning-circle"],
@@ -237,7 +246,7 @@ STANDARD_TRIALS: dict[str, StandardTrial] = {
     "stopping": StandardTrial(
         help="full astern until dead in the water",
         stages=lambda plan: manoeuvres.stopping(),
-        numbers=lambda side, trial: stopping_metrics(trial.trajectory, trial.execute_time),
+        numbers=stopping_numbers,
         limit=lambda plan: 200.0,
         propelled=True,
         recorded=RECORDED_TRIALS["stopping"],

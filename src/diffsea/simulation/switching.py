@@ -234,10 +234,12 @@ def run_stages(
     step: float,
     seconds: float,
     governor: AbstractSpeedLaw | None = None,
+    begun: Bool[Array, ""] | bool = True,
 ) -> tuple[Carry, Row]:
     """Run a table of stages from a motion; rows are those of every pass of the engine.
 
-    The throttle stays as it is, or becomes what a `governor` orders, times the stage's.
+    A pass that is not accepted repeats the row before. The throttle stays as it is, or becomes
+    what a `governor` orders, times the stage's. What has not `begun` stays where it is.
     """
     governor = FixedThrottle(jnp.asarray(throttle, float)) if governor is None else governor
     run = _StageRun(
@@ -254,7 +256,7 @@ def run_stages(
     carry = Carry(
         motion,
         t=run.start,
-        stage=zero,
+        stage=jnp.where(begun, zero, stages.count),
         began=run.start,
         grid=zero,
         mode=zero + _NORMAL,

@@ -185,23 +185,21 @@ def run_trial(
         settings.step,
         settings.seconds,
         governor,
+        begun=steady,
     )
     orders = allocation.orders(throttle * stages.throttle[0], stages.angle[0])
     executed = executed_now(vessel, motion, orders)
-    no, yes = jnp.zeros((), int), jnp.ones((), bool)
-    first = Row(execute, motion.state, orders, executed, no, yes)
+    first = Row(execute, motion.state, orders, executed, jnp.zeros((), int), steady)
     first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], first)
-    manoeuvre = [dataclasses.replace(r, accepted=r.accepted & steady) for r in (first, after)]
-    parts = manoeuvre if before is None else [before, *manoeuvre]
+    parts = [first, after] if before is None else [before, first, after]
     rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
     outcome = jnp.where(carry.stage >= stages.count, Outcome.COMPLETED, Outcome.TIME_LIMIT)
     outcome = jnp.where(steady, outcome, Outcome.APPROACH_UNSTEADY)
-    outcome = jnp.where(diverged | (steady & carry.diverged), Outcome.DIVERGED, outcome)
+    outcome = jnp.where(diverged | carry.diverged, Outcome.DIVERGED, outcome)
     orders = {"commanded": rows.commanded, "executed": rows.executed, "extra": {}}
     motion = jax.tree.leaves(rows.state)
     trajectory = Trajectory(rows.t, *motion, **orders, valid=rows.accepted, outcome=outcome)
-    switches = jnp.where(steady, carry.switch_times, jnp.nan)
-    return Trial(trajectory, execute, switches, rows.stage)
+    return Trial(trajectory, execute, carry.switch_times, rows.stage)
 
 
 def approach_limit(vessel: Vessel, speed: float, settings: TrialSettings) -> float:
