@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import math
 
+import equinox as eqx
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -13,6 +14,7 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import EFFECTS
+from diffsea.identification import free_predictions
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
@@ -30,6 +32,7 @@ from diffsea.identification.holdout import (
     Split,
     exchanged_fits,
     held_out_gain,
+    held_out_vessels,
     row_deviance,
     split_data,
 )
@@ -86,6 +89,25 @@ def test_the_worse_model_is_told_from_the_better_one_and_from_itself(data, right
     same = motion_change(data, right, right)
     assert not same.is_worse and same.ratio == {20.0: 1.0, 60.0: 1.0}
     assert not (same.is_better or same.is_probably_better)
+
+
+def test_a_late_sensor_is_no_divergence_where_a_prediction_ends_with_the_run(
+    data, right, monkeypatch
+):
+    """At 180 s the true motion is shown after the last row; a model that diverges is infinite."""
+    exact = held_out_vessels(data, right)[0]
+    late = eqx.tree_at(lambda v: v.sensors.latency_position, exact, 0.8)
+    wild = eqx.tree_at(lambda v: v.rigid_body.mass, exact, 1e-9)
+    delayed, loose = dataclasses.replace(right), dataclasses.replace(right)
+    vessels = {id(right): exact, id(delayed): late, id(loose): wild}
+    monkeypatch.setattr(free_predictions, "held_out_vessels", lambda _, model: [vessels[id(model)]])
+    run = data.held_out[0]
+    data = dataclasses.replace(data, held_out=(run.rows(run.t <= 180.0),))
+    found, whole = (relative_losses(data, right, other) for other in (delayed, right))
+    for horizon in (20.0, 60.0):
+        assert len(found[horizon].after) == len(whole[horizon].after) - 1
+        assert np.isfinite(found[horizon].after).all()
+    assert np.isinf(relative_losses(data, right, loose)[60.0].after).any()
 
 
 def student_deviance(white: np.ndarray, variance: np.ndarray) -> np.ndarray:

@@ -162,7 +162,9 @@ def pooled_losses(some: LossesByHorizon, others: LossesByHorizon) -> LossesByHor
 def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesByHorizon:
     """Losses by horizon (s), relative to the mean squares of the first model.
 
-    Infinite where a model diverges. Horizons longer than every run are absent.
+    Infinite where the second diverges; predictions by which the first does are left out. So are
+    those that end where only one of them has a sample: a late sensor shows the last rows of a run
+    after its end. Horizons longer than every run are absent.
     """
     squares: dict[float, tuple[list[np.ndarray], ...]] = {}
     vessels = [held_out_vessels(split, model) for model in (before, after)]
@@ -183,13 +185,10 @@ def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesBy
         counted = [k for k in (0, 1) if np.isfinite(usual[k])] or [
             k for k in (2, 3, 4) if np.isfinite(usual[k])
         ]
-        rows = np.isfinite(old[:, counted]).all(1)
+        rows = (np.isfinite(old) & ~np.isnan(new))[:, counted].all(1)
         if counted and rows.any():
             scale = np.array(usual)[counted]
-            first, second = (
-                np.nan_to_num((one[rows][:, counted] / scale).mean(1), nan=np.inf)
-                for one in (old, new)
-            )
+            first, second = ((one[rows][:, counted] / scale).mean(1) for one in (old, new))
             found[horizon] = PredictionLosses(first, second, run[rows])
     return found
 
@@ -197,11 +196,15 @@ def relative_losses(split: Split, before: Estimate, after: Estimate) -> LossesBy
 def _squared_misses(
     vessel: Vessel, run: Trajectory
 ) -> dict[float, Float[np.ndarray, "start quantity"]]:
-    """Squared misses of position, heading, u, v and r by horizon; NaN where not measured."""
+    """Squared misses of position, heading, u, v and r by horizon.
+
+    NaN where not measured, infinite where the vessel diverged.
+    """
     found = {}
     for horizon, misses in prediction_misses(vessel, run, HORIZONS, SPACING).items():
         position = misses["x"] ** 2 + misses["y"] ** 2
-        heading = np.asarray(wrap(misses["psi"])) ** 2
+        turned = misses["psi"]
+        heading = np.where(np.isinf(turned), np.inf, wrap(turned)) ** 2
         speeds = [misses[name] ** 2 for name in ("u", "v", "r")]
         found[horizon] = np.stack([position, heading, *speeds], axis=1)
     return found

@@ -179,7 +179,7 @@ def prediction_misses(
     """Predicted less measured motion so many seconds after each of many starts.
 
     For each horizon (s) that the recording is long enough for, by motion channel, in SI units
-    (headings not wrapped); NaN where a channel was not measured.
+    (headings not wrapped); NaN where a channel was not measured, infinite where the vessel diverged.
     """
     t = recording.counted().t
     if t[0] + min(horizons) > t[-1]:
@@ -206,7 +206,8 @@ def prediction_misses(
         misses = {}
         for c in MOTION_CHANNELS:
             reached = getattr(states, c)[counted, k]
-            misses[c] = np.where(known[c][at], reached - motion[c][at], np.nan)
+            missed = np.where(np.isfinite(reached), reached - motion[c][at], np.inf)
+            misses[c] = np.where(known[c][at], missed, np.nan)
         found[float(horizon)] = misses
     return found
 
