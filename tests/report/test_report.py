@@ -27,7 +27,14 @@ from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.page import TEMPLATES, Plot, Verbatim
 from diffsea.report.plots import figure
-from diffsea.report.predictions import ComparedRun, compare, horizon_table, on_one_turn, predict
+from diffsea.report.predictions import (
+    ComparedRun,
+    Prediction,
+    compare,
+    horizon_table,
+    on_one_turn,
+    predict,
+)
 from diffsea.report.quantities import (
     duration,
     interval,
@@ -38,7 +45,7 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.words import phrase, unimproved_sentence, verdict_text
+from diffsea.report.words import horizon_line, phrase, unimproved_sentence, verdict_text
 from diffsea.vessel.files import build
 
 
@@ -511,6 +518,28 @@ def test_one_model_where_nothing_was_found():
     reader = assert_sound(page_of("consistent"))
     assert "nominal →" not in reader.text("held-out")
     assert "predicts" in reader.text("held-out")
+
+
+def test_predictions_that_diverge_stand_beside_the_errors_of_the_others():
+    row = {"seconds": 20.0, "starts": 9, "nominal": {"position": 4.0, "diverged": 3},
+           "diagnosed": {"position": 1.0}}  # fmt: skip
+    said = horizon_line(row, ("nominal", "diagnosed"))
+    assert said == "20 s ahead: position 4.0 m -> 1.0 m (3 -> 0 of 9 diverge)"
+    gone = row | {"diagnosed": {"diverged": 9}}
+    assert "nothing to compare (3 -> 9 of 9" in horizon_line(gone, ("nominal", "diagnosed"))
+    assert "diverge" not in horizon_line(row, ("diagnosed",))
+
+
+def test_errors_of_runs_count_by_the_predictions_that_they_are_of():
+    measured = recording("straight", usv())
+
+    def one(errors: dict[str, float]) -> ComparedRun:
+        return ComparedRun(measured, {"nominal": Prediction(measured, {20.0: errors})})
+
+    runs = [one({"u": 3.0, "starts": 9, "diverged": 8}), one({"u": 1.0, "starts": 7})]
+    (row,) = horizon_table(runs)
+    assert row["starts"] == 16
+    assert row["nominal"] == {"u": pytest.approx(math.sqrt((9 + 7) / 8)), "diverged": 8}
 
 
 def test_a_page_says_where_what_was_found_does_not_improve_the_motion():

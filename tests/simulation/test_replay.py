@@ -267,6 +267,17 @@ def test_horizons_count_only_where_there_are_samples_to_compare():
     assert horizon_errors(boat(), run, horizons=(100.0,)) == {}
 
 
+def test_predictions_that_diverge_are_counted_and_not_averaged():
+    """An order of ten meganewtons at 45 s: what starts up to 20 s before meets it."""
+    run = straight(np.arange(0.0, 100.0, 0.1))
+    orders = np.where(np.abs(run.t - 45.0) < 0.05, 1e7, run.commanded["screw"])
+    wild = dataclasses.replace(run, commanded={"screw": orders})
+    found = horizon_errors(boat(), wild, horizons=(5.0, 20.0))
+    assert found[20.0]["starts"] == 8 and found[20.0]["diverged"] == 2
+    assert found[20.0]["u"] < 1e-4
+    assert "diverged" not in horizon_errors(boat(), run, horizons=(20.0,))[20.0]
+
+
 def test_divergence_and_missing_orders_are_told():
     run = straight(np.arange(0.0, 60.0, 0.5))
     wild = dataclasses.replace(run, commanded={"screw": np.full(run.t.shape, 1e6)})

@@ -365,7 +365,8 @@ def _prediction_text(result: dict[str, Any]) -> str:
     part = "the rest of the run" if environment else "the whole run"
     rows = [row(f"over {part}", result["overall"])]
     for seconds, errors in result["horizons"].items():
-        rows.append(row(f"{seconds} s ahead of {errors['starts']} starts", errors))
+        diverged = f", {errors['diverged']} diverged" if "diverged" in errors else ""
+        rows.append(row(f"{seconds} s ahead of {errors['starts']} starts{diverged}", errors))
     header = ["root mean square error", *(f"{name} ({shown[name][0]})" for name in names)]
     lines = [table(rows, header), ""]
     for name, numbers in environment.items():

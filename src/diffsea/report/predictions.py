@@ -16,12 +16,13 @@ from jaxtyping import Float
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
 from diffsea.report.quantities import is_known
-from diffsea.report.words import two_digits
+from diffsea.report.words import diverged_predictions, two_digits
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 
 
+_COUNTS = ("starts", "diverged")  # beside the errors of a horizon
 OPEN_RUNS = 4  # of those held out; more would make the page long before it is read
 MARGIN = 0.06  # of a panel's range, above and below its curves
 _QUANTITIES = (
@@ -100,7 +101,8 @@ def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     """Errors of every model at each horizon, root mean square over all starts of all runs.
 
     **Returns:** for each horizon `seconds`, `starts` (how many predictions), and by model the
-    errors by quantity, as they stand in diagnosis.json and fit.json.
+    errors by quantity, as they stand in diagnosis.json and fit.json, with `diverged` where any
+    did: the errors are those of the others.
     """
     models = list(comparisons[0].predictions) if comparisons else []
     horizons = {h for one in comparisons for p in one.predictions.values() for h in p.errors}
@@ -111,8 +113,10 @@ def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:
             errors = [one.predictions[model].errors for one in comparisons]
             given = [by_horizon[horizon] for by_horizon in errors if horizon in by_horizon]
             row.setdefault("starts", sum(int(one["starts"]) for one in given))
-            names = dict.fromkeys(name for one in given for name in one if name != "starts")
+            names = dict.fromkeys(name for one in given for name in one if name not in _COUNTS)
             row[model] = {name: _pooled_error(given, name) for name in names}
+            if diverged := sum(int(one.get("diverged", 0)) for one in given):
+                row[model]["diverged"] = diverged
         rows.append(row)
     return rows
 
@@ -120,7 +124,8 @@ def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:
 def _pooled_error(errors: Sequence[Mapping[str, float]], name: str) -> float:
     """Root mean square over all starts of the runs that have the quantity."""
     given = [one for one in errors if name in one]
-    squares, weights = [one[name] ** 2 for one in given], [one["starts"] for one in given]
+    weights = [one["starts"] - one.get("diverged", 0) for one in given]
+    squares = [one[name] ** 2 for one in given]
     return math.sqrt(np.average(squares, weights=weights))
 
 
@@ -202,7 +207,8 @@ def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
         values = [row[model].get(name) for model in models]
         texts = [two_digits(value, unit).split()[0] for value in values if is_known(value)]
         cells.append(" -> ".join(texts))
-    return [f"{row['seconds']:g}", str(row["starts"]), *cells]
+    diverged = diverged_predictions(row, list(models))
+    return [f"{row['seconds']:g}", str(row["starts"]) + diverged, *cells]
 
 
 def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: int) -> RunPlots:

@@ -286,7 +286,7 @@ def known_quantities(row: Record, models: Sequence[str]) -> list[str]:
 
 
 def horizon_line(row: Record, models: Sequence[str]) -> str:
-    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`.
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`, and what diverged.
 
     Arguments:
         row: of `comparison.horizon_table`.
@@ -296,7 +296,17 @@ def horizon_line(row: Record, models: Sequence[str]) -> str:
     for quantity in known_quantities(row, models):
         errors = [two_digits(row[model][quantity], _QUANTITIES[quantity]) for model in models]
         parts.append(f"{quantity} {' -> '.join(errors)}")
-    return f"{row['seconds']:g} s ahead: {', '.join(parts)}" if parts else ""
+    ahead, diverged = f"{row['seconds']:g} s ahead", diverged_predictions(row, models)
+    if parts:
+        return f"{ahead}: {', '.join(parts)}{diverged}"
+    return f"{ahead}: nothing to compare{diverged}" if diverged else ""
+
+
+def diverged_predictions(row: Record, models: Sequence[str]) -> str:
+    """` (3 -> 0 of 20 diverge)` where predictions of any model do, whose errors are not counted."""
+    counts = [int(row[model].get("diverged", 0)) for model in models]
+    said = " -> ".join(map(str, counts))
+    return f" ({said} of {row['starts']} diverge)" if any(counts) else ""
 
 
 def two_digits(value: float, unit: str) -> str:

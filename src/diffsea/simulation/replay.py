@@ -160,13 +160,16 @@ def horizon_errors(
     """Errors of predictions so many seconds ahead, started every `spacing` s along the run.
 
     For each horizon (s) that the recording is long enough for: the names of `replay_errors`,
-    root mean square over the starts, and `starts`, how many there were.
+    root mean square over the starts, and `starts`, how many there were. Where predictions diverged
+    the errors are those of the others, and `diverged` is how many.
     """
     misses = prediction_misses(vessel, recording, horizons, spacing, measured_actuation)
-    return {
-        horizon: {**_rms_errors(found), "starts": len(found["x"])}
-        for horizon, found in misses.items()
-    }
+    errors = {}
+    for horizon, found in misses.items():
+        diverged = int(np.isinf(np.stack(list(found.values()))).any(0).sum())
+        told = {"diverged": diverged} if diverged else {}
+        errors[horizon] = {**_rms_errors(found), **told, "starts": len(found["x"])}
+    return errors
 
 
 def prediction_misses(
@@ -179,7 +182,8 @@ def prediction_misses(
     """Predicted less measured motion so many seconds after each of many starts.
 
     For each horizon (s) that the recording is long enough for, by motion channel, in SI units
-    (headings not wrapped); NaN where a channel was not measured, infinite where the vessel diverged.
+    (headings not wrapped); NaN where a channel was not measured, infinite where the prediction
+    diverged: where its motion is none of a craft of that length.
     """
     t = recording.counted().t
     if t[0] + min(horizons) > t[-1]:
@@ -196,6 +200,7 @@ def prediction_misses(
     end = np.where(np.abs(t[end] - wanted) <= near, end, -1)
     ends = np.where(end >= 0, rows[np.maximum(end, 0)] - rows[begin][:, None], 0)
     states = _predict_from_each(vessel, inputs, begin, ends)
+    length = float(vessel.rigid_body.length)
     known = {c: _has_sample_near(vessel.sensors, inputs.run, c) for c in MOTION_CHANNELS}
     found = {}
     for k, horizon in enumerate(horizons):
@@ -203,10 +208,13 @@ def prediction_misses(
             continue
         counted = end[:, k] >= 0
         at = end[counted, k]
+        reached = {c: getattr(states, c)[counted, k] for c in MOTION_CHANNELS}
+        sound = plausible_motion(length, *(reached[c] for c in "uvr")) & np.all(
+            np.isfinite([reached[c] for c in ("x", "y", "psi")]), axis=0
+        )
         misses = {}
         for c in MOTION_CHANNELS:
-            reached = getattr(states, c)[counted, k]
-            missed = np.where(np.isfinite(reached), reached - motion[c][at], np.inf)
+            missed = np.where(sound, reached[c] - motion[c][at], np.inf)
             misses[c] = np.where(known[c][at], missed, np.nan)
         found[float(horizon)] = misses
     return found
