@@ -6,6 +6,7 @@ from experiments.metamodels.metamodel import (
     cross_validated,
     ideal_overshoots,
     identified,
+    same_length,
     simulated,
     told,
     trials,
@@ -117,6 +118,7 @@ def _group(members: list[Piece]) -> dict:
             np.degrees(np.median([np.abs(p.channels["rudder"]).max() for p in chosen]))
         ),
         "ideal_overshoots_deg": np.degrees(ideal_overshoots(fit.model)).tolist(),
+        "scatter_percent": _scatter(members),
         "without_wind_exclusion": {
             **told(some),
             "ideal_overshoots_deg": np.degrees(ideal_overshoots(some.model)).tolist(),
@@ -124,6 +126,20 @@ def _group(members: list[Piece]) -> dict:
         },
     }
     return {"fit": fit, "chosen": chosen, "aside": aside, "predicted": predicted, "told": record}
+
+
+def _scatter(members: list[Piece]) -> dict:
+    """How far trials of a group are apart at the same time since their start, in per cent.
+
+    Root mean square of what differs from the mean of all trials over that of the mean itself.
+    """
+    found = {}
+    for name in ("u", "r", "rudder"):
+        table, known = same_length([piece.channels[name] for piece in members], LONGEST)
+        mean = (table * known).sum(0) / np.maximum(known.sum(0), 1)
+        apart = np.sqrt(np.mean((table - mean)[known] ** 2))
+        found[name] = float(100 * apart / np.sqrt(np.mean(mean[known.any(0)] ** 2)))
+    return found
 
 
 def _validated(fit, aside: Piece, seed: int) -> dict:

@@ -5,6 +5,7 @@ from experiments.metamodels.metamodel import (
     ideal_overshoots,
     ideal_series,
     identified,
+    overshoots_at,
     simulated,
     told,
     trials,
@@ -24,6 +25,11 @@ from diffsea.metrics.repeats import fit_percent, mean_and_half_width
 RATIO = 0.75  # 7.5 over 10 knots
 DAYS = {"group 1": ((7.0, 11.0), POOR), "group 2": ((4.0, 6.0), GOOD)}  # wind (m/s), control
 TESTS = 6  # of each day
+
+
+def deviations_at_executes(records: Records) -> np.ndarray:
+    """Headings (rad) beyond 10 deg at the second and third execute, towards the turn's side."""
+    return np.asarray(records.deviations) - np.asarray(records.overshoots)
 
 
 def set_of(records: Records, which):
@@ -55,7 +61,8 @@ def study(seed: int, campaigns: int) -> dict:
         days[name] = _day(batch, fits[name], truth)
     bench = batches["group 2"]
     aside = set_of(bench, [0])
-    compared = {n: float(cross_validated(f[0].model, aside)[0][0]) for n, f in fits.items()}
+    tried = {n: cross_validated(f[0].model, aside) for n, f in fits.items()}
+    compared = {name: float(percent[0]) for name, (percent, _) in tried.items()}
     slow = identified(set_of(run_trials(seed + 9, TESTS, (4.0, 6.0), GOOD, RATIO), range(TESTS)))
     return {
         "days": days,
@@ -64,8 +71,21 @@ def study(seed: int, campaigns: int) -> dict:
         "speeds": _speeds(fits["group 2"][0].model, slow.model),
         "validation": (judged := _validated(fits["group 2"][0].model, slow.model, seed))["figures"],
         "slow": told(slow),
-        "series": {"validation": judged["series"], "records": batches},
+        "to_12": {name: _to_12(f[0].model, days[name]) for name, f in fits.items()},
+        "series": {
+            "validation": judged["series"],
+            "records": batches,
+            "benchmark": {name: np.asarray(rates)[0] for name, (_, rates) in tried.items()},
+        },
     }
+
+
+def _to_12(model: Norrbin, day: dict) -> dict:
+    """Overshoots of the ideal zig-zag to port, reversed at 12 deg, beside the trials' means."""
+    asked = np.degrees(overshoots_at(model, np.radians(12.0))).tolist()
+    means = day["intervals"]["port first"].values()
+    within = [abs(a - m["mean_deg"]) <= m["u95_deg"] for a, m in zip(asked, means, strict=True)]
+    return {"overshoots_deg": asked, "within": [bool(one) for one in within]}
 
 
 def _day(batch: Records, fits: list, truth: np.ndarray) -> dict:

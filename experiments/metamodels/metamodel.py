@@ -1,5 +1,7 @@
 """What every stage does with the metamodel: identify, ask for the ideal trial, compare series."""
 
+import dataclasses
+
 from experiments.metamodels.ship import RUDDER_RATE
 
 import jax
@@ -29,6 +31,11 @@ def ideal_overshoots(model: Norrbin):
 def ideal_series(model: Norrbin):
     """The ideal 10/10 to port first."""
     return ideal_zigzag(model, PORT)
+
+
+def overshoots_at(model: Norrbin, heading: float) -> np.ndarray:
+    """Overshoots (rad) of the ideal zig-zag to port first, reversed at a heading (rad)."""
+    return np.asarray(overshoots(model, dataclasses.replace(PORT, heading=heading)))
 
 
 @jax.jit

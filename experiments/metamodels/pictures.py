@@ -1,6 +1,7 @@
 """The figures of the experiment."""
 
 from experiments.harness.reporting import panels
+from experiments.metamodels.gunnerus import DAYS, TESTS, deviations_at_executes
 
 import numpy as np
 
@@ -16,6 +17,10 @@ def all_of(save, service: dict, repeats: dict, errors: dict, real: dict, further
     save(
         _validation(service["series"]["validation"], repeats["series"]["validation"]), "validation"
     )
+    records = repeats["series"]["records"]
+    save(_repeats(records), "repeats")
+    save(_executes(records), "executes")
+    save(_benchmark(records["group 2"], repeats["series"]["benchmark"]), "benchmark")
     save(_averaging(errors), "averaging")
     if real:
         save(_recorded(real), "recorded")
@@ -66,6 +71,53 @@ def _validation(ferry: dict, speeds: dict):
     axes[0, 2].legend(fontsize=7, ncol=2)
     for axis in axes[0]:
         axis.set_xlabel("s")
+    return figure
+
+
+def _repeats(records: dict):
+    """Yaw rate, heading and rudder of one campaign of each day."""
+    figure, axes = panels(3, len(records), 11.0, 6.0)
+    quantities = (("r", "yaw rate, deg/s"), ("psi", "heading, deg"), ("delta", "rudder, deg"))
+    for column, (name, day) in enumerate(records.items()):
+        for axis, (key, label) in zip(axes[:, column], quantities, strict=True):
+            for k, series in enumerate(np.degrees(np.asarray(getattr(day, key))[:TESTS])):
+                axis.plot(day.t, series, color=DARK if k % 2 == 0 else ORANGE, lw=0.8)
+            axis.set_ylabel(label, fontsize=8)
+            axis.grid(alpha=0.3)
+        wind, control = DAYS[name]
+        axes[0, column].set_title(
+            f"{name}: wind {wind[0]:g} to {wind[1]:g} m/s, orders {control.delay:g} s late; "
+            "orange: port first", fontsize=8, loc="left",
+        )  # fmt: skip
+        axes[-1, column].set_xlabel("s")
+    return figure
+
+
+def _executes(records: dict):
+    """How far headings are beyond 10 deg at the second and third execute."""
+    figure, axes = panels(1, 2, 9.0, 3.4)
+    for axis, number, title in ((axes[0, 0], 0, "second execute"), (axes[0, 1], 1, "third")):
+        for (name, day), colour in zip(records.items(), (ORANGE, DARK), strict=True):
+            beyond = np.degrees(deviations_at_executes(day)[:TESTS, number])
+            axis.plot(range(1, TESTS + 1), beyond, "o", color=colour, label=name)
+        axis.axhline(0, color="black", lw=0.8)
+        axis.set(title=title, xlabel="trial", ylabel="heading beyond 10 deg, deg")
+        axis.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=8)
+    return figure
+
+
+def _benchmark(day, predicted: dict):
+    """Both days' metamodels under the rudder of one trial of the second day."""
+    figure, axes = panels(1, 1, 7.5, 3.6)
+    axis = axes[0, 0]
+    axis.plot(day.t, np.degrees(np.asarray(day.r)[0]), color="black", lw=1.2, label="trial")
+    for (name, rates), colour in zip(predicted.items(), (ORANGE, DARK), strict=True):
+        rates = np.degrees(rates[: len(day.t)])
+        axis.plot(day.t, rates, "--", color=colour, lw=1.2, label=f"metamodel of {name}")
+    axis.set(xlabel="s", ylabel="yaw rate, deg/s")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
     return figure
 
 

@@ -34,6 +34,10 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
         compared("the same, all other trials, median", "%", None,
                  first["others_percent"]["median"]),
         compared("rudder angles", "deg", "up to 5", first["largest_rudder_deg"]),
+        compared("scatter of trials of group 1 about their mean: speed ahead", "%", "similar",
+                 first["scatter_percent"]["u"], "rms over that of the mean"),
+        compared("the same of yaw rates", "%", "similar", first["scatter_percent"]["r"]),
+        compared("the same of rudder angles", "%", "more", first["scatter_percent"]["rudder"]),
         compared("model 1 (planar motion tests) against metamodel", "%", 67.0,
                  checks["model 1"]["against_metamodel_percent"]),
         compared("model 2 (from dimensions) against metamodel", "%", 35.0,
@@ -47,6 +51,7 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
         compared("the same, group 2", "", "all", group["group 2"]["metamodel_within"], "likewise"),
         compared("fit to a benchmark trial, metamodels of groups 1 / 2", "%", "nearly identical",
                  " / ".join(f"{v:.1f}" for v in days["benchmark_percent"].values())),
+        *_to_12(days["to_12"]),
         compared("loss of yaw rate at 0.75 of the speed, metamodels", "%", 25.0,
                  speeds["metamodels"]),
         compared("the same, simulation model", "%", 30.0,
@@ -55,6 +60,16 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
                  models["model 2"]["full_speed_percent"], "model 2"),
         compared("the same, low speed", "%", 62.3, models["model 2"]["low_speed_percent"],
                  "model 2"),
+    ]  # fmt: skip
+
+
+def _to_12(found: dict) -> list[dict]:
+    """The ideal 10/12 to port beside the intervals of the trials' means."""
+    return [
+        compared(f"ideal 10/12 to port, {name}: overshoots", "deg", "within 95 % of the means",
+                 " / ".join(f"{value:.2f}" for value in one["overshoots_deg"]),
+                 f"{sum(one['within'])} of 2 within")
+        for name, one in found.items()
     ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 """The runs: the paper's three experiments, and a hundred seeds under every control system."""
 
 import dataclasses
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 from experiments.unberthing.harbour_estimators import Gradient, gradient, recursive
@@ -17,7 +18,7 @@ from experiments.unberthing.harbour_ship import (
 )
 from experiments.unberthing.unberthing_loop import Log, run_all, stacked, started
 from experiments.unberthing.unberthing_scores import Score, score
-from experiments.unberthing.unberthing_system import ControlSystem, system
+from experiments.unberthing.unberthing_system import ControlSystem, Memory, system
 
 import equinox as eqx
 import jax
@@ -31,6 +32,7 @@ SECONDS = 1400.0
 ROWS = round(SECONDS / PERIOD)
 SCORED = range(1, 101)  # 1000 to 1019 were looked at while developing, these were not
 RATES = (0.003, 0.01, 0.1)  # learning rates beside the chosen one
+TIMED = 200  # control periods
 FAULT = (0.2, 250.0, 290.0)  # m/s that the speed log is off to starboard, from and to, s
 
 # The paper's weather is in figures that are not in its text. Exp. 1: the text's 0.4 kn of tide from
@@ -108,6 +110,22 @@ def logs(control: ControlSystem, cases: Sequence[Case], lanes: int) -> Iterator[
 def scores(control: ControlSystem, cases: Sequence[Case], lanes: int) -> list[Score]:
     """Every case judged."""
     return [score(log) for log in logs(control, cases, lanes)]
+
+
+def seconds_per_period(control: ControlSystem) -> float:
+    """What one control period takes once compiled, s: the median of `TIMED` for one ship."""
+    state = started(1.0)
+
+    @eqx.filter_jit
+    def step(memory: Memory) -> tuple[Memory, dict]:
+        return control.step(memory, state, jnp.zeros(()), PERIOD)
+
+    memory, taken = control.init(), []
+    for _ in range(TIMED + 1):
+        begun = time.perf_counter()
+        memory, _ = jax.block_until_ready(step(memory))
+        taken.append(time.perf_counter() - begun)
+    return float(np.median(taken[1:]))
 
 
 def repeats(conditions: Conditions, count: int, place: Callable = at_quay) -> list[Case]:

@@ -29,6 +29,9 @@ def exp_1_rows(found: Sequence[Log], cured: Sequence[Score]) -> list[dict]:
         spread = f"median; {size.min():.2g} to {size.max():.2g} over {len(judged)} draws"
         rows.append(compared(name, "m", published, np.median(size), spread))
     better = np.median(np.abs([one.worst[2] for one in cured]))
+    lost = [_at_loss(log) for log in found]
+    turned = np.array([speed > 0 for _, speed in lost if np.isfinite(speed)])
+    when = np.median([t for t, _ in lost if np.isfinite(t)]) if len(turned) else None
     return rows + [
         compared("same, least squares with trust bearing the push", "m", None, better, "median"),
         compared("thrusters turned the wrong way", "", "once in one run", counts),
@@ -37,7 +40,29 @@ def exp_1_rows(found: Sequence[Log], cured: Sequence[Score]) -> list[dict]:
         compared("gamma_vB below zero at its end", "", "yes", _share(ends)),
         compared("gamma_vS below zero in Exp. 1", "", "yes", _share(stern),
                  "here the bow thruster, which fades first, is the one to go"),
+        compared("sway to starboard when a coefficient is lost", "", "yes", _share(turned),
+                 "of the draws in which one is"),
+        compared("when the first coefficient is lost", "s", 500.0, when, "median of those draws"),
         compared("gamma_rB falls as speed grows", "", "yes", _share(fades)),
+    ]  # fmt: skip
+
+
+def _at_loss(log: Log) -> tuple[float, float]:
+    """When (s) a thruster's sway coefficient first turns negative while unberthing, and the sway
+    speed (m/s to starboard) then; NaN where none does."""
+    lost = (log.model[:, 0, 3:5] < 0).any(1) & (log.step <= 2)
+    if not lost.any():
+        return np.nan, np.nan
+    row = int(lost.argmax())
+    return float(log.t[row]), float(np.asarray(log.state.v)[row])
+
+
+def period_rows(seconds: dict[str, float]) -> list[dict]:
+    """What a control period takes beside the half second that it has."""
+    return [
+        compared(f"one control period, {name}", "ms", "below 500", 1e3 * taken,
+                 "median, compiled, of this machine")
+        for name, taken in seconds.items()
     ]  # fmt: skip
 
 

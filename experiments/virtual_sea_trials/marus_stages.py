@@ -11,6 +11,7 @@ from experiments.virtual_sea_trials import (
     marus_export,
     marus_fit,
     marus_plots,
+    marus_responses,
     marus_tables,
     marus_trials,
     marus_vessel,
@@ -55,6 +56,7 @@ class Campaign:
     at_once: list[marus_trials.Logged]
     real: list[marus_trials.Logged]
     clean: dict[str, Trajectory]  # logs of real actuators on the even vessel, without noise
+    repeated: float  # largest difference of any sample when all trials are run once more, SI
 
 
 def shipped_hull() -> dict[str, float]:
@@ -99,6 +101,7 @@ def campaign(work: Experiment) -> Campaign:
     actuators = (marus_trials.AT_ONCE, marus_trials.REAL)
     vessels = [marus_trials.vessel_of(shipped_hull(), one) for one in actuators]
     logs = marus_trials.simulated(vessels)
+    repeated = marus_trials.largest_difference(logs, marus_trials.simulated(vessels))
     sets = []
     for vessel, runs in zip(vessels, logs, strict=True):
         sets.append(
@@ -109,14 +112,32 @@ def campaign(work: Experiment) -> Campaign:
         )
     work.say("logs processed")
     if not work.quick:
-        at = next(n for n, run in enumerate(published.RUNS) if run.name == "zigzag-10-starboard")
-        work.save(marus_plots.traced(sets[0][at], sets[1][at]), "traceability")
+        _draw_campaign(work, *({one.run.name: one for one in runs} for runs in sets))
     folder = (
         work.folder if work.folder != work.home else work.home.parents[1] / "out" / work.home.name
     )
     marus_export.exported(folder / "logs", sets[1], vessels[1])
     clean = {run.name: log for run, log in zip(published.RUNS, logs[1], strict=True)}
-    return Campaign(sets[0], sets[1], clean)
+    return Campaign(sets[0], sets[1], clean, repeated)
+
+
+def _draw_campaign(
+    work: Experiment,
+    at_once: dict[str, marus_trials.Logged],
+    real: dict[str, marus_trials.Logged],
+) -> None:
+    """The figures of the trials, by the names of their runs."""
+    zigzag = "zigzag-10-starboard"
+    work.save(marus_plots.traced(at_once[zigzag], real[zigzag]), "traceability")
+    work.save(
+        marus_responses.kinematics(at_once["circle-starboard"], at_once["zigzag-20-starboard"]),
+        "kinematics",
+    )
+    circles = [at_once["circle-port"], at_once["circle-starboard"]]
+    work.save(marus_responses.tracks(circles), "tracks")
+    zigzags = [one for one in at_once.values() if one.run.manoeuvre == "zigzag"]
+    work.save(marus_responses.zigzags(zigzags), "zigzags")
+    work.save(marus_responses.yaw_rates(at_once["circle-port"]), "yaw_rates")
 
 
 def diameters(work: Experiment, found: Identified) -> dict:

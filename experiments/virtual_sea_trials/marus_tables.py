@@ -17,7 +17,11 @@ def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, d
         "diameters": turning,
         "beyond": beyond,
     }
-    tables = {"comparison": comparison(rows), "trace": _trace_table(runs)}
+    tables = {
+        "comparison": comparison(rows),
+        "trace": _trace_table(runs),
+        "driven": _driven_table(runs),
+    }
     if found.objective is not None:
         results |= _fitted(found, uneven)
         tables |= {
@@ -104,6 +108,7 @@ def _campaign(runs) -> dict:
                 "ordered": one.segment.ordered,
                 "approach": one.segment.approach.verdict,
                 "realisation": marus_trials.realisation(one.log, one.segment.onset),
+                "reversals": marus_trials.reversals(one.log, one.segment.onset),
                 "checks": {c.name: {"verdict": c.verdict, "why": c.why} for c in one.checks},
                 "yaw": marus_trials.yaw_consistency(one.log),
                 "numbers": {
@@ -114,7 +119,7 @@ def _campaign(runs) -> dict:
             }
             for one in logged
         }
-    return out
+    return out | {"repeated": runs.repeated}
 
 
 def _trace_table(runs) -> str:
@@ -133,6 +138,18 @@ def _trace_table(runs) -> str:
     head = ("trial", "thrusters", "executed / ordered, median", "2 % to 98 %", "check",
             "first overshoot or tactical diameter")  # fmt: skip
     return table(head, rows)
+
+
+def _driven_table(runs) -> str:
+    """How often each zig-zag was reversed, and how far its repeat is off."""
+    counted = [
+        (f"reversals after the onset, {one.run.title}",
+         marus_trials.reversals(one.log, one.segment.onset))
+        for one in runs.at_once
+        if one.run.heading
+    ]  # fmt: skip
+    repeated = ("largest difference of any sample, all trials run once more (SI)", runs.repeated)
+    return table(("", ""), [*counted, repeated])
 
 
 def _fitted(found, uneven) -> dict:

@@ -5,6 +5,7 @@ once and with ones that do not: lag, dead band and limits are exactly absent at 
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -191,10 +192,31 @@ def approach_window(log: Trajectory, start: float, seconds: float = published.WI
     }  # fmt: skip
 
 
+def reversals(log: Trajectory, start: float) -> int:
+    """How often the executed rudder-equivalent changes its sign after the onset."""
+    executed = rudder_equivalent(log.executed)[np.asarray(log.t) >= start]
+    signs = np.sign(executed[np.abs(executed) > math.radians(1)])
+    return int(np.sum(signs[1:] != signs[:-1]))
+
+
+def largest_difference(runs: list[list[Trajectory]], again: list[list[Trajectory]]) -> float:
+    """Largest difference of any motion sample between trials and their repeats, in SI units."""
+    pairs = zip(itertools.chain(*runs), itertools.chain(*again), strict=True)
+    return max(
+        float(np.max(np.abs(one.motion[name] - other.motion[name])))
+        for one, other in pairs
+        for name in one.motion
+    )
+
+
+def reconstructed(log: Trajectory) -> np.ndarray:
+    """Eq. 11: the yaw rate (rad/s) of the heading, sample by sample."""
+    return np.gradient(np.asarray(log.psi), np.asarray(log.t))
+
+
 def yaw_consistency(log: Trajectory) -> dict[str, float]:
     """Eqs. 11 and 12: logged yaw rate against the heading differentiated sample by sample."""
-    t, psi, r = (np.asarray(getattr(log, name)) for name in ("t", "psi", "r"))
-    rebuilt = np.gradient(psi, t)
+    r, rebuilt = np.asarray(log.r), reconstructed(log)
     rms = math.degrees(float(np.sqrt(np.mean((r - rebuilt) ** 2))))
     return {"correlation": float(np.corrcoef(r, rebuilt)[0, 1]), "rms": rms}
 
@@ -208,7 +230,7 @@ def state_log(log: Trajectory, start: float) -> dict[str, np.ndarray]:
         "t": t - start, "x": np.asarray(log.x), "y": np.asarray(log.y),
         "psi_wrapped": (psi + np.pi) % (2 * np.pi) - np.pi, "psi_unwrapped": psi,
         "psi_relative": psi - at_onset, "u": np.asarray(log.u), "v": np.asarray(log.v),
-        "r": np.asarray(log.r), "r_calc": np.gradient(psi, t),
+        "r": np.asarray(log.r), "r_calc": reconstructed(log),
         "delta_cmd": rudder_equivalent(log.commanded),
         "delta_exec": rudder_equivalent(log.executed),
         "T_port": thrust["port"], "T_starboard": thrust["starboard"],
