@@ -40,6 +40,8 @@ from diffsea.identification.problem import make_problem
 from diffsea.identification.sufficiency import (
     FitVerdict,
     Shortfall,
+    Sufficiency,
+    Whiteness,
     shortfalls,
     sufficiency,
     whiteness,
@@ -142,6 +144,13 @@ def test_held_out_gains_are_normal_where_errors_are_small_and_bounded_where_not(
     assert small.clear and small.total == pytest.approx(normal_gain(near).total, rel=0.15)
     assert large.clear and small.total < large.total < 0.1 * normal_gain(wrong).total
     assert held_out_gain(data, right, right).total == 0.0
+
+
+def test_predictions_that_diverge_are_a_shortfall_and_told_in_words():
+    found = Sufficiency(1.0, 1.0, 0.1, {20.0: 1.2, 60.0: math.inf}, {20.0: 2.0, 60.0: 2.0},
+                        Whiteness(0.5, 1.0), 0.0)  # fmt: skip
+    assert found.shortfalls == (Shortfall.MOTION,)
+    assert found.reasons == ["free predictions diverge within 60 s"]
 
 
 def test_runs_that_change_places_are_judged_together(data, right, wrong):

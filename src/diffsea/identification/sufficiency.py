@@ -156,6 +156,8 @@ class Sufficiency:
             told.append(
                 f"free predictions are off by {times:.2g} times what gusts and noise explain "
                 f"{by:g} s ahead"
+                if math.isfinite(times)
+                else f"free predictions diverge within {by:g} s"
             )
         # Free predictions that miss less than noise explains leave nothing to miss.
         noticed = not self.motion or max(self.motion.values()) > 1.0
