@@ -5,7 +5,13 @@ from experiments.harness.reporting import panels
 from experiments.vrx_wamv.closed import Driven
 from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, Path
 from experiments.vrx_wamv.plant import NEW, speed_for
-from experiments.vrx_wamv.procedure import PUBLISHED, PUBLISHED_FIRST, plateaus, steady_speed
+from experiments.vrx_wamv.procedure import (
+    PUBLISHED,
+    PUBLISHED_FIRST,
+    plateaus,
+    speeds_from_rest,
+    steady_speed,
+)
 from experiments.vrx_wamv.stages import Identified
 from experiments.vrx_wamv.tuning import Tuned
 
@@ -38,6 +44,29 @@ def identification(found: Identified) -> Figure:
     left.set(xlabel="thrust ordered of each engine, N", ylabel="steady speed, m/s", ylim=(0, 2.6))
     left.legend(fontsize=7, frameon=False)
     _spin(right, found)
+    return figure
+
+
+def from_rest(found: Identified) -> Figure:
+    """Measured speeds of the straight runs, and the published model beside one of them."""
+    figure, (axes,) = panels(1, 3, 12.0, 3.6)
+    for run in found.data.straight:
+        axes[0].plot(run.t, run.measured["u"], lw=0.8, label=f"{run.name.split('-')[1]} N")
+    axes[0].set(title="measured, thrust of each engine", ylabel="speed ahead, m/s")
+    axes[0].legend(fontsize=7, frameon=False, ncol=2)
+    run = found.data.straight[-1]
+    for axis, model, title in (
+        (axes[1], PUBLISHED_FIRST, "published, before the correction"),
+        (axes[2], PUBLISHED, "published, after it"),
+    ):
+        axis.plot(run.t, run.measured["u"], ".", color=GREY, ms=3, label="measured")
+        axis.plot(run.t, run.true["u"], color=PLANT, label="plant")
+        axis.plot(run.t, speeds_from_rest(model, run), color=PAPER, label="model")
+        axis.set(title=title, ylim=axes[0].get_ylim())
+        axis.legend(fontsize=7, frameon=False)
+    for axis in axes:
+        axis.set_xlabel("s")
+        axis.grid(linewidth=0.3)
     return figure
 
 

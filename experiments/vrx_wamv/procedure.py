@@ -15,6 +15,7 @@ from experiments.vrx_wamv.campaign import Campaign, Run
 from experiments.vrx_wamv.plant import THRUST_PER_SPEED
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 
@@ -128,6 +129,18 @@ def with_thrust(n: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
 
 
 READINGS = {"speeds alone": scaled_at_rest, "thrust as ordered": with_thrust}
+
+
+def speeds_from_rest(model: PaperModel, run: Run) -> np.ndarray:
+    """Speed ahead (m/s) of a model under a run's orders, from rest: eq. 7 straight ahead."""
+
+    def rate(t: float, u: np.ndarray) -> np.ndarray:
+        n = np.interp(t, run.t, run.port), np.interp(t, run.t, run.starboard)
+        push = sum(model.thrust(np.asarray(one), u) for one in n)
+        return (push - model.X_u * u) / model.m11
+
+    found = solve_ivp(rate, run.t[[0, -1]], [0.0], t_eval=run.t, rtol=1e-8, atol=1e-10)
+    return found.y[0]
 
 
 def steady_speed(model: PaperModel, n: float) -> float:

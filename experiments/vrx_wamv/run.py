@@ -44,6 +44,7 @@ def main() -> None:
     if not run.quick:
         thorough(run, found, followed, gains, tuned, quiet, results, texts)
         run.save(plots.identification(found), "identification")
+        run.save(plots.from_rest(found), "from_rest")
         run.save(plots.following(followed.plant, followed.models), "paths")
         run.save(plots.laws(compared.runs), "laws")
         run.save(plots.tuned(ways, tuned["tuned"]), "tuned")
