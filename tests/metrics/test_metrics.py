@@ -820,7 +820,7 @@ def test_the_distance_of_uneven_samples_is_that_of_their_speed():
 def test_a_turning_point_is_found_beside_a_repeated_row():
     """After a corner where the curve is highest, and before one."""
     for corner in (1.53, 1.62):
-        t = np.sort(np.concatenate([np.arange(0.0, 3.0, 0.125), [corner, corner]]))
+        t = np.sort(np.concatenate([np.arange(0.0, 3.0, 0.125), 4 * [corner]]))
         c = curve(t, np.sin(t), np.cos(t), np.ones(len(t), bool))
         found = highest(c, 1.0)
         assert found.found

@@ -26,7 +26,9 @@ from diffsea.types import Scalar
 # Halves the bracket to below one unit in the last place even if Newton never helps.
 _ITERATIONS = 55
 _MARGIN = 2  # rows to either side that differences look at
-_BESIDE = 2  # intervals to either side of a sample that are looked at; one of them may be empty
+# Intervals to either side of a sample that are looked at. All but one of them may be empty: a
+# simulation repeats a row three times while it locates an event.
+_BESIDE = 4
 
 
 class AbstractCurve(eqx.Module):
@@ -194,7 +196,6 @@ def highest(
     """
     fixed, bounds = jax.lax.stop_gradient((curve, (after, before)))
     t, value = fixed.t, fixed.value * sense
-    # The window's first and last samples may be those beside a turning point between them.
     inside = (t[1:-1] >= bounds[0]) & (t[1:-1] <= bounds[1])
     inside = inside & (value[1:-1] >= value[:-2]) & (value[1:-1] >= value[2:])
     height = jnp.where(inside, value[1:-1], -jnp.inf)
