@@ -14,6 +14,7 @@ def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, d
     results = {
         "comparison": rows,
         "campaign": _campaign(runs),
+        "repeated": runs.repeated,
         "diameters": turning,
         "beyond": beyond,
     }
@@ -119,7 +120,7 @@ def _campaign(runs) -> dict:
             }
             for one in logged
         }
-    return out | {"repeated": runs.repeated}
+    return out
 
 
 def _trace_table(runs) -> str:
