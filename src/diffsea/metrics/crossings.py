@@ -327,22 +327,18 @@ def _bisected_newton(problem: tuple[_Piece, Scalar], left: Array, right: Array) 
     piece, level = problem
     sign = jnp.sign(_hermite(piece, right) - _hermite(piece, left))
 
-    def narrow(carry: tuple) -> tuple:
-        passes, low, high, s, _ = carry
+    def narrow(_, carry):
+        low, high, s = carry
         excess = _hermite(piece, s) - level
         below = sign * excess < 0
         low, high = jnp.where(below, s, low), jnp.where(below, high, s)
         slope = _hermite_rate(piece, s)
         newton = s - excess / jnp.where(slope == 0, 1.0, slope)
         inside = (newton > low) & (newton < high) & (slope != 0)
-        after = jnp.where(inside, newton, 0.5 * (low + high))
-        return passes + 1, low, high, after, after != s
+        return low, high, jnp.where(inside, newton, 0.5 * (low + high))
 
-    def unsettled(carry: tuple) -> Bool[Array, ""]:
-        return (carry[0] < _ITERATIONS) & carry[-1]
-
-    start = (0, left, right, 0.5 * (left + right), jnp.ones((), bool))
-    return jax.lax.while_loop(unsettled, narrow, start)[3]
+    start = (left, right, 0.5 * (left + right))
+    return jax.lax.fori_loop(0, _ITERATIONS, narrow, start)[2]
 
 
 def _maximum(p: _Piece) -> Array:
