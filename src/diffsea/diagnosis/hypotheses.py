@@ -79,14 +79,34 @@ class Hypothesis:
         is, of a law of hull or actuators, that of every run: on real vessels laws hold nearly, a
         wind blows in gusts, and what else is missing comes and goes with the phases of a manoeuvre.
         """
-        if self.constancy is None:
-            return False
-        if self.constancy.holds:
+        if self.constancy is not None and self.constancy.holds:
             return True
         is_better = self.motion is not None and self.motion.is_better
+        return is_better and self.has_nearly_one_size
+
+    @property
+    def has_nearly_one_size(self) -> bool:
+        """Whether one size in all the data is to be believed, if it predicts the motion better."""
+        if self.constancy is None:
+            return False
         in_runs = self.constancy.same_in_runs and EFFECTS[self.effect].family in LAWS
         predicts = in_runs and self.gain is not None and self.gain.clear
-        return is_better and (predicts or self.constancy.share < NEARLY_ONE_SIZE)
+        return predicts or self.constancy.share < NEARLY_ONE_SIZE
+
+    @property
+    def is_undecided(self) -> bool:
+        """Whether the runs held out are too few to say what is asked of them.
+
+        They leave open whether single steps are predicted better; or the size is one only nearly,
+        and is believed by the motion alone: that asks for as many runs as there are.
+        """
+        if self.constancy is None or self.gain is None or not self.predicts_motion:
+            return False
+        if self.constancy.holds:
+            return self.gain.open
+        is_tried = self.motion is not None and min(self.motion.ratio.values(), default=1.0) < 1.0
+        may_be_gain = self.gain.open or self.gain.clear
+        return is_tried and may_be_gain and self.has_nearly_one_size
 
     def is_part_of(self, other: "Hypothesis") -> bool:
         """Whether the other is this with something more, on the same channels."""
@@ -480,7 +500,7 @@ def decide(
     """The best hypothesis for which evidence and held-out data both speak.
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
-    one before the other. Where held-out data leave one open, they and the training data change
+    one before the other. Where held-out data leave one undecided, they and the training data change
     places: `exchange` judges it there, too; None where they cannot.
     """
     inflation = short_list.inflation
@@ -488,15 +508,13 @@ def decide(
         behind = short_list.judged[0].support(inflation) - one.support(inflation)
         if behind > EVIDENCE:
             return None
-        if not (one.has_one_size and one.predicts_motion):
-            continue
         if one.evidence(inflation) <= short_list.needed:
             continue
-        if one.gain is not None and one.gain.open and exchange is not None:
+        if one.is_undecided and exchange is not None:
             # Not part of its support: the training data speak in the evidence already, and the
             # others are not asked.
             one = exchange(one)
-        if one.has_held_out_support and one.predicts_motion:
+        if one.has_one_size and one.predicts_motion and one.has_held_out_support:
             return one
     return None
 

@@ -15,6 +15,7 @@ combine.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -151,6 +152,25 @@ class Projection:
         statistic = float(s @ inverse @ s) / ratio
         step[informative] = -(inverse @ s)
         return ScoreTest(statistic, float(stats.chi2.sf(statistic, k)), step, ratio)
+
+    def scatter(self, E: Columns, parts: Sequence[Int[np.ndarray, "row"]]) -> float:
+        """Variance of a candidate's size over its information, by how it scatters between parts.
+
+        The clustered covariance of Liang and Zeger (1986), averaged over the columns; at least one.
+        What a model lacks besides differs from part to part, and tells of itself in nothing else.
+
+        Arguments:
+            parts: rows of the data set that belong to each.
+        """
+        E = E[:, self.is_informative(E)]
+        if E.shape[1] == 0 or len(parts) < 2:
+            return 1.0
+        inverse = np.linalg.pinv(E.T @ E, rcond=1e-10, hermitian=True)
+        left = (self.residual - E @ (inverse @ (E.T @ self.residual)))[: self.data_values]
+        terms = (E[: self.data_values] * left[:, None]).reshape(-1, 6, E.shape[1]).sum(1)
+        scores = np.array([terms[part].sum(0) for part in parts])
+        spread = scores.T @ scores * len(parts) / (len(parts) - 1)
+        return max(1.0, float(np.trace(spread @ inverse)) / E.shape[1])
 
     def test_each(self, E: Columns) -> tuple[PerColumn, PerColumn, PerColumn]:
         """Test every column as a candidate of its own: steps, standard errors, p-values.

@@ -42,6 +42,7 @@ PEAKS = 4  # of the spectrum, at which a wave train is expanded
 COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
 NEIGHBOURHOOD = 40  # frequencies around one whose median is what gusts alone show
 DETECTABLE = 3.0  # standard errors that make a size detectable
+PARTS = 8  # of each run, between which sizes scatter
 PLAUSIBLE = 30.0  # prior sizes beyond which nothing is expected
 NO_INFORMATION = 1e-12  # in standard errors of a prior size, squared and inverted
 
@@ -83,6 +84,7 @@ class Candidate:
     columns: Columns  # efficient, by the coordinates that the point is differentiated by
     expected: float  # evidence that a refit would give, by `expected_evidence`
     reach: float = 0.0  # how far a refit may move an onset or frequency, in prior sizes
+    scatter: float = 1.0  # variance of its size by its scatter between parts, over the information
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,6 +145,12 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         promising = [one.point for one in best.values() if one.expected > 0]
         around = [nearby_points(point, spacing[point.effect] / finer) for point in promising]
         test_points([point for several in around for point in several])
+    parts = [part for rows in problem.dataset.rows_of_runs for part in np.array_split(rows, PARTS)]
+    parts = [part for part in parts if len(part)]
+    best = {
+        name: dataclasses.replace(one, scatter=projection.scatter(one.columns, parts))
+        for name, one in best.items()
+    }
     return Screening(best, cells, _null_distribution(projection, columns, unnamed))
 
 
@@ -324,7 +332,8 @@ def detection_limits(
     """The smallest size of every candidate that was not found that would have shown.
 
     Three standard errors of the effect's stated parameter by the data alone, its other coefficients
-    unknown, in the run that says most; None where no plausible size would have shown.
+    unknown, in the run that says most; None where no plausible size would have shown. The errors
+    are those by which sizes scatter between parts of the data, where that is more than noise says.
     """
     limits = {}
     for name, candidate in screening.candidates.items():
@@ -332,7 +341,7 @@ def detection_limits(
             continue
         size = len(candidate.point.directions)
         columns = candidate.columns[: problem.dataset.measured.size]  # not the prior's rows
-        V = columns.T @ columns / candidate.score.inflation
+        V = columns.T @ columns / max(candidate.score.inflation, candidate.scatter)
         runs = [slice(k, k + size) for k in range(0, len(V) // size * size, size)]
         sizes = [_smallest_size(problem.base, candidate.point, V[own, own]) for own in runs]
         shown = [value for value in sizes if value]
