@@ -202,7 +202,7 @@ def _gains(
     at[:hull] = informed.coordinates[:hull]
 
     def deviance(coordinates: np.ndarray, fitted: Estimate) -> float:
-        return float(row_deviance(data.test, coordinates, fitted)[known].sum())
+        return float(row_deviance(data.test, coordinates, fitted.noise)[known].sum())
 
     calm = deviance(held_out_coordinates(data, nominal), nominal)
     told = calm - deviance(at, informed)

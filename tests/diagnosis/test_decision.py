@@ -82,6 +82,28 @@ def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
     assert not mixed.is_better
 
 
+def test_a_size_that_is_nearly_one_is_asked_of_all_runs_where_they_can_change_places():
+    tried = MotionChange({20.0: 0.8}, {20.0: ChanceOfLoss(0.1, 0.2)})
+    better = MotionChange({20.0: 0.7}, {20.0: ChanceOfLoss(0.0, 0.001)})
+    nearly = judged("wind", 60.0, UNSTEADY._replace(share=0.4))
+
+    def asked(motion, pooled=better, gain=CLEAR_GAIN, constancy=nearly.constancy):
+        one = dataclasses.replace(nearly, motion=motion, gain=gain, constancy=constancy)
+        agrees = lambda one: dataclasses.replace(one, exchanged=CLEAR_GAIN, motion=pooled)
+        return decide(listed(one), agrees)
+
+    assert asked(tried) and asked(better) and asked(tried, gain=Gain(8.0, 9.0))
+    assert asked(tried, pooled=tried) is None
+    # By the runs held out alone it is believed, but the others contradict it.
+    sure = dataclasses.replace(nearly, motion=better)
+    assert decide(listed(sure), None) is sure
+    assert decide(listed(sure), exchanged(-200.0, 20.0)) is None
+    worse = dataclasses.replace(tried, ratio={20.0: 1.1})
+    for doubtful in ({"motion": worse}, {"motion": tried, "gain": Gain(-30.0, 9.0)},
+                     {"motion": tried, "constancy": UNSTEADY}):  # fmt: skip
+        assert asked(**doubtful) is None
+
+
 def test_a_law_with_one_size_in_every_run_does_where_other_runs_are_predicted_better():
     better = MotionChange({20.0: 0.8}, {20.0: ChanceOfLoss(0.0, 0.0)})
     within = UNSTEADY._replace(share=1.1, same_in_runs=True)
@@ -270,7 +292,7 @@ def test_of_a_whole_and_its_part_the_part_is_named_unless_the_whole_explains_mor
     whole, part = judged("actuator-response:steering", 63.0), judged("thrust-delay:steering", 60.0)
     assert decide(listed(whole, part), None) is part
     assert AcceptedEffect(part, listed(whole, part)).rivals == ()
-    assert AcceptedEffect(part, listed(whole, part)).lead == part.evidence(1.0) + CLEAR_GAIN.total
+    assert AcceptedEffect(part, listed(whole, part)).lead == part.evidence(1.0) + CLEAR_GAIN.sure
     unsteady = dataclasses.replace(part, constancy=UNSTEADY)
     assert decide(listed(whole, unsteady), None) is whole
     assert AcceptedEffect(whole, listed(whole, part)).rivals == ()

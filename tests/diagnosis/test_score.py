@@ -44,6 +44,26 @@ def test_score_has_its_size_under_white_noise_and_sees_a_shift():
     assert score.step[0] == pytest.approx(0.3, abs=0.1)
 
 
+def test_sizes_that_differ_between_parts_widen_the_error_of_their_mean():
+    rng = np.random.default_rng(11)
+    rows, parts = 4000, np.split(np.arange(4000), 40)
+    nuisance = np.zeros((6 * rows, 1))
+    nuisance[:: 6 * rows] = 1.0
+    columns = rng.normal(size=(6 * rows, 1))
+    noise, run = rng.normal(size=6 * rows), np.zeros(rows, int)
+    alone = Projection(noise, nuisance, run)
+    assert alone.scatter(columns, parts) == pytest.approx(1.0, abs=0.5)
+    assert alone.scatter(columns, parts[:1]) == alone.scatter(0.0 * columns, parts) == 1.0
+    sizes = 0.5 * rng.normal(size=40)
+    assert np.std(sizes) > 0.3
+    uneven = Projection(noise - columns[:, 0] * np.repeat(sizes, 600), nuisance, run)
+    expected = 1 + 600 * np.var(sizes, ddof=1)  # each part has 600 values of unit information
+    assert uneven.scatter(columns, parts) == pytest.approx(expected, rel=0.25)
+    # One size in all parts is an effect, and no scatter of its size.
+    steady = Projection(noise - 0.5 * columns[:, 0], nuisance, run)
+    assert steady.scatter(columns, parts) == pytest.approx(1.0, abs=0.5)
+
+
 def test_instances_for_runs_that_a_data_set_has_to_spare_are_no_degrees_of_freedom():
     rng = np.random.default_rng(5)
     rows, instances = 100, 4  # of which one belongs to a recording

@@ -151,14 +151,15 @@ def test_a_wave_is_found_whether_clocks_begin_together_or_days_apart(apart):
     assert peaks[0] == pytest.approx(0.11, abs=2 * resolution)
 
 
-def _limits(columns: dict[str, np.ndarray]):
+def _limits(columns: dict[str, np.ndarray], scatter: float = 1.0):
     """Detection limits by name from columns with a row for each coordinate's prior at the end."""
     problem = still_problem(*columns)
     values = problem.dataset.measured.size
     seen = {}
     for name, data in columns.items():
         data = np.concatenate([data, np.zeros((values - len(data), data.shape[1]))])
-        seen[name] = candidate(name, np.concatenate([data, np.eye(data.shape[1]) / 3]))
+        one = candidate(name, np.concatenate([data, np.eye(data.shape[1]) / 3]))
+        seen[name] = dataclasses.replace(one, scatter=scatter)
     screening = Screening(seen, (), NULL)
     assert not detection_limits(problem, screening, tuple(columns))
     limits = detection_limits(problem, screening, ())
@@ -173,6 +174,13 @@ def test_a_detection_limit_is_three_standard_errors_of_the_data():
     # 3 standard errors of 1/4 prior size, and a prior size of 0.3 m/s.
     assert found["current"] == pytest.approx(3 / 4 * 0.3, rel=1e-6)
     assert found["gyro-bias"] is None
+
+
+def test_a_detection_limit_counts_how_sizes_scatter_between_parts_of_the_data(boat):
+    strong = np.zeros((50, 2))
+    strong[0, 0], strong[1, 1] = 8.0, 4.0
+    usual, wide = _limits({"current": strong}), _limits({"current": strong}, scatter=9.0)
+    assert wide["current"] == pytest.approx(3 * usual["current"])
 
 
 def test_a_detection_limit_is_of_the_parameter_that_it_names(boat):

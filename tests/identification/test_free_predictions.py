@@ -18,7 +18,7 @@ from diffsea.identification import free_predictions
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import estimate, noise_at
 from diffsea.identification.free_predictions import (
     MotionChange,
     expected_squares,
@@ -127,7 +127,7 @@ def test_the_likelihood_of_held_out_rows_is_students(data, right, wrong):
         )
         whole = used.all(1)
         assert whole.sum() > 100 and not used.all()
-        found = row_deviance(data.test, fitted.coordinates, fitted)
+        found = row_deviance(data.test, fitted.coordinates, fitted.noise)
         np.testing.assert_allclose(found[whole], student_deviance(white, variance)[whole])
         assert (found[~used.any(1)] == 0.0).all()
 
@@ -135,15 +135,31 @@ def test_the_likelihood_of_held_out_rows_is_students(data, right, wrong):
 def test_held_out_gains_are_normal_where_errors_are_small_and_bounded_where_not(data, right, wrong):
     near = dataclasses.replace(right, coordinates=right.coordinates - [0.0, 0.0, 0.0, 0.01, 0.01])
 
-    def normal_gain(before) -> Gain:
-        runs = [one.filter_run(data.test) for one in (before, right)]
+    def normal_gain(before, *noises) -> Gain:
+        models = zip((before, right), noises, strict=True)
+        runs = [data.test.run_filter(m.coordinates, noise) for m, noise in models]
         old, new = (np.asarray(run.white) ** 2 + np.log(np.asarray(run.variance)) for run in runs)
         return Gain.of_rows((old - new).sum(1)[data.test.dataset.recorded_rows])
 
     small, large = (held_out_gain(data, before, right) for before in (near, wrong))
-    assert small.clear and small.total == pytest.approx(normal_gain(near).total, rel=0.15)
-    assert large.clear and small.total < large.total < 0.1 * normal_gain(wrong).total
+    there = [noise_at(data.test, m.coordinates, m.noise) for m in (near, right)]
+    assert small.clear and small.total == pytest.approx(normal_gain(near, *there).total, rel=0.15)
+    sure = normal_gain(wrong, wrong.noise, right.noise)
+    assert large.clear and small.total < large.total < 0.1 * sure.total
     assert held_out_gain(data, right, right).total == 0.0
+
+
+def test_noise_that_runs_held_out_do_not_share_decides_nothing_about_the_vessel(data, right):
+    near = dataclasses.replace(right, coordinates=right.coordinates - [0.0, 0.0, 0.0, 0.05, 0.05])
+    calm = Noise.of(np.asarray(right.noise.scales) - 2.0)
+    sure, usual = (
+        row_deviance(data.test, one.coordinates, noise).sum()
+        for one, noise in ((right, calm), (near, near.noise))
+    )
+    assert sure > usual + 1000.0  # the right model, of too little noise, by far the less likely
+    quiet = dataclasses.replace(right, state=calm)
+    found, expected = (held_out_gain(data, near, one) for one in (quiet, right))
+    assert found.clear and found.total == pytest.approx(expected.total, rel=0.02)
 
 
 def test_predictions_that_diverge_are_a_shortfall_and_told_in_words():

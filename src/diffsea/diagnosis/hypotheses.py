@@ -179,10 +179,10 @@ class Hypothesis:
     def support(self, inflation: float) -> float:
         """Evidence and held-out gain together: what all data say; -inf where a run diverges.
 
-        A gain that may be a loss counts nothing: where a few events spoil it, rivals differ by how
+        Of a gain counts what is beyond its error: where a few events spoil it, rivals differ by how
         they happen to meet these.
         """
-        counted = 0.0 if self.gain is None or self.gain.open else self.gain.total
+        counted = 0.0 if self.gain is None else self.gain.sure
         out = self.evidence(inflation) + counted / inflation
         return out if np.isfinite(out) else -np.inf
 

@@ -62,9 +62,14 @@ def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> Filte
     return FilteredPoint(coordinates, noise, run, value)
 
 
-def noise_at(problem: Problem, coordinates: Coordinates) -> Noise:
-    """The noise of the filter at some coordinates, which stay as they are."""
-    data, (_, noise) = problem.dataset, problem.start()
+def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = None) -> Noise:
+    """The noise of the filter at some coordinates, which stay as they are.
+
+    Arguments:
+        noise: the noise to begin with; as expected beforehand if None.
+    """
+    data = problem.dataset
+    noise = problem.start()[1] if noise is None else noise
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     for _ in range(NOISE_ROUNDS):

@@ -16,7 +16,8 @@ from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
 from diffsea.identification.estimates import Estimate, ParameterRecord, parameter_records
 from diffsea.identification.filter.correlated_errors import thin_channels
-from diffsea.identification.fit import estimate
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.fit import estimate, noise_at
 from diffsea.identification.problem import Coordinates, Problem, make_problem, vessel_in_environment
 from diffsea.recordings.conditioning import cut
 from diffsea.statistics import block_sums
@@ -46,6 +47,11 @@ class Gain(NamedTuple):
     def open(self) -> bool:
         """Whether it may be a gain as well as a loss."""
         return abs(self.total) <= 2 * self.std
+
+    @property
+    def sure(self) -> float:
+        """What of the gain or loss is beyond two standard errors; zero where it is open."""
+        return float(np.sign(self.total) * max(abs(self.total) - 2 * self.std, 0.0))
 
     @classmethod
     def of_rows(cls, gains: Float[np.ndarray, "row"]) -> "Gain":
@@ -86,6 +92,9 @@ class Split:
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
     one_sample_in: Mapping[str, int] = dataclasses.field(default_factory=dict)  # used, by channel
+    _deviances: list[tuple[Estimate, Float[np.ndarray, "row"]]] = dataclasses.field(
+        init=False, default_factory=list, repr=False, compare=False
+    )
 
     def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
@@ -189,29 +198,42 @@ _vessel_at = eqx.filter_jit(vessel_at)
 
 
 def row_deviance(
-    problem: Problem, coordinates: Coordinates, fitted: Estimate
+    problem: Problem, coordinates: Coordinates, noise: Noise
 ) -> Float[np.ndarray, "row"]:
-    """-2 log likelihood of each row at the noise of a fit; NaN where the filter diverged.
+    """-2 log likelihood of each row; NaN where the filter diverged.
 
     Innovations have Student's t of `ERROR_DEGREES` degrees of freedom and the variance that the
     filter states. By a normal density a few rows that miss by many standard deviations, a wave or
     an angle that turns the long way, would be nearly all that a comparison says; by the tails of
     the errors themselves the rows in which a manoeuvre shows what is missing would say nothing.
     """
-    at_fit = coordinates is fitted.coordinates
-    run = fitted.filter_run(problem) if at_fit else problem.run_filter(coordinates, fitted.noise)
+    run = problem.run_filter(coordinates, noise)
     scale = np.sqrt(1 - 2 / ERROR_DEGREES)  # of unit variance
     density = t.logpdf(np.asarray(run.white), ERROR_DEGREES, scale=scale)
     values = np.log(np.asarray(run.variance)) - 2 * density
     return np.where(np.asarray(run.gains.used), values, 0.0).sum(1)
 
 
+def held_out_deviance(split: Split, fitted: Estimate) -> Float[np.ndarray, "row"]:
+    """-2 log likelihood of each held-out row by a model, calculated once.
+
+    Gusts and noise are those of the held-out runs, estimated there: they are of a day, and no
+    property of the vessel. By those of the runs that it was fitted to, the better a model explains
+    these, the less it would allow to others, which are worse explained by any.
+    """
+    for known, values in split._deviances:
+        if known is fitted:
+            return values
+    coordinates = held_out_coordinates(split, fitted)
+    noise = noise_at(split.test, coordinates, fitted.noise)
+    values = row_deviance(split.test, coordinates, noise)
+    split._deviances.append((fitted, values))
+    return values
+
+
 def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     """How much better `fitted` predicts the held-out runs than `nominal`: -2 log likelihood."""
-    old, new = (
-        row_deviance(split.test, held_out_coordinates(split, model), model)
-        for model in (nominal, fitted)
-    )
+    old, new = (held_out_deviance(split, model) for model in (nominal, fitted))
     return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
