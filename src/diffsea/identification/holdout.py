@@ -2,8 +2,9 @@
 
 import dataclasses
 import enum
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -30,6 +31,9 @@ TRAIN_SHARE = 0.7  # of each recording, where no test recordings are given
 HEAD_SHARE = 0.4  # of a held-out recording, from which its own environment is estimated
 ERROR_DEGREES = 10.0  # of freedom of one-step errors: more robust than normal ones, and no further
 LEAST_BLOCK = 8  # rows whose gains count as one: two blocks tell how much they scatter
+
+
+Value = TypeVar("Value")
 
 
 class Gain(NamedTuple):
@@ -77,6 +81,22 @@ def thinned(problem: Problem, every: Mapping[str, int]) -> Problem:
     return dataclasses.replace(problem, dataset=thin_channels(problem.dataset, every))
 
 
+class _Known(NamedTuple):
+    """What was calculated of a split, once for each model."""
+
+    deviances: list[tuple[Estimate, Float[np.ndarray, "row"]]]
+    exchanged_fits: list[tuple[Estimate, Estimate]]
+
+
+def _once(known: list[tuple[Estimate, Value]], model: Estimate, make: Callable[[], Value]) -> Value:
+    """What is known of a model, made and kept where nothing is."""
+    for other, value in known:
+        if other is model:
+            return value
+    known.append((model, make()))
+    return known[-1][1]
+
+
 @dataclasses.dataclass(frozen=True)
 class Split:
     """Training and held-out data as problems of one kind.
@@ -92,9 +112,17 @@ class Split:
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
     one_sample_in: Mapping[str, int] = dataclasses.field(default_factory=dict)  # used, by channel
-    _deviances: list[tuple[Estimate, Float[np.ndarray, "row"]]] = dataclasses.field(
-        init=False, default_factory=list, repr=False, compare=False
+    _known: "_Known" = dataclasses.field(
+        init=False, default_factory=lambda: _Known([], []), repr=False, compare=False
     )
+
+    @functools.cached_property
+    def exchanged(self) -> "Split":
+        """The split with training and held-out data exchanged."""
+        return dataclasses.replace(
+            self, train=self.test, test=self.train, head=None, recordings=self.held_out,
+            held_out=self.recordings,
+        )  # fmt: skip
 
     def thinned(self, every: Mapping[str, int]) -> "Split":
         """The split with one of so many samples of some channels used, in all its parts."""
@@ -221,14 +249,14 @@ def held_out_deviance(split: Split, fitted: Estimate) -> Float[np.ndarray, "row"
     property of the vessel. By those of the runs that it was fitted to, the better a model explains
     these, the less it would allow to others, which are worse explained by any.
     """
-    for known, values in split._deviances:
-        if known is fitted:
-            return values
-    coordinates = held_out_coordinates(split, fitted)
-    noise = noise_at(split.test, coordinates, fitted.noise)
-    values = row_deviance(split.test, coordinates, noise)
-    split._deviances.append((fitted, values))
-    return values
+
+    def there() -> Float[np.ndarray, "row"]:
+        coordinates = held_out_coordinates(split, fitted)
+        return row_deviance(
+            split.test, coordinates, noise_at(split.test, coordinates, fitted.noise)
+        )
+
+    return _once(split._known.deviances, fitted, there)
 
 
 def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
@@ -238,7 +266,7 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
 
 
 def exchanged_fits(split: Split, models: Sequence[Estimate]) -> tuple[Split, tuple[Estimate, ...]]:
-    """The split with training and held-out data exchanged, and models fitted anew to it.
+    """The split with training and held-out data exchanged, and models fitted anew to it, once each.
 
     Raises:
         ValueError: a model has an environment of each recording's own, which runs that become
@@ -246,12 +274,13 @@ def exchanged_fits(split: Split, models: Sequence[Estimate]) -> tuple[Split, tup
     """
     if any(has_own_environment(split, model) for model in models):
         raise ValueError("runs with environments of their own cannot change places")
-    other = dataclasses.replace(
-        split, train=split.test, test=split.train, head=None, recordings=split.held_out,
-        held_out=split.recordings,
-    )  # fmt: skip
-    again = (estimate(other.train, m.free, m.coordinates, m.noise) for m in models)
-    return other, tuple(again)
+    other = split.exchanged
+
+    def again(model: Estimate) -> Estimate:
+        fit = lambda: estimate(other.train, model.free, model.coordinates, model.noise)
+        return _once(split._known.exchanged_fits, model, fit)
+
+    return other, tuple(map(again, models))
 
 
 def has_own_environment(split: Split, fitted: Estimate) -> bool:
