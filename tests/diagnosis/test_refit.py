@@ -95,6 +95,14 @@ def test_what_is_not_physical_hides_only_what_it_may_be_confused_with():
     assert near_the_best([late, drag]) == ([late], [drag])
 
 
+def test_what_came_out_with_the_wrong_sign_brings_its_mirror_with_it():
+    early = hypothesis("sensor-latency:but_position", 1000.0, is_physical=False)
+    late = hypothesis("sensor-latency:position", 140.0)
+    assert near_the_best([early, late]) == ([early, late], [])
+    possible = dataclasses.replace(early, is_physical=True)
+    assert near_the_best([possible, late]) == ([possible], [late])
+
+
 def test_every_hypothesis_as_good_as_the_best_is_judged_on_held_out_data():
     level = [f"quadratic-damping:{name}" for name in ("X_uu", "Y_vv", "N_rr")]
     strong = {name: 300.0 - k for k, name in enumerate([*level, "wind", "current"])}

@@ -191,10 +191,12 @@ def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypot
     """Hypotheses whose evidence comes near the best, and the others; those that diverge in none.
 
     One that came out of its physical range stands in the way only of what it may be confused with:
-    it says that something is missing, not that everything else is wrong.
+    it says that something is missing, not that everything else is wrong. Its mirror, what it would
+    be with the other sign, is as near as it is.
     """
     tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
     tried.sort(key=lambda one: -one.evidence(1.0))
+    mirrored = {EFFECTS[one.effect].mirror: one for one in tried if not one.is_physical}
 
     def is_confusable(one: Hypothesis, other: Hypothesis) -> bool:
         names = [catalogue_name(hypothesis.effect) for hypothesis in (one, other)]
@@ -204,7 +206,8 @@ def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypot
     def is_near(one: Hypothesis) -> bool:
         rivals = [other for other in tried if other.is_physical or is_confusable(one, other)]
         best = max((other.evidence(1.0) for other in rivals), default=0.0)
-        return one.evidence(1.0) > min(best - NEAR_BEST, NEAR_BEST_SHARE * best)
+        own = max(one.evidence(1.0), mirrored.get(one.effect, one).evidence(1.0))
+        return own > min(best - NEAR_BEST, NEAR_BEST_SHARE * best)
 
     near = [
         one
