@@ -54,6 +54,15 @@ def limit_of(frozen: dict[str, Any], injection: Injection, settings: Settings) -
     return None
 
 
+def in_limits(case: Case, frozen: dict[str, Any]) -> float | None:
+    """A case's size in the limits of another diagnosis of the unchanged runs; None without any."""
+    key, settings = case["injection"], case["settings"]
+    if key in DROPPED or "size" not in settings:
+        return None
+    limit = limit_of(frozen, INJECTIONS[key], settings)
+    return None if limit is None else settings["size"] / limit
+
+
 def _acts_on(limit: dict[str, Any], settings: Settings) -> bool:
     """Whether a limit is one of the channels and actuators of the settings."""
     if "channels" in limit and set(limit["channels"]) != set(settings.get("channels", ())):

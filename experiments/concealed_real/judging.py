@@ -24,6 +24,8 @@ class Outcome:
 
     Arguments:
         kind: `effect`, `step` of a sensor, `outside` the catalogue, `harmless`, or `label`.
+        limits: the size in the limits that it was drawn by.
+        stated: the size in the limits that the unchanged runs beside it state, where they do.
         named: a right name is given.
         besides: a right name is given that the unchanged runs do not give, or not there, or with
             another size.
@@ -41,6 +43,7 @@ class Outcome:
     injection: str
     kind: str
     limits: float | None
+    stated: float | None
     verdict: str
     said: tuple[str, ...]
     named: bool
@@ -81,7 +84,7 @@ def judge(line: Line, unchanged: Line) -> Outcome:
     best = min(numbers, key=lambda one: sum(one[1].values()), default=({}, {}))
     return Outcome(
         case["id"], case["set"], case["injection"], kind_of(case["injection"]), case["limits"],
-        line["verdict"], tuple(said),
+        cases.in_limits(case, unchanged["frozen"]), line["verdict"], tuple(said),
         named=bool(entries),
         besides=any(not _is_among(effect, unchanged["effects"]) for effect in entries),
         wrong=tuple(n for n in said if n not in true["names"] and n not in before),

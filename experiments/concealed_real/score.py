@@ -57,12 +57,14 @@ def rates(outcomes: Sequence[Outcome]) -> dict[str, Rate]:
     }
 
 
-def power(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def power(
+    outcomes: Sequence[Outcome], of: Callable[[Outcome], float | None], bins: Sequence[float] = BINS
+) -> list[dict[str, Any]]:
     """By size in detection limits: named besides, noticed at all, given a wrong name."""
-    sized = [o for o in outcomes if o.kind == "effect" and o.limits is not None]
+    sized = [(size, o) for o in outcomes if o.kind == "effect" and (size := of(o)) is not None]
     rows = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
-        part = [o for o in sized if low <= (o.limits or 0.0) < high]
+    for low, high in zip(bins[:-1], bins[1:], strict=True):
+        part = [o for size, o in sized if low <= size < high]
         rows.append({
             "from": low, "to": high,
             "named": share(o.besides for o in part),
@@ -174,9 +176,11 @@ def injected_tables(scored: dict[str, Any]) -> list[str]:
         table(("figure", "found (Wilson 95 %)"),
               [(key, shown(rate)) for key, rate in scored["rates"].items()]
               + [(key, f"{value:.3g}") for key, value in scored["numbers"].items()]),
-        table(("size in detection limits", "named besides", "named or audited", "wrong names"),
-              [(size(row), shown(row["named"]), shown(row["named or audited"]),
-                shown(row["wrong"])) for row in scored["power"]]),
+        *(table((f"size in {limits}", "named besides", "named or audited", "wrong names"),
+                [(size(row), shown(row["named"]), shown(row["named or audited"]),
+                  shown(row["wrong"])) for row in scored[key]])
+          for limits, key in (("detection limits", "power"),
+                              ("the limits stated beside", "power by the limits stated beside"))),
         table(("free run ahead, s", "after / before, median", "worse"),
               [(h, f"{one['median']:.3g}", shown(one["worse"]))
                for h, one in scored["free"].items()]),
@@ -198,7 +202,8 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
         "cases": len(outcomes),
         "rates": rates(outcomes),
         "numbers": numbers(outcomes),
-        "power": power(outcomes),
+        "power": power(outcomes, lambda o: o.limits),
+        "power by the limits stated beside": power(outcomes, lambda o: o.stated, (0.0, *BINS)),
         "free": free_runs(outcomes),
         "by_set": parts(outcomes, lambda o: o.set),
         "by_injection": parts(outcomes, lambda o: o.injection),

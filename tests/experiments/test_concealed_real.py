@@ -551,12 +551,18 @@ def as_case(injection, limits=9.0, **settings):
     return case | {"settings": {"size": 0.3, **settings}, "limits": limits}
 
 
-def judged(injection, *effects, before=(), audit=(), limits=9.0, **settings):
-    """A case with what was said, beside unchanged runs that give `before`."""
+def frozen_of(shortest=100.0, limits=()):
+    """What unchanged runs freeze: a little of it, and these limits."""
+    features_ = {"shortest": shortest, "scatter": {}, "step": 0.1}
+    return {"features": features_, "document": {"hull": {}}, "limits": list(limits)}
+
+
+def judged(injection, *effects, before=(), audit=(), limits=9.0, stated=(), **settings):
+    """A case with what was said, beside unchanged runs that give `before` and state limits."""
     said = line(case=as_case(injection, limits, **settings), effects=list(effects),
                 audit=list(audit), verdict="explained")  # fmt: skip
     unchanged = line(effects=[one if isinstance(one, dict) else effect(one) for one in before],
-                     frozen={"features": {"shortest": 100.0}, "document": {}})  # fmt: skip
+                     frozen=frozen_of(limits=stated))  # fmt: skip
     return judging.judge(said, unchanged)
 
 
@@ -614,6 +620,14 @@ def test_names_of_the_unchanged_runs_do_not_count():
     assert wrong.wrong == ("wind",) and not wrong.named
 
 
+def test_a_size_is_told_in_the_limits_stated_beside_it_too():
+    limit = {"name": "gyro-bias", "parameter": "bias", "limit": 0.06}
+    assert judged("gyro-bias", stated=[limit], side=1.0).stated == pytest.approx(5.0)
+    none = limit | {"limit": None}
+    assert judged("gyro-bias", stated=[none], side=1.0).stated is None
+    assert judged("without-coupling", limits=3.0).stated is None
+
+
 def test_place_onset_and_audit_are_judged():
     bias = {"columns": ["cmd_rudder"], "side": 1.0}
     for actuator, hit in (("rudder", True), ("propeller", False)):
@@ -639,7 +653,7 @@ def test_what_no_entry_describes_must_stay_without_a_name():
 
 
 def test_a_retelling_is_the_same_or_is_not():
-    frozen_ = {"features": {"shortest": 1.0}, "document": {"hull": {}}}
+    frozen_ = frozen_of(shortest=1.0)
     was = line("hsva", effects=[effect("current", speed=0.3, direction=1.0)], frozen=frozen_)
     turned = effect("current", speed=0.305, direction=1.0 + retellings.TURN)
     same = judging.compare(line("hsva:turned", set="hsva", effects=[turned]), was)
@@ -654,7 +668,7 @@ def test_a_retelling_is_the_same_or_is_not():
 
 
 def test_all_tables_are_written(tmp_path):
-    frozen_ = {"features": {"shortest": 100.0}, "document": {"hull": {}}}
+    frozen_ = frozen_of(limits=[{"name": "gyro-bias", "parameter": "bias", "limit": 0.1}])
     free = {"nominal": {"5": {"position": 1.0}, "20": {"position": 3.0}, "60": {"position": 9.0}},
             "diagnosed": {"5": {"position": 0.5}, "20": {"position": 4.0},
                           "60": {"position": 9.0}}}  # fmt: skip
@@ -669,6 +683,8 @@ def test_all_tables_are_written(tmp_path):
     score.main(["--out", str(tmp_path)])
     found = json.loads((tmp_path / "scores.json").read_text())
     assert found["power"][0]["named"]["hits"] == 0 and found["power"][3]["named"]["hits"] == 1
+    beside = found["power by the limits stated beside"]
+    assert [row["named"]["n"] for row in beside] == [0, 0, 2, 0, 0, 0]  # 0.3 over 0.1 in both
     assert found["free"]["5"]["median"] == 0.5 and found["free"]["20"]["worse"]["hits"] == 1
     pages = (tmp_path / "scores.md").read_text()
     assert "| failed | 50 % (9 to 91), 1/2 |" in pages and "hsva:moved" in pages
