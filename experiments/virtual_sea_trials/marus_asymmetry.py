@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from diffsea import Effect
-from diffsea.diagnosis.hypotheses import EVIDENCE
+from diffsea.diagnosis.decision import EVIDENCE
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.trial_numbers import TrialNumbers
 

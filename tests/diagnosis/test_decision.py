@@ -8,8 +8,9 @@ from tests.diagnosis.small import CLEAR_GAIN, STEADY, UNSTEADY, candidate, hypot
 
 from diffsea import EFFECTS
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP
-from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide, with_mirrors
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.localisation import Bin, Cell
+from diffsea.diagnosis.refits import with_mirrors
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
 from diffsea.diagnosis.search import Search, unexplained_p_value, verdict_on

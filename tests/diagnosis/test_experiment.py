@@ -15,6 +15,7 @@ from tests.diagnosis.small import DOCUMENT, hypothesis, judged, linear_estimate
 from tests.runs import varied
 
 from diffsea import EFFECTS, Trajectory, UserError
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.experiment import (
     DECISIVE,
     LONGEST,
@@ -24,7 +25,6 @@ from diffsea.diagnosis.experiment import (
     expected_evidence,
     next_experiment,
 )
-from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList
 from diffsea.identification.estimates import posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import make_problem

@@ -6,7 +6,7 @@ from tests.diagnosis.small import DOCUMENT, usv
 from tests.runs import random_steps
 
 from diffsea import EFFECTS
-from diffsea.diagnosis.hypotheses import refit_at_fixed_noise
+from diffsea.diagnosis.refits import refit_at_fixed_noise
 from diffsea.diagnosis.screening import screen
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem

@@ -19,14 +19,14 @@ from tests.diagnosis.small import (
 )
 
 from diffsea import EFFECTS
-from diffsea.diagnosis.hypotheses import (
-    Hypothesis,
+from diffsea.diagnosis.decision import rank_hypotheses
+from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.refits import (
     first_guess,
     has_room,
     is_physical,
     make_hypothesis,
     near_the_best,
-    rank_hypotheses,
     start_beside,
 )
 from diffsea.identification.coordinates import CoordinateLayout

@@ -13,7 +13,7 @@ from tests.runs import random_steps
 from diffsea import EFFECTS, Finding, audit
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
-from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
 from diffsea.diagnosis.search import (

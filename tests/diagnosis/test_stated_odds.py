@@ -10,7 +10,8 @@ import pytest
 from tests.diagnosis.small import candidate, still_problem
 
 from diffsea import EFFECTS, Parameter
-from diffsea.diagnosis.hypotheses import AcceptedEffect, ShortList, make_hypothesis, rank_hypotheses
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList, rank_hypotheses
+from diffsea.diagnosis.refits import make_hypothesis
 from diffsea.identification.coordinates import TAIL_DEGREES, CoordinateLayout
 from diffsea.identification.estimates import posterior_estimate
 

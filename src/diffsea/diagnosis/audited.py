@@ -11,7 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.diagnosis.hypotheses import AcceptedEffect, Hypothesis, ShortList, refit_fully
+from diffsea.diagnosis.decision import AcceptedEffect, ShortList
+from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.refits import refit_fully
 from diffsea.diagnosis.screening import Screening
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import Estimate

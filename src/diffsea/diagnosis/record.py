@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from diffsea.diagnosis.hypotheses import AcceptedEffect, Hypothesis
+from diffsea.diagnosis.decision import AcceptedEffect
+from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.localisation import (
     DEGREES_OF_FREEDOM,
     FORCE_UNITS,

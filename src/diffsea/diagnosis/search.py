@@ -13,12 +13,10 @@ from dataclasses import dataclass, field, replace
 from diffsea.budget import current_budget
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
-from diffsea.diagnosis.hypotheses import (
-    EVIDENCE,
-    AcceptedEffect,
-    Hypothesis,
-    ShortList,
-    decide,
+from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
+from diffsea.diagnosis.refits import (
     has_room,
     judge_exchanged,
     refit_candidates,
@@ -26,7 +24,6 @@ from diffsea.diagnosis.hypotheses import (
     refit_without,
     start_beside,
 )
-from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import free_by_default

@@ -1,0 +1,300 @@
+"""Refits: a short list of candidates, each fitted beside the effects accepted so far.
+
+All are first refitted at the noise of the model without the effect; those that come near the best
+then to their end, with noise of their own, and judged on held-out data.
+"""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Float
+
+from diffsea.budget import in_this_budget
+from diffsea.diagnosis.constancy import constancy_test
+from diffsea.diagnosis.decision import EVIDENCE, ShortList
+from diffsea.diagnosis.hypotheses import Hypothesis
+from diffsea.diagnosis.screening import Candidate, Screening, short_list
+from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import estimate, estimate_surely
+from diffsea.identification.free_predictions import (
+    MotionChange,
+    motion_change,
+    pooled_losses,
+    relative_losses,
+)
+from diffsea.identification.holdout import Split, exchanged_fits, held_out_gain
+from diffsea.identification.problem import Problem
+from diffsea.progress import PartialProgress, Progress
+from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
+
+
+TOLERANCE = 2.0  # standard errors by which a size may come out beyond its bounds, or zero in a run
+NEAR_BEST = 60.0  # of the best evidence at fixed noise, within which a hypothesis is fitted on
+NEAR_BEST_SHARE = 0.6  # of the best evidence, where that is more
+FULL_REFITS = 4  # at most, and those that the evidence does not tell from the best
+STALLED_SHARE = 0.8  # of the gain that the linear model promises: less is a stalled refit
+SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begins again
+LARGEST_STEP = 3.0  # prior sizes that a one-step estimate may start a refit at
+
+
+def with_mirrors(names: Sequence[str]) -> list[str]:
+    """Effects, and those that they would be with a negative size, as a first look cannot tell."""
+    mirrors = (EFFECTS[name].mirror for name in names)
+    return [name for name in dict.fromkeys([*names, *mirrors]) if name]
+
+
+def refit_candidates(
+    data: Split,
+    current: Estimate,
+    screening: Screening,
+    progress: Progress,
+    among: tuple[str, ...] = (),
+) -> ShortList:
+    """The short list of a screening refitted, or the effects `among`, where any are named.
+
+    As far as the compiled program has room for them. Where an accepted effect came out larger than
+    its law holds for, the error of that law is left over and looks like the effect's confusables:
+    these are not asked for.
+    """
+    problem, doubtful = data.train, set[str]()
+    declared = {effect.name: effect.confusables for effect in problem.layout.effects}
+    for name in set(declared) & set(current.free):
+        place = problem.layout.indices((name,))[0]
+        if abs(current.coordinates[place]) > EFFECTS[name].leading.valid_to:
+            doubtful |= set(declared[name])
+    names = [
+        name
+        for name in with_mirrors(among or short_list(screening, declared))
+        if name in screening.candidates
+        and has_room(problem, current, name)
+        and catalogue_name(name) not in doubtful
+    ]
+
+    def refit_first(name: str) -> Hypothesis:
+        number, stage = names.index(name), f"trying {len(names)} causes"
+        message = f"trying cause {number + 1} of {len(names)}: {name}"
+        progress(PartialProgress(message, number / len(names), stage))
+        return refit_at_fixed_noise(problem, current, screening.candidates[name])
+
+    # A compiled program runs on one core and lets other threads run meanwhile.
+    def refit_on(one: Hypothesis) -> Hypothesis:
+        return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        near, rest = near_the_best(list(pool.map(in_this_budget(refit_first), names)))
+        full = list(pool.map(in_this_budget(refit_on), near))
+    return ShortList.of(problem, [*full, *rest])
+
+
+def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Hypotheses whose evidence comes near the best, and the others; those that diverge in none.
+
+    One that came out of its physical range stands in the way only of what it may be confused with:
+    it says that something is missing, not that everything else is wrong. Its mirror, what it would
+    be with the other sign, is as near as it is.
+    """
+    tried = [one for one in tried if np.isfinite(one.evidence(1.0))]
+    tried.sort(key=lambda one: -one.evidence(1.0))
+    mirrored = {EFFECTS[one.effect].mirror: one for one in tried if not one.is_physical}
+
+    def is_confusable(one: Hypothesis, other: Hypothesis) -> bool:
+        names = [catalogue_name(hypothesis.effect) for hypothesis in (one, other)]
+        declared = [EFFECTS[hypothesis.effect].confusables for hypothesis in (one, other)]
+        return names[0] == names[1] or names[1] in declared[0] or names[0] in declared[1]
+
+    def is_near(one: Hypothesis) -> bool:
+        rivals = [other for other in tried if other.is_physical or is_confusable(one, other)]
+        best = max((other.evidence(1.0) for other in rivals), default=0.0)
+        own = max(one.evidence(1.0), mirrored.get(one.effect, one).evidence(1.0))
+        return own > min(best - NEAR_BEST, NEAR_BEST_SHARE * best)
+
+    near = [
+        one
+        for k, one in enumerate(filter(is_near, tried))
+        if k < FULL_REFITS or tried[0].evidence(1.0) - one.evidence(1.0) < EVIDENCE
+    ]
+    return near, [one for one in tried if one not in near]
+
+
+def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candidate) -> Hypothesis:
+    """Refit from the current estimate at its noise; where that stalls, from elsewhere.
+
+    Elsewhere is the prior of the vessel's parameters, and a small size of the effect, from which
+    it and the parameters can move together. Effects accepted before start from their estimate.
+    """
+    name = candidate.point.effect
+    place = problem.layout.indices((name,))
+    warm = np.array(current.coordinates, float)
+    warm[place] = first_guess(candidate)
+    prior, small = warm.copy(), warm.copy()
+    prior[: len(problem.layout.parameters)] = 0.0
+    amounts = np.tile(EFFECTS[name].amounts, problem.layout.instances(EFFECTS[name]))
+    small[place] = np.where(amounts, SMALL_SHARE * warm[place], warm[place])
+
+    def refit(start: np.ndarray) -> Estimate:
+        free = (*current.free, name)
+        return estimate(problem, free, start, current.noise, rounds=2, fixed_noise=True)
+
+    def cost(one: Estimate) -> float:
+        return one.deviance if np.isfinite(one.deviance) else np.inf
+
+    better, promised = refit(warm), candidate.score.statistic * candidate.score.inflation
+    # Also where it diverged: its deviance is no number then.
+    for start in (prior, small):
+        if current.deviance - better.deviance >= STALLED_SHARE * promised:
+            break
+        better = min(better, refit(start), key=cost)
+    return make_hypothesis(problem, current, better, candidate)
+
+
+def refit_fully(
+    data: Split,
+    current: Estimate,
+    candidate: Candidate,
+    start: Float[np.ndarray, "coordinate"],
+) -> Hypothesis:
+    """A hypothesis fitted to its end, with noise of its own, and judged on held-out data."""
+    problem, effect = data.train, candidate.point.effect
+    fitted = estimate_surely(problem, (*current.free, effect), start, current.noise)
+    full = make_hypothesis(problem, current, fitted, candidate)
+    full = dataclasses.replace(full, gain=held_out_gain(data, current, fitted))
+    if not np.isfinite(full.deviance_drop):
+        return full
+    test = constancy_test(problem, fitted, effect, full.deviance_drop)
+    motion = motion_change(data, current, fitted) if full.is_judged else None
+    return dataclasses.replace(full, constancy=test, motion=motion)
+
+
+def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
+    """The estimate without some of its effects, fitted from where it was with noise of its own."""
+    free = tuple(name for name in current.free if name not in names)
+    start = np.array(current.coordinates, float)
+    start[problem.layout.indices(tuple(names))] = 0.0
+    return estimate_surely(problem, free, start, current.noise)
+
+
+def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
+    """The hypothesis judged on the training data, too, fitted to the held-out ones."""
+    other, (before, after) = exchanged_fits(data, (current, one.estimate))
+    there = relative_losses(data, current, one.estimate)
+    both = pooled_losses(there, relative_losses(other, before, after))
+    gain = held_out_gain(other, before, after)
+    return dataclasses.replace(one, exchanged=gain, motion=MotionChange.of(both))
+
+
+def start_beside(
+    problem: Problem, current: Estimate, one: Hypothesis
+) -> Float[np.ndarray, "coordinate"]:
+    """Coordinates of a current estimate with one effect more, where its own fit may start.
+
+    As it was refitted, if that was on top of these very effects; else its coordinates alone, for
+    what it was fitted together with may not be in the model any more.
+    """
+    if set(one.estimate.free) == {*current.free, one.effect}:
+        return min(current, one.estimate, key=lambda fitted: fitted.deviance).coordinates
+    out = np.array(current.coordinates, float)
+    place = problem.layout.indices((one.effect,))
+    out[place] = one.estimate.coordinates[place]
+    return out
+
+
+def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
+    """Coordinates of the effect, in every instance, from its one-step estimate.
+
+    At most three prior sizes; those of a secant at its size, positive ones above zero.
+    """
+    point = candidate.point
+    step = np.clip(candidate.score.step, -LARGEST_STEP, LARGEST_STEP)
+    step = step.reshape(-1, len(point.directions))
+    out = np.tile(np.array(point.at, float), (len(step), 1))
+    out[:, list(point.directions)] = step
+    if point.secant:
+        out[:] = point.at
+    for place, one in enumerate(EFFECTS[point.effect].coordinates):
+        if isinstance(one, Size) and one.positive:
+            out[:, place] = np.maximum(out[:, place], 0.1)
+    return out.ravel()
+
+
+def make_hypothesis(
+    problem: Problem, current: Estimate, fitted: Estimate, candidate: Candidate
+) -> Hypothesis:
+    """The evidence for a model fitted with one effect more than the current one.
+
+    The Occam factor is Laplace's: the log ratio of the posterior's volume to that of the prior,
+    the heavy tails of the prior included.
+    """
+    layout, effect = problem.layout, EFFECTS[candidate.point.effect]
+    index = layout.indices((effect.name,))
+    volume = np.linalg.slogdet(fitted.precision)[1] - np.linalg.slogdet(current.precision)[1]
+    instances = len(recorded_instances(problem, effect))
+    room = 2 * np.log(layout.spreads()[index]).sum() + layout.tail_cost(effect, instances)
+    # The effect's own: the mean over everything free is that of what data hardly determine.
+    own = [list(fitted.index).index(k) for k in index]
+    plain = np.diag(np.linalg.inv(fitted.precision))[own]
+    inflation = max(1.0, float(np.mean(np.diag(fitted.covariance)[own] / plain)))
+    return Hypothesis(
+        effect=effect.name,
+        estimate=fitted,
+        deviance_drop=current.deviance - fitted.deviance,
+        occam=float(volume + room),
+        gain=None,
+        candidate=candidate,
+        is_physical=is_physical(problem, fitted, candidate),
+        instances=instances,
+        inflation=inflation,
+    )
+
+
+def is_physical(problem: Problem, fitted: Estimate, candidate: Candidate) -> bool:
+    """Whether an effect's sizes are possible, and a change lies where it was seen, while recorded.
+
+    Sizes count as possible as far as their standard errors tell. What cannot be negative may be
+    absent in some of several runs.
+    """
+    effect = EFFECTS[candidate.point.effect]
+    places = np.array(problem.layout.indices((effect.name,)))
+    places = places.reshape(problem.layout.instances(effect), -1)
+    places = places[recorded_instances(problem, effect)]
+    values = fitted.coordinates[places]
+    order = [list(fitted.index).index(k) for k in places.ravel()]
+    stds = np.sqrt(np.diag(np.linalg.inv(fitted.precision))[order]).reshape(places.shape)
+    for place, one in enumerate(effect.coordinates):
+        if not (isinstance(one, Size) and one.positive):
+            continue
+        amounts = values[:, place]
+        least = -TOLERANCE * stds[:, place] if len(amounts) > 1 else 0.0
+        if not ((amounts > least).all() and (amounts > 0).any()):
+            return False
+    least, most = np.array(effect.bounds(problem.base)).T / effect.sizes(problem.base)
+    within = (values > least - TOLERANCE * stds) & (values < most + TOLERANCE * stds)
+    if not within.all():
+        return False
+    if effect.scanned is None:
+        return True
+    place, scanned = effect.scanned
+    value = float(values[0, place])
+    size = effect.sizes(problem.base)[place]
+    times = np.asarray(problem.dataset.run_time)[problem.dataset.recorded_rows]
+    is_near = abs(value - candidate.point.at[place]) < candidate.reach
+    return is_near and scanned.lies_within(value * size, times)
+
+
+def recorded_instances(problem: Problem, effect: Effect) -> list[int]:
+    """Instances of an effect that belong to recorded runs: a data set has spare ones."""
+    if problem.layout.instances(effect) == 1:
+        return [0]
+    return [number for number, rows in enumerate(problem.dataset.rows_of_runs) if len(rows)]
+
+
+def has_room(problem: Problem, current: Estimate, name: str) -> bool:
+    """Whether the compiled program has room for one more effect beside those of an estimate.
+
+    For its coordinates, and for the directions to differentiate in, which instances share.
+    """
+    index = problem.layout.indices((*current.free, name))
+    kind, _ = problem.layout.kinds()
+    return len(index) <= problem.width and len(np.unique(kind[index])) <= problem.directions
