@@ -99,10 +99,29 @@ def test_a_size_that_is_nearly_one_is_asked_of_all_runs_where_they_can_change_pl
     sure = dataclasses.replace(nearly, motion=better)
     assert decide(listed(sure), None) is sure
     assert decide(listed(sure), exchanged(-200.0, 20.0)) is None
-    worse = dataclasses.replace(tried, ratio={20.0: 1.1})
-    for doubtful in ({"motion": worse}, {"motion": tried, "gain": Gain(-30.0, 9.0)},
-                     {"motion": tried, "constancy": UNSTEADY}):  # fmt: skip
-        assert asked(**doubtful) is None
+    assert asked(dataclasses.replace(tried, ratio={20.0: 1.1})) is None
+    assert asked(tried, gain=Gain(-30.0, 9.0)) is None
+    assert asked(tried, constancy=UNSTEADY) is None
+
+
+def test_what_is_surely_better_on_runs_held_out_need_only_probably_be_so_on_all():
+    surely = MotionChange({20.0: 0.8, 60.0: 0.9}, {20.0: ChanceOfLoss(0.0, 0.001),
+                                                   60.0: ChanceOfLoss(0.1, 0.2)})  # fmt: skip
+    nearly = dataclasses.replace(judged("wind", 60.0, UNSTEADY._replace(share=0.4)), motion=surely)
+
+    def asked(ratio: float, *chances: ChanceOfLoss):
+        motion = MotionChange(
+            dict.fromkeys((20.0, 60.0), ratio), dict(zip((20.0, 60.0), chances, strict=True))
+        )
+        agrees = lambda one: dataclasses.replace(
+            one, exchanged=CLEAR_GAIN, motion=motion, held_out_motion=one.motion
+        )
+        return decide(listed(nearly), agrees)
+
+    probable, open_, harm = ChanceOfLoss(0.01, 0.04), ChanceOfLoss(0.3, 0.4), ChanceOfLoss(1.0, 1.0)
+    assert asked(0.9, probable, open_)
+    assert asked(0.9, open_, probable) is None  # at another horizon than on the runs held out
+    assert asked(1.2, probable, harm) is None
 
 
 def test_a_law_with_one_size_in_every_run_does_where_other_runs_are_predicted_better():

@@ -30,9 +30,8 @@ class Hypothesis:
     instances: int = 1  # sets of coordinates: one for each run, for an environment of its own
     inflation: float = 1.0  # variance of its own scores over the information, at least one
     exchanged: Gain | None = None  # on the training data, with the held-out ones to train on
-    motion: MotionChange | None = (
-        None  # of free predictions; None where it was not fitted to its end
-    )
+    motion: MotionChange | None = None  # of free predictions; None where not fitted to its end
+    held_out_motion: MotionChange | None = None  # of the held-out runs, where the other is of all
 
     @property
     def predicts_motion(self) -> bool:
@@ -54,8 +53,18 @@ class Hypothesis:
         """
         if self.constancy is not None and self.constancy.holds:
             return True
-        is_better = self.motion is not None and self.motion.is_better
-        return is_better and self.has_nearly_one_size
+        return self.predicts_motion_better and self.has_nearly_one_size
+
+    @property
+    def predicts_motion_better(self) -> bool:
+        """Whether free predictions of all runs asked get better beyond chance.
+
+        Or of the held-out ones, and probably of all.
+        """
+        if self.motion is None:
+            return False
+        alone = self.held_out_motion
+        return self.motion.is_better or (alone is not None and alone.holds_by(self.motion))
 
     @property
     def has_nearly_one_size(self) -> bool:

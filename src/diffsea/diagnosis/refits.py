@@ -182,7 +182,9 @@ def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothes
     there = relative_losses(data, current, one.estimate)
     both = pooled_losses(there, relative_losses(other, before, after))
     gain = held_out_gain(other, before, after)
-    return dataclasses.replace(one, exchanged=gain, motion=MotionChange.of(both))
+    return dataclasses.replace(
+        one, exchanged=gain, motion=MotionChange.of(both), held_out_motion=one.motion
+    )
 
 
 def start_beside(
