@@ -147,7 +147,7 @@ def screenings() -> list[Callable[[], object]]:
 
     from diffsea import read_vessel
     from diffsea.diagnosis.screening import candidate_effects, screen
-    from diffsea.diagnosis.search import EFFECT_COORDINATES
+    from diffsea.diagnosis.verdict import EFFECT_COORDINATES
     from diffsea.identification.fit import estimate
     from diffsea.identification.problem import make_problem
 

@@ -44,7 +44,7 @@ def one(vessel, document: dict, seed: int) -> dict:
     from diffsea import read_recording
     from diffsea.diagnosis.experiment import next_experiment
     from diffsea.diagnosis.record import summary
-    from diffsea.diagnosis.search import diagnose
+    from diffsea.diagnosis.verdict import diagnose
     from diffsea.recordings import audit
 
     with tempfile.TemporaryDirectory() as folder:

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from diffsea import Diagnosis, Trajectory, cut, read_mapping, read_recording, read_vessel
 from diffsea.diagnosis.experiment import next_experiment
 from diffsea.diagnosis.record import summary, vessel_document
-from diffsea.diagnosis.search import diagnose
+from diffsea.diagnosis.verdict import diagnose
 from diffsea.identification.holdout import held_out_vessels
 from diffsea.recordings import audit
 from diffsea.report.diagnosis import diagnosis_report

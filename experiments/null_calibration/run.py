@@ -13,7 +13,7 @@ from scipy.stats import binomtest, kstest
 from diffsea import read_recording, read_vessel
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, Bootstrap, bootstrap
 from diffsea.diagnosis.screening import candidate_effects
-from diffsea.diagnosis.search import EFFECT_COORDINATES
+from diffsea.diagnosis.verdict import EFFECT_COORDINATES
 from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem

@@ -15,7 +15,7 @@ from experiments.virtual_sea_trials import marus_trials, marus_vessel
 import numpy as np
 
 from diffsea import Diagnosis, Trajectory, Vessel, cut, resample
-from diffsea.diagnosis.search import diagnose
+from diffsea.diagnosis.verdict import diagnose
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, make_problem

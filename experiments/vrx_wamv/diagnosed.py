@@ -9,7 +9,7 @@ from experiments.vrx_wamv.models import document, truth
 from experiments.vrx_wamv.plant import NEW, Plant
 
 from diffsea.diagnosis.record import summary
-from diffsea.diagnosis.search import diagnose
+from diffsea.diagnosis.verdict import diagnose
 from diffsea.vessel.files import build
 
 

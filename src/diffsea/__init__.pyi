@@ -1,5 +1,5 @@
 # The public names of diffsea; each is loaded when it is first used.
-from .diagnosis.search import Diagnosis as Diagnosis
+from .diagnosis.verdict import Diagnosis as Diagnosis
 from .errors import UserError as UserError
 from .identification.study import Study as Study
 from .metrics.recorded import recording_metrics as recording_metrics

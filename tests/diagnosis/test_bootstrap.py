@@ -19,7 +19,7 @@ from diffsea.diagnosis.bootstrap import (
     finite_draws,
 )
 from diffsea.diagnosis.screening import screen
-from diffsea.diagnosis.search import diagnose
+from diffsea.diagnosis.verdict import diagnose
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.identification.resimulation import resimulate

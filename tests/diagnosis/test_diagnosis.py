@@ -10,7 +10,7 @@ from tests.oracle import make_recordings
 from diffsea import read_recording
 from diffsea.diagnosis.experiment import commands, next_experiment
 from diffsea.diagnosis.record import summary, vessel_document
-from diffsea.diagnosis.search import diagnose
+from diffsea.diagnosis.verdict import diagnose
 from diffsea.identification.holdout import held_out_coordinates
 from diffsea.vessel.effects import catalogue_name
 from diffsea.vessel.files import build

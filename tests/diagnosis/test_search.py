@@ -12,22 +12,14 @@ from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, audit
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
+from diffsea.diagnosis.backward_elimination import ask_again, withdraw_outdone
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
+from diffsea.diagnosis.forward_selection import find_pair, forward_search, resume_stalled_fit
 from diffsea.diagnosis.record import summary
 from diffsea.diagnosis.screening import screen
-from diffsea.diagnosis.search import (
-    Deadline,
-    Effort,
-    Search,
-    ask_again,
-    believe_audit,
-    explain,
-    find_pair,
-    forward_search,
-    resume_stalled_fit,
-    withdraw_outdone,
-)
+from diffsea.diagnosis.search import Deadline, Effort, Search
+from diffsea.diagnosis.verdict import believe_audit, explain
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.score import LinearisedModel
-from diffsea.diagnosis.search import Diagnosis
+from diffsea.diagnosis.verdict import Diagnosis
 from diffsea.errors import UserError
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import (

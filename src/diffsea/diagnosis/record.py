@@ -19,7 +19,8 @@ from diffsea.diagnosis.localisation import (
     regime_within,
 )
 from diffsea.diagnosis.screening import Screening, detection_limits
-from diffsea.diagnosis.search import ALPHA, Diagnosis
+from diffsea.diagnosis.search import ALPHA
+from diffsea.diagnosis.verdict import Diagnosis
 from diffsea.identification.estimates import (
     Estimate,
     effect_table,
