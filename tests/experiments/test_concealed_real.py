@@ -111,6 +111,15 @@ def test_what_the_page_says_of_injected_cases_is_what_was_found():
     assert sorted(re.findall(r"\d+\.\d", section.partition("\n\n")[0])) == sorted(missed)
     bound = binomtest(0, len(outcomes)).proportion_ci(method="wilson").high
     assert f"by {100 * bound:.0f} %" in section
+    sized = [(one.stated, one.besides) for one in effects if one.stated is not None]
+    above, below = (
+        [named for size, named in sized if (size >= 4) is large] for large in (True, False)
+    )
+    told = f"By them {sum(above)} of {len(above)} effects of four limits or more were named, and "
+    told += f"{sum(below)} of {len(below)} smaller ones"
+    ratios = [one.limits / one.stated for one in effects if one.stated and one.limits]
+    told = f"{min(ratios):.1f} to {max(ratios):.1f} times what they were. {told}"
+    assert told in " ".join(section.split())
 
 
 @real
