@@ -47,12 +47,14 @@ def test_score_has_its_size_under_white_noise_and_sees_a_shift():
 def test_sizes_that_differ_between_parts_widen_the_error_of_their_mean():
     rng = np.random.default_rng(11)
     rows, parts = 4000, np.split(np.arange(4000), 40)
+    uneven_parts = np.split(np.arange(4000), [100, 350])
     nuisance = np.zeros((6 * rows, 1))
     nuisance[:: 6 * rows] = 1.0
     columns = rng.normal(size=(6 * rows, 1))
     noise, run = rng.normal(size=6 * rows), np.zeros(rows, int)
     alone = Projection(noise, nuisance, run)
     assert alone.scatter(columns, parts) == pytest.approx(1.0, abs=0.5)
+    assert alone.scatter(columns, uneven_parts) >= 1.0
     assert alone.scatter(columns, parts[:1]) == alone.scatter(0.0 * columns, parts) == 1.0
     sizes = 0.5 * rng.normal(size=40)
     assert np.std(sizes) > 0.3

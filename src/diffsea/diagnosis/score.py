@@ -153,7 +153,7 @@ class Projection:
         step[informative] = -(inverse @ s)
         return ScoreTest(statistic, float(stats.chi2.sf(statistic, k)), step, ratio)
 
-    def scatter(self, E: Columns, parts: Sequence[Int[np.ndarray, "row"]]) -> float:
+    def scatter(self, E: Columns, parts: Sequence[Int[np.ndarray, "_"]]) -> float:
         """Variance of a candidate's size over its information, by how it scatters between parts.
 
         The clustered covariance of Liang and Zeger (1986), averaged over the columns; at least one.
