@@ -13,7 +13,7 @@ from diffsea.diagnosis.localisation import Bin, Cell
 from diffsea.diagnosis.refits import with_mirrors
 from diffsea.diagnosis.score import NullDistribution
 from diffsea.diagnosis.screening import Screening
-from diffsea.diagnosis.search import Search
+from diffsea.diagnosis.selection import Search
 from diffsea.diagnosis.verdict import unexplained_p_value, verdict_on
 from diffsea.identification.free_predictions import ChanceOfLoss, MotionChange
 from diffsea.identification.holdout import Gain

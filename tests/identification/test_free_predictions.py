@@ -30,7 +30,7 @@ from diffsea.identification.free_predictions import (
 from diffsea.identification.holdout import (
     Gain,
     Split,
-    exchanged_fits,
+    exchanged_fit,
     held_out_gain,
     held_out_vessels,
     row_deviance,
@@ -170,7 +170,9 @@ def test_predictions_that_diverge_are_a_shortfall_and_told_in_words():
 
 
 def test_runs_that_change_places_are_judged_together(data, right, wrong):
-    other, (again, corrected) = exchanged_fits(data, (right, wrong))
+    other = data.exchanged
+    again, corrected = (exchanged_fit(data, model) for model in (right, wrong))
+    assert exchanged_fit(data, right) is again
     assert (other.recordings, other.held_out) == (data.held_out, data.recordings)
     assert np.abs((again.coordinates - corrected.coordinates) / again.stds).max() < 0.2
     here, there = relative_losses(data, wrong, right), relative_losses(other, wrong, again)
@@ -185,7 +187,7 @@ def test_runs_with_environments_of_their_own_do_not_change_places():
     problem = still_problem("current", runs=2, per_run=True)
     split = Split(problem, problem, None, (), ())
     with pytest.raises(ValueError, match="cannot change places"):
-        exchanged_fits(split, (linear_estimate(("X_u", "current")),))
+        exchanged_fit(split, linear_estimate(("X_u", "current")))
 
 
 def test_what_is_stronger_than_weather_is_no_gust(data, right, wrong):

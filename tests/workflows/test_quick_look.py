@@ -12,7 +12,7 @@ from tests.runs import random_steps
 
 from diffsea import UserError, read_vessel, write_recording
 from diffsea.cli import main
-from diffsea.diagnosis.search import FULL_EFFORT
+from diffsea.diagnosis.selection import FULL_EFFORT
 from diffsea.recordings import thin
 from diffsea.report.words import incomplete_sentence
 from diffsea.workflows import identification, quick

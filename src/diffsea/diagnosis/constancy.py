@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from diffsea.diagnosis.score import LEVEL, Columns, Projection, linearise_model
+from diffsea.diagnosis.score import (
+    LEVEL,
+    Columns,
+    Projection,
+    linearise_model,
+    parts_of_runs,
+)
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import EFFECTS
@@ -100,12 +106,10 @@ def _columns_of_parts(
 ) -> Float[np.ndarray, "value part_column"]:
     """An effect's columns in each of `count` parts of every run, without those of the prior."""
     parts = []
-    for rows in problem.dataset.rows_of_runs:
-        for part in np.array_split(rows, count):
-            if len(part):
-                member = np.zeros(len(J))
-                member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
-                parts.append(J * member[:, None])
+    for part in parts_of_runs(problem, count):
+        member = np.zeros(len(J))
+        member[(6 * part[:, None] + np.arange(6)).ravel()] = 1.0
+        parts.append(J * member[:, None])
     columns = np.concatenate(parts, axis=1)
     # A part without information has nothing to differ in.
     return columns[:, (columns**2).sum(0) > 1e-9 * (J**2).sum()]

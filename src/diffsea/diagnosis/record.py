@@ -19,7 +19,7 @@ from diffsea.diagnosis.localisation import (
     regime_within,
 )
 from diffsea.diagnosis.screening import Screening, detection_limits
-from diffsea.diagnosis.search import ALPHA
+from diffsea.diagnosis.selection import ALPHA
 from diffsea.diagnosis.verdict import Diagnosis
 from diffsea.identification.estimates import (
     Estimate,

@@ -25,7 +25,7 @@ from diffsea.identification.free_predictions import (
     pooled_losses,
     relative_losses,
 )
-from diffsea.identification.holdout import Split, exchanged_fits, held_out_gain
+from diffsea.identification.holdout import Split, exchanged_fit, held_out_gain
 from diffsea.identification.problem import Problem
 from diffsea.progress import PartialProgress, Progress
 from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
@@ -178,7 +178,8 @@ def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Esti
 
 def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
     """The hypothesis judged on the training data, too, fitted to the held-out ones."""
-    other, (before, after) = exchanged_fits(data, (current, one.estimate))
+    other = data.exchanged
+    before, after = (exchanged_fit(data, model) for model in (current, one.estimate))
     there = relative_losses(data, current, one.estimate)
     both = pooled_losses(there, relative_losses(other, before, after))
     gain = held_out_gain(other, before, after)

@@ -91,6 +91,13 @@ def joint_null(
     return NullDistribution(np.sort(np.min(smallest, axis=0)))
 
 
+def parts_of_runs(problem: Problem, count: int) -> list[Int[np.ndarray, "_"]]:
+    """Rows of a data set in each of so many parts of every run, those that have any."""
+    runs = problem.dataset.rows_of_runs
+    parts = [part for rows in runs for part in np.array_split(rows, count)]
+    return [part for part in parts if len(part)]
+
+
 class ScoreTest(NamedTuple):
     """Outcome of a score test of one candidate."""
 

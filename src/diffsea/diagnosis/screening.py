@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from diffsea.diagnosis.constancy import PARTS
 from diffsea.diagnosis.localisation import Cell, latent_acceleration, locate_forces
 from diffsea.diagnosis.score import (
     Columns,
@@ -20,6 +21,7 @@ from diffsea.diagnosis.score import (
     ScoreTest,
     joint_null,
     linearise_model,
+    parts_of_runs,
 )
 from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
@@ -42,7 +44,6 @@ PEAKS = 4  # of the spectrum, at which a wave train is expanded
 COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
 NEIGHBOURHOOD = 40  # frequencies around one whose median is what gusts alone show
 DETECTABLE = 3.0  # standard errors that make a size detectable
-PARTS = 8  # of each run, between which sizes scatter
 PLAUSIBLE = 30.0  # prior sizes beyond which nothing is expected
 NO_INFORMATION = 1e-12  # in standard errors of a prior size, squared and inverted
 
@@ -145,8 +146,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         promising = [one.point for one in best.values() if one.expected > 0]
         around = [nearby_points(point, spacing[point.effect] / finer) for point in promising]
         test_points([point for several in around for point in several])
-    parts = [part for rows in problem.dataset.rows_of_runs for part in np.array_split(rows, PARTS)]
-    parts = [part for part in parts if len(part)]
+    parts = parts_of_runs(problem, max(PARTS))
     best = {
         name: dataclasses.replace(one, scatter=projection.scatter(one.columns, parts))
         for name, one in best.items()

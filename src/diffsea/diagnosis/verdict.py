@@ -5,14 +5,22 @@ from dataclasses import dataclass, replace
 
 from diffsea.budget import current_budget
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audited
-from diffsea.diagnosis.backward_elimination import ask_again, withdraw_outdone
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
-from diffsea.diagnosis.forward_selection import forward_search
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
 from diffsea.diagnosis.refits import has_room
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
-from diffsea.diagnosis.search import ALPHA, FULL_EFFORT, NO_DEADLINE, Deadline, Effort, Search
+from diffsea.diagnosis.selection import (
+    ALPHA,
+    FULL_EFFORT,
+    NO_DEADLINE,
+    Deadline,
+    Effort,
+    Search,
+    ask_again,
+    forward_search,
+    withdraw_outdone,
+)
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape

@@ -101,15 +101,13 @@ class MotionChange:
         return self._is_below(1 - PROBABLE) and not self._is_beyond(PROBABLE)
 
     def holds_by(self, more: "MotionChange") -> bool:
-        """Whether what gets better here beyond chance probably does by more runs, and none worse.
+        """Whether what gets better here beyond chance probably does by more runs, too (19 to 1).
 
-        At the same horizon, 19 to 1.
+        At the same horizon.
         """
         surely, probably = 1 - BEYOND_CHANCE, 1 - PROBABLE
         both = {*self.worse} & {*more.worse}
-        return not more.is_worse and any(
-            max(self.worse[h]) < surely and max(more.worse[h]) < probably for h in both
-        )
+        return any(max(self.worse[h]) < surely and max(more.worse[h]) < probably for h in both)
 
     def _is_beyond(self, level: float) -> bool:
         return any(min(both) > level for both in self.worse.values())

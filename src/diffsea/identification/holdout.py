@@ -265,22 +265,17 @@ def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
-def exchanged_fits(split: Split, models: Sequence[Estimate]) -> tuple[Split, tuple[Estimate, ...]]:
-    """The split with training and held-out data exchanged, and models fitted anew to it, once each.
+def exchanged_fit(split: Split, model: Estimate) -> Estimate:
+    """The model fitted anew to the held-out data, the training data of `split.exchanged`; once.
 
     Raises:
-        ValueError: a model has an environment of each recording's own, which runs that become
-            held-out ones would lack.
+        ValueError: it has an environment of each recording's own, which runs that become held-out
+            ones would lack.
     """
-    if any(has_own_environment(split, model) for model in models):
+    if has_own_environment(split, model):
         raise ValueError("runs with environments of their own cannot change places")
-    other = split.exchanged
-
-    def again(model: Estimate) -> Estimate:
-        fit = lambda: estimate(other.train, model.free, model.coordinates, model.noise)
-        return _once(split._known.exchanged_fits, model, fit)
-
-    return other, tuple(map(again, models))
+    fit = lambda: estimate(split.exchanged.train, model.free, model.coordinates, model.noise)
+    return _once(split._known.exchanged_fits, model, fit)
 
 
 def has_own_environment(split: Split, fitted: Estimate) -> bool:

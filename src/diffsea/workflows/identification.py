@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from diffsea.budget import left_out_sentence, time_budget
 from diffsea.diagnosis.experiment import Experiment, next_experiment
 from diffsea.diagnosis.record import nominal_document, summary, vessel_document
-from diffsea.diagnosis.search import FULL_EFFORT, Deadline, Effort
+from diffsea.diagnosis.selection import FULL_EFFORT, Deadline, Effort
 from diffsea.diagnosis.verdict import Diagnosis
 from diffsea.diagnosis.verdict import diagnose as search_effects
 from diffsea.errors import UserError

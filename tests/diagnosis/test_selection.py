@@ -12,16 +12,26 @@ from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, audit
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
-from diffsea.diagnosis.backward_elimination import ask_again, withdraw_outdone
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
-from diffsea.diagnosis.forward_selection import find_pair, forward_search, resume_stalled_fit
 from diffsea.diagnosis.record import summary
+from diffsea.diagnosis.refits import judge_exchanged
+from diffsea.diagnosis.score import linearise_model
 from diffsea.diagnosis.screening import screen
-from diffsea.diagnosis.search import Deadline, Effort, Search
+from diffsea.diagnosis.selection import (
+    Deadline,
+    Effort,
+    Search,
+    ask_again,
+    find_pair,
+    forward_search,
+    resume_stalled_fit,
+    withdraw_outdone,
+)
 from diffsea.diagnosis.verdict import believe_audit, explain
 from diffsea.identification.fit import estimate
-from diffsea.identification.holdout import split_data
+from diffsea.identification.free_predictions import relative_losses
+from diffsea.identification.holdout import exchanged_fit, split_data
 from diffsea.identification.problem import make_problem
 from diffsea.progress import no_progress
 from diffsea.report.words import incomplete_sentence
@@ -94,6 +104,34 @@ def test_both_causes_are_found_one_after_the_other(data, found):
     assert bias == pytest.approx([BIAS], rel=0.15)
     assert flow == pytest.approx(0.4 * np.array([np.cos(2), np.sin(2)]), abs=0.04)
     assert found.final_screening.located_p_value > 0.01
+
+
+def test_runs_that_change_places_judge_an_effect_by_all_of_them(data, nominal, found):
+    one = found.effects[0].hypothesis
+    both = judge_exchanged(data, nominal, one)
+    assert both.exchanged is not None and both.exchanged.clear and both.gain is one.gain
+    assert both.held_out_motion is one.motion and both.motion != one.motion
+    before, after = (exchanged_fit(data, model) for model in (nominal, one.estimate))
+    there = relative_losses(data.exchanged, before, after)[20.0]
+    here = relative_losses(data, nominal, one.estimate)[20.0]
+    ratio = np.concatenate([here.after, there.after]).mean()
+    ratio /= np.concatenate([here.before, there.before]).mean()
+    assert both.motion is not None and both.motion.ratio[20.0] == pytest.approx(ratio)
+
+
+def test_a_screening_knows_how_sizes_scatter_between_eighths_of_a_run(data, nominal, screening):
+    residual = linearise_model(data.train, nominal).projection(FREE).residual
+    rows = len(data.train.dataset.run)
+    eighths = np.array_split(data.train.dataset.rows_of_runs[0], 8)
+    expected = {}
+    for name, one in screening.candidates.items():
+        root = np.linalg.qr(one.columns)[0]
+        left = (residual - root @ (root.T @ residual))[: 6 * rows]
+        by_row = (root[: 6 * rows] * left[:, None]).reshape(rows, 6, -1).sum(1)
+        square = sum(np.square(by_row[part].sum(0)).sum() for part in eighths)
+        expected[name] = max(1.0, square * 8 / 7 / root.shape[1])
+    found = {name: one.scatter for name, one in screening.candidates.items()}
+    assert found == pytest.approx(expected) and max(found.values()) > 1.0
 
 
 def test_a_search_that_does_not_insist_names_one_cause_and_says_that_more_is_left(
