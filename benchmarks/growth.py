@@ -147,7 +147,6 @@ def screenings() -> list[Callable[[], object]]:
 
     from diffsea import read_vessel
     from diffsea.diagnosis.screening import candidate_effects, screen
-    from diffsea.diagnosis.verdict import EFFECT_COORDINATES
     from diffsea.identification.fit import estimate
     from diffsea.identification.problem import make_problem
 
@@ -158,7 +157,7 @@ def screenings() -> list[Callable[[], object]]:
     for count in EFFECTS:
         effects = tuple(drawn[:count])
         assert len(effects) == count, f"the vessel could have {len(drawn)} effects only"
-        problem = make_problem(vessel, made, NAMES, effects, capacity=EFFECT_COORDINATES)
+        problem = make_problem(vessel, made, NAMES, effects)
         fitted = estimate(problem, NAMES)
         works.append(lambda problem=problem, fitted=fitted: screen(problem, fitted))
     return works

@@ -65,7 +65,7 @@ def deviance(material: Material) -> float:
     vessel = diffsea.read_vessel(path).vessel
     runs = [diffsea.read_recording(file) for file in train]
     free = free_by_default(vessel)
-    problem = make_problem(vessel, runs, free, (EFFECTS[LATE],), False, 1)
+    problem = make_problem(vessel, runs, free, (EFFECTS[LATE],))
     rough = estimate(problem, free)
     return estimate_surely(problem, (*free, LATE), rough.coordinates, rough.noise).deviance
 

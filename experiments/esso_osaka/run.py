@@ -145,7 +145,7 @@ def infer(document: Table, runs: dict[str, Trajectory], dropped: tuple[str, ...]
     train, test = ([seen[name] for name in part] for part in (TRAIN, HELD_OUT))
 
     def problem_of(some: list[Trajectory], least: DatasetShape) -> Problem:
-        return make_problem(vessel, some, free, (EFFECTS["wind"],), True, 2, least=least)
+        return make_problem(vessel, some, free, (EFFECTS["wind"],), True, least=least)
 
     data = split_data(problem_of, train, test, True)
     nominal = estimate(data.train, free)

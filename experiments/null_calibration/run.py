@@ -13,7 +13,6 @@ from scipy.stats import binomtest, kstest
 from diffsea import read_recording, read_vessel
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, Bootstrap, bootstrap
 from diffsea.diagnosis.screening import candidate_effects
-from diffsea.diagnosis.verdict import EFFECT_COORDINATES
 from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
@@ -46,7 +45,7 @@ def nothing_missing(run: Experiment, case: dict, draws: int) -> Bootstrap:
         recordings = tuple(read_recording(p) for p in sorted((here / "train").glob("*.csv")))
     free = free_by_default(vessel)
     effects = candidate_effects(vessel, list(recordings))
-    problem = make_problem(vessel, list(recordings), free, effects, capacity=EFFECT_COORDINATES)
+    problem = make_problem(vessel, list(recordings), free, effects)
     nominal = estimate(problem, free)
     tell = lambda message: run.say(f"{case['hull']}: {message}")
     return bootstrap(problem, nominal, draws, tell)

@@ -48,7 +48,7 @@ def test_without_draws_a_p_value_stands():
 @pytest.fixture(scope="module")
 def problem():
     run = random_steps(DOCUMENT, 7, 40.0, 0.5)
-    return make_problem(usv(), [run], FREE, (EFFECTS["gyro-bias"],), capacity=1)
+    return make_problem(usv(), [run], FREE, (EFFECTS["gyro-bias"],))
 
 
 @pytest.mark.proof

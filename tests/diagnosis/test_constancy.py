@@ -29,7 +29,7 @@ def plain() -> Trajectory:
 def judged(run: Trajectory, bias: np.ndarray):
     """The test of a gyro bias fitted to a run whose yaw rate has some bias in each row."""
     biased = dataclasses.replace(run, r=run.r + bias)
-    problem = make_problem(usv(), [biased], FREE, (EFFECTS["gyro-bias"],), False, 1)
+    problem = make_problem(usv(), [biased], FREE, (EFFECTS["gyro-bias"],))
     without = estimate(problem, FREE)
     fitted = estimate(problem, (*FREE, "gyro-bias"), without.coordinates)
     return constancy_test(problem, fitted, "gyro-bias", without.deviance - fitted.deviance)
@@ -64,7 +64,7 @@ def test_a_sensor_error_must_be_there_all_the_time(plain):
 def test_coefficients_of_a_wind_are_one_in_all_parts(plain):
     """Two components in each half or eighth, less those of the whole; three coefficients not."""
     name, boat = "wind:coefficients", usv()
-    problem = make_problem(boat, [plain], FREE, (EFFECTS[name],), False, 5)
+    problem = make_problem(boat, [plain], FREE, (EFFECTS[name],))
     fitted = estimate(problem, (*FREE, name), rounds=1)
     assert len(problem.layout.indices((name,))) == 5
     assert constancy_test(problem, fitted, name, 10.0).degrees in (2, 14)
@@ -88,7 +88,7 @@ def test_a_law_of_several_numbers_has_one_size_where_their_proportion_is_the_sam
     runs = [
         random_steps(DOCUMENT, 7 + k, SECONDS, STEP, effects=own) for k, own in enumerate(effects)
     ]
-    problem = make_problem(usv(), runs, FREE, (EFFECTS[name],), False, 6)
+    problem = make_problem(usv(), runs, FREE, (EFFECTS[name],))
     without = estimate(problem, FREE)
     start = np.array(without.coordinates)
     start[problem.layout.indices((name,))] = begin

@@ -71,7 +71,7 @@ def trained(vessel, effects: tuple[str, ...] = ()):
         np.ones(50, bool),
     )
     catalogue = tuple(EFFECTS[name] for name in effects)
-    return make_problem(vessel, [run], FREE, catalogue, capacity=4)
+    return make_problem(vessel, [run], FREE, catalogue)
 
 
 @pytest.mark.parametrize("name", LIBRARY)

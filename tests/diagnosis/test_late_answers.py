@@ -32,7 +32,7 @@ def test_a_late_answer_is_refitted_with_both_its_amounts(way):
     parameters, whole = LATE[way]
     run = random_steps(DOCUMENT, 5, 80.0, 0.25, {"actuator-response": parameters})
     effects = tuple(EFFECTS[name] for name in NAMES)
-    problem = make_problem(usv(), [run], FREE, effects, capacity=3)
+    problem = make_problem(usv(), [run], FREE, effects)
     nominal = estimate(problem, FREE)
     screening = screen(problem, nominal)
     refitted = {

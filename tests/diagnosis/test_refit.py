@@ -23,7 +23,6 @@ from diffsea.diagnosis.decision import rank_hypotheses
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
     first_guess,
-    has_room,
     is_physical,
     make_hypothesis,
     near_the_best,
@@ -129,21 +128,6 @@ def test_the_order_allows_for_the_dependence_of_the_best():
     assert [one.effect for one in rank_hypotheses([best, lean])] == ["current", "wind"]
     even = dataclasses.replace(best, inflation=1.0, occam=20.0)
     assert [one.effect for one in rank_hypotheses([even, lean])] == ["wind", "current"]
-
-
-def test_waves_beside_an_environment_for_each_run_have_no_room():
-    effects = ("wave-force", "current")
-    for room, fits in ((6, False), (9, True)):  # for 7 kinds of the waves' and 2 of the current's
-        problem = still_problem(*effects, runs=3, per_run=True, capacity=room)
-        current = linear_estimate(("wave-force",))
-        assert has_room(problem, current, "current") == fits
-
-
-def test_instances_for_each_run_need_room_for_all_their_coordinates():
-    problem = still_problem("current", "gyro-bias", runs=3, per_run=True, capacity=2)
-    assert has_room(problem, linear_estimate(("current",)), "gyro-bias")  # 6 + 1 of 8
-    narrow = dataclasses.replace(problem, width=5)
-    assert not has_room(narrow, linear_estimate(), "current")
 
 
 def test_a_refit_starts_without_what_is_not_in_the_model_any_more():

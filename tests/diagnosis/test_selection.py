@@ -55,7 +55,7 @@ def data():
     effects = tuple(EFFECTS[name] for name in NAMES)
 
     def problem_of(recordings, least):
-        return make_problem(usv(), recordings, FREE, effects, capacity=ROOM, least=least)
+        return make_problem(usv(), recordings, FREE, effects, least=least)
 
     return split_data(problem_of, runs[:1], runs[1:], per_run=False)
 

@@ -197,7 +197,7 @@ def test_what_is_stronger_than_weather_is_no_gust(data, right, wrong):
     dataset = train.dataset
     times = RowTimes(dataset.dt, dataset.starts, dataset.run, first_variance(train.base))
     run = train.run_filter(wrong.coordinates, right.noise)
-    found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).scales)
+    found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).noise.scales)
     off = (found - prior.mean)[:9] / prior.spread[:9]
     assert off.max() == pytest.approx(2.0, abs=1e-6)
     assert np.isinf(prior.highest[9:]).all()
@@ -236,7 +236,7 @@ def test_a_current_that_passes_for_gusts_is_missing_from_a_fit():
     effects = (EFFECTS["current"],)
 
     def problem_of(recordings, least):
-        return make_problem(boat, recordings, FREE, effects, capacity=2, least=least)
+        return make_problem(boat, recordings, FREE, effects, least=least)
 
     data = split_data(problem_of, runs[:2], runs[2:], per_run=False)
     without, found = estimate(data.train, FREE), estimate(data.train, (*FREE, "current"))

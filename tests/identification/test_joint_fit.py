@@ -13,13 +13,13 @@ from tests.oracle.simulator import load, simulate
 from tests.paths import ORACLE
 
 from diffsea import EFFECTS, Trajectory, Vessel
+from diffsea.identification.descent import filter_at
 from diffsea.identification.estimates import (
     Estimate,
     FitOutcome,
     parameter_estimates,
     posterior_estimate,
 )
-from diffsea.identification.fit import filter_at
 from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.objectives.joint import with_trial_numbers

@@ -184,7 +184,7 @@ def expected_deviance(nu: np.ndarray, variance: np.ndarray) -> float:
 
 
 def problem_of(vessel, push: np.ndarray, shown: np.ndarray) -> Problem:
-    return make_problem(vessel, [seen(push, shown)], ("X_u",), (LATE,), capacity=1)
+    return make_problem(vessel, [seen(push, shown)], ("X_u",), (LATE,))
 
 
 def portmanteau(white: np.ndarray) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from tests.runs import random_steps
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, rerun_linearised
-from diffsea.identification.fit import estimate, filter_at, line_minima
+from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
 
@@ -65,7 +65,8 @@ def test_many_steps_end_where_another_optimiser_does(problem, search):
         options={"maxiter": 500, "ftol": 1e-14},
     )  # fmt: skip
     before, after = (
-        float(deviance(free_of(at))) for at in (noise, refine_noise(run, times, noise, prior, 15))
+        float(deviance(free_of(at)))
+        for at in (noise, refine_noise(run, times, noise, prior, 15).noise)
     )
     assert before - best.fun > 100
     assert after - best.fun < 1.0
@@ -74,20 +75,19 @@ def test_many_steps_end_where_another_optimiser_does(problem, search):
 def test_each_step_gains(problem, search):
     run, times, noise, deviance = search
     ends = [
-        float(deviance(free_of(refine_noise(run, times, noise, problem.prior, steps))))
+        float(deviance(free_of(refine_noise(run, times, noise, problem.prior, steps).noise)))
         for steps in (1, 2, 4, 8)
     ]
     assert np.all(np.diff([float(deviance(free_of(noise))), *ends]) <= 0)
     assert ends[1] < ends[0] - 1.0
 
 
-def test_lines_lead_on_where_a_step_was_refused(problem, found):
-    """From two standard errors away along no principal axis, nearly to where the fit ended."""
-    index, away = found.index, 2 * found.stds * np.array([1.0, -1.0, 1.0])
-    there = found.coordinates.copy()
-    there[index] += away
-    now = filter_at(problem, there, found.noise)
-    assert now.deviance - found.deviance > 4
-    led = line_minima(problem, now, index, away)
-    assert led.deviance - found.deviance < 0.1
-    assert line_minima(problem, now, index, 1e-3 * found.stds) is now
+def test_a_curvature_learnt_before_leads_to_the_same_noise(problem, search):
+    run, times, noise, deviance = search
+    prior = problem.prior
+    begun = refine_noise(run, times, noise, prior, 4)
+    afresh = refine_noise(run, times, begun.noise, prior, 15)
+    learnt = refine_noise(run, times, begun.noise, prior, 15, begun.curvature)
+    ends = [float(deviance(free_of(one.noise))) for one in (begun, afresh, learnt)]
+    assert ends[0] - ends[1] > 1.0
+    assert abs(ends[1] - ends[2]) < 0.2

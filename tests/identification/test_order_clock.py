@@ -38,7 +38,7 @@ def fitted(document, offset: float, rate: float, delay: float, names: tuple[str,
     if delay:
         effects["sensor-latency"] = {"delay": delay, "channels": ["r"]}
     run = whole_rows(random_steps(document, 5, 60.0, STEP, effects))
-    problem = make_problem(build(document), [run], FREE, (CLOCK, LATE), capacity=3)
+    problem = make_problem(build(document), [run], FREE, (CLOCK, LATE))
     found = estimate(problem, (*FREE, *names))
     sizes = np.concatenate([problem.layout.spreads()[: len(FREE)], *problem.layout.sizes])
     stds = np.zeros(problem.layout.size)
@@ -77,7 +77,7 @@ def test_a_clock_and_a_late_channel_are_told_apart(document, offset, delay):
 
 def test_the_slope_at_a_clock_that_is_right_is_the_mean_of_both_sides(document):
     run = random_steps(document, 5, 60.0, STEP, {})
-    problem = make_problem(build(document), [run], FREE, (CLOCK,), capacity=2)
+    problem = make_problem(build(document), [run], FREE, (CLOCK,))
     coordinates, noise = problem.start()
     gains = problem.run_filter(coordinates, noise).gains
     place = problem.layout.indices((CLOCK.name,))[1]  # the offset

@@ -11,10 +11,11 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Trajectory, UserError
+from diffsea.identification.descent import filter_at
 from diffsea.identification.filter.covariance import GustPropagation
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
-from diffsea.identification.fit import estimate, filter_at
+from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import innovations_at, linearise
@@ -118,7 +119,7 @@ def test_a_velocity_that_is_late_by_rows_in_gusts_is_told(document):
     seen = random_steps(document, 1, 160.0, 0.2, late, blow)
     effect = EFFECTS["sensor-latency:velocity"]
     free = ("X_u", "X_uu", "Y_v", "N_r")
-    problem = make_problem(vessel, [seen], free, (effect,), capacity=1)
+    problem = make_problem(vessel, [seen], free, (effect,))
     fitted = estimate(problem, (*free, effect.name))
     found = problem.layout.physical(effect.name, fitted.coordinates).item()
     assert found == pytest.approx(delay, rel=0.1)
@@ -138,7 +139,7 @@ def test_a_clock_that_is_off_has_a_slope_to_either_side(document, run, offset):
     off = {"clock-drift": {"offset": offset, "rate": 0.0}}
     late = random_steps(document, 4, 120.0, 0.5, off)
     late = dataclasses.replace(late, executed=late.commanded)
-    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],), capacity=2)
+    problem = make_problem(build(document), [late], ("X_u",), (EFFECTS["clock-drift"],))
     start, noise = problem.start()
     gains = problem.run_filter(start, noise).gains
     place = problem.layout.indices(("clock-drift",))

@@ -122,14 +122,9 @@ def expected_evidence(
     vessel = vessel_in_environment(train, coordinates)
     measured = train.dataset.recorded_channels
     priors = {parameter.name: parameter for parameter in train.layout.parameters}
-    run, capacity = (
-        design.simulate_manoeuvre(vessel, schedule, measured),
-        train.directions - len(priors),
-    )
+    run = design.simulate_manoeuvre(vessel, schedule, measured)
     effects, least = train.layout.effects, train.dataset.shape
-    problem = make_problem(
-        train.base, [run], tuple(priors), effects, False, capacity, priors, least
-    )
+    problem = make_problem(train.base, [run], tuple(priors), effects, False, priors, least)
     onset = EFFECTS[other.effect].scanned
     if onset is not None:
         scanned = problem.layout.indices((other.effect,))[onset[0]]

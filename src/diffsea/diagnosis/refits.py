@@ -5,14 +5,12 @@ then to their end, with noise of their own, and judged on held-out data.
 """
 
 import dataclasses
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Float
 
-from diffsea.budget import in_this_budget
+from diffsea.budget import on_every_core
 from diffsea.diagnosis.constancy import constancy_test
 from diffsea.diagnosis.decision import EVIDENCE, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
@@ -55,7 +53,7 @@ def refit_candidates(
 ) -> ShortList:
     """The short list of a screening refitted, or the effects `among`, where any are named.
 
-    As far as the compiled program has room for them. Where an accepted effect came out larger than
+    Where an accepted effect came out larger than
     its law holds for, the error of that law is left over and looks like the effect's confusables:
     these are not asked for.
     """
@@ -68,9 +66,7 @@ def refit_candidates(
     names = [
         name
         for name in with_mirrors(among or short_list(screening, declared))
-        if name in screening.candidates
-        and has_room(problem, current, name)
-        and catalogue_name(name) not in doubtful
+        if name in screening.candidates and catalogue_name(name) not in doubtful
     ]
 
     def refit_first(name: str) -> Hypothesis:
@@ -79,13 +75,11 @@ def refit_candidates(
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
-    # A compiled program runs on one core and lets other threads run meanwhile.
     def refit_on(one: Hypothesis) -> Hypothesis:
         return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        near, rest = near_the_best(list(pool.map(in_this_budget(refit_first), names)))
-        full = list(pool.map(in_this_budget(refit_on), near))
+    near, rest = near_the_best(on_every_core(refit_first, names))
+    full = on_every_core(refit_on, near)
     return ShortList.of(problem, [*full, *rest])
 
 
@@ -136,7 +130,7 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     def refit(start: np.ndarray) -> Estimate:
         free = (*current.free, name)
-        return estimate(problem, free, start, current.noise, rounds=2, fixed_noise=True)
+        return estimate(problem, free, start, current.noise, rounds=4, fixed_noise=True)
 
     def cost(one: Estimate) -> float:
         return one.deviance if np.isfinite(one.deviance) else np.inf
@@ -179,7 +173,7 @@ def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Esti
 def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
     """The hypothesis judged on the training data, too, fitted to the held-out ones."""
     other = data.exchanged
-    before, after = (exchanged_fit(data, model) for model in (current, one.estimate))
+    before, after = on_every_core(lambda model: exchanged_fit(data, model), (current, one.estimate))
     there = relative_losses(data, current, one.estimate)
     both = pooled_losses(there, relative_losses(other, before, after))
     gain = held_out_gain(other, before, after)
@@ -291,13 +285,3 @@ def recorded_instances(problem: Problem, effect: Effect) -> list[int]:
     if problem.layout.instances(effect) == 1:
         return [0]
     return [number for number, rows in enumerate(problem.dataset.rows_of_runs) if len(rows)]
-
-
-def has_room(problem: Problem, current: Estimate, name: str) -> bool:
-    """Whether the compiled program has room for one more effect beside those of an estimate.
-
-    For its coordinates, and for the directions to differentiate in, which instances share.
-    """
-    index = problem.layout.indices((*current.free, name))
-    kind, _ = problem.layout.kinds()
-    return len(index) <= problem.width and len(np.unique(kind[index])) <= problem.directions

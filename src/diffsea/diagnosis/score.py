@@ -8,13 +8,13 @@ The joint null distribution is that of data sets drawn from the fitted model on 
 nuisances refitted to each, both to first order: the scores of all candidates, windows and regimes
 are then jointly normal with the Gram matrix of their efficient columns.
 
-All derivatives come from one compiled program per problem: which coordinates are free is a
-selection matrix, an unnamed force is a history of accelerations, and a candidate is differentiated
-at each of its expansion points. The rows of the prior are those of all coordinates, so that columns
-combine.
+All derivatives come from one compiled program per problem: directions are inputs, an unnamed force
+is a history of accelerations, and a candidate is differentiated at each of its expansion points.
+The rows of the prior are those of all coordinates, so that columns combine.
 """
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,11 +22,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import stats
 
+from diffsea.budget import on_every_core
 from diffsea.identification.coordinates import ExpansionPoint
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.kalman import Gains
 from diffsea.identification.problem import Problem
-from diffsea.identification.residual import innovations_at, linearise
+from diffsea.identification.residual import (
+    group_size,
+    innovations_at,
+    linearise,
+    slopes_by_pulses,
+)
 from diffsea.statistics import autocorrelation, long_run_covariance, variance_inflation
 
 
@@ -233,13 +239,8 @@ class LinearisedModel:
 
     def by_pulses(self, pulses: Float[np.ndarray, "pulse row 3"]) -> Columns:
         """Columns of histories of accelerations (m/s^2, m/s^2, rad/s^2), which have no prior."""
-        problem, parts = self.problem, []
-        values = int(problem.dataset.measured.size)
-        for first in range(0, len(pulses), problem.directions):
-            part = pulses[first : first + problem.directions]
-            J = linearise(problem, self.gains, self.coordinates, (), part).jacobian
-            parts.append(J[:values])
-        J = np.concatenate(parts, axis=1)
+        problem = self.problem
+        J = slopes_by_pulses(problem, self.gains, self.coordinates, pulses)
         return np.concatenate([J, np.zeros((problem.layout.size, J.shape[1]))])
 
     def by_points(self, points: list[ExpansionPoint]) -> list[Columns]:
@@ -258,7 +259,8 @@ class LinearisedModel:
         secants = [number for number, point in enumerate(points) if point.secant]
         if secants:
             base = innovations_at(self.problem, self.gains, self.coordinates)
-            out |= {number: self._secant(points[number], base) for number in secants}
+            columns = on_every_core(lambda number: self._secant(points[number], base), secants)
+            out |= zip(secants, columns, strict=True)
         return [out[number] for number in range(len(points))]
 
     def _secant(self, point: ExpansionPoint, base: np.ndarray) -> Columns:
@@ -285,16 +287,18 @@ class LinearisedModel:
         return [k for position, k in enumerate(index) if position % size in point.directions]
 
     def _batches(self, points: list[ExpansionPoint]) -> list[list[int]]:
-        """Numbers of the points with a tangent for each run of the program, an effect once each."""
+        """Numbers of the points with a tangent that are differentiated together.
+
+        An effect once each, and no more directions than the cores take at once.
+        """
         batches: list[tuple[list[int], set[str], int]] = []
+        most = group_size(self.problem.layout) * (os.cpu_count() or 1)
         for number, point in enumerate(points):
             if point.secant:
                 continue
-            width, size = len(self._differentiated_index(point)), len(point.directions)
+            size = len(point.directions)
             for k, (members, effects, used) in enumerate(batches):
-                total = sum(len(self._differentiated_index(points[m])) for m in members) + width
-                room = used + size <= self.problem.directions and total <= self.problem.width
-                if room and point.effect not in effects:
+                if used + size <= most and point.effect not in effects:
                     batches[k] = ([*members, number], effects | {point.effect}, used + size)
                     break
             else:

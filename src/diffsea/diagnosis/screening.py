@@ -177,7 +177,7 @@ def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> 
     """
     correlation = linearise_model(problem, better).projection(better.free).correlation
     fitted = estimate(
-        problem, fitted.free, fitted.coordinates, better.noise, rounds=3, fixed_noise=True
+        problem, fitted.free, fitted.coordinates, better.noise, rounds=6, fixed_noise=True
     )
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free, correlation)

@@ -10,12 +10,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from diffsea.budget import current_budget
+from diffsea.budget import current_budget, on_every_core
 from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
-    has_room,
     judge_exchanged,
     refit_candidates,
     refit_fully,
@@ -222,20 +221,7 @@ def ask_again(
             break
         progress(f"is {one.name} needed beside the others?")
         bare = refit_without(data.train, current, [one.name])
-        options = {
-            hypothesis.effect: hypothesis
-            for hypothesis in (one.hypothesis, *one.short_list.judged)
-            if hypothesis.effect not in bare.free and has_room(data.train, bare, hypothesis.effect)
-        }
-        again = [
-            refit_fully(
-                data,
-                bare,
-                option.candidate,
-                current.coordinates if name == one.name else start_beside(data.train, bare, option),
-            )
-            for name, option in options.items()
-        ]
+        again = _refit_with_rivals(data, bare, current, one)
         tried = ShortList.of(data.train, again)
         best = decide(tried, _exchange(data, bare, progress))
         if current_budget().skips(f"asking again for {one.name}"):
@@ -260,6 +246,21 @@ def ask_again(
             current = best.estimate
     kept = replace(found, final=current, effects=tuple(effects), dropped=(*found.dropped, *dropped))
     return kept, changed
+
+
+def _refit_with_rivals(
+    data: Split, bare: Estimate, current: Estimate, accepted: AcceptedEffect
+) -> list[Hypothesis]:
+    """An accepted effect and its near rivals, each fitted beside what is left without it."""
+    rivals = [accepted.hypothesis, *accepted.short_list.judged]
+    options = {one.effect: one for one in rivals if one.effect not in bare.free}
+
+    def refit(one: Hypothesis) -> Hypothesis:
+        own = one.effect == accepted.name
+        start = current.coordinates if own else start_beside(data.train, bare, one)
+        return refit_fully(data, bare, one.candidate, start)
+
+    return on_every_core(refit, options.values())
 
 
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:

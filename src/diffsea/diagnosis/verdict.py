@@ -8,7 +8,6 @@ from diffsea.diagnosis.audited import AuditedEffect, audited_effects, judge_audi
 from diffsea.diagnosis.bootstrap import LEAST_DRAWS, NO_BOOTSTRAP, Bootstrap, bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect
 from diffsea.diagnosis.localisation import UnexplainedForce, model_unexplained_force
-from diffsea.diagnosis.refits import has_room
 from diffsea.diagnosis.screening import Screening, candidate_effects, locate_by_noise_of, screen
 from diffsea.diagnosis.selection import (
     ALPHA,
@@ -39,8 +38,7 @@ from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import catalogue_name
 
 
-EFFECT_COORDINATES = 9  # that effects found together may have: waves and a wind, say
-FIRST_ROUNDS = 10  # of the nominal fit, after which its noise is looked at
+FIRST_ROUNDS = 20  # of the nominal fit, after which its noise is looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +95,7 @@ def diagnose(
     effects = candidate_effects(vessel, [*recordings, *test], per_run)
 
     def problem_of(runs: list[Trajectory], least: DatasetShape) -> Problem:
-        return make_problem(
-            vessel, runs, free, effects, per_run, EFFECT_COORDINATES, priors, least=least
-        )
+        return make_problem(vessel, runs, free, effects, per_run, priors, least=least)
 
     data = split_data(problem_of, recordings, test, per_run)
     progress("fitting the vessel file to the recordings")
@@ -130,8 +126,6 @@ def believe_audit(
     """Where the search begins: the nominal model with the faults that the audit found."""
     now = Search(nominal, screening, nominal, screening)
     for one in audited:
-        if not has_room(data.train, now.final, one.effect):
-            continue
         if deadline.is_over:
             current_budget().note("what the audit found, beside the model")
             return replace(now, complete=False)

@@ -3,8 +3,10 @@
 import dataclasses
 import enum
 import functools
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from concurrent.futures import Future
+from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t
 
+from diffsea.budget import on_every_core
 from diffsea.errors import UserError
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.data.dataset import ANY_SHAPE, DatasetShape
@@ -81,20 +84,26 @@ def thinned(problem: Problem, every: Mapping[str, int]) -> Problem:
     return dataclasses.replace(problem, dataset=thin_channels(problem.dataset, every))
 
 
-class _Known(NamedTuple):
-    """What was calculated of a split, once for each model."""
+class _Known(Generic[Value]):
+    """What was calculated of models, once for each, whichever thread asks first."""
 
-    deviances: list[tuple[Estimate, Float[np.ndarray, "row"]]]
-    exchanged_fits: list[tuple[Estimate, Estimate]]
+    def __init__(self):
+        self._values: list[tuple[Estimate, Future[Value]]] = []
+        self._lock = threading.Lock()
 
-
-def _once(known: list[tuple[Estimate, Value]], model: Estimate, make: Callable[[], Value]) -> Value:
-    """What is known of a model, made and kept where nothing is."""
-    for other, value in known:
-        if other is model:
-            return value
-    known.append((model, make()))
-    return known[-1][1]
+    def of(self, model: Estimate, make: Callable[[], Value]) -> Value:
+        """What is known of a model, made and kept where nothing is."""
+        with self._lock:
+            found = next((value for other, value in self._values if other is model), None)
+            value = Future[Value]() if found is None else found
+            if found is None:
+                self._values.append((model, value))
+        if found is None:
+            try:
+                value.set_result(make())
+            except BaseException as error:
+                value.set_exception(error)
+        return value.result()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,8 +121,11 @@ class Split:
     held_out: tuple[Trajectory, ...]
     kind: HeldOut = HeldOut.RECORDINGS
     one_sample_in: Mapping[str, int] = dataclasses.field(default_factory=dict)  # used, by channel
-    _known: "_Known" = dataclasses.field(
-        init=False, default_factory=lambda: _Known([], []), repr=False, compare=False
+    _deviances: "_Known[Float[np.ndarray, 'row']]" = dataclasses.field(
+        init=False, default_factory=_Known, repr=False, compare=False
+    )
+    _exchanged_fits: "_Known[Estimate]" = dataclasses.field(
+        init=False, default_factory=_Known, repr=False, compare=False
     )
 
     @functools.cached_property
@@ -206,7 +218,7 @@ def held_out_coordinates(split: Split, fitted: Estimate) -> Coordinates:
     if not own:
         return out
     return estimate(
-        split.head, tuple(own), start=out, noise=fitted.noise, rounds=2, fixed_noise=True
+        split.head, tuple(own), start=out, noise=fitted.noise, rounds=4, fixed_noise=True
     ).coordinates
 
 
@@ -256,12 +268,12 @@ def held_out_deviance(split: Split, fitted: Estimate) -> Float[np.ndarray, "row"
             split.test, coordinates, noise_at(split.test, coordinates, fitted.noise)
         )
 
-    return _once(split._known.deviances, fitted, there)
+    return split._deviances.of(fitted, there)
 
 
 def held_out_gain(split: Split, nominal: Estimate, fitted: Estimate) -> Gain:
     """How much better `fitted` predicts the held-out runs than `nominal`: -2 log likelihood."""
-    old, new = (held_out_deviance(split, model) for model in (nominal, fitted))
+    old, new = on_every_core(lambda model: held_out_deviance(split, model), (nominal, fitted))
     return Gain.of_rows((old - new)[split.test.dataset.recorded_rows])
 
 
@@ -275,7 +287,7 @@ def exchanged_fit(split: Split, model: Estimate) -> Estimate:
     if has_own_environment(split, model):
         raise ValueError("runs with environments of their own cannot change places")
     fit = lambda: estimate(split.exchanged.train, model.free, model.coordinates, model.noise)
-    return _once(split._known.exchanged_fits, model, fit)
+    return split._exchanged_fits.of(model, fit)
 
 
 def has_own_environment(split: Split, fitted: Estimate) -> bool:
@@ -303,9 +315,8 @@ def environment_from(
         )
     names = ("current", "wind") if "wind" in vessel.forces else ("current",)
     effects = tuple(EFFECTS[name] for name in names)
-    capacity = sum(len(effect.sizes(vessel)) for effect in effects)
     first, rest = cut(recording, float(t[0]), split), cut(recording, split, float(t[-1]))
-    problem = make_problem(vessel, [first], (), effects, capacity=capacity)
+    problem = make_problem(vessel, [first], (), effects)
     found = estimate(problem, names)
     there = vessel_in_environment(problem, found.coordinates)
     return there, rest, {name: parameter_records(problem, found, name)[0] for name in names}

@@ -63,7 +63,7 @@ def multistart(
     With `besides`, starts that hold more than parameters, draws hold nothing of that. Where only
     those and the prior mean are asked for, nothing is said of agreement.
 
-    All starts are explored together (`jax.vmap`) for a few steps; the best of them and the best
+    All starts are explored for a few steps; the best of them and the best
     one elsewhere are fitted to their ends. Starts agree where the exploration led them to one
     place, within the 99.9 % region of the fit.
 

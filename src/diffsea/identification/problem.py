@@ -69,9 +69,7 @@ class LinearRows(NamedTuple):
 class Problem:
     """A base vessel, what may be estimated in it, and the recordings.
 
-    Compiled programs have capacity for `width` free coordinates and `directions` of
-    differentiation (per-run instances of an effect share one), whichever are free: screening and
-    refitting compile nothing new.
+    Compiled programs are the same whatever is free: screening and refitting compile nothing new.
 
     What `further` data say is independent of the recordings: its squares add up with theirs.
     """
@@ -80,8 +78,6 @@ class Problem:
     layout: CoordinateLayout
     dataset: Dataset
     prior: NoisePrior
-    width: int
-    directions: int
     further: FurtherData | None = None
 
     def start(self) -> tuple[Coordinates, Noise]:
@@ -120,7 +116,6 @@ def make_problem(
     free: tuple[str, ...] | None = None,
     effects: tuple[Effect, ...] = (),
     per_run: bool = False,
-    capacity: int = 0,
     priors: Mapping[str, Parameter] | None = None,
     least: DatasetShape = ANY_SHAPE,
 ) -> Problem:
@@ -130,7 +125,6 @@ def make_problem(
         free: names of the vessel's parameters to estimate; `free_by_default` if None.
         effects: effects whose coordinates may be freed.
         per_run: whether environment effects differ from run to run.
-        capacity: how many effect coordinates may be free at once, per-run instances not counted.
         priors: of parameters that have one other than `default_priors`.
         least: shape that the data set has at least: problems of one shape share their programs.
 
@@ -146,9 +140,8 @@ def make_problem(
     latest = float(np.abs(dataset.run_time).max())
     layout = CoordinateLayout(parameters, effects, sizes, dataset.runs, per_run, latest)
     dataset = jax.tree.map(jnp.asarray, dataset)
-    width = len(free) + capacity * (dataset.runs if per_run else 1)
     prior = noise_prior(vessel, dataset)
-    return Problem(vessel, layout, dataset, prior, width, len(free) + capacity)
+    return Problem(vessel, layout, dataset, prior)
 
 
 def first_run_coordinates(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, "own"]:

@@ -183,11 +183,10 @@ class Study:
         layout = train.layout
         own = layout.per_run and any(e.per_run for e in layout.effects)
         priors = {p.name: p for p in layout.parameters}
-        capacity = train.directions - len(priors)
 
         def problem_of(runs: list[Trajectory]) -> Problem:
             whole = make_problem(
-                train.base, runs, tuple(priors), layout.effects, layout.per_run, capacity, priors
+                train.base, runs, tuple(priors), layout.effects, layout.per_run, priors
             )
             return thinned(whole, self.objective.one_sample_in)
 
@@ -391,9 +390,8 @@ def _objective(
             f"{shared[0]} has coefficients that all recordings share, and each recording cannot "
             f"have its own: ask for {catalogue_name(shared[0])}, or for one environment of all"
         )
-    capacity = sum(len(effect.sizes(vessel)) for effect in effects)
     problem = make_problem(
-        vessel, recordings, tuple(priors), effects, settings.per_recording, capacity, priors
+        vessel, recordings, tuple(priors), effects, settings.per_recording, priors
     )
     problem = with_trial_numbers(problem, sheets) if sheets else problem
     return Innovations(problem) if name == "innovation" else OutputError(problem)

@@ -272,7 +272,6 @@ def identify_by_likelihood(
         NORRBIN_PARAMETERS,
         (EFFECTS["wind"],),
         per_run=True,
-        capacity=2,
         priors=priors,
         least=least,
     )

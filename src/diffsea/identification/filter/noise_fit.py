@@ -4,6 +4,7 @@ The filter is linearised once along its own run; the likelihood as a function of
 then needs no vessel model any more, and to search along it is cheap.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -36,6 +37,7 @@ LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is
 PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 LINE_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, of which the best is taken
+ENOUGH_OF_PROMISE = 0.5  # of what a whole step should gain: with so much it is taken
 FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
 TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
 ISOTROPIC = np.insert(np.eye(14), TIED, np.eye(14)[TIED - 1], axis=0)  # all from those that move
@@ -253,15 +255,31 @@ def _slope(
     return jax.value_and_grad(lambda at: _deviance(run, times, at, prior))(log)
 
 
+class RefinedNoise(NamedTuple):
+    """Noise after some steps, and the curvature that they learnt, which later steps may use."""
+
+    noise: Noise
+    curvature: Float[np.ndarray, "14 14"] | None  # None where the run diverges
+
+
 def refine_noise(
-    run: FilterRun, times: RowTimes, noise: Noise, prior: NoisePrior, steps: int
-) -> Noise:
+    run: FilterRun,
+    times: RowTimes,
+    noise: Noise,
+    prior: NoisePrior,
+    steps: int,
+    curvature: Float[np.ndarray, "14 14"] | None = None,
+) -> RefinedNoise:
     """The scales after so many steps from `noise`, fewer where nothing is gained any more.
 
-    From an excerpt of the run; as they are where the run diverges. The first step is one of Fisher
-    scoring. Its expected curvature is right where innovations are white; where the model lacks
-    something they are not, and steps would be too long in some directions and too short in others:
-    how the gradient changes corrects it (BFGS; Nocedal and Wright 2006, chapter 6).
+    From an excerpt of the run; as they are where the run diverges. Where no curvature is known the
+    first step is one of Fisher scoring. Its expected curvature is right where innovations are
+    white; where the model lacks something they are not, and steps would be too long in some
+    directions and too short in others: how the gradient changes corrects it (BFGS; Nocedal and
+    Wright 2006, chapter 6).
+
+    Arguments:
+        curvature: as learnt from a run of nearly the same model.
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
@@ -269,18 +287,24 @@ def refine_noise(
     def at(log: Float[np.ndarray, "14"]) -> tuple[FilterRun, RowTimes, Array, NoisePrior]:
         return *excerpt, jnp.asarray(ISOTROPIC @ log), prior
 
-    value, gradient, curvature = map(np.asarray, _score(*at(log)))
-    gradient, curvature = ISOTROPIC.T @ gradient, ISOTROPIC.T @ curvature @ ISOTROPIC
-    if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
-        return noise
-    curvature = 0.5 * (curvature + curvature.T)
-    learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
+    def deviance_at(log: Float[np.ndarray, "14"]) -> float:
+        return float(_deviance(*at(log)))
+
+    if curvature is None:
+        value, gradient, expected = map(np.asarray, _score(*at(log)))
+        bend = ISOTROPIC.T @ (0.5 * (expected + expected.T)) @ ISOTROPIC
+    else:
+        (value, gradient), bend = map(np.asarray, _slope(*at(log))), curvature
+    gradient = ISOTROPIC.T @ gradient
+    if not (np.isfinite(gradient).all() and np.isfinite(bend).all()):
+        return RefinedNoise(noise, None)
+    learnt = BFGS(init_scale=bend)  # pyright: ignore[reportArgumentType]
     learnt.initialize(len(log), "hess")
     for left in reversed(range(steps)):
-        step = _bounded_step(log, gradient, curvature, prior)
-        there = {share: float(_deviance(*at(log + share * step))) for share in LINE_SHARES}
-        share = min(there, key=lambda one: np.nan_to_num(there[one], nan=np.inf))
-        gained, step = float(value) - there[share], share * step
+        step = _bounded_step(log, gradient, bend, prior)
+        promised = -float(gradient @ step + 0.5 * step @ bend @ step)
+        share, there = _share_of_step(deviance_at, log, step, float(value), promised)
+        gained, step = float(value) - there, share * step
         if not gained > 0:
             break
         log = log + step
@@ -290,8 +314,23 @@ def refine_noise(
         if not np.isfinite(slope).all():
             break
         learnt.update(step, ISOTROPIC.T @ slope - gradient)
-        gradient, curvature = ISOTROPIC.T @ slope, learnt.get_matrix()
-    return Noise.of(ISOTROPIC @ log)
+        gradient, bend = ISOTROPIC.T @ slope, learnt.get_matrix()
+    return RefinedNoise(Noise.of(ISOTROPIC @ log), bend)
+
+
+def _share_of_step(
+    deviance: Callable[[Float[np.ndarray, "14"]], float],
+    log: Float[np.ndarray, "14"],
+    step: Float[np.ndarray, "14"],
+    value: float,
+    promised: float,
+) -> tuple[float, float]:
+    """The share of a step that is best, and the deviance there; the whole one where it is good."""
+    there = {LINE_SHARES[0]: deviance(log + LINE_SHARES[0] * step)}
+    if not value - there[LINE_SHARES[0]] > ENOUGH_OF_PROMISE * promised:
+        there |= {share: deviance(log + share * step) for share in LINE_SHARES[1:]}
+    best = min(there, key=lambda one: np.nan_to_num(there[one], nan=np.inf))
+    return best, there[best]
 
 
 def _bounded_step(

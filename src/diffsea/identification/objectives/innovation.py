@@ -3,26 +3,18 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Bool
 
+from diffsea.budget import on_every_core
 from diffsea.identification.coordinates import negative_effects
+from diffsea.identification.descent import filter_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
-from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.filter.kalman import run_filter
-from diffsea.identification.fit import estimate, filter_at
+from diffsea.identification.fit import estimate
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, Problem
-from diffsea.identification.residual import (
-    FurtherRows,
-    ResidualInputs,
-    further_rows,
-    gauss_newton,
-    residual_inputs,
-)
 from diffsea.progress import Progress, no_progress
 from diffsea.series import stretches
 from diffsea.trajectory import MOTION_CHANNELS
@@ -32,7 +24,7 @@ GATE = 6.0  # standard deviations beyond which a lone sample is an outlier
 LONGEST_OUTLIER = 3  # samples in a row that may be outliers; more of them are a mismatch
 OUTLIER_SHARE = 0.02  # share of a channel's samples likewise
 OUTLIER_ROUNDS = 4  # of leaving out outliers and fitting again
-EXPLORING_PASSES = 3  # of exploration: the filter is run anew in each
+EXPLORING_ROUNDS = 6  # of exploration
 
 
 class Innovations(AbstractObjective):
@@ -104,22 +96,17 @@ class Innovations(AbstractObjective):
         return float((np.asarray(run.white) ** 2).sum()), int(np.asarray(run.gains.used).sum())
 
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
-        """Gauss-Newton from all starts together, the noise as expected beforehand."""
+        """A few steps from every start, the noise as expected beforehand."""
         problem = self.problem
         _, noise = problem.start()
-        gains = problem.run_filter(starts[0], noise).gains
-        index = np.array(problem.layout.indices(free), int)
-        inputs = residual_inputs(problem, gains, starts[0], index)
-        ends = np.asarray(starts, float)
-        for _ in range(EXPLORING_PASSES):
-            rows = [further_rows(problem, end, index) for end in ends]
-            further = jax.tree.map(lambda *parts: jnp.stack(parts), *rows)
-            ends = np.asarray(_explore_once(inputs, noise, further, jnp.asarray(ends)))
-        costs = np.full(len(ends), np.inf)
-        for k, end in enumerate(ends):
-            if not negative_effects(problem.layout, end):
-                costs[k] = filter_at(problem, end, noise).deviance
-        return ends, costs
+
+        def one(start: Coordinates) -> tuple[Coordinates, float]:
+            end = estimate(problem, free, start, noise, EXPLORING_ROUNDS, fixed_noise=True)
+            impossible = negative_effects(problem.layout, end.coordinates)
+            return end.coordinates, np.inf if impossible else end.deviance
+
+        ends, costs = zip(*on_every_core(one, starts), strict=True)
+        return np.array(ends), np.array(costs)
 
     def _lone_outliers(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
         """Samples that a gated filter rejects, unless they are many, in a row or in all."""
@@ -134,21 +121,3 @@ class Innovations(AbstractObjective):
             if rejected[:, k].sum() > OUTLIER_SHARE * len(rows):
                 rejected[:, k] = False
         return rejected
-
-
-@eqx.filter_jit
-def _explore_once(
-    inputs: ResidualInputs, noise: Noise, further: FurtherRows, starts: Array
-) -> Array:
-    """One pass from every start: the filter run there, then Gauss-Newton steps."""
-
-    def one(start: Array, rows: FurtherRows) -> Array:
-        run = run_filter(inputs.base, inputs.layout, inputs.dataset, noise, start)
-        there = eqx.tree_at(lambda i: (i.gains, i.further), inputs, (run.gains, rows))
-        width = inputs.selection.shape[1]
-        pulses = jnp.zeros(inputs.colouring.owner.size - width)
-        free = gauss_newton(there, jnp.append(inputs.selection.T @ start, pulses)).at
-        end = inputs.coordinates(free)
-        return jnp.where(jnp.all(jnp.isfinite(end)), end, start)
-
-    return jax.vmap(one)(starts, further)

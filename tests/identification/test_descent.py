@@ -1,0 +1,127 @@
+"""One step of a fit downhill, against exact derivatives of the filter and deviances made up."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
+
+from diffsea.identification import descent
+from diffsea.identification.descent import (
+    FilteredPoint,
+    Slopes,
+    descend,
+    filter_at,
+    slopes_by_differences,
+)
+from diffsea.identification.filter import kalman
+from diffsea.identification.fit import estimate
+from diffsea.identification.problem import make_problem
+from diffsea.identification.residual import linearise
+from diffsea.vessel.files import build
+
+
+FREE = ("X_u", "Y_v", "N_r")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A boat whose orders act late, which its model does not know: gains matter for the slope."""
+    document = load(str(ORACLE / "usv.toml"))
+    effects = {"thrust-delay": {"delay": 0.4, "actuators": ["port", "starboard"]}}
+    runs = [random_steps(document, seed, 60.0, 0.25, effects) for seed in (4, 5)]
+    return make_problem(build(document), runs, FREE)
+
+
+@pytest.fixture(scope="module")
+def found(problem):
+    return estimate(problem, FREE)
+
+
+@pytest.fixture(scope="module")
+def away(problem, found):
+    """Two standard errors from the fit's end, along no principal axis."""
+    coordinates = found.coordinates.copy()
+    coordinates[found.index] += 2 * found.stds * np.array([1.0, -1.0, 1.0])
+    return filter_at(problem, coordinates, found.noise)
+
+
+def held_slopes(problem, point, index) -> Slopes:
+    model = linearise(problem, point.run.gains, point.coordinates, index)
+    return Slopes(model.gradient, model.curvature)
+
+
+def test_differences_give_the_gradient_of_the_filters_own_deviance(problem, found, away):
+    index = found.index
+
+    @jax.jit
+    def exact(free: jax.Array) -> jax.Array:
+        def deviance(free: jax.Array) -> jax.Array:
+            at = jnp.asarray(away.coordinates).at[index].set(free)
+            run = kalman.run_filter(problem.base, problem.layout, problem.dataset, found.noise, at)
+            strains = problem.layout.strains(at, problem.layout.spreads())
+            return kalman.deviance(run) + jnp.sum(strains**2)
+
+        return jax.jacfwd(deviance)(free)
+
+    true = np.asarray(exact(jnp.asarray(away.coordinates[index])))
+    held = held_slopes(problem, away, index)
+    got = slopes_by_differences(problem, away, index, held)
+    errors = [np.abs((one.gradient - true) * found.stds).max() for one in (held, got)]
+    assert errors[1] < 0.02
+    assert errors[0] > 0.1  # what held gains leave out
+
+
+def test_a_step_that_is_corrected_leads_to_where_a_fit_ends(problem, found, away):
+    assert away.deviance - found.deviance > 4
+    step = descend(problem, away, found.index, Slopes.none(3), True)
+    again = descend(problem, step.point, found.index, step.left_out, True)
+    assert again.point.deviance - found.deviance < 0.1
+
+
+def test_at_the_end_no_step_is_taken(problem, found):
+    here = filter_at(problem, found.coordinates, found.noise)
+    step = descend(problem, here, found.index, Slopes.none(3), True)
+    assert step.promised < 0.5
+    assert here.deviance - step.point.deviance < 0.05
+
+
+def of_a_valley(problem, monkeypatch, deviance) -> FilteredPoint:
+    """A deviance of one coordinate in place of the filter's, at zero."""
+
+    noise = problem.start()[1]
+    run = problem.run_filter(problem.start()[0], noise)
+
+    def made(problem, coordinates, noise) -> FilteredPoint:
+        return FilteredPoint(coordinates, noise, run, deviance(float(coordinates[0])))
+
+    monkeypatch.setattr(descent, "filter_at", made)
+    return made(problem, np.zeros(1), noise)
+
+
+@pytest.mark.parametrize(
+    ("bend", "share"), [(1.0, 1.0), (3.0, 1 / 2), (100.0, 1 / 64), (500.0, 1 / 256)]
+)
+def test_a_step_is_shortened_until_it_keeps_what_it_promised(problem, monkeypatch, bend, share):
+    """The model takes the deviance (1 - x)^2 - 1 for flatter than it is by a factor of `bend`."""
+    now = of_a_valley(problem, monkeypatch, lambda x: bend * x**2 - 2 * x)
+    model = Slopes(np.array([-2.0]), np.array([[2.0]]))
+    point, promised = descent._along_dogleg(problem, now, np.array([0]), model)
+    assert promised == pytest.approx(1.0)
+    assert point.coordinates[0] == pytest.approx(share, rel=1e-6)
+
+
+def test_nothing_is_tried_where_little_is_promised(problem, monkeypatch):
+    now = of_a_valley(problem, monkeypatch, lambda x: -1e3 * x)
+    model = Slopes(np.array([-0.02]), np.array([[2.0]]))
+    point, promised = descent._along_dogleg(problem, now, np.array([0]), model)
+    assert point is now and promised == pytest.approx(1e-4)
+
+
+def test_a_step_out_of_where_the_filter_diverges_is_taken(problem, monkeypatch):
+    now = of_a_valley(problem, monkeypatch, lambda x: 1.0 if 0 < x < 0.6 else np.nan)
+    model = Slopes(np.array([-2.0]), np.array([[2.0]]))
+    point, _ = descent._along_dogleg(problem, now, np.array([0]), model)
+    assert point.coordinates[0] == pytest.approx(0.5)
