@@ -44,11 +44,9 @@ def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = N
     data = problem.dataset
     noise = problem.start()[1] if noise is None else noise
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
-    now, curvature = filter_at(problem, coordinates, noise), None
+    now = filter_at(problem, coordinates, noise)
     for _ in range(NOISE_ROUNDS):
-        better, curvature = refine_noise(
-            now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS, curvature
-        )
+        better = refine_noise(now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS)
         there = filter_at(problem, coordinates, better)
         if not now.deviance - there.deviance > LEAST_GAIN:
             break
@@ -83,7 +81,7 @@ def estimate(
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     path, outcome = [now.deviance], FitOutcome.STEP_LIMIT
-    step, curvature = Descent(now, Slopes.none(len(index))), None
+    step = Descent(now, Slopes.none(len(index)))
     for number in range(rounds):
         if current_budget().skips("rounds of a fit"):
             outcome = FitOutcome.OUT_OF_TIME
@@ -91,11 +89,7 @@ def estimate(
         last, taken = now.deviance, steps
         least = LEAST_GAIN + RELATIVE_GAIN * abs(last)
         if steps and not fixed_noise:
-            # What was learnt elsewhere serves one step; where there is far to go it leads astray.
-            curvature = curvature if steps == NOISE_STEPS else None
-            better, curvature = refine_noise(
-                now.run, times, now.noise, problem.prior, steps, curvature
-            )
+            better = refine_noise(now.run, times, now.noise, problem.prior, steps)
             there = filter_at(problem, now.coordinates, better)
             now = there if there.better_than(now) else now
         by_noise = last - now.deviance

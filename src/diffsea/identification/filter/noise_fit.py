@@ -255,31 +255,15 @@ def _slope(
     return jax.value_and_grad(lambda at: _deviance(run, times, at, prior))(log)
 
 
-class RefinedNoise(NamedTuple):
-    """Noise after some steps, and the curvature that they learnt, which later steps may use."""
-
-    noise: Noise
-    curvature: Float[np.ndarray, "14 14"] | None  # None where the run diverges
-
-
 def refine_noise(
-    run: FilterRun,
-    times: RowTimes,
-    noise: Noise,
-    prior: NoisePrior,
-    steps: int,
-    curvature: Float[np.ndarray, "14 14"] | None = None,
-) -> RefinedNoise:
+    run: FilterRun, times: RowTimes, noise: Noise, prior: NoisePrior, steps: int
+) -> Noise:
     """The scales after so many steps from `noise`, fewer where nothing is gained any more.
 
-    From an excerpt of the run; as they are where the run diverges. Where no curvature is known the
-    first step is one of Fisher scoring. Its expected curvature is right where innovations are
-    white; where the model lacks something they are not, and steps would be too long in some
-    directions and too short in others: how the gradient changes corrects it (BFGS; Nocedal and
-    Wright 2006, chapter 6).
-
-    Arguments:
-        curvature: as learnt from a run of nearly the same model.
+    From an excerpt of the run; as they are where the run diverges. The first step is one of Fisher
+    scoring. Its expected curvature is right where innovations are white; where the model lacks
+    something they are not, and steps would be too long in some directions and too short in others:
+    how the gradient changes corrects it (BFGS; Nocedal and Wright 2006, chapter 6).
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
@@ -290,19 +274,16 @@ def refine_noise(
     def deviance_at(log: Float[np.ndarray, "14"]) -> float:
         return float(_deviance(*at(log)))
 
-    if curvature is None:
-        value, gradient, expected = map(np.asarray, _score(*at(log)))
-        bend = ISOTROPIC.T @ (0.5 * (expected + expected.T)) @ ISOTROPIC
-    else:
-        (value, gradient), bend = map(np.asarray, _slope(*at(log))), curvature
-    gradient = ISOTROPIC.T @ gradient
-    if not (np.isfinite(gradient).all() and np.isfinite(bend).all()):
-        return RefinedNoise(noise, None)
-    learnt = BFGS(init_scale=bend)  # pyright: ignore[reportArgumentType]
+    value, gradient, curvature = map(np.asarray, _score(*at(log)))
+    gradient, curvature = ISOTROPIC.T @ gradient, ISOTROPIC.T @ curvature @ ISOTROPIC
+    if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+        return noise
+    curvature = 0.5 * (curvature + curvature.T)
+    learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
     learnt.initialize(len(log), "hess")
     for left in reversed(range(steps)):
-        step = _bounded_step(log, gradient, bend, prior)
-        promised = -float(gradient @ step + 0.5 * step @ bend @ step)
+        step = _bounded_step(log, gradient, curvature, prior)
+        promised = -float(gradient @ step + 0.5 * step @ curvature @ step)
         share, there = _share_of_step(deviance_at, log, step, float(value), promised)
         gained, step = float(value) - there, share * step
         if not gained > 0:
@@ -314,8 +295,8 @@ def refine_noise(
         if not np.isfinite(slope).all():
             break
         learnt.update(step, ISOTROPIC.T @ slope - gradient)
-        gradient, bend = ISOTROPIC.T @ slope, learnt.get_matrix()
-    return RefinedNoise(Noise.of(ISOTROPIC @ log), bend)
+        gradient, curvature = ISOTROPIC.T @ slope, learnt.get_matrix()
+    return Noise.of(ISOTROPIC @ log)
 
 
 def _share_of_step(
