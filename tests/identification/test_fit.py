@@ -21,7 +21,7 @@ from diffsea.identification.estimates import FitOutcome, parameter_estimates, po
 from diffsea.identification.filter.covariance import Noise, gust_propagation, measurement_update
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
-from diffsea.identification.fit import estimate, normalised_rms
+from diffsea.identification.fit import compile_programs, estimate, normalised_rms
 from diffsea.identification.least_squares import solve_least_squares
 from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import make_problem
@@ -473,6 +473,24 @@ def test_a_smaller_trust_region_moves_where_a_large_one_is_rejected():
     ]
     assert ends[0] == 0.0
     assert 0 < ends[1] < 0.01
+
+
+def test_a_fit_compiles_nothing_large_that_was_not_compiled_at_first(document, caplog):
+    runs = [_run(document, seed) for seed in (5, 6, 7)]  # a shape that no other test has
+    problem = make_problem(build(document), [*runs, *runs], HULL[:3])
+    large = [f"jit({name})" for name in ("run_filter", "_innovations_along", "_score", "_slope")]
+
+    def compiled(work) -> list[str]:
+        caplog.clear()
+        jax.config.update("jax_log_compiles", True)  # in all threads, which a context is not
+        try:
+            work()
+        finally:
+            jax.config.update("jax_log_compiles", False)
+        return [name for name in large if f"XLA compilation of {name}" in caplog.text]
+
+    assert compiled(lambda: compile_programs(problem)) == large
+    assert compiled(lambda: estimate(problem, HULL[:3])) == []
 
 
 def test_the_filter_runs_once_at_an_estimate_and_anew_at_another(fitted):

@@ -25,7 +25,7 @@ from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling
-from diffsea.identification.fit import estimate, estimate_surely
+from diffsea.identification.fit import compile_programs, estimate, estimate_surely
 from diffsea.identification.holdout import Split, split_data
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
@@ -98,6 +98,7 @@ def diagnose(
         return make_problem(vessel, runs, free, effects, per_run, priors, least=least)
 
     data = split_data(problem_of, recordings, test, per_run)
+    compile_programs(data.train, screened=True)
     progress("fitting the vessel file to the recordings")
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
     run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)

@@ -7,16 +7,19 @@ the parameters. A few rounds converge.
 import dataclasses
 from collections.abc import Sequence
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from diffsea.budget import current_budget
+from diffsea.budget import current_budget, on_every_core
 from diffsea.identification.descent import Descent, FilteredPoint, Slopes, descend, filter_at
 from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, first_variance
-from diffsea.identification.filter.noise_fit import RowTimes, refine_noise
+from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, search_programs
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
-from diffsea.identification.residual import linearise
+from diffsea.identification.residual import innovations_at, linearise
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.statistics import autocorrelation, long_run_covariance
 
@@ -33,6 +36,29 @@ RELATIVE_GAIN = 1e-6  # likewise, of its value: rounding of a long recording's s
 RESTARTS = 2  # of a fit that stalled
 RESTART_DISTANCE = 2.0  # standard errors that it starts from its end
 STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard error away
+
+
+def compile_programs(problem: Problem, screened: bool = False) -> None:
+    """Have the programs of a fit compiled, several at a time, as they are not where they are met.
+
+    They are called with whatever has their shapes, which takes as long as one round of a fit.
+
+    Arguments:
+        screened: whether innovations without their slopes are asked for, too.
+    """
+    coordinates, noise = problem.start()
+    shapes = eqx.filter_eval_shape(problem.run_filter, coordinates, noise)
+    run = jax.tree.map(lambda one: jnp.ones(one.shape, one.dtype), shapes)
+    data = problem.dataset
+    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    calls = [
+        lambda: linearise(problem, run.gains, coordinates, ()),
+        lambda: problem.run_filter(coordinates, noise),
+        *search_programs(run, times, problem.prior),
+    ]
+    if screened:
+        calls.append(lambda: innovations_at(problem, run.gains, coordinates))
+    on_every_core(lambda call: call(), calls)
 
 
 def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = None) -> Noise:

@@ -20,7 +20,7 @@ from diffsea.identification.estimates import (
     parameter_estimates,
 )
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.fit import noise_at, normalised_rms
+from diffsea.identification.fit import compile_programs, noise_at, normalised_rms
 from diffsea.identification.holdout import (
     HEAD_SHARE,
     HeldOut,
@@ -394,7 +394,10 @@ def _objective(
         vessel, recordings, tuple(priors), effects, settings.per_recording, priors
     )
     problem = with_trial_numbers(problem, sheets) if sheets else problem
-    return Innovations(problem) if name == "innovation" else OutputError(problem)
+    if name != "innovation":
+        return OutputError(problem)
+    compile_programs(problem)
+    return Innovations(problem)
 
 
 def effects_to_estimate(vessel: Vessel, names: Sequence[str]) -> tuple[Effect, ...]:

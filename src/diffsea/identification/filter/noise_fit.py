@@ -4,6 +4,7 @@ The filter is linearised once along its own run; the likelihood as a function of
 then needs no vessel model any more, and to search along it is cheap.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -253,6 +254,14 @@ def _slope(
 ) -> tuple[Float[Array, ""], Float[Array, "15"]]:
     """The same and its gradient."""
     return jax.value_and_grad(lambda at: _deviance(run, times, at, prior))(log)
+
+
+def search_programs(
+    run: FilterRun, times: RowTimes, prior: NoisePrior
+) -> list[Callable[[], object]]:
+    """Calls of all compiled programs of a search for noise, from whatever run of that shape."""
+    given = *take_excerpt(run, times), jnp.asarray(prior.mean), prior
+    return [functools.partial(program, *given) for program in (_score, _slope, _deviance)]
 
 
 def refine_noise(
