@@ -22,7 +22,6 @@ from diffsea.identification.filter.covariance import Noise, gust_propagation, me
 from diffsea.identification.filter.kalman import deviance, first_variance, whitened_innovations
 from diffsea.identification.filter.noise_fit import RowTimes, rerun_linearised
 from diffsea.identification.fit import compile_programs, estimate, normalised_rms
-from diffsea.identification.least_squares import solve_least_squares
 from diffsea.identification.multistart import effect_starts
 from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import (
@@ -457,22 +456,6 @@ def test_orders_between_kept_rows_are_averaged(document):
     found = np.asarray(dataset.orders["port"])[kept][:-1]
     np.testing.assert_allclose(found, 100 + 80 * np.sin(0.7 * (middle - 0.01)), atol=0.3)
     assert np.abs(found - (100 + 80 * np.sin(0.7 * (middle - 0.5 * dt)))).max() > 4.0
-
-
-def test_a_smaller_trust_region_moves_where_a_large_one_is_rejected():
-    """A force that is flat at the start and steep soon after: the linear step is far too long."""
-
-    def both(x, scale):
-        residual = lambda at: jnp.stack([scale * (1e-2 * at[0] + 30 * at[0] ** 2 - 2e-4), at[0]])
-        return residual(x), jax.jacfwd(residual)(x)
-
-    start = jnp.zeros(1)
-    ends = [
-        float(solve_least_squares(both, start, 1e3, 3, radius=radius).at[0])
-        for radius in (1.0, 1 / 64)
-    ]
-    assert ends[0] == 0.0
-    assert 0 < ends[1] < 0.01
 
 
 def test_a_fit_compiles_nothing_large_that_was_not_compiled_at_first(document, caplog):

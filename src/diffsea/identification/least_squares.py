@@ -2,9 +2,9 @@
 # Optimistix says float of tolerances that may be traced.
 """Nonlinear least squares with exact Jacobians, as every objective uses it.
 
-Gauss-Newton steps inside a trust region that begins at one unit of the coordinates, about a
-prior's width (Powell's dogleg). The damping of Levenberg and Marquardt, which begins at one unit
-of the normal matrix, takes many rejected steps to matter beside precise data.
+Gauss-Newton steps inside a trust region that begins at the whole step (Powell's dogleg). The
+damping of Levenberg and Marquardt, which begins at one unit of the normal matrix, takes many
+rejected steps to matter beside precise data.
 
 Columns are scaled alike and regularised by priors, so that normal equations are accurate enough;
 a QR of the tall Jacobian in every step would cost more than everything else.
@@ -47,14 +47,6 @@ def value_and_jacobian(
     return value, jax.tree.map(joined, slopes)
 
 
-class LeastSquaresPoint(NamedTuple):
-    """Where a solution ended, and residual and Jacobian at an earlier point of the way."""
-
-    at: Float[Array, "free"]
-    residual: Float[Array, "value"]
-    jacobian: Float[Array, "value free"]
-
-
 class DoglegStep(NamedTuple):
     """Where a solution stands after a step."""
 
@@ -65,24 +57,9 @@ class DoglegStep(NamedTuple):
     converged: bool
 
 
-class _TrustRegion(optx.AbstractSearch):
-    """Optimistix's trust region with another first radius, which it has fixed at one."""
-
-    radius: Scalar
-    inner: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
-
-    def init(self, y: Any, f_info_struct: Any) -> Any:
-        state = self.inner.init(y, f_info_struct)
-        return jax.tree.map(lambda _: jnp.asarray(self.radius, float), state)
-
-    def step(self, *given: Any) -> tuple[Any, ...]:
-        return self.inner.step(*given)
-
-
-def dogleg(tolerance: Scalar, radius: Scalar = 1.0) -> optx.Dogleg:
-    """Powell's dogleg by normal equations, its trust region beginning at `radius`."""
-    solver = optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
-    return eqx.tree_at(lambda s: s.search, solver, _TrustRegion(radius))
+def dogleg(tolerance: Scalar) -> optx.Dogleg:
+    """Powell's dogleg by normal equations."""
+    return optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
 
 
 @jax.jit
@@ -103,18 +80,13 @@ def solve_least_squares(
     args: Any,
     steps: int,
     tolerance: Scalar = 1e-4,
-    radius: Scalar = 1.0,
-) -> LeastSquaresPoint:
-    """Minimise the sum of squares from `start`; it ends after `steps` at the latest.
-
-    The trust region begins at `radius`. A tolerance that any step meets ends it where it starts:
-    then residual and Jacobian are those at the start.
-    """
+) -> Float[Array, "free"]:
+    """Minimise the sum of squares from `start`; it ends after `steps` at the latest."""
     # The solver traces what it is given more than once; what it finds here is traced already.
     traced = eqx.filter_closure_convert(lambda at: function(at, args), start)
     found = optx.least_squares(
         with_known_jacobian(lambda at, traced: traced(at)),
-        dogleg(tolerance, radius),
+        dogleg(tolerance),
         start,
         traced,
         has_aux=True,
@@ -122,7 +94,7 @@ def solve_least_squares(
         max_steps=steps,
         throw=False,
     )
-    return LeastSquaresPoint(found.value, *found.aux)
+    return found.value
 
 
 def iterate_least_squares(

@@ -455,5 +455,5 @@ def _improve_all(
         spreads = inputs.spreads
         return jnp.concatenate([white, at / spreads]), jnp.concatenate([J, jnp.diag(1 / spreads)])
 
-    improve = lambda at: solve_least_squares(residual, at, inputs, _EXPLORING_STEPS).at
+    improve = lambda at: solve_least_squares(residual, at, inputs, _EXPLORING_STEPS)
     return jax.vmap(improve)(starts)
