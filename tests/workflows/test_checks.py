@@ -1,5 +1,6 @@
 """`diffsea check`: what it says of a log is what the boat that wrote it did."""
 
+import dataclasses
 import json
 import re
 
@@ -9,7 +10,7 @@ from tests import chromium
 from tests.recordings import driven_boat
 from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
 
-from diffsea.checks import check_run
+from diffsea.checks import check_run, check_together
 from diffsea.checks.answers import answers_of
 from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
@@ -51,7 +52,8 @@ def recorded(boat, orders=None, step=0.1):
 
 def answers(boat, **options):
     run = recorded(boat, **options)
-    return answers_of(in_shares(run, order_scales(run)), [(float(run.t[0]), float(run.t[-1]))])
+    spans = [(float(run.t[0]), float(run.t[-1]))]
+    return answers_of([(in_shares(run, order_scales(run)), spans)])
 
 
 def test_format_craft_channels_and_what_is_used_are_told(checked):
@@ -90,6 +92,72 @@ def test_circles_are_found_where_they_were_run(checked):
     for one, start in zip(long, (180, 240), strict=True):
         assert one["onset"] == pytest.approx(30 + 40 + start, abs=0.5)
         assert one["end"] == pytest.approx(30 + 40 + start + 45, abs=2)
+
+
+def parts_of(scales=(1.0, 1.0)):
+    """Two logs of a boat, straight courses and then turning, and the answers of both in one."""
+    boat = noisy(drive(DELAY, WEAKER, dock=0.0, after=0.0))
+    checks = []
+    for number, scale in enumerate(scales):
+        share = lambda pulses, scale=scale: scale * (pulses - NEUTRAL) / FULL
+        orders = lambda slow, share=share: {
+            "port": share(slow.port),
+            "starboard": share(slow.starboard),
+        }
+        run = recorded(boat, orders)
+        own = run.rows(run.t < 95 if number == 0 else run.t >= 95)
+        checks.append(check_run(own, (), ("csv", "a table", "vessel"), {}))
+    return checks, answers(boat)
+
+
+def test_logs_of_one_boat_tell_together_what_neither_tells_alone():
+    checks, whole = parts_of()
+    straight, turning = checks
+    both = check_together(checks)
+    assert both is not None and both.names == (straight.name, turning.name)
+    assert straight.answers.lag_of_turning is None
+    lag = both.answers.lag_of_turning
+    assert lag is not None and lag.delay.low <= DELAY <= lag.delay.high
+    orders = [{round(p.order, 1) for p in one.answers.speed} for one in (both, straight, turning)]
+    assert orders[0] == orders[1] | orders[2] and orders[1] - orders[2]
+    assert both.answers.asymmetry is not None and whole.asymmetry is not None
+    assert both.answers.asymmetry.value == pytest.approx(whole.asymmetry.value, abs=0.003)
+    open_alone = [{one.what for one in check.cannot_tell} for check in checks]
+    open_still = {one.what for one in both.cannot_tell}
+    assert open_still == open_alone[0] & open_alone[1]
+    assert "how fast it answers an order to turn" in open_alone[0] - open_still
+
+
+def test_full_order_is_the_largest_one_in_any_log():
+    checks, _ = parts_of(scales=(37.0, 37.0))
+    first, second = (check.scales["port"].full_ahead for check in checks)
+    both = check_together(checks)
+    assert both is not None and first != second
+    largest = max(first, second)
+    assert [one["port"].full_ahead for one in both.scales] == [largest, largest]
+    assert max(point.order for point in both.answers.speed) <= 1.0
+
+
+def test_logs_that_have_not_the_same_orders_are_not_put_together():
+    checks, _ = parts_of()
+    assert check_together(checks[:1]) is None and check_together([]) is None
+    bare = dataclasses.replace(checks[1].run, commanded={})
+    silent = check_run(bare, (), ("csv", "a table", "vessel"), {})
+    assert check_together([checks[0], silent]) is None
+    three = check_together([*checks, silent])
+    assert three is not None and len(three.names) == 2
+
+
+def test_several_logs_are_told_together_first(logs, tmp_path, capsys):
+    paths = [str(logs / name) for name in ("boat.bin", "boat.tlog", "cut.bin")]
+    assert main(["check", *paths, "-o", str(tmp_path)]) == 0
+    assert "boat.bin, boat.tlog together:" in capsys.readouterr().out
+    together = json.loads((tmp_path / "check.json").read_text())["together"]
+    assert together["logs"] == ["boat.bin", "boat.tlog"]
+    low, high = together["shows"]["lag"]["turning"]["delay"]["interval"]
+    assert low - 0.05 <= DELAY <= high + 0.05
+    page = (tmp_path / "check.html").read_text()
+    assert page.index("show together") < page.index("What is in it, and is it sound?")
 
 
 def test_what_is_not_in_a_log_is_asked_for_within_three_minutes(checked):

@@ -6,3 +6,5 @@ Above recordings and segments, below diagnosis: it knows orders and motion, not 
 from diffsea.checks.answers import Answers as Answers
 from diffsea.checks.log_check import LogCheck as LogCheck
 from diffsea.checks.log_check import check_run as check_run
+from diffsea.checks.pooled import PooledCheck as PooledCheck
+from diffsea.checks.pooled import check_together as check_together

@@ -60,8 +60,13 @@ class TimeScales:
         return np.geomspace(2 * self.interval, self.slowest, _CONSTANTS)
 
 
-def time_scales(run: Trajectory) -> TimeScales:
-    """The scales of a run, by its fastest turning."""
+def time_scales(runs: Sequence[Trajectory]) -> TimeScales:
+    """The scales of runs of one vessel, by their fastest turning: the longest that any has."""
+    each = [dataclasses.astuple(_time_scales_of(run)) for run in runs]
+    return TimeScales(*map(max, zip(*each, strict=True)))
+
+
+def _time_scales_of(run: Trajectory) -> TimeScales:
     motion, window = motion_of(run), 0.0
     if motion.has("r"):
         window = quarter_turn_window(motion.t, motion.values["r"])
@@ -169,10 +174,11 @@ class _UsedSpan:
     rate: Samples
 
 
-def answers_of(run: Trajectory, spans: Sequence[tuple[float, float]]) -> Answers:
-    """How the vessel answered in the used spans (s) of a run whose orders are shares."""
-    scales = time_scales(run)
-    pieces = [piece for span in spans if (piece := _piece(cut(run, *span), scales)) is not None]
+def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]]) -> Answers:
+    """How a vessel answered in the used spans (s) of runs whose orders are shares."""
+    scales = time_scales([run for run, _ in runs])
+    parts = [cut(run, *span) for run, spans in runs for span in spans]
+    pieces = [piece for part in parts if (piece := _piece(part, scales)) is not None]
     if not pieces:
         return Answers()
     ahead = np.concatenate([piece.orders.ahead for piece in pieces])
@@ -306,7 +312,9 @@ def _explained(moments: Float[np.ndarray, "*any q q"]) -> Float[np.ndarray, "*an
 
 
 def _lag(
-    parts: Sequence[tuple[Samples | None, Samples]], scales: TimeScales, rng: np.random.Generator
+    parts: Sequence[tuple[Float[np.ndarray, "_"] | None, Float[np.ndarray, "_"]]],
+    scales: TimeScales,
+    rng: np.random.Generator,
 ) -> LagOfAnswer | None:
     """The lag whose answer is correlated best with the motion; None where none explains it."""
     orders = [order for order, _ in parts if order is not None]

@@ -127,9 +127,9 @@ def check_run(
         except UserError as error:
             notes.append(f"no trials were looked for: {error}")
     judged = orders_of(shares) is not None
-    answers = answers_of(shares, used)
+    answers = answers_of([(shares, used)])
     whole = cut(shares, used[0][0], used[-1][1]) if used else shares
-    questions = open_questions(whole, answers, trials, missing, judged)
+    questions = open_questions([whole], answers, trials, missing, judged)
     if not used:
         notes.append("all of it is idle: nothing is shown")
     name, title, craft = log

@@ -1,4 +1,4 @@
-"""What a log cannot tell, and which three minutes would."""
+"""What logs cannot tell, and which three minutes would."""
 
 import dataclasses
 import math
@@ -43,21 +43,21 @@ class OpenQuestion:
 
 
 def open_questions(
-    run: Trajectory,
+    runs: Sequence[Trajectory],
     answers: Answers,
     trials: Sequence[Segment],
     missing: Sequence[str],
     is_judged: bool,
 ) -> list[OpenQuestion]:
-    """What the used part of a log leaves open, what matters most first.
+    """What the used parts of logs leave open, what matters most first.
 
     Arguments:
-        run: the used part, with orders as shares.
+        runs: the used part of each log, with orders as shares.
         missing: what was not recorded, in the words of the format.
         is_judged: whether its orders are of a kind that answers are found for.
     """
     found = [OpenQuestion("what was not recorded", sentence) for sentence in missing]
-    if not (run.commanded or run.executed):
+    if not any(run.commanded or run.executed for run in runs):
         found.append(
             OpenQuestion(
                 "everything that follows orders", "no order and no executed actuation is recorded"
@@ -72,7 +72,7 @@ def open_questions(
         )
     else:
         found += [*_of_turning(answers, trials), *_of_speed(answers)]
-    found += _of_surroundings(run)
+    found += _of_surroundings(runs)
     return found
 
 
@@ -115,10 +115,10 @@ def _of_speed(answers: Answers) -> list[OpenQuestion]:
     return found
 
 
-def _of_surroundings(run: Trajectory) -> list[OpenQuestion]:
+def _of_surroundings(runs: Sequence[Trajectory]) -> list[OpenQuestion]:
     """What no order tells: current and compass by headings, and the scale of forces."""
     found = []
-    psi = np.asarray(run.psi, float)
+    psi = np.concatenate([np.asarray(run.psi, float) for run in runs])
     psi = psi[np.isfinite(psi)]
     if psi.size:
         marks = np.unique(np.floor(np.degrees(psi % (2 * math.pi)) / 10))
@@ -127,7 +127,7 @@ def _of_surroundings(run: Trajectory) -> list[OpenQuestion]:
             record = "the same leg there and back, at one order"
             what = "current and wind, and errors of the compass"
             found.append(OpenQuestion(what, why, record, 60.0))
-    if "wind_speed" not in run.extra:
+    if not any("wind_speed" in run.extra for run in runs):
         why = "no wind is recorded: it shows only as what is left over"
         found.append(OpenQuestion("wind apart from current", why))
     why, record = "motion fixes forces only over mass", "weigh the boat, or pull at a bollard"

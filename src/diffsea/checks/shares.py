@@ -78,6 +78,23 @@ def _scale_of(values: Samples) -> OrderScale:
     return OrderScale("own", 0.0, largest, -largest, "shares of the largest order recorded")
 
 
+def joint_scales(scales: Sequence[Mapping[str, OrderScale]]) -> list[dict[str, OrderScale]]:
+    """The scales of several logs of one boat, in each of them.
+
+    Where full order is the largest one recorded, it is that of all logs.
+    """
+
+    def joint(name: str, own: OrderScale) -> OrderScale:
+        alike = [one[name] for one in scales if name in one and one[name].unit == "own"]
+        if own.unit != "own":
+            return own
+        largest = max(one.full_ahead for one in alike)
+        why = "shares of the largest order in any log"
+        return OrderScale("own", 0.0, largest, -largest, why)
+
+    return [{name: joint(name, own) for name, own in one.items()} for one in scales]
+
+
 def in_shares(run: Trajectory, scales: Mapping[str, OrderScale]) -> Trajectory:
     """The run with its orders as shares of full order; angles stay."""
 

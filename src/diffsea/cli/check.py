@@ -13,7 +13,7 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from diffsea.checks import LogCheck
+    from diffsea.checks import LogCheck, PooledCheck
     from diffsea.recordings import Finding
 
 
@@ -35,7 +35,8 @@ def check_command(args: argparse.Namespace) -> None:
     channels, gaps and faults, idle stretches that are left out, trials, speed and turning rate by
     order, lag, difference of the sides, what the logs cannot tell and which three minutes would.
     Writes check.json, check.html, and where a mapping was chosen or proposed STEM.mapping.toml.
-    With several logs check.json holds {"logs": {name: ...}}. A log that cannot be read is a row.
+    With several logs check.json holds {"logs": {name: ...}}, and what they show together in
+    "together". A log that cannot be read is a row.
 
     examples:
       diffsea check boat.bin
@@ -47,6 +48,7 @@ def check_command(args: argparse.Namespace) -> None:
         raise UserError("a log is named twice; name each only once")
     with Outputs(args.output) as out, StagedProgress(STAGES) as tell:
         tell("reading the logs")
+        from diffsea.checks import check_together
         from diffsea.recordings import Finding
         from diffsea.report.pages.check import check_report
         from diffsea.workflows.checks import check_logs, choose_mappings, mapping_file
@@ -66,13 +68,19 @@ def check_command(args: argparse.Namespace) -> None:
         records = [_record(one) for one in checks]
         names = [path.name for path in paths]
         keys = names if len(set(names)) == len(names) else [str(path) for path in paths]
-        several = {"format": 1, "logs": dict(zip(keys, records, strict=True))}
+        several: dict[str, object] = {"format": 1, "logs": dict(zip(keys, records, strict=True))}
+        together = check_together([one for one in checks if not isinstance(one, Finding)])
+        if together is not None:
+            several["together"] = together.as_dict()
         out.json("check.json", records[0] if len(records) == 1 else several)
         tell("writing the page")
         command = "diffsea check " + " ".join(shlex.quote(str(path)) for path in paths)
         source = {"command": command, "logs": keys}
-        out.text("check.html", check_report(checks, told, source))
-    out.present(args, "\n\n".join(_check_text(one) for one in checks))
+        out.text("check.html", check_report(checks, told, source, together))
+    texts = [_check_text(one) for one in checks]
+    if together is not None:
+        texts.append(_together_text(together))
+    out.present(args, "\n\n".join(texts))
 
 
 def _record(one: "LogCheck | Finding") -> dict[str, object]:
@@ -102,13 +110,27 @@ def _check_text(one: "LogCheck | Finding") -> str:
         *(f"idle: {s.start:.0f} s to {s.end:.0f} s, {s.why}" for s in one.idle),
         *(f"missing: {sentence}" for sentence in one.missing),
         *(f"finding: {finding.kind}: {finding.message}" for finding in one.audit),
-        *headlines(one),
+        *headlines(one.answers, bool(one.run.commanded)),
     ]
     rows = [
         (trial.kind, f"{trial.onset:.1f}", f"{trial.end:.1f}", trial.group) for trial in one.trials
     ]
     lines += [table(rows, ("trial", "onset s", "end s", ""))] if rows else []
-    lines += [f"cannot tell {q.what}: {q.why}" for q in one.cannot_tell]
+    lines += _open_lines(one)
+    return "\n".join([*lines, *(f"note: {note}" for note in one.notes)])
+
+
+def _together_text(pooled: "PooledCheck") -> str:
+    """What several logs show together, for a person at a terminal."""
+    from diffsea.report.pages.check import headlines
+
+    told = headlines(pooled.answers, pooled.commanded)
+    return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
+
+
+def _open_lines(one: "LogCheck | PooledCheck") -> list[str]:
+    """What cannot be told, and what to record next."""
+    lines = [f"cannot tell {q.what}: {q.why}" for q in one.cannot_tell]
     if one.next:
         lines.append("the next three minutes: " + "; ".join(q.record or "" for q in one.next))
-    return "\n".join([*lines, *(f"note: {note}" for note in one.notes)])
+    return lines

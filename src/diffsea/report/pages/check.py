@@ -1,14 +1,16 @@
 """A log's check as one page for people: content, soundness, trials, answers, open questions."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from diffsea.checks import LogCheck
+from diffsea.checks import Answers, LogCheck, PooledCheck
 from diffsea.checks.answers import IntervalEstimate, LagOfAnswer, SteadyPoint
+from diffsea.checks.open_questions import OpenQuestion
+from diffsea.checks.shares import OrderScale
 from diffsea.recordings import Finding
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.plots import (
@@ -40,13 +42,19 @@ _SOUND, _DOUBTFUL, _IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
 _QUALITY_KEY = {"known": _SOUND, "a finding concerns it": _DOUBTFUL, "idle, left out": _IDLE}
 
 
-def check_report(checks: Sequence[LogCheck | Finding], told: Sequence[str], source: Record) -> str:
+def check_report(
+    checks: Sequence[LogCheck | Finding],
+    told: Sequence[str],
+    source: Record,
+    together: PooledCheck | None = None,
+) -> str:
     """The page.
 
     Arguments:
         checks: of each log, a finding where it could not be read.
         told: of each log, which mapping it is read through.
         source: what was run on what; shown as it is.
+        together: what several logs show together.
     """
     read = [one for one in checks if isinstance(one, LogCheck)]
     logs = [_log(one, how) for one, how in zip(checks, told, strict=True)]
@@ -56,8 +64,36 @@ def check_report(checks: Sequence[LogCheck | Finding], told: Sequence[str], sour
         title=f"Check of {enumeration([log['name'] for log in logs])}",
         subtitle=f"{len(logs)} log{'s' * (len(logs) != 1)}, {kinds}",
         logs=logs,
+        together=None if together is None else _together(together),
         provenance=provenance(source, [(one.run, "checked") for one in read]),
     )
+
+
+def _together(pooled: PooledCheck) -> dict[str, Any]:
+    """What the template shows of all logs together."""
+    names = enumeration(list(pooled.names))
+    return {
+        "names": names,
+        "sentences": headlines(pooled.answers, pooled.commanded),
+        **_answered(pooled.answers, pooled.scales[0], pooled.cannot_tell, pooled.next),
+    }
+
+
+def _answered(
+    answers: Answers,
+    scales: Mapping[str, OrderScale],
+    cannot_tell: Sequence[OpenQuestion],
+    next_records: Sequence[OpenQuestion],
+) -> dict[str, Any]:
+    """What the template shows of answers, and of what is open."""
+    return {
+        "lags": _lag_table(answers),
+        "answers": _answer_plots(answers),
+        "scales": _scale_sentence(scales),
+        "questions": _question_table(cannot_tell),
+        "next": [capital(question.record or "") + "." for question in next_records],
+        "next_seconds": f"{sum(question.seconds for question in next_records):.0f}",
+    }
 
 
 def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
@@ -82,7 +118,7 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
         "tone": "ambiguous" if faults or one.missing else "consistent",
         "verdict": verdict,
         "lead": f"{capital(one.craft)}. {duration:.0f} s recorded, {used:.0f} s of it used.",
-        "sentences": headlines(one),
+        "sentences": headlines(one.answers, bool(one.run.commanded)),
         "warnings": [*one.missing, *one.notes],
         "quality": _quality_plot(one),
         "quality_key": _QUALITY_KEY,
@@ -92,18 +128,13 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
         "mapping": told,
         "plots": _run_plots(one),
         "trials": _trial_table(one),
-        "lags": _lag_table(one),
-        "answers": _answer_plots(one),
-        "scales": _scale_sentence(one),
-        "questions": _question_table(one),
-        "next": [capital(question.record or "") + "." for question in one.next],
-        "next_seconds": f"{sum(question.seconds for question in one.next):.0f}",
+        **_answered(one.answers, one.scales, one.cannot_tell, one.next),
     }
 
 
-def headlines(one: LogCheck) -> list[str]:
-    """What the log shows, in sentences."""
-    answers, told = one.answers, []
+def headlines(answers: Answers, commanded: bool) -> list[str]:
+    """What logs show, in sentences; `commanded` tells whether orders were recorded."""
+    told = []
     fastest = max(answers.speed, key=lambda point: point.order, default=None)
     if fastest is not None and fastest.order > LEAST_AHEAD:
         speed = round_to_error(fastest.answer.value, 0.005, "m/s")
@@ -111,7 +142,7 @@ def headlines(one: LogCheck) -> list[str]:
     if answers.lag_of_turning is not None:
         delay = answers.lag_of_turning.delay
         span = f"{significant(delay.low, 2)} to {significant(delay.high, 2)} s"
-        after = "the order" if one.run.commanded else "what was executed"
+        after = "the order" if commanded else "what was executed"
         told.append(f"It begins to turn {significant(delay.value, 2)} s after {after} ({span}).")
         if answers.lag_of_turning.opposite:
             told.append("A positive order turns it to port: the sign, or the sides, are exchanged.")
@@ -272,8 +303,8 @@ def _trial_table(one: LogCheck) -> Table:
     return Table(columns, rows, caption)
 
 
-def _lag_table(one: LogCheck) -> Table:
-    answers, rows = one.answers, []
+def _lag_table(answers: Answers) -> Table:
+    rows = []
     for what, lag in (
         ("order to turn, to turning rate", answers.lag_of_turning),
         ("order ahead, to speed", answers.lag_of_speed),
@@ -303,9 +334,9 @@ def _cells(one: IntervalEstimate) -> tuple[str, str]:
     return round_to_error(one.value, error) + unit, f"{low} to {high}"
 
 
-def _answer_plots(one: LogCheck) -> list[Plot]:
+def _answer_plots(answers: Answers) -> list[Plot]:
     """Speed by the order ahead, and turning rate by the order to turn."""
-    answers, plots = one.answers, []
+    plots = []
     pairs = (
         ("speed", "order ahead (%)", answers.ahead, answers.speeds, answers.speed),
         (
@@ -352,15 +383,15 @@ def _answer_plot(
     return Plot(figure(cloud, steady, **axes), f"{capital(name)} by order", 340)
 
 
-def _scale_sentence(one: LogCheck) -> str:
+def _scale_sentence(scales: Mapping[str, OrderScale]) -> str:
     told = []
-    for name, scale in one.scales.items():
+    for name, scale in scales.items():
         unit = "" if scale.unit in ("own", "normalised") else f" {scale.unit}"
         ends = f"{scale.neutral:g} is none and {scale.full_ahead:g}{unit} full ahead"
         told.append(f"{name}: {ends} ({scale.why})")
     return f"Orders are shares of full order. {'; '.join(told)}." if told else ""
 
 
-def _question_table(one: LogCheck) -> Table:
-    rows = [[q.what, q.why, q.record or ""] for q in one.cannot_tell]
+def _question_table(cannot_tell: Sequence[OpenQuestion]) -> Table:
+    rows = [[q.what, q.why, q.record or ""] for q in cannot_tell]
     return Table(["cannot be told", "because", "what would tell"], rows)
