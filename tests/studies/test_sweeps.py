@@ -184,6 +184,8 @@ def test_a_sweep_finds_what_it_is_to_look_for(tmp_path, capsys):
         (["--wanted", "overshoot_1=0.1", "overshoot_1=0.2"], "--wanted has a number twice"),
         (["--front", "overshoot_1:best"], "write overshoot_1:least or overshoot_1:most"),
         (["--front", "overshoot_1", "--shard", "1/2"], "a shard has no results"),
+        (["--front", "mass", "overshot_1"], "no number 'overshot_1'; did you mean 'overshoot_1'"),
+        (["--wanted", "tactical_diameter=50"], "no number 'tactical_diameter'"),
     ],
 )
 def test_what_cannot_be_looked_for_is_refused(words, message, tmp_path, capsys):
@@ -194,4 +196,4 @@ def test_what_cannot_be_looked_for_is_refused(words, message, tmp_path, capsys):
     except SystemExit as left:
         status = left.code
     assert status in (1, 2) and message in capsys.readouterr().err
-    assert not (tmp_path / "o").exists()
+    assert [one.name for one in tmp_path.iterdir()] == ["boat.toml"]  # nothing was run

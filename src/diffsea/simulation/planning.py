@@ -207,14 +207,24 @@ def _compiled_numbers(trial: Trial, kind: tuple[str, float]) -> Numbers:
     return standard_trial(kind[0]).numbers(kind[1], trial)
 
 
-def run_and_measure(vessel: Vessel, plan: TrialPlan) -> tuple[Trial, Numbers]:
-    """Run a plan, compiled, with its numbers."""
-    vessel = as_inputs(vessel)
+def _given(vessel: Vessel, plan: TrialPlan) -> tuple[Any, ...]:
+    """What a plan's run is compiled for."""
     speed = None if plan.speed is None else jnp.asarray(plan.speed, float)
     throttle = None if plan.throttle is None else jnp.asarray(plan.throttle, float)
     settings = plan.settings, plan.approach_seconds, plan.keep_speed
-    trial = _compiled_run(vessel, plan.trial.stages(plan), speed, throttle, *settings)
+    return as_inputs(vessel), plan.trial.stages(plan), speed, throttle, *settings
+
+
+def run_and_measure(vessel: Vessel, plan: TrialPlan) -> tuple[Trial, Numbers]:
+    """Run a plan, compiled, with its numbers."""
+    trial = _compiled_run(*_given(vessel, plan))
     return trial, _compiled_numbers(trial, (plan.manoeuvre, plan.side))
+
+
+def number_names(vessel: Vessel, plan: TrialPlan) -> list[str]:
+    """Names of the numbers that a plan gives, found without running it."""
+    trial = eqx.filter_eval_shape(_compiled_run, *_given(vessel, plan))
+    return list(eqx.filter_eval_shape(_compiled_numbers, trial, (plan.manoeuvre, plan.side)))
 
 
 def trial_numbers(plan: TrialPlan, trial: Trial) -> Numbers:

@@ -29,7 +29,7 @@ def front(tables: Iterable[pd.DataFrame], goals: Goals) -> pd.DataFrame:
     signs = np.array([1.0 if goal == "least" else -1.0 for goal in goals.values()])
     kept: pd.DataFrame | None = None
     for table in tables:
-        require_numbers(goals, table)
+        require_numbers(goals, list(table.select_dtypes("number")))
         whole = table.dropna(subset=list(goals))
         rows = whole if kept is None else pd.concat([kept, whole])
         kept = rows.loc[unbeaten(rows[list(goals)].to_numpy(float) * signs)]
@@ -39,9 +39,8 @@ def front(tables: Iterable[pd.DataFrame], goals: Goals) -> pd.DataFrame:
     return kept.iloc[order].reset_index(drop=True)
 
 
-def require_numbers(names: Iterable[str], table: pd.DataFrame) -> None:
-    """Raise `UserError` for a name that is no number of a sweep's table."""
-    known = list(table.select_dtypes("number"))
+def require_numbers(names: Iterable[str], known: Sequence[str]) -> None:
+    """Raise `UserError` for a name that is no number of a sweep."""
     for name in names:
         if name not in known:
             raise UserError(

@@ -81,7 +81,7 @@ def designs_for(
             all the wanted numbers to start from.
     """
     check_names(vessel, list(ranges))
-    require_numbers(wanted, swept)
+    require_numbers(wanted, list(swept.select_dtypes("number")))
     for name, (low, high) in ranges.items():
         if not low < high:
             raise UserError(f"{name} is from {low:g} to {high:g}: give the lower number first")

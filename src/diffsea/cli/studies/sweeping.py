@@ -131,7 +131,7 @@ def sweep_command(args: argparse.Namespace) -> None:
     """
     from diffsea.studies.front import goals_of
 
-    goals = goals_of(args.front or [])
+    goals, wanted = goals_of(args.front or []), _wanted(args)
     if args.vessel == MERGE:
         folder: pathlib.Path = args.merged or args.usage_error("merge takes the folder of parts")
         if args.wanted is not None:
@@ -154,12 +154,16 @@ def sweep_command(args: argparse.Namespace) -> None:
         text = f"{told}; when all are: diffsea sweep merge {parts.folder}"
         print(json_text(parts.manifest) if args.json else text)
         return
+    from diffsea.simulation.planning import number_names
+    from diffsea.studies.front import require_numbers
+
     designs = _designs(args)
     with Outputs(args.output) as out:
         file, plan = _planned(args, designs)
-        search = None
-        if args.wanted is not None:
-            search = _search(file.vessel, plan, designs, _wanted(args))
+        if goals or wanted:
+            known = [*designs.names, *number_names(file.vessel, plan)]
+            require_numbers([*goals, *wanted], known)
+        search = _search(file.vessel, plan, designs, wanted) if wanted else None
         parts = _do_parts(args, designs, file, plan)
         summary = _write_results(parts, out, goals, search)
     out.present(args, _summary_text(summary))
@@ -201,8 +205,8 @@ def _do_parts(
 
 def _wanted(args: argparse.Namespace) -> dict[str, float]:
     """The numbers that are wanted; one that is given twice is bad usage."""
-    wanted = dict(args.wanted)
-    if len(wanted) < len(args.wanted):
+    wanted = dict(args.wanted or [])
+    if len(wanted) < len(args.wanted or []):
         args.usage_error("--wanted has a number twice")
     return wanted
 
