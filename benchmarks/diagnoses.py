@@ -1,4 +1,4 @@
-"""The diagnosis of six runs, 13 minutes at 10 Hz, by the whole catalogue, on one core."""
+"""The diagnosis of six runs, 13 minutes at 10 Hz, by the whole catalogue, on every core."""
 
 import json
 import os

@@ -1,12 +1,14 @@
-"""How long a diagnosis takes, cold and warm, on one core: time of each stage, and memory.
+"""How long a diagnosis takes, cold and warm: time of each stage, and memory.
 
     python -m experiments.diagnosis_benchmark.run
+    python -m experiments.diagnosis_benchmark.run --one-core
 
 Six runs, 13 minutes in all at 10 Hz, the whole catalogue. The first diagnosis of a process
 compiles everything (no cache of compiled programs); the second has other noise and uses the
 programs of the first. Writes out/diagnosis_benchmark/results.json.
 """
 
+import argparse
 import json
 import os
 import re
@@ -70,8 +72,11 @@ def one(vessel, document: dict, seed: int) -> dict:
 
 
 def main() -> None:
-    """Pin the process to one core, diagnose twice, print and write the times."""
-    os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[-1]})
+    """Diagnose twice, on every core or pinned to one; print and write the times."""
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--one-core", action="store_true", help="pin the process to one core")
+    if parser.parse_args().one_core:
+        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[-1]})
     from diffsea.runtime import set_xla_flags
 
     set_xla_flags()

@@ -3,6 +3,8 @@
 import copy
 import dataclasses
 import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import numpy as np
@@ -30,6 +32,7 @@ from diffsea.identification.free_predictions import (
 from diffsea.identification.holdout import (
     Gain,
     Split,
+    _Known,
     exchanged_fit,
     held_out_gain,
     held_out_vessels,
@@ -167,6 +170,26 @@ def test_predictions_that_diverge_are_a_shortfall_and_told_in_words():
                         Whiteness(0.5, 1.0), 0.0)  # fmt: skip
     assert found.shortfalls == (Shortfall.MOTION,)
     assert found.reasons == ["free predictions diverge within 60 s"]
+
+
+def test_what_several_threads_ask_of_a_model_is_calculated_once(right, wrong):
+    known, made, begun = _Known(), [], threading.Event()
+
+    def make() -> int:
+        made.append(1)
+        begun.wait(5.0)
+        return len(made)
+
+    def asked(number: int) -> int:
+        if number == 2:  # the last one to ask: the others wait for the first
+            begun.set()
+        return known.of(right, make)
+
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(asked, range(3))) == [1, 1, 1]
+    assert known.of(wrong, make) == 2
+    with pytest.raises(ZeroDivisionError):
+        known.of(dataclasses.replace(right), lambda: 1 // 0)
 
 
 def test_runs_that_change_places_are_judged_together(data, right, wrong):
