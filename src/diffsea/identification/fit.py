@@ -137,7 +137,9 @@ def estimate(
         elif by_noise > gained - by_noise:
             steps = MORE_NOISE_STEPS
         else:
-            steps = 0 if taken and by_noise < LITTLE_BY_NOISE * gained else NOISE_STEPS
+            # What the filter refused is tried again, from elsewhere.
+            little = 0 < by_noise < LITTLE_BY_NOISE * gained
+            steps = 0 if taken and little else NOISE_STEPS
     else:
         progress(f"the fit is not at its end after {rounds} steps")
     return _with_covariance(problem, free, now, step, index, path, outcome)
