@@ -4,11 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.oracle.simulator import load
-from tests.paths import ORACLE
-from tests.runs import random_steps
 
-from diffsea.identification import descent
+from diffsea.identification import descent, fit
 from diffsea.identification.descent import (
     FilteredPoint,
     Slopes,
@@ -17,27 +14,21 @@ from diffsea.identification.descent import (
     slopes_by_differences,
 )
 from diffsea.identification.filter import kalman
-from diffsea.identification.fit import estimate
-from diffsea.identification.problem import make_problem
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.residual import linearise
-from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "Y_v", "N_r")
 
 
 @pytest.fixture(scope="module")
-def problem():
-    """A boat whose orders act late, which its model does not know: gains matter for the slope."""
-    document = load(str(ORACLE / "usv.toml"))
-    effects = {"thrust-delay": {"delay": 0.4, "actuators": ["port", "starboard"]}}
-    runs = [random_steps(document, seed, 60.0, 0.25, effects) for seed in (4, 5)]
-    return make_problem(build(document), runs, FREE)
+def problem(late_orders):
+    return late_orders
 
 
 @pytest.fixture(scope="module")
-def found(problem):
-    return estimate(problem, FREE)
+def found(late_orders_fitted):
+    return late_orders_fitted
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +116,15 @@ def test_a_step_out_of_where_the_filter_diverges_is_taken(problem, monkeypatch):
     model = Slopes(np.array([-2.0]), np.array([[2.0]]))
     point, _ = descent._along_dogleg(problem, now, np.array([0]), model)
     assert point.coordinates[0] == pytest.approx(0.5)
+
+
+def test_noise_that_the_filter_refuses_is_tried_again_in_the_next_round(problem, monkeypatch):
+    asked = []
+
+    def refused(run, times, noise, prior, steps):
+        asked.append(steps)
+        return Noise.of(np.asarray(noise.scales) + 5.0)  # far worse
+
+    monkeypatch.setattr(fit, "refine_noise", refused)
+    fit.estimate(problem, FREE, problem.start()[0], problem.start()[1], rounds=2)
+    assert len(asked) == 2

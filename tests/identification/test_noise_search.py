@@ -5,33 +5,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from tests.oracle.simulator import load
-from tests.paths import ORACLE
-from tests.runs import random_steps
 
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, rerun_linearised
-from diffsea.identification.fit import estimate
-from diffsea.identification.problem import make_problem
-from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "Y_v", "N_r")
 
 
 @pytest.fixture(scope="module")
-def problem():
-    """A boat whose orders act late, which its model does not know: innovations are not white."""
-    document = load(str(ORACLE / "usv.toml"))
-    effects = {"thrust-delay": {"delay": 0.4, "actuators": ["port", "starboard"]}}
-    runs = [random_steps(document, seed, 60.0, 0.25, effects) for seed in (4, 5)]
-    return make_problem(build(document), runs, FREE)
+def problem(late_orders):
+    return late_orders
 
 
 @pytest.fixture(scope="module")
-def found(problem):
-    return estimate(problem, FREE)
+def found(late_orders_fitted):
+    return late_orders_fitted
 
 
 @pytest.fixture(scope="module")

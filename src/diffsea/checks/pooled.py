@@ -47,11 +47,12 @@ def check_together(checks: Sequence[LogCheck]) -> PooledCheck | None:
 
     Full order is the same in all of them, and an answer counts whichever log it is in.
     """
-    orders = [frozenset(one.run.commanded or one.run.executed) for one in checks]
+    ordered = [one for one in checks if one.used and (one.run.commanded or one.run.executed)]
+    orders = [frozenset(one.run.commanded or one.run.executed) for one in ordered]
     if not orders:
         return None
     common = Counter(orders).most_common(1)[0][0]
-    alike = [one for one, own in zip(checks, orders, strict=True) if own == common and one.used]
+    alike = [one for one, own in zip(ordered, orders, strict=True) if own == common]
     scales = joint_scales([one.scales for one in alike])
     shares = [in_shares(one.run, own) for one, own in zip(alike, scales, strict=True)]
     if len(alike) < 2 or any(orders_of(run) is None for run in shares):

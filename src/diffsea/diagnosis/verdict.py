@@ -98,8 +98,8 @@ def diagnose(
         return make_problem(vessel, runs, free, effects, per_run, priors, least=least)
 
     data = split_data(problem_of, recordings, test, per_run)
-    compile_programs(data.train, screened=True)
     progress("fitting the vessel file to the recordings")
+    compile_programs(data.train, screened=True)
     rough = estimate(data.train, free, rounds=FIRST_ROUNDS)
     run, length = rough.filter_run(data.train), float(vessel.rigid_body.length)
     if seldom := independent_sampling(run, data.train.dataset, length):
