@@ -65,11 +65,21 @@ def test_differences_give_the_gradient_of_the_filters_own_deviance(problem, foun
     assert errors[0] > 0.1  # what held gains leave out
 
 
-def test_a_step_that_is_corrected_leads_to_where_a_fit_ends(problem, found, away):
+def test_a_slope_that_misleads_is_found_anew_and_leads_to_where_a_fit_ends(
+    problem, found, away, monkeypatch
+):
+    """Held gains that say uphill where it is downhill."""
+
+    def reversed_slope(*given):
+        model = linearise(*given)
+        return model._replace(residual=-model.residual)
+
     assert away.deviance - found.deviance > 4
+    monkeypatch.setattr(descent, "linearise", reversed_slope)
+    alone = descend(problem, away, found.index, Slopes.none(3), False)
+    assert alone.refused and alone.point is away and not alone.is_last
     step = descend(problem, away, found.index, Slopes.none(3), True)
-    again = descend(problem, step.point, found.index, step.left_out, True)
-    assert again.point.deviance - found.deviance < 0.1
+    assert step.corrected and step.point.deviance - found.deviance < 0.1
 
 
 def test_at_the_end_no_step_is_taken(problem, found):
