@@ -52,6 +52,8 @@ def audited_effects(
             channels = isinstance(effect.place, MeasuredChannels) and effect.place.names
             if finding.kind != catalogue_name(effect.name) or finding.doubt:
                 continue
+            if set(finding.parameters) != set(effect.units):
+                continue  # of a variant
             if channels and set(channels) != set(finding.channels):
                 continue
             at = np.array(effect.encode(vessel, finding.parameters)) / sizes

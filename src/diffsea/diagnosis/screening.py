@@ -27,10 +27,10 @@ from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
-from diffsea.trajectory import Trajectory
+from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.coordinates import PRIOR_SPREAD, Size
+from diffsea.vessel.effects.coordinates import PRIOR_SPREAD, Peaks, Size
 
 
 SHORT_LIST = 6  # of the strongest candidates, all refitted
@@ -40,7 +40,7 @@ DECLARED = 0.2  # share of the best expected evidence from which on a declared c
 WORTHWHILE = 0.15  # share of the best expected evidence below which a refit is not worth its time
 ALWAYS = 3  # candidates that are refitted however little they promise
 REFINEMENTS = (4.0, 16.0)  # of the grid of onsets or frequencies around the best expansion point
-PEAKS = 4  # of the spectrum, at which a wave train is expanded
+PEAKS = 4  # of a spectrum, or of surprising readings, at which an effect is expanded
 COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
 NEIGHBOURHOOD = 40  # frequencies around one whose median is what gusts alone show
 DETECTABLE = 3.0  # standard errors that make a size detectable
@@ -121,6 +121,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free)
     frequencies, resolution = wave_frequencies(problem, fitted)
+    peaks = Peaks(frequencies, jumps(problem, fitted))
     effects = [effect for effect in problem.layout.effects if effect.name not in fitted.free]
     best: dict[str, Candidate] = {}
 
@@ -137,7 +138,7 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     points = [
         point
         for effect in effects
-        for point in expansion_points(effect, problem.base, problem.dataset.spans, frequencies)
+        for point in expansion_points(effect, problem.base, problem.dataset.spans, peaks)
     ]
     spacing = scan_spacings(effects, problem.base, points, resolution)
     columns = test_points(points)
@@ -286,6 +287,23 @@ def wave_frequencies(problem: Problem, fitted: Estimate) -> tuple[Float[np.ndarr
     rows = problem.dataset.recorded_rows & (dt > 0)
     force = (gusts[:, 0] + 1j * gusts[:, 1]) * np.exp(1j * psi)
     return spectral_peaks(force[rows], t[rows], dt[rows], run[rows])
+
+
+def jumps(problem: Problem, fitted: Estimate) -> dict[str, Float[np.ndarray, "peak"]]:
+    """When (s on the runs' clocks) readings of heading and yaw rate surprise most, by channel.
+
+    Each is the time of the reading before: something changed since.
+    """
+    data, found = problem.dataset, {}
+    run = fitted.filter_run(problem)
+    surprise = np.abs(np.asarray(run.innovation)) / np.sqrt(np.asarray(run.variance))
+    before = np.roll(np.asarray(data.run_time), 1)
+    surprise[np.asarray(data.starts)] = 0.0
+    for channel in ("psi", "r"):
+        values = surprise[:, MOTION_CHANNELS.index(channel)]
+        strongest = np.argsort(-values)[:PEAKS]
+        found[channel] = np.unique(before[strongest[values[strongest] > 0]])
+    return found
 
 
 def spectral_peaks(

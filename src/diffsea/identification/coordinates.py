@@ -22,7 +22,7 @@ from diffsea.parameters import Parameter, named, replace
 from diffsea.types import Environment
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import Coefficient, Effect
-from diffsea.vessel.effects.coordinates import Size, TimeSpan
+from diffsea.vessel.effects.coordinates import NO_PEAKS, Peaks, Size, TimeSpan
 
 
 # Degrees of freedom of the Student t of an effect's amounts: it may be far larger than expected.
@@ -242,11 +242,11 @@ def expansion_points(
     effect: Effect,
     vessel: Vessel,
     spans: Sequence[TimeSpan],
-    frequencies: Float[np.ndarray, "peak"] | None = None,
+    peaks: Peaks = NO_PEAKS,
 ) -> list[ExpansionPoint]:
     """All points for one effect in what was recorded during these spans of time.
 
-    `frequencies` (Hz) are those at which an effect that swings is looked for.
+    `peaks` say where an effect that swings, or that sets in at once, is looked for.
     """
     absent = [0.0] * len(effect.coordinates)
 
@@ -257,7 +257,7 @@ def expansion_points(
     if effect.scanned is not None:
         place, scanned = effect.scanned
         size = effect.sizes(vessel)[place]
-        tangents += [at(place, v / size) for v in scanned.scan(vessel, spans, frequencies)]
+        tangents += [at(place, v / size) for v in scanned.scan(vessel, spans, peaks)]
     elif effect.leading.tangent:
         tangents.append(tuple(absent))
         for place, one in enumerate(effect.coordinates):

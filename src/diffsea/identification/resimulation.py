@@ -18,7 +18,7 @@ from diffsea.identification.filter.covariance import Noise, gust_propagation
 from diffsea.identification.filter.kalman import filter_rows, propagate, restart, with_impulse
 from diffsea.identification.filter.latency import (
     StateHistory,
-    align_to_order_clock,
+    without_time_errors,
     shown_measurements,
 )
 from diffsea.identification.problem import Problem
@@ -81,7 +81,7 @@ def _shown_in_gusts(
 ) -> Float[Array, "row 6"]:
     """What sensors without noise show; each run begins with lasting gusts `begin`."""
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, dataset = align_to_order_clock(vessel, dataset)
+    vessel, dataset = without_time_errors(vessel, dataset)
     gusts, _ = gust_propagation(noise, dataset.dt)
 
     def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:

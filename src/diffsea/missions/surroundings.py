@@ -130,7 +130,7 @@ class Instrumented(AbstractController[Instruments]):
         latest = enumerate(zip(MOTION_CHANNELS, self.late, strict=True))
         shown: dict[str, Scalar] = {channel: past[row, k] for k, (channel, row) in latest}
         noise = self.noise[jnp.minimum(memory.row, self.noise.shape[0] - 1)]
-        measured = self.sensors.shown(shown) + noise
+        measured = self.sensors.shown(shown) + self.sensors.steps(t, dt) + noise
         inner, orders = self.inner.step(memory.inner, State(*measured), t, dt)
         limited = {
             channel: jnp.clip(order, *self.limits[channel]) if channel in self.limits else order

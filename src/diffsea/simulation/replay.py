@@ -116,14 +116,15 @@ def replay(vessel: Vessel, recording: Trajectory, measured_actuation: bool = Tru
     lags = sensors.lags(t)
     late = {c: _extrapolate(t - np.asarray(lags[c]), t, true[c]) for c in MOTION_CHANNELS}
     north, east = to_earth(sensors.lever_x, sensors.lever_y, late["psi"])
+    steps = _sensor_steps(sensors, t)
     return Trajectory(
         t,
         x=late["x"] + np.asarray(north),
         y=late["y"] + np.asarray(east),
-        psi=late["psi"] + _compass_error(sensors, late["psi"]),
+        psi=late["psi"] + _compass_error(sensors, late["psi"]) + steps["psi"],
         u=late["u"],
         v=late["v"],
-        r=late["r"] + float(sensors.gyro_bias),
+        r=late["r"] + float(sensors.gyro_bias) + steps["r"],
         commanded=inputs.orders,
         executed=now | inputs.executed,
         extra={},
@@ -405,7 +406,8 @@ def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples],
             )
         times = _times_shown(sensors, run.t, channel)
         shown[channel] = _extrapolate(times, source.t[finite], values[finite])
-    psi = measured = shown["psi"] + 0.0
+    steps = _sensor_steps(sensors, run.t)
+    psi = measured = shown["psi"] - steps["psi"]
     for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
         psi = measured - _compass_error(sensors, psi)
     north, east = to_earth(sensors.lever_x, sensors.lever_y, psi)
@@ -413,7 +415,7 @@ def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples],
         "psi": psi,
         "x": shown["x"] - np.asarray(north),
         "y": shown["y"] - np.asarray(east),
-        "r": shown["r"] - float(sensors.gyro_bias),
+        "r": shown["r"] - float(sensors.gyro_bias) - steps["r"],
     }, notes
 
 
@@ -422,6 +424,12 @@ def _compass_error(sensors: Sensors, psi: Samples) -> Samples:
     turned = psi + float(sensors.heading_offset)
     iron = float(sensors.hard_iron_cos) * np.cos(turned)
     return turned - psi + iron + float(sensors.hard_iron_sin) * np.sin(turned)
+
+
+def _sensor_steps(sensors: Sensors, t: Samples) -> dict[str, Samples]:
+    """What each channel shows too much at the times since instants of the run."""
+    found = np.asarray(sensors.steps(t, np.diff(t, prepend=2 * t[0] - t[1])))
+    return {channel: found[:, k] for k, channel in enumerate(MOTION_CHANNELS)}
 
 
 def _times_shown(sensors: Sensors, t: Samples, channel: str) -> Samples:

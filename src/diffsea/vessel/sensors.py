@@ -9,6 +9,9 @@ from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.types import Scalar, State
 
 
+SHORTEST_INTERVAL = 1e-6  # s, between readings: where a run begins there is none before
+
+
 class Clock(eqx.Module):
     """How far the clock of all motion channels lags that of the orders: `offset + rate t`."""
 
@@ -18,6 +21,24 @@ class Clock(eqx.Module):
     def late(self, t: Scalar) -> Scalar:
         """The lag in s of what is stamped `t`."""
         return self.offset + self.rate * t
+
+
+class Step(eqx.Module):
+    """An error of a sensor from one instant on: a compass that is knocked, a gyro that is reset.
+
+    A reading is a mean over the time since the last one: the one after the instant shows part of
+    the error.
+    """
+
+    size: Scalar = 0.0  # rad or rad/s, measured minus true
+    time: Scalar = 0.0  # s, on the run's clock
+
+    def shown(
+        self, t: Float[Array, "*row"] | Scalar, interval: Float[Array, "*row"] | Scalar
+    ) -> Float[Array, "*row"]:
+        """The error of readings at times `t` (s of the run), each `interval` s after the last."""
+        share = (t - self.time) / jnp.maximum(interval, SHORTEST_INTERVAL)
+        return self.size * jnp.clip(share, 0.0, 1.0)
 
 
 class Feedback(eqx.Module):
@@ -45,6 +66,8 @@ class Sensors(eqx.Module):
     hard_iron_cos: Scalar = 0.0  # rad, compass error A cos(psi) + B sin(psi)
     hard_iron_sin: Scalar = 0.0
     gyro_bias: Scalar = 0.0  # rad/s, measured minus true
+    heading_steps: tuple[Step, ...] = ()  # of the compass; their sum
+    gyro_steps: tuple[Step, ...] = ()
     lever_x: Scalar = 0.0  # m, antenna forward of amidships
     lever_y: Scalar = 0.0  # m, antenna to starboard
     latency_position: Scalar = 0.0  # s
@@ -63,6 +86,19 @@ class Sensors(eqx.Module):
         position, velocity = self.latency_position, self.latency_velocity
         own = (position, position, self.latency_heading, velocity, velocity, self.latency_yaw_rate)
         return {c: lag + clock for c, lag in zip(MOTION_CHANNELS, own, strict=True)}
+
+    def steps(
+        self, t: Float[Array, "*row"] | Scalar, interval: Float[Array, "*row"] | Scalar
+    ) -> Float[Array, "*row 6"]:
+        """What is shown too much of (x, y, psi, u, v, r) since instants of the run.
+
+        At times `t` (s of the run), readings `interval` s apart. It is beside what `measure` and
+        `shown` say, which know no time.
+        """
+        none = jnp.zeros_like(jnp.asarray(t, float))
+        psi = sum((one.shown(t, interval) for one in self.heading_steps), none)
+        r = sum((one.shown(t, interval) for one in self.gyro_steps), none)
+        return jnp.stack([none, none, psi, none, none, r], axis=-1)
 
     def measure(
         self, state: State, rate: State, jerk: State, t: Scalar | None = None

@@ -31,7 +31,7 @@ from diffsea.identification.filter.covariance import (
 )
 from diffsea.identification.filter.latency import (
     StateHistory,
-    align_to_order_clock,
+    without_time_errors,
     channel_latencies,
     correct_with_history,
     relative_latencies,
@@ -248,7 +248,7 @@ def whitened_innovations(
     an unexplained force is located.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, dataset = align_to_order_clock(vessel, dataset)
+    vessel, dataset = without_time_errors(vessel, dataset)
     late = relative_latencies(vessel)
 
     def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:
@@ -284,7 +284,7 @@ def run_filter(
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
-    vessel, dataset = align_to_order_clock(vessel, dataset)
+    vessel, dataset = without_time_errors(vessel, dataset)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
     lag, late = channel_latencies(vessel), relative_latencies(vessel)

@@ -1,4 +1,4 @@
-"""Delayed sensors in a Kalman filter, and recordings whose clock is not that of the orders.
+"""Delayed sensors in a Kalman filter, clocks that are not those of the orders, and steps.
 
 A delayed channel measures a past state. The filter keeps the states of the rows before, predicts
 a delayed channel from them, and corrects them in retrodiction by what has been found since.
@@ -112,6 +112,27 @@ def correct_with_history(
     now = z + matrix_vector(correction, innovation)
     history = history.retrodict(matrix_vector(correction, late * innovation), z[2], t)
     return now, history.append(now[:6], t, dt)
+
+
+def without_time_errors(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
+    """A vessel whose clock and sensors are those of all the run, and the data set put right.
+
+    What a sensor shows too much since an instant is taken off, and rows are as of the clock of
+    the orders.
+    """
+    return align_to_order_clock(*without_steps(vessel, dataset))
+
+
+def without_steps(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:
+    """A vessel without steps of its sensors, and the data set without them."""
+    sensors = vessel.sensors
+    if not (sensors.heading_steps or sensors.gyro_steps):
+        return vessel, dataset
+    interval = jnp.concatenate([dataset.dt[:1], dataset.dt[:-1]])
+    measured = dataset.measured - sensors.steps(dataset.run_time, interval)
+    steady = dataclasses.replace(sensors, heading_steps=(), gyro_steps=())
+    vessel = dataclasses.replace(vessel, sensors=steady)
+    return vessel, dataclasses.replace(dataset, measured=measured)
 
 
 def align_to_order_clock(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:

@@ -40,7 +40,7 @@ from diffsea.identification.filter.kalman import (
     innovation_of,
     propagate,
 )
-from diffsea.identification.filter.latency import align_to_order_clock
+from diffsea.identification.filter.latency import without_time_errors
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
@@ -114,7 +114,7 @@ def simulate_windows(
 ) -> Shot:
     """Simulate every window from its first state, without any correction."""
     vessel, flows = vessel_at(inputs.base, inputs.layout, coordinates)
-    vessel, dataset = align_to_order_clock(vessel, inputs.dataset)
+    vessel, dataset = without_time_errors(vessel, inputs.dataset)
 
     def body(x: Float[Array, "6"], row_inputs: tuple) -> tuple:
         row, begin, first = row_inputs

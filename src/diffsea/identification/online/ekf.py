@@ -153,6 +153,7 @@ class ExtendedKalmanFilter(AbstractEstimator[KalmanBelief]):
             state = jax.tree.map(jnp.asarray, motion.state)
             first, second = jax.jvp(rate, (state,), (rate(state),))
             reading = vessel.sensors.measure(state, first, second)
+            reading = reading + vessel.sensors.steps(belief.t, self.interval)
             return reading, reading
 
         H, reading = jax.jacfwd(expect, has_aux=True)(belief.mean)

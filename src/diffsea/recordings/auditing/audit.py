@@ -20,6 +20,7 @@ from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import (
     disagreement_findings,
     heading_comparison,
+    heading_jump,
     velocity_comparison,
 )
 from diffsea.recordings.auditing.responses import response_findings
@@ -98,20 +99,23 @@ def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMot
         if motion.has(*_POSITION_AND_VELOCITY):
             turned_velocities = not _position_misfit(corrected) < _position_misfit(motion)
         motion = motion if turned_velocities else corrected
-    velocity, reversed_sway = None, []
+    velocity, reversed_sway, jump = None, [], heading_jump(motion)
     if motion.has(*_POSITION_AND_VELOCITY):
         late = heading is not None and "delay" in found_in_heading and heading.theta["delay"] < 0
         # A yaw rate that agrees with heading has cleared the compass already.
         doubtful = heading is None or "gain" in found_in_heading
 
         def explain(motion: MeasuredMotion) -> Explanation | None:
-            return select_causes(velocity_comparison(motion, level, doubtful, late))
+            return select_causes(velocity_comparison(motion, level, doubtful, late, jump))
 
         velocity = explain(motion)
         motion, velocity, reversed_sway = _sway_sign(motion, velocity, explain)
-    findings = disagreement_findings(heading, velocity, turned_velocities) + reversed_sway
+    findings = disagreement_findings(heading, velocity, turned_velocities, jump) + reversed_sway
     if velocity and "angle" in velocity.causes:
         motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
+    if velocity and jump is not None and "step" in velocity.causes:
+        late = motion.t > jump
+        motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["step"] * late)
     return motion, findings
 
 

@@ -224,6 +224,18 @@ class Compass(ChannelEdit):
 
 
 @dataclasses.dataclass(frozen=True)
+class Step(ChannelEdit):
+    """A channel less `size` after an instant (s)."""
+
+    channel: str
+    size: float
+    time: float
+
+    def new_series(self, old: Channels) -> Channels:
+        return {self.channel: old[self.channel] - self.size * (old["t"] > self.time)}
+
+
+@dataclasses.dataclass(frozen=True)
 class Reheading(ChannelEdit):
     """Heading `sense` times as recorded plus `offset` (rad), velocities in its body axes.
 

@@ -1,9 +1,9 @@
 """Heading against yaw rate, and position against velocity: comparisons, and what their causes mean.
 
     psi_m(t) = (1 + k) int r_m + b t + A sin psi + B cos psi
-    p_m(t)   = (1 + k) int R(psi_m - a - A sin psi - B cos psi) nu_m + c t + R(psi) l
+    p_m(t)   = (1 + k) int R(psi_m - a - s - A sin psi - B cos psi) nu_m + c t + R(psi) l
 
-with r, nu, psi and p each possibly late, by a constant or a growing delay. Every cause is
+with r, nu, psi and p each possibly late, by a constant or a growing delay, and s a step. Every cause is
 tested with the others present; which of them are there, `causes.select_causes` decides. A misfit is
 then explained by parameters, but a user wants to know which sensor is wrong, by how much in its own
 unit, and what to write into the mapping: `disagreement_findings` says so.
@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Inexact
+from scipy import ndimage
 
 from diffsea.recordings.auditing.causes import (
     Cause,
@@ -23,7 +24,7 @@ from diffsea.recordings.auditing.causes import (
     Levels,
     Parameters,
 )
-from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift
+from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift, Step
 from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
 from diffsea.recordings.motion import MeasuredMotion, knots, refine
 from diffsea.series import integrate
@@ -44,6 +45,10 @@ _MEMORY = 10.0  # s over which heading is averaged to lose its own noise
 _IRON_RANGE = 2.0
 _IRON_RANGE_BY_VELOCITY = 0.5
 _LARGEST_IRON = 0.6  # rad
+
+_NEIGHBOURS = 9  # changes of heading from row to row, among which a jump stands out
+_JUMP = 10.0  # times the median change, beyond which heading may have jumped
+_SMALLEST_JUMP = np.radians(1.0)
 
 _SMALLEST_LATENCY = 0.1  # s; delays nearer to each other than this are one
 _SAME = 3.0  # standard errors by which two numbers that are one may differ
@@ -109,15 +114,21 @@ def _predicted_heading(
 
 
 def velocity_comparison(
-    motion: MeasuredMotion, level: float, iron: bool = True, psi_late: bool = False
+    motion: MeasuredMotion,
+    level: float,
+    iron: bool = True,
+    psi_late: bool = False,
+    jump: float | None = None,
 ) -> KinematicComparison | None:
     """Measured position against integrated velocity; None where too little is known.
 
-    `iron` says whether a heading error that is periodic in heading is a candidate: not
+    `jump` is when (s) the heading may have been knocked or reset, None where it runs on. `iron`
+    says whether a heading error that is periodic in heading is a candidate: not
     where yaw rate has already answered that. `psi_late` says whether heading was found late
     against yaw rate.
 
-    Parameters: `gain` of the velocity, `angle` (rad) that heading reads too much, current `north`
+    Parameters: `gain` of the velocity, `angle` (rad) that heading reads too much, and `step` (rad)
+    what it reads more since the jump, current `north`
     and `east` (m/s), arm `lever_x` and `lever_y` (m), heading error `sine` and `cosine` (rad), and
     `delay` (s) and its `rate` (s/s) of each of `p` (position), `nu` (velocity) and `psi`.
     """
@@ -125,7 +136,7 @@ def velocity_comparison(
     if np.sum(linked) < _FEWEST_WINDOWS:
         return None
     fine = refine(motion, _TURN_PER_STEP)
-    ranges = {"gain": (1e-3, 0.95), "angle": (1e-3, 3.2)}
+    ranges = {"gain": (1e-3, 0.95), "angle": (1e-3, 3.2), "step": (1e-3, 3.2)}
     ranges |= dict.fromkeys(("north", "east"), (1e-3, 1e3))
     ranges |= dict.fromkeys(("sine", "cosine"), (1e-3, _LARGEST_IRON))
     ranges |= dict.fromkeys(("lever_x", "lever_y"), (1e-2, 1e3))
@@ -137,9 +148,9 @@ def velocity_comparison(
     return KinematicComparison(
         motion.t[index],
         np.stack([motion.values["x"], motion.values["y"]])[:, index],
-        functools.partial(_predicted_position, fine, motion.t[index]),
+        functools.partial(_predicted_position, fine, motion.t[index], jump),
         linked,
-        _velocity_causes(motion, iron, psi_late),
+        _velocity_causes(motion, iron, psi_late, jump is not None),
         ranges,
         doubt=0.01,
         floor=max(0.02, unresolved),
@@ -150,7 +161,7 @@ def velocity_comparison(
 
 
 def _predicted_position(
-    fine: MeasuredMotion, at: Float[np.ndarray, "knot"], theta: Parameters
+    fine: MeasuredMotion, at: Float[np.ndarray, "knot"], jump: float | None, theta: Parameters
 ) -> Levels:
     """Position (m) at the knots (s), north then east."""
     t, values = fine.t, fine.values
@@ -158,6 +169,7 @@ def _predicted_position(
     late = theta["nu_delay"] + theta["nu_rate"] * past
     flow = _advance(t, values["u"] + 1j * values["v"], late)
     psi = _advance(t, values["psi"], theta["psi_delay"] + theta["psi_rate"] * past)
+    psi = psi if jump is None else psi - theta["step"] * (t > jump)
     psi = psi - theta["sine"] * np.sin(psi) - theta["cosine"] * np.cos(psi) - theta["angle"]
     turn = np.exp(1j * psi)
     velocity = (1 + theta["gain"]) * flow * turn + theta["north"] + 1j * theta["east"]
@@ -172,7 +184,28 @@ def _advance(t: Samples, series: Inexact[np.ndarray, "time"], late: Samples) -> 
     return np.interp(t + late, t, series) if np.any(late) else series
 
 
-def _velocity_causes(motion: MeasuredMotion, iron: bool, psi_late: bool) -> tuple[Cause, ...]:
+def heading_jump(motion: MeasuredMotion) -> float | None:
+    """The time (s) of the reading of heading before its largest jump; None where it runs on.
+
+    A jump is what it changes more than yaw rate says, and than it does just before and after. That
+    it stays is for the comparison with positions to say.
+    """
+    if not motion.has("psi"):
+        return None
+    t, psi = motion.t, motion.values["psi"]
+    turned = integrate(t, motion.values["r"]) if motion.has("r") else np.zeros_like(psi)
+    change = np.diff(psi - turned)
+    change = np.abs(change - ndimage.median_filter(change, _NEIGHBOURS))
+    known = motion.known["psi"][1:] & motion.known["psi"][:-1]
+    change[~(known & (np.diff(t) < 1.5 * motion.interval))] = 0.0
+    row = int(np.argmax(change))
+    usual = np.median(change[change > 0]) if np.any(change > 0) else 0.0
+    return float(t[row]) if change[row] > max(_JUMP * usual, _SMALLEST_JUMP) else None
+
+
+def _velocity_causes(
+    motion: MeasuredMotion, iron: bool, psi_late: bool, jumps: bool
+) -> tuple[Cause, ...]:
     """Why position and velocity may part.
 
     Sensors are late, never early, and two of the three are as much as kinematics can tell.
@@ -185,6 +218,7 @@ def _velocity_causes(motion: MeasuredMotion, iron: bool, psi_late: bool) -> tupl
     causes = [
         Cause("gain", ("gain",), _SMALLEST_SCALE, gain=True),
         Cause("angle", ("angle",), np.radians(1.0)),
+        *([Cause("step", ("step",), _SMALLEST_JUMP)] if jumps else []),
         Cause("water", ("north", "east"), max(0.01, 0.02 * speed)),
         # Large ships turn slowly: what matters is the lever's velocity against the ship's.
         Cause("lever", ("lever_x", "lever_y"), max(0.15, 0.003 * speed / turning)),
@@ -238,13 +272,17 @@ def _random_walk(motion: MeasuredMotion, channel: str) -> float:
 
 
 def disagreement_findings(
-    heading: Explanation | None, velocity: Explanation | None, turned_velocities: bool = False
+    heading: Explanation | None,
+    velocity: Explanation | None,
+    turned_velocities: bool = False,
+    jump: float | None = None,
 ) -> list[Finding]:
     """What the two comparisons found; None stands for one that could not be made.
 
     A compass error that the velocities show as well takes the place of a wrong scale of the
     yaw rate. `turned_velocities` says that u and v were turned into body axes by the heading
-    recorded, so that an error which yaw rate reveals is in them too.
+    recorded, so that an error which yaw rate reveals is in them too; `jump` (s) is when heading
+    jumped.
     """
     found = _latencies(heading, velocity)
     velocity = None if velocity is None else _without_slow_clock(velocity)
@@ -253,6 +291,8 @@ def disagreement_findings(
         if explanation is None:
             continue
         for cause in explanation.causes:
+            if cause == "step" and jump is not None:
+                found.append(_heading_step(explanation, jump))
             if cause not in makers or (compass and explanation is heading and cause == "gain"):
                 continue
             fault = makers[cause](explanation)
@@ -386,6 +426,14 @@ def _heading_offset(found: Explanation) -> Finding:
     by, edit = {"angle": value}, Affine(("psi",), 1.0, -value)
     words = {"degrees": np.degrees(value), "offset": -value}
     return finding_of(fault, ("psi",), value, std, words, edit, parameters=by, doubt=doubt)
+
+
+def _heading_step(found: Explanation, jump: float) -> Finding:
+    value, std = found.theta["step"], found.std["step"]
+    by, edit = {"time": jump, "angle": value}, Step("psi", value, jump)
+    words = {"degrees": np.degrees(value), "time": jump}
+    doubt = _rival_text(found, "step")
+    return finding_of("heading-step", ("psi",), value, std, words, edit, parameters=by, doubt=doubt)
 
 
 def _through_water(found: Explanation) -> Finding:

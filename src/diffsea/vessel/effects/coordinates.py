@@ -8,7 +8,7 @@ refits asks the coordinate and needs to know no effect by name.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,15 @@ ONSET_SHARES = 12  # of the recorded time, between which a change is tried
 SHARE_BESIDE_CHANGE = 0.05  # of the rows, before and after: less than between two onsets tried
 
 OfVessel = float | Callable[[Vessel], Scalar]  # a number, or one that depends on the vessel
-Frequencies = Float[np.ndarray, "peak"] | None  # Hz; None where there is no spectrum
+
+class Peaks(NamedTuple):
+    """Where what a model leaves over stands out: at what frequencies, and when."""
+
+    frequencies: Float[np.ndarray, "peak"] = np.zeros(0)  # Hz
+    jumps: dict[str, Float[np.ndarray, "peak"]] = {}  # s on the runs' clocks, by motion channel
+
+
+NO_PEAKS = Peaks()
 
 
 def value_on(number: OfVessel, vessel: Vessel) -> float:
@@ -113,7 +121,7 @@ class Onset(Coordinate):
         """As wide as the runs are long: a change may happen at any time."""
         return max(PRIOR_SPREAD, latest / size)
 
-    def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Frequencies) -> list[float]:
+    def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Peaks) -> list[float]:
         """Times (s) at which equal shares of all that was recorded in some spans have passed."""
         recorded = sum(end - start for start, end in spans)
         times = []
@@ -141,6 +149,21 @@ class Onset(Coordinate):
 
 
 @dataclasses.dataclass(frozen=True)
+class Jump(Onset):
+    """The time from which on readings of a motion channel are off: between one and the next.
+
+    Where they are off by more than their noise, only that very moment will do: it is sought where
+    readings surprise the model most, too.
+    """
+
+    channel: str = "psi"
+
+    def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Peaks) -> list[float]:
+        """Equal shares of what was recorded, and the moments at which the channel surprises."""
+        return [*super().scan(vessel, spans, peaks), *peaks.jumps.get(self.channel, ())]
+
+
+@dataclasses.dataclass(frozen=True)
 class Frequency(Coordinate):
     """The frequency (Hz) of an effect that swings, counted from an `origin` of the vessel's own.
 
@@ -149,9 +172,9 @@ class Frequency(Coordinate):
 
     origin: OfVessel = 0.0
 
-    def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Frequencies) -> list[float]:
-        """The frequencies (Hz) of peaks; none without a spectrum."""
-        return [] if peaks is None else list(peaks - value_on(self.origin, vessel))
+    def scan(self, vessel: Vessel, spans: Sequence[TimeSpan], peaks: Peaks) -> list[float]:
+        """The frequencies (Hz) of peaks."""
+        return list(peaks.frequencies - value_on(self.origin, vessel))
 
     def spacing(self, tried: Sequence[float], size: float, resolution: float) -> float:
         """The resolution (Hz) of a spectrum of the longest run, in noticeable sizes."""

@@ -19,7 +19,7 @@ from diffsea.vessel.effects.actuators import (
     chosen_channels,
     largest_order,
 )
-from diffsea.vessel.effects.coordinates import Size, vessel_time
+from diffsea.vessel.effects.coordinates import Jump, Size, vessel_time
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
@@ -29,8 +29,9 @@ from diffsea.vessel.effects.entry import (
     add_to,
     entry,
     read_names,
+    read_table,
 )
-from diffsea.vessel.sensors import Clock, Feedback
+from diffsea.vessel.sensors import Clock, Feedback, Step
 from diffsea.vessel.tables import Table, check_keys, needed, numbers
 
 
@@ -101,15 +102,44 @@ def _latency(
     return latency
 
 
+def _read_from_an_instant(
+    vessel: Vessel, table: Table, variants: Sequence[Effect], where: str
+) -> Vessel:
+    """An error of all the run, or from the `time` on that a table states."""
+    constant, stepped = variants
+    chosen = stepped if "time" in table else constant
+    return read_table(vessel, table, [chosen], where, others=("time",))
+
+
 @sensor_effect(
     "heading-offset",
     Size("angle", "rad", 0.05),
     phrase="a compass that reads {angle:size} too {angle:high|low}",
     confusables=("current", "thruster-misalignment", "hard-iron", "actuator-bias"),
+    read=_read_from_an_instant,
 )
 def heading_offset(vessel: Vessel, angle: CoordinateValues) -> Vessel:
     """psi_m = psi + angle."""
     return add_to(vessel, lambda v: v.sensors.heading_offset, angle[0])
+
+
+@sensor_effect(
+    "heading-offset:step",
+    Size("angle", "rad", 0.05),
+    Jump(channel="psi"),
+    phrase="a compass that reads {angle:size} too {angle:high|low} from {time:size} on",
+    confusables=("current", "hard-iron"),
+)
+def heading_step(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """psi_m = psi, and psi + angle from `time` on: a compass that was turned or reset."""
+    return _add_step(vessel, "heading_steps", at)
+
+
+def _add_step(vessel: Vessel, sensor: str, at: CoordinateValues) -> Vessel:
+    """A sensor of the vessel that is off by a size from a time on."""
+    steps = (*getattr(vessel.sensors, sensor), Step(at[0], at[1]))
+    sensors = dataclasses.replace(vessel.sensors, **{sensor: steps})
+    return dataclasses.replace(vessel, sensors=sensors)
 
 
 def _deviation_coordinates(vessel: Vessel, numbers: Numbers) -> tuple[float, ...]:
@@ -146,10 +176,23 @@ def hard_iron(vessel: Vessel, at: CoordinateValues) -> Vessel:
     Size("bias", "rad/s", 0.01),
     phrase="a yaw-rate sensor that reads {bias:size} too {bias:high|low}",
     confusables=("thrust-asymmetry", "actuator-bias", "thruster-misalignment"),
+    read=_read_from_an_instant,
 )
 def gyro_bias(vessel: Vessel, bias: CoordinateValues) -> Vessel:
     """r_m = r + bias."""
     return add_to(vessel, lambda v: v.sensors.gyro_bias, bias[0])
+
+
+@sensor_effect(
+    "gyro-bias:step",
+    Size("bias", "rad/s", 0.01),
+    Jump(channel="r"),
+    phrase="a yaw-rate sensor that reads {bias:size} too {bias:high|low} from {time:size} on",
+    confusables=("thrust-asymmetry", "actuator-bias"),
+)
+def gyro_step(vessel: Vessel, at: CoordinateValues) -> Vessel:
+    """r_m = r, and r + bias from `time` on."""
+    return _add_step(vessel, "gyro_steps", at)
 
 
 def _lever(axis: str) -> Size:
@@ -265,8 +308,10 @@ def _feedback_errors(kind: Kind) -> list[Effect]:
 
 SENSORS = (
     heading_offset,
+    heading_step,
     hard_iron,
     gyro_bias,
+    gyro_step,
     _latency("position", "position", mirror="but_position"),
     *(_latency(group, group) for group in ("heading", "velocity", "yaw_rate")),
     # Positions that are ahead of everything else, as of a receiver that extrapolates: what is late
