@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, usv
+from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, still_problem, usv
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, audit
@@ -180,6 +180,23 @@ def test_what_the_audit_doubts_or_finds_in_few_runs_or_in_several_sizes_is_no_hy
     assert audited_effects(vessel, layout, apart, 3) == []
     doubtful = [dataclasses.replace(one, doubt="or late") for one in arms]
     assert audited_effects(vessel, layout, doubtful, 3) == []
+
+
+def test_a_step_that_the_audit_found_at_one_time_in_most_runs_is_one_hypothesis():
+    problem = still_problem("heading-offset", "heading-offset:step")
+    effect, sizes = EFFECTS["heading-offset:step"], problem.layout.sizes[1]
+
+    def found(*times):
+        each = zip("abcd", times, strict=False)
+        steps = [claimed("heading-offset", name, time=t, angle=0.3) for name, t in each]
+        steps = [dataclasses.replace(one, channels=("psi",)) for one in steps]
+        return audited_effects(usv(), problem.layout, steps, 4)
+
+    (step,) = found(40.0, 40.1, 70.0)
+    assert step.effect == effect.name
+    np.testing.assert_allclose(step.coordinates * sizes, [0.3, 40.1])
+    assert found(40.0, 55.0, 70.0) == []
+    assert found(40.0) == []
 
 
 def test_a_search_whose_time_is_over_says_so(data, nominal, screening):

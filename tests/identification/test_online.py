@@ -205,6 +205,22 @@ def test_a_step_without_measurement_in_between_changes_nothing(vessel, document)
     np.testing.assert_allclose(once.covariance / scale, twice.covariance / scale, atol=2e-3)
 
 
+def test_a_compass_that_was_knocked_is_read_less_what_it_shows_too_much(document, vessel):
+    table = {"name": "heading-offset", "angle": 0.4, "time": 5.0}
+    knocked = build(document | {"effect": [*document.get("effect", []), table]})
+    orders = {"port": jnp.asarray(100.0), "starboard": jnp.asarray(80.0)}
+    seen = jnp.array([0.0, 0.0, 0.1, 1.0, 0.0, 0.0])
+
+    def after(boat, t, measured):
+        filter = kalman_filter(boat, HULL, _noise(document))
+        belief = filter.init(State(0.0, 0.0, 0.1, 1.0, 0.0, 0.0), t=t)
+        return filter.update(belief, orders, measured)[0].mean
+
+    shown = seen.at[2].add(0.4)
+    np.testing.assert_allclose(after(knocked, 6.0, shown), after(vessel, 6.0, seen), atol=1e-12)
+    np.testing.assert_allclose(after(knocked, 4.0, seen), after(vessel, 4.0, seen), atol=1e-12)
+
+
 def test_a_lag_of_the_thrusters_is_estimated(document):
     lagged = [t | {"time_constant": 0.8} for t in document["thruster"]]
     guess = [t | {"time_constant": 0.5} for t in document["thruster"]]

@@ -244,6 +244,21 @@ def test_sensors_are_late_and_off_as_stated(folder):
     np.testing.assert_allclose(seen.r[3:], true.r[:-3] - 0.01, atol=1e-12)
 
 
+def test_the_vessel_s_compass_may_be_knocked_on_the_way(folder):
+    """As its file says, 0.2 rad from 10.1 s on: the reading after that shows half of it."""
+    knocked = (folder / "boat.toml").read_text() + (
+        '\n[[effect]]\nname = "heading-offset"\nangle = 0.2\ntime = 10.1\n'
+    )
+    (folder / "knocked.toml").write_text(knocked)
+    found = run(mission_of(document(vessel={"file": "knocked.toml"}), folder))
+    off = found.recorded.psi - found.true.psi
+    assert PERIOD == 0.2
+    after = found.true.t > 10.1
+    np.testing.assert_allclose(off[after][1:], 0.2, atol=1e-12)
+    assert off[after][0] == pytest.approx(0.1)
+    np.testing.assert_allclose(off[~after], 0.0, atol=1e-12)
+
+
 def test_orders_stay_within_the_limits_and_the_numbers_count_them(folder):
     given = document()
     given["controller"]["limits"] = {"port": [60.0, 90.0]}

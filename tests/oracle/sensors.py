@@ -6,7 +6,7 @@ Sensor effects, in this order:
                          where that is outside the run; orders keep their stamps
     sensor-latency       channels (default x, y) show the value `delay` before that
     heading-offset       psi + angle;   hard-iron  psi + amplitude sin(psi - phase)
-    gyro-bias            r + bias
+    gyro-bias            r + bias; it and heading-offset after `time` alone, where that is given
 Then noise, quantisation (rounding to multiples of a step) and decimation, per channel.
 """
 
@@ -93,12 +93,13 @@ def true_channels(sim, times) -> dict[str, np.ndarray]:
             for channel in effect.get("channels", ["x", "y"]):
                 out[channel] = past[channel]
     for effect in effects:
+        acts = t > effect.get("time", -math.inf)
         if effect["name"] == "heading-offset":
-            out["psi"] = out["psi"] + effect["angle"]
+            out["psi"] = out["psi"] + effect["angle"] * acts
         elif effect["name"] == "hard-iron":
             out["psi"] = out["psi"] + effect["amplitude"] * np.sin(out["psi"] - effect["phase"])
         elif effect["name"] == "gyro-bias":
-            out["r"] = out["r"] + effect["bias"]
+            out["r"] = out["r"] + effect["bias"] * acts
     return out
 
 

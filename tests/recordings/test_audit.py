@@ -196,6 +196,44 @@ def test_heading_offset(shape, angle):
     assert finding.value == pytest.approx(angle, abs=4 * finding.std + 0.003)
 
 
+def knocked(run, angle, first, last=np.inf):
+    """A run whose compass reads `angle` more from one time to another, between readings."""
+    return edited(run, psi=run.psi + angle * ((run.t > first) & (run.t <= last)))
+
+
+@pytest.mark.parametrize("channels", [(), ("r",)], ids=["all", "without yaw rate"])
+@pytest.mark.parametrize("angle", [0.5, -0.15])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_compass_that_is_knocked(shape, angle, channels):
+    run = knocked(recording(shape, 1), angle, 70.1)
+    run = edited(run, **{name: np.full(run.t.shape, np.nan) for name in channels})
+    finding = only(run, "heading-offset")
+    assert finding.parameters["time"] == pytest.approx(70.0)
+    assert finding.value == pytest.approx(angle, abs=4 * finding.std + 0.003)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heading_that_is_wrong_for_a_moment_is_no_knocked_compass(seed):
+    found = audit(knocked(recording("random", seed), 0.5, 70.1, 71.1))
+    assert not [finding for finding in found if "time" in finding.parameters]
+
+
+def test_a_vessel_that_turns_fast_for_a_moment_has_no_knocked_compass():
+    """Half a radian within two readings, told by the yaw rate, and by where it goes then."""
+
+    def turned(true):
+        t = np.arange(true["r"].size) * FINE
+        r = true["r"] + 2.5 * (np.abs(t - 60.0) < 0.1)
+        psi = summed(r, start=true["psi"][0])
+        u, v = true["u"], true["v"]
+        north, east = u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)
+        return {"psi": psi, "r": r, "x": summed(north), "y": summed(east)}
+
+    run = recording("zigzag", 1, turned)
+    for seen in (run, edited(run, r=np.full(run.t.shape, np.nan))):
+        assert not [finding for finding in audit(seen) if "time" in finding.parameters]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_hard_iron(seed):
     def error(true):

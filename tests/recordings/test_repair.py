@@ -31,6 +31,11 @@ def through_water(true):
     return {"u": nu.real, "v": nu.imag}
 
 
+def knocked(true):
+    late = np.arange(true["psi"].size) > 0.5 * true["psi"].size
+    return {"psi": true["psi"] + 0.3 * late}
+
+
 def on_a_lever(true):
     c, s = np.cos(true["psi"]), np.sin(true["psi"])
     return {"x": true["x"] + 1.2 * c + 0.5 * s, "y": true["y"] + 1.2 * s - 0.5 * c}
@@ -51,6 +56,7 @@ FAULTS = {
         False,
         0.02,
     ),
+    "knocked compass": (knocked, "heading-offset", False, 0.01),
     "lever arm": (on_a_lever, "lever-arm", False, 0.15),
     "through the water": (through_water, "through-water", False, 0.02),
     "scale of velocity": (scaled(1.15, "u", "v"), "scale", True, 0.03),

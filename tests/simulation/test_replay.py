@@ -14,7 +14,7 @@ from diffsea.simulation.actuation import (
 )
 from diffsea.simulation.replay import prediction_misses, replay_errors
 from diffsea.vessel.files import build
-from diffsea.vessel.sensors import Clock
+from diffsea.vessel.sensors import Clock, Step
 
 
 def boat(**thruster):
@@ -229,6 +229,20 @@ def test_the_sensors_errors_are_taken_off_and_put_on_again():
     assert errors["position"] < 1e-3 and errors["heading"] < 1e-9 and errors["r"] < 1e-9
     ahead = horizon_errors(vessel, seen, horizons=(20.0,))
     assert ahead[20.0]["position"] < 1e-3 and ahead[20.0]["heading"] < 1e-9
+
+
+def test_steps_of_the_sensors_are_taken_off_and_put_on_again():
+    """A boat that drives straight, whose compass is knocked and whose gyro is reset at 30 s."""
+    wrong = Sensors(heading_steps=(Step(0.3, 30.0),), gyro_steps=(Step(0.01, 30.0),))
+    vessel = dataclasses.replace(boat(), sensors=wrong)
+    t = np.arange(0.0, 60.0, 0.1)
+    true, late = straight(t, u0=3.0), t > 30.05
+    seen = dataclasses.replace(true, psi=true.psi + 0.3 * late, r=true.r + 0.01 * late)
+    errors = replay_errors(replay(vessel, seen), seen)
+    assert errors["heading"] < 1e-9 and errors["r"] < 1e-9
+    ahead = horizon_errors(vessel, seen, horizons=(5.0,))[5.0]
+    assert ahead["position"] < 1e-3 and ahead["heading"] < 1e-9
+    assert horizon_errors(boat(), seen, horizons=(5.0,))[5.0]["position"] > 1.0
 
 
 def test_horizons_grow_as_the_closed_form_of_a_wrong_thrust():

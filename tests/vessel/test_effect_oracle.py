@@ -302,6 +302,8 @@ SENSORS = [
     ("heading-offset", {"angle": 0.07}),
     ("hard-iron", {"amplitude": 0.1, "phase": 0.8}),
     ("gyro-bias", {"bias": -0.02}),
+    ("heading-offset", {"angle": 0.07, "time": 3.0}),
+    ("gyro-bias", {"bias": -0.02, "time": 3.0}),
     ("sensor-latency", {"delay": 0.02}),
     ("sensor-latency", {"delay": 0.02, "channels": ["psi", "r", "u", "v"]}),
     ("lever-arm", {"x": 1.3, "y": -0.4}),
@@ -329,9 +331,8 @@ def test_a_sensor_effect_in_a_file_is_the_reference_s(name, parameters):
     document = varied(USV, effects=[{"name": name, **parameters}])
     reference = simulate(document, STRAIGHT_ON, 8.0, state=begun(RUNS["twin"]))
     truth = true_channels(reference, LOOKS)
-    shown = jax.vmap(build(document).sensors.measure)(
-        *motion_of(reference, LOOKS), jnp.asarray(LOOKS)
-    )
+    sensors, t = build(document).sensors, jnp.asarray(LOOKS)
+    shown = jax.vmap(sensors.measure)(*motion_of(reference, LOOKS), t) + sensors.steps(t, 0.1)
     found = dict(zip(MOTION_CHANNELS, np.asarray(shown).T, strict=True))
     assert disagreement(found, truth) < 1e-5
     assert disagreement(reference.at(LOOKS), truth) > 1e-3

@@ -20,6 +20,7 @@ from diffsea.simulation.replay import with_heel
 from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.effects.coordinates import ScannedCoordinate
 from diffsea.vessel.files import build
+from diffsea.vessel.sensors import Step
 from diffsea.vessel.servo import OrderHistory, Servo
 
 
@@ -110,7 +111,7 @@ def measured(coordinates):
             return vessel.rate(at, held, environment, 0.0)
 
         motion, change = jax.jvp(rate, (state,), (rate(state),))
-        return vessel.sensors.measure(state, motion, change, t)
+        return vessel.sensors.measure(state, motion, change, t) + vessel.sensors.steps(t, STEP)
 
     return jax.vmap(shown)(states, orders, STEP * np.arange(1, len(orders["port"]) + 1))
 
@@ -349,6 +350,15 @@ def test_a_latency_is_its_taylor_series_to_second_order():
     errors = np.array(errors)
     assert np.all(errors[1] < 1e-4)
     np.testing.assert_array_less(7.0, errors[0] / errors[1])  # 8 of a third-order remainder
+
+
+def test_a_reading_is_a_mean_over_the_time_since_the_last_one():
+    """A step of 0.3 rad a quarter of an interval before the reading at 2 s shows a quarter."""
+    sensors = Sensors(heading_steps=(Step(0.3, 1.95),), gyro_steps=(Step(0.01, 0.0),) * 2)
+    shown = np.asarray(sensors.steps(np.array([1.8, 2.0, 2.2]), 0.2))
+    assert shown[:, 2] == pytest.approx([0.0, 0.3 / 4, 0.3])
+    assert shown[:, 5] == pytest.approx(0.02)
+    assert not shown[:, [0, 1, 3, 4]].any()
 
 
 def test_effects_in_a_file_reach_the_sensors():

@@ -20,11 +20,12 @@ from diffsea.identification.estimates import Estimate
 from diffsea.identification.holdout import Split
 from diffsea.recordings import Finding
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.effects.sensors import MeasuredChannels
 
 
 SHARE_OF_RUNS = 0.5  # in which it must have been found: others may not have excited it
+SAME_TIME = 0.02  # of what is noticeable of an onset: a reading or two
 LARGEST_SPREAD = 0.25  # of a size over runs, in its median: as of an effect's constancy
 
 
@@ -60,13 +61,24 @@ def audited_effects(
             found.setdefault(effect.name, {})[finding.recording] = at
     out = []
     for name, by_run in sorted(found.items(), key=lambda item: -len(item[1])):
-        values = np.stack(list(by_run.values()))
-        middle = np.median(values, axis=0)
-        apart = np.median(np.linalg.norm(values - middle, axis=1))
-        is_one_size = apart <= LARGEST_SPREAD * np.linalg.norm(middle)
-        if is_one_size and len(values) >= SHARE_OF_RUNS * runs:
+        middle = _common_size(EFFECTS[name], np.stack(list(by_run.values())), runs)
+        if middle is not None:
             out.append(AuditedEffect(name, middle))
     return out
+
+
+def _common_size(
+    effect: Effect, found: Float[np.ndarray, "run own"], runs: int
+) -> Float[np.ndarray, "own"] | None:
+    """The median of what was found, if it is one size at one time in most of so many runs."""
+    middle = np.median(found, axis=0)
+    same_time = (np.abs(found - middle) <= SAME_TIME)[:, ~effect.amounts].all(axis=1)
+    if same_time.sum() < SHARE_OF_RUNS * runs:
+        return None
+    amounts = (found - middle)[same_time][:, effect.amounts]
+    apart = np.median(np.linalg.norm(amounts, axis=1))
+    is_one_size = apart <= LARGEST_SPREAD * np.linalg.norm(middle[effect.amounts])
+    return middle if is_one_size else None
 
 
 def judge_audited(

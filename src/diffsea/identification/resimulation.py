@@ -18,8 +18,8 @@ from diffsea.identification.filter.covariance import Noise, gust_propagation
 from diffsea.identification.filter.kalman import filter_rows, propagate, restart, with_impulse
 from diffsea.identification.filter.latency import (
     StateHistory,
-    without_time_errors,
     shown_measurements,
+    without_time_errors,
 )
 from diffsea.identification.problem import Problem
 from diffsea.vessel.base import Vessel

@@ -38,7 +38,7 @@ class Step(eqx.Module):
     ) -> Float[Array, "*row"]:
         """The error of readings at times `t` (s of the run), each `interval` s after the last."""
         share = (t - self.time) / jnp.maximum(interval, SHORTEST_INTERVAL)
-        return self.size * jnp.clip(share, 0.0, 1.0)
+        return jnp.asarray(self.size * jnp.clip(share, 0.0, 1.0))
 
 
 class Feedback(eqx.Module):

@@ -31,11 +31,11 @@ from diffsea.identification.filter.covariance import (
 )
 from diffsea.identification.filter.latency import (
     StateHistory,
-    without_time_errors,
     channel_latencies,
     correct_with_history,
     relative_latencies,
     shown_measurements,
+    without_time_errors,
 )
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.kinematics import wrap

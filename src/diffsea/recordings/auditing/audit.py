@@ -114,8 +114,8 @@ def _compare_channels(motion: MeasuredMotion, level: float) -> tuple[MeasuredMot
     if velocity and "angle" in velocity.causes:
         motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["angle"])
     if velocity and jump is not None and "step" in velocity.causes:
-        late = motion.t > jump
-        motion = motion.with_channels(psi=motion.values["psi"] - velocity.theta["step"] * late)
+        error = velocity.theta["step"] * (motion.t > jump)
+        motion = motion.with_channels(psi=motion.values["psi"] - error)
     return motion, findings
 
 

@@ -3,10 +3,10 @@
     psi_m(t) = (1 + k) int r_m + b t + A sin psi + B cos psi
     p_m(t)   = (1 + k) int R(psi_m - a - s - A sin psi - B cos psi) nu_m + c t + R(psi) l
 
-with r, nu, psi and p each possibly late, by a constant or a growing delay, and s a step. Every cause is
-tested with the others present; which of them are there, `causes.select_causes` decides. A misfit is
-then explained by parameters, but a user wants to know which sensor is wrong, by how much in its own
-unit, and what to write into the mapping: `disagreement_findings` says so.
+with r, nu, psi and p each possibly late, by a constant or a growing delay, and s a step. Every
+cause is tested with the others present; which of them are there, `causes.select_causes` decides. A
+misfit is then explained by parameters, but a user wants to know which sensor is wrong, by how much
+in its own unit, and what to write into the mapping: `disagreement_findings` says so.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ _IRON_RANGE_BY_VELOCITY = 0.5
 _LARGEST_IRON = 0.6  # rad
 
 _NEIGHBOURS = 9  # changes of heading from row to row, among which a jump stands out
-_JUMP = 10.0  # times the median change, beyond which heading may have jumped
+_JUMP = 6.0  # times the median change, beyond which heading may have jumped
 _SMALLEST_JUMP = np.radians(1.0)
 
 _SMALLEST_LATENCY = 0.1  # s; delays nearer to each other than this are one

@@ -28,6 +28,7 @@ SHARE_BESIDE_CHANGE = 0.05  # of the rows, before and after: less than between t
 
 OfVessel = float | Callable[[Vessel], Scalar]  # a number, or one that depends on the vessel
 
+
 class Peaks(NamedTuple):
     """Where what a model leaves over stands out: at what frequencies, and when."""
 
