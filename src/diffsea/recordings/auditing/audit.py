@@ -14,11 +14,11 @@ import numpy as np
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
 from diffsea.recordings.auditing.axes import AxesEvidence
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
+from diffsea.recordings.auditing.disagreements import disagreement_findings
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
 from diffsea.recordings.auditing.frames import read_frames
 from diffsea.recordings.auditing.kinematics import (
-    disagreement_findings,
     heading_comparison,
     heading_jump,
     velocity_comparison,
