@@ -69,6 +69,35 @@ def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
     assert decide(listed(little, near), None) is little
 
 
+def test_of_two_that_are_supported_nearly_as_well_the_motion_tells():
+    best, near = judged("clock-drift", 60.0), judged("roll-coupling", 55.0)
+    change = {"ratio": 0.6, "chance": 0.04}
+
+    def compare(one, other):
+        assert (one, other) == (best, near)
+        chances = ChanceOfLoss(change["chance"], change["chance"])
+        return MotionChange({60.0: change["ratio"]}, {60.0: chances})
+
+    assert decide(listed(best, near), None, compare) is near
+    assert decide(listed(best, near)) is best
+    change["chance"] = 0.06
+    assert decide(listed(best, near), None, compare) is best
+    change |= {"chance": 0.001, "ratio": 0.95}
+    assert decide(listed(best, near), None, compare) is best
+    change["ratio"] = 0.6
+    behind = judged("roll-coupling", 49.0)
+    assert decide(listed(best, behind), None, compare) is best
+    unsteady = judged("roll-coupling", 55.0, UNSTEADY)
+    assert decide(listed(best, unsteady), None, compare) is best
+    assert AcceptedEffect(near, listed(best, near)).rivals == ("clock-drift",)
+
+
+def test_the_motion_does_not_make_a_wind_of_a_property_of_the_hull():
+    hull, wind = judged("roll-coupling", 60.0), judged("wind", 58.0)
+    better = MotionChange({60.0: 0.5}, {60.0: ChanceOfLoss(0.0, 0.0)})
+    assert decide(listed(hull, wind), None, lambda one, other: better) is hull
+
+
 def test_a_size_that_is_nearly_one_does_where_the_motion_is_predicted_better():
     better = MotionChange({20.0: 0.3}, {20.0: ChanceOfLoss(0.0, 0.0)})
     assert better.is_better and not better.is_worse

@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.screening import CONFUSABLE
+from diffsea.identification.free_predictions import MotionChange
 from diffsea.identification.problem import Problem
 from diffsea.vessel.effects import catalogue_name
 
@@ -118,13 +119,16 @@ class ShortList:
 
 
 def decide(
-    short_list: ShortList, exchange: Callable[[Hypothesis], Hypothesis] | None
+    short_list: ShortList,
+    exchange: Callable[[Hypothesis], Hypothesis] | None = None,
+    compare: Callable[[Hypothesis, Hypothesis], MotionChange] | None = None,
 ) -> Hypothesis | None:
     """The best hypothesis for which evidence and held-out data both speak.
 
     It is the one that all data support most, or one that they support nearly as well, the plainer
     one before the other. Where held-out data leave one undecided, they and the training data change
-    places: `exchange` judges it there, too; None where they cannot.
+    places: `exchange` judges it there, too; None where they cannot. Of several that stand, the
+    motion tells: `compare` says how free predictions change from one to the other.
     """
     inflation = short_list.inflation
     for one in short_list.plainest_first:
@@ -137,9 +141,29 @@ def decide(
             # Not part of its support: the training data speak in the evidence already, and the
             # others are not asked.
             one = exchange(one)
-        if one.has_one_size and one.predicts_motion and one.has_held_out_support:
-            return one
+        if one.stands:
+            return one if compare is None else _best_of_motion(one, short_list, compare)
     return None
+
+
+def _best_of_motion(
+    chosen: Hypothesis,
+    short_list: ShortList,
+    compare: Callable[[Hypothesis, Hypothesis], MotionChange],
+) -> Hypothesis:
+    """The chosen one, or one supported nearly as well that predicts motion noticeably better.
+
+    Single steps are predicted by noise as well as by a model, and free predictions by the model
+    alone. One that is less plain is not asked.
+    """
+    inflation, first = short_list.inflation, chosen
+    for other in short_list.judged:
+        behind = first.support(inflation) - other.support(inflation)
+        if behind > EVIDENCE or other.is_akin_to(first) or first.is_plainer_than(other):
+            continue
+        if other.evidence(inflation) > short_list.needed and other.stands:
+            chosen = other if compare(chosen, other).is_noticeably_better else chosen
+    return chosen
 
 
 @dataclasses.dataclass(frozen=True)

@@ -138,6 +138,11 @@ class Hypothesis:
             return gain is not None
         return gain.open and self.motion is not None and self.motion.is_probably_better
 
+    @property
+    def stands(self) -> bool:
+        """Whether it has one size, predicts motion no worse, and held-out data speak for it."""
+        return self.has_one_size and self.predicts_motion and self.has_held_out_support
+
     def still_stands(self, needed: float) -> bool:
         """Whether an effect that held-out data spoke for once is still needed beside others.
 

@@ -7,7 +7,6 @@ explain or nothing explains it. What was accepted early is asked for again besid
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from diffsea.budget import current_budget, on_every_core
@@ -23,6 +22,7 @@ from diffsea.diagnosis.refits import (
 )
 from diffsea.diagnosis.screening import Screening, screen
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate
+from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Split, has_own_environment
 from diffsea.identification.problem import Problem
 from diffsea.progress import Progress
@@ -119,14 +119,13 @@ def forward_search(
         tried = refit_candidates(data, now.final, now.final_screening, progress, among)
         if not now.searched:
             now = replace(now, short_list=tried)
-        exchange = _exchange(data, now.final, progress) if effort.insists else lambda one: one
-        best = decide(tried, exchange)
+        best = _decide(data, now.final, tried, progress, effort.insists)
         if best is None and not effort.insists:
             break
         if best is None and (others := tried.left_behind()):
             progress("none of the likeliest causes holds; others are asked for")
             further = refit_candidates(data, now.final, now.final_screening, progress, others)
-            best = decide(further, _exchange(data, now.final, progress))
+            best = _decide(data, now.final, further, progress)
             tried = tried if best is None else further
         if best is None:
             room = len(now.searched) < MOST_EFFECTS - 1
@@ -167,7 +166,7 @@ def find_pair(
         progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
         screening = screen(data.train, one.estimate)
         beside = refit_candidates(data, one.estimate, screening, progress)
-        other = decide(beside, _exchange(data, one.estimate, progress))
+        other = _decide(data, one.estimate, beside, progress)
         if other is None:
             continue
         bare = refit_without(data.train, other.estimate, [one.effect])
@@ -193,18 +192,26 @@ def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) ->
     return again if gained > OWED_TO_THE_FIT * best.deviance_drop else None
 
 
-def _exchange(
-    data: Split, current: Estimate, progress: Progress
-) -> Callable[[Hypothesis], Hypothesis]:
-    """What judges a hypothesis with training and held-out data exchanged, where it is possible."""
+def _decide(
+    data: Split, current: Estimate, tried: ShortList, progress: Progress, insists: bool = True
+) -> Hypothesis | None:
+    """The hypothesis to believe of those tried beside a current model.
 
-    def judge(one: Hypothesis) -> Hypothesis:
-        if has_own_environment(data, one.estimate):
+    Where it `insists`, what held-out data leave open is judged with training and held-out data
+    exchanged, unless each run has an environment of its own.
+    """
+
+    def exchange(one: Hypothesis) -> Hypothesis:
+        if not insists or has_own_environment(data, one.estimate):
             return one
         progress(f"{one.effect}: the test alone does not decide; test and recordings change places")
         return judge_exchanged(data, current, one)
 
-    return judge
+    def compare(one: Hypothesis, other: Hypothesis) -> MotionChange:
+        progress(f"{one.effect} or {other.effect}: which predicts the motion better?")
+        return motion_change(data, one.estimate, other.estimate)
+
+    return decide(tried, exchange, compare)
 
 
 def ask_again(
@@ -223,7 +230,7 @@ def ask_again(
         bare = refit_without(data.train, current, [one.name])
         again = _refit_with_rivals(data, bare, current, one)
         tried = ShortList.of(data.train, again)
-        best = decide(tried, _exchange(data, bare, progress))
+        best = _decide(data, bare, tried, progress)
         if current_budget().skips(f"asking again for {one.name}"):
             break  # fits were cut short
         if best is None:

@@ -100,6 +100,15 @@ class MotionChange:
         """Whether they probably get better at some horizon (19 to 1), and so worse at none."""
         return self._is_below(1 - PROBABLE) and not self._is_beyond(PROBABLE)
 
+    @property
+    def is_noticeably_better(self) -> bool:
+        """Whether they probably get better, and noticeably, at one horizon, and worse at none."""
+        noticeable = any(
+            max(both) < 1 - PROBABLE and self.ratio[horizon] < 1 / NOTICEABLE
+            for horizon, both in self.worse.items()
+        )
+        return noticeable and not self._is_beyond(PROBABLE)
+
     def holds_by(self, more: "MotionChange") -> bool:
         """Whether what gets better here beyond chance probably does by more runs, too (19 to 1).
 

@@ -144,7 +144,7 @@ def thrust_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
 
 
 PROPULSION = OrderedChannels("propulsion")
-LEAST_EXPONENT = 0.1  # of a thrust curve: below, every order is full ahead or full astern
+LEAST_EXPONENT = 0.5  # of a thrust curve: less, and a square law grows more slowly than orders
 LEAST_GAIN = 0.1  # of the thrust that a file states: less is another thruster
 LEAST_LOSS = 1e-3  # at the largest order: a limit that takes less is reported as one that takes it
 
