@@ -1,6 +1,7 @@
 # The public names of diffsea; each is loaded when it is first used.
 from .diagnosis.verdict import Diagnosis as Diagnosis
 from .errors import UserError as UserError
+from .identification.kept_fits import fits_kept as fits_kept
 from .identification.study import Study as Study
 from .metrics.recorded import recording_metrics as recording_metrics
 from .parameters import Parameter as Parameter

@@ -76,27 +76,26 @@ def time_budget(seconds: float) -> Iterator[Budget]:
         _current.reset(token)
 
 
-def in_this_budget(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with the budget of now, for threads, which begin without any."""
-    left = current_budget()
+def in_this_context(function: Callable[P, R]) -> Callable[P, R]:
+    """The function with the budget of now and all else that holds for the work that asks.
 
-    def budgeted(*args: P.args, **kwargs: P.kwargs) -> R:
-        token = _current.set(left)
-        try:
-            return function(*args, **kwargs)
-        finally:
-            _current.reset(token)
+    For threads, which begin without any.
+    """
+    context = contextvars.copy_context()
 
-    return budgeted
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        return context.copy().run(function, *args, **kwargs)
+
+    return called
 
 
 def on_every_core(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """What a function gives of each item, several at a time, in threads that share this budget.
+    """What a function gives of each item, several at a time, in threads that share this context.
 
     A compiled program runs on one core and lets other threads run meanwhile.
     """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(in_this_budget(function), items))
+        return list(pool.map(in_this_context(function), items))
 
 
 def left_out_sentence(left_out: Sequence[str]) -> str:

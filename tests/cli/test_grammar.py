@@ -1,6 +1,8 @@
 """What the command line answers to no word, to a near miss, and what a shell completes."""
 
+import argparse
 import json
+import pathlib
 import re
 import subprocess
 import sys
@@ -13,6 +15,7 @@ from tests.paths import ROOT
 
 from diffsea.cli import identification, main, make_parser, recordings, shipped_names, trial
 from diffsea.cli.grammar import GREETING
+from diffsea.cli.options import parts_folder
 from diffsea.identification.study import OBJECTIVES
 from diffsea.metrics import RECORDED_TRIALS
 from diffsea.simulation.standard import STANDARD_TRIALS
@@ -122,3 +125,14 @@ def test_completion_without_its_package_says_what_to_install(monkeypatch, capsys
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 1
     assert "pip install 'diffsea[completion]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "parts"),
+    [("out/boat", "out/boat-parts"), (".", "parts"), ("..", "../parts"), ("/", "/parts")],
+)
+def test_parts_lie_beside_the_results_and_within_a_folder_without_a_name(given, parts):
+    args = argparse.Namespace(output=pathlib.Path(given), parts=None)
+    assert parts_folder(args) == pathlib.Path(parts)
+    args.parts = pathlib.Path("elsewhere")
+    assert parts_folder(args) == pathlib.Path("elsewhere")

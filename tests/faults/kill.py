@@ -1,11 +1,14 @@
-"""A sweep is killed at a random moment and begun again: the results are those of one left alone.
+"""Long work is killed at a random moment and begun again: the results are those of one left alone.
 
     python -m tests.faults.kill --rounds 200
+    python -m tests.faults.kill --rounds 200 --of diagnosis
 
 Counts go into results.json beside those of failing calls.
 """
 
 import argparse
+import contextlib
+import dataclasses
 import json
 import os
 import pathlib
@@ -14,30 +17,64 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
-from tests.boats import BOAT
+from tests.faults.commands import ZIGZAG, write_inputs
 
 
 RESULTS = pathlib.Path(__file__).with_name("results.json")
-DESIGNS = ("--grid", "mass=180:220:3", "N_r=-400:-200:4", "--part", "2")
-TRIAL = ("--manoeuvre", "zigzag", "--executes", "2", "--step", "0.1")
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """A command that takes long: its words, its parts, and whether these stay in the end."""
+
+    words: tuple[str, ...]  # names of inputs among them
+    parts: str  # pattern, in the folder of parts
+    parts_stay: bool
+
+
+WORKS = {
+    "sweep": Work(
+        (
+            "sweep",
+            "boat.toml",
+            *ZIGZAG,
+            "--grid",
+            "mass=180:220:3",
+            "N_r=-400:-200:4",
+            "--part",
+            "2",
+        ),
+        "*/part-*.parquet",
+        True,
+    ),
+    "diagnosis": Work(
+        ("diagnose", "wrong.toml", "run.csv", "--test", "other.csv", "--free", "X_u,N_r"),
+        "fit-*.npz",
+        False,
+    ),
+}
 
 
 class Kills:
-    """Rounds of a sweep in a folder, each killed once and then begun again."""
+    """Rounds of long work in a folder, each killed once and then begun again."""
 
-    def __init__(self, folder):
-        self.folder = folder
-        (folder / "boat.toml").write_text(BOAT)
+    def __init__(self, folder, work):
+        self.inputs, self.folder, self.work = folder / "inputs", folder, work
+        write_inputs(self.inputs)
+        boat = (self.inputs / "boat.toml").read_text()
+        (self.inputs / "wrong.toml").write_text(boat.replace("N_rr = -300.0", ""))
         self._run("first")  # compiles
         began = time.monotonic()
-        self._run("alone")
+        self.count = self._run("alone")
         self.seconds = time.monotonic() - began
-        self.alone, self.count = self._results("alone"), len(self._parts("alone"))
+        self.alone = self._results("alone")
 
     def _started(self, name):
-        words = ["sweep", str(self.folder / "boat.toml"), *TRIAL, *DESIGNS]
+        files = {one.name: str(one) for one in self.inputs.iterdir()}
+        words = [files.get(word, word) for word in self.work.words]
         return subprocess.Popen(
             [sys.executable, "-m", "diffsea", *words, "-o", str(self.folder / name)],
             stdout=subprocess.DEVNULL,
@@ -47,17 +84,27 @@ class Kills:
         )
 
     def _run(self, name):
-        process = self._started(name)
-        said = process.communicate()[1]
-        assert process.returncode == 0, said
+        """Work that is left alone; how many parts were seen."""
+        process, seen = self._started(name), 0
+        reading = threading.Thread(target=process.communicate)
+        reading.start()  # what is said must not fill the pipe
+        while process.poll() is None:
+            seen = max(seen, len(self._parts(name)))
+            time.sleep(1e-2)
+        reading.join()
+        assert process.returncode == 0, process.args
+        return max(seen, len(self._parts(name)))
 
     def _results(self, name):
         return {one.name: one.read_bytes() for one in sorted((self.folder / name).iterdir())}
 
     def _parts(self, name):
         """Finished parts, by name; each with what changes when it is written again."""
-        found = (self.folder / f"{name}-parts").glob("*/part-*.parquet")
-        return {one.name: (one.stat().st_ino, one.stat().st_mtime_ns) for one in found}
+        found = {}
+        for one in (self.folder / f"{name}-parts").glob(self.work.parts):
+            with contextlib.suppress(FileNotFoundError):  # it goes just now
+                found[one.name] = one.stat().st_ino, one.stat().st_mtime_ns
+        return found
 
     def moment(self, draw):
         """When to kill: so many parts are there, and so many seconds more have passed.
@@ -90,8 +137,10 @@ class Kills:
             return len(before), f"results that are not whole after the kill: {left}"
         self._run("killed")
         after = self._parts("killed")
-        if any(after[name] != was for name, was in before.items()):
+        if self.work.parts_stay and any(after[name] != was for name, was in before.items()):
             return len(before), "a finished part was done again"
+        if not self.work.parts_stay and (self.folder / "killed-parts").exists():
+            return len(before), "parts were left when all was done"
         hidden = [str(one) for one in self.folder.glob("killed*/**/.*")]
         if hidden:
             return len(before), f"left {hidden}"
@@ -106,19 +155,20 @@ class Kills:
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rounds", type=int, default=200)
+    parser.add_argument("--of", choices=WORKS, default="sweep")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--results", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
     results = json.loads(args.results.read_text()) if args.results.exists() else {}
     draw, parts, breaches = random.Random(args.seed), [], []
     with tempfile.TemporaryDirectory() as folder:
-        kills = Kills(pathlib.Path(folder))
+        kills = Kills(pathlib.Path(folder), WORKS[args.of])
         for number in range(args.rounds):
             left, wrong = kills.breach(*kills.moment(draw))
             parts.append(left)
             breaches += [wrong] if wrong else []
             print(number, left, wrong, flush=True)
-            results["kills of a sweep"] = {
+            results[f"kills of a {args.of}"] = {
                 "rounds": len(parts),
                 "within_the_parts": sum(0 < n < kills.count for n in parts),
                 "breaches": len(breaches),

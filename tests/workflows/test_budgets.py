@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from tests.boats import BOAT, CROSS_FLOW
 
-from diffsea.budget import Budget, current_budget, in_this_budget, time_budget
+from diffsea.budget import Budget, current_budget, in_this_context, time_budget
 from diffsea.cli import main
 from diffsea.cli.outputs import json_text
 
@@ -84,6 +84,28 @@ def test_a_stiff_or_a_wild_vessel_ends_soon_after_its_budget(job, boat, data, tm
     assert (status == 0 and record["complete"] is False) or "diverges" in told
 
 
+def test_a_fit_that_is_interrupted_goes_on_from_its_fits(data, tmp_path, capsys, monkeypatch):
+    """Interrupted while it predicts, and begun again: the results are those of one left alone."""
+
+    def stop(*args):
+        raise KeyboardInterrupt
+
+    names = "fit.json", "vessel.toml", "report.html"
+    assert done("fit", data, tmp_path / "alone")[0] == 0
+    assert [one.name for one in tmp_path.iterdir()] == ["alone"]
+    out, parts = tmp_path / "out", tmp_path / "fits"
+    with monkeypatch.context() as patch:
+        patch.setattr("diffsea.workflows.identification.compare_fit", stop)
+        assert done("fit", data, out, "--parts", str(parts))[0] == 130
+    assert list(parts.iterdir()) and not out.exists()
+    capsys.readouterr()
+    assert done("fit", data, out, "--parts", str(parts))[0] == 0
+    assert f"taken from {parts}" in capsys.readouterr().err
+    assert not parts.exists()
+    for name in names:
+        assert (out / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+
 def test_minutes_name_what_they_leave_out(data, tmp_path):
     status, record, _ = done("diagnose", data, tmp_path, "--minutes", "1e-6")
     assert status == 0 and record["complete"] is False and record["left_out"]
@@ -95,7 +117,7 @@ def test_threads_have_the_budget_of_who_starts_them_and_nobody_else_has_any():
 
     found = []
     with time_budget(-1.0) as left:
-        work = in_this_budget(lambda: found.append(current_budget().skips("a thing")))
+        work = in_this_context(lambda: found.append(current_budget().skips("a thing")))
         for target in (work, lambda: found.append(current_budget().skips("another"))):
             thread = threading.Thread(target=target)
             thread.start()

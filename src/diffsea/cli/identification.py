@@ -80,6 +80,7 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "--anchor", ANCHORS, anchor)
     budget = "begin no further step of any stage after so long; results say what was left out"
     add_option(parser, "--budget", "SECONDS", options.positive, budget, default=math.inf)
+    options.add_parts(parser, "that keeps fits until all is done")
     add_flag(parser, "--keep-idle", "keep stretches of logs at rest, disarmed or carried about")
     quick = "a first look in less time; what it has not done is told"
     add_flag(parser, "--quick", quick)
@@ -104,8 +105,11 @@ def fit_command(args: argparse.Namespace) -> None:
       diffsea fit ship.toml sea_trial.toml
       diffsea fit ship.toml sea_trial.toml log.csv --test other.csv
     """
-    began = time.monotonic()
-    with Outputs(args.output) as out, StagedProgress(OF_FIT) as tell:
+    from diffsea.identification.kept_fits import fits_kept
+
+    began, parts = time.monotonic(), options.parts_folder(args)
+    with fits_kept(parts) as kept, Outputs(args.output) as out, StagedProgress(OF_FIT) as tell:
+        kept.tell = tell
         tell("reading")
         from diffsea.report.fit import fit_report
         from diffsea.report.predictions import horizon_table
@@ -284,8 +288,10 @@ def diagnose_command(args: argparse.Namespace) -> None:
     """
     if args.quick and args.next_manoeuvre is not None:
         raise UserError("--quick looks for no manoeuvre; leave it or --next-manoeuvre out")
+    from diffsea.identification.kept_fits import fits_kept
+
     began = time.monotonic()
-    with Outputs(args.output) as out:
+    with fits_kept(options.parts_folder(args)) as kept, Outputs(args.output) as out:
         import pandas as pd
 
         from diffsea.diagnosis.experiment import commands
@@ -295,6 +301,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
 
         next_csv = args.next_manoeuvre and out.elsewhere(args.next_manoeuvre, "--next-manoeuvre")
         with StagedProgress(OF_DIAGNOSIS) as tell:
+            kept.tell = tell
             tell("reading")
             file = options.read_vessel(args)
             runs, test = options.read_fitted_and_held_out(args)

@@ -124,6 +124,22 @@ def add_cluster(parser: Parser, what: str) -> None:
     add_option(parser, "--cluster", "ADDRESS", str, text)
 
 
+def add_parts(parser: Parser, what: str) -> None:
+    """`--parts`: the folder of parts of long work, `what` says which."""
+    text = f"folder {what} (default: DIR with -parts at its end)"
+    add_option(parser, "--parts", "FOLDER", pathlib.Path, text)
+
+
+def parts_folder(args: argparse.Namespace) -> pathlib.Path:
+    """The folder of parts that is asked for, or the one beside the folder of results.
+
+    Within that one if it has no name of its own (`.`).
+    """
+    out: pathlib.Path = args.output
+    named = out.name not in ("", "..")
+    return args.parts or (out.with_name(f"{out.name}-parts") if named else out / "parts")
+
+
 # Types of arguments. A bad value is bad usage: argparse tells it and ends with status 2.
 
 

@@ -5,6 +5,7 @@ the parameters. A few rounds converge.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, 
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, search_programs
+from diffsea.identification.kept_fits import kept_fit
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.identification.residual import innovations_at, linearise
 from diffsea.progress import PartialProgress, Progress, no_progress
@@ -91,8 +93,7 @@ def estimate(
 ) -> Estimate:
     """Fit the free coordinates by name (parameters and effects), from `start`.
 
-    Every round lowers the deviance: first by the noise, so that the innovations are weighed
-    rightly, then by the parameters. None is begun once the budget is spent.
+    Where fits are kept (`kept_fits`), one that was made before is taken from there.
 
     Arguments:
         start: coordinates to begin at, those that are not free included; the prior mean if None.
@@ -102,6 +103,26 @@ def estimate(
     coordinates, first = problem.start()
     coordinates = coordinates if start is None else np.array(start, float)
     noise, steps = (first, FIRST_NOISE_STEPS) if noise is None else (noise, NOISE_STEPS)
+    settings = free, coordinates, noise, steps, rounds, fixed_noise
+    search = functools.partial(_search, problem, *settings)
+    return kept_fit(problem, settings, search, progress)
+
+
+def _search(
+    problem: Problem,
+    free: tuple[str, ...],
+    coordinates: Coordinates,
+    noise: Noise,
+    steps: int,
+    rounds: int,
+    fixed_noise: bool,
+    progress: Progress,
+) -> Estimate:
+    """The fit from some coordinates, with so many `steps` of the noise in the first round.
+
+    Every round lowers the deviance: first by the noise, so that the innovations are weighed
+    rightly, then by the parameters. None is begun once the budget is spent.
+    """
     index = np.array(problem.layout.indices(free), int)
     data = problem.dataset
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))

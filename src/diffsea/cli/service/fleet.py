@@ -29,8 +29,7 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--free", "NAMES", options.names, free)
     environment = "whether wind and current are the same in all recordings of a boat"
     add_choice(parser, "--environment", ("shared", "per-recording"), environment)
-    parts = "folder in which boats that are done are kept (default: DIR with -parts at its end)"
-    add_option(parser, "--parts", "FOLDER", pathlib.Path, parts)
+    options.add_parts(parser, "in which boats that are done are kept")
 
 
 def fleet_command(args: argparse.Namespace) -> None:
@@ -66,7 +65,7 @@ def fleet_command(args: argparse.Namespace) -> None:
             minutes=args.minutes,
             free=args.free,
             per_recording=args.environment == "per-recording",
-            parts=args.parts or args.output.with_name(f"{args.output.name}-parts"),
+            parts=options.parts_folder(args),
             progress=follow,
             cluster=args.cluster,
         )

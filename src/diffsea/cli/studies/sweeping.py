@@ -56,8 +56,7 @@ def register(commands: options.Commands) -> None:
     shard = "do every n-th part from the i-th on, and merge nothing"
     add_option(group, "--shard", "I/N", shard_of, shard)
     add_flag(group, "--resume", "only go on: refuse where no part of this very sweep is there")
-    folder = "folder in which parts that are done are kept (default: DIR with -parts at its end)"
-    add_option(group, "--parts", "FOLDER", pathlib.Path, folder)
+    options.add_parts(group, "in which parts that are done are kept")
     options.add_cluster(group, "the parts")
     group = sweep.add_argument_group("what is looked for")
     front = "designs that no other beats: the least of each number, or the most (NAME:most)"
@@ -184,7 +183,7 @@ def _do_parts(
     """The parts that the options ask for, those of the shard done."""
     from diffsea.studies import parts as kept
 
-    folder = args.parts or args.output.with_name(f"{args.output.name}-parts")
+    folder = options.parts_folder(args)
     parts = kept.parts_of(folder, file.vessel, file.document, plan, designs, args.part)
     if args.resume and not (parts.folder / kept.MANIFEST).exists():
         raise UserError(

@@ -1,0 +1,214 @@
+"""Fits that are kept as they end, so that work which was killed goes on from there.
+
+A fit lies in a file named by the hash of all that it follows from: data, vessel, what is free,
+where it starts, versions. Whoever does the same again finds it there, to the last bit.
+"""
+
+import contextlib
+import contextvars
+import dataclasses
+import hashlib
+import importlib.metadata
+import math
+import re
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from diffsea.identification.estimates import Estimate, FitOutcome
+from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.problem import Problem
+from diffsea.outside.durable import written_beside
+from diffsea.progress import PartialProgress, Progress, Remark, no_progress
+
+
+_ADDRESS = re.compile(r" at 0x[0-9a-f]+")  # of a function, which differs from run to run
+_NUMBERS = (
+    *("coordinates", "deviance", "index", "covariance", "information", "precision"),
+    *("shrinkage", "inflation", "path"),
+)
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+@dataclasses.dataclass(frozen=True)
+class KeptFit:
+    """A fit, and what it said on its way."""
+
+    fit: Estimate
+    said: list[str]  # some of them `PartialProgress`
+
+
+class KeptFits:
+    """The fits of some work in a folder, which is made with the first of them."""
+
+    def __init__(self, folder: Path, tell: Progress = no_progress):
+        """Nothing is written yet. `tell` is told that fits were there, or that none can be kept."""
+        self.folder, self.tell = folder, tell
+        self.found = 0
+        self.writes = True
+        self._problems: list[tuple[Problem, bytes]] = []
+
+    def get(
+        self, problem: Problem, settings: Any, fit: Callable[[Progress], Estimate], to: Progress
+    ) -> Estimate:
+        """The fit of these settings, if it was kept; else a new one, which is kept if it ended.
+
+        What it says on its way goes `to` whoever follows, in either case.
+        """
+        file = self.folder / f"fit-{self._key(problem, settings)}.npz"
+        if (kept := _read(file)) is not None:
+            self.found += 1
+            if self.found == 1:
+                self.tell(Remark(f"fits that were done before are taken from {self.folder}"))
+            for message in kept.said:
+                to(message)
+            return kept.fit
+        said: list[str] = []
+
+        def follow(message: str) -> None:
+            said.append(message)
+            to(message)
+
+        made = fit(follow)
+        if self.writes and made.outcome is not FitOutcome.OUT_OF_TIME:
+            self._write(file, KeptFit(made, said))
+        return made
+
+    def _write(self, file: Path, made: "KeptFit") -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with written_beside(file) as beside, beside.open("wb") as opened:
+                np.savez(opened, allow_pickle=False, **_as_arrays(made))
+        except OSError as error:
+            self.writes = False
+            told = f"fits are not kept: cannot write {error.filename or file}: {error.strerror}"
+            self.tell(Remark(told))
+
+    def _key(self, problem: Problem, settings: Any) -> str:
+        arrays, structure = jax.tree.flatten(settings)
+        key = hashlib.sha256(self._problem_digest(problem))
+        key.update(_plain(structure))
+        for array in arrays:
+            key.update(_plain(array) if isinstance(array, str) else _bits(array))
+        return key.hexdigest()[:32]
+
+    def _problem_digest(self, problem: Problem) -> bytes:
+        for known, digest in self._problems:
+            if known is problem:
+                return digest
+        digest = _digest(problem)
+        self._problems.append((problem, digest))
+        return digest
+
+    def remove(self) -> None:
+        """Remove what was kept, and the folder if nothing else lies there."""
+        for file in self.folder.glob("fit-*.npz"):
+            file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it is not there, or holds what others have put there
+            self.folder.rmdir()
+
+
+_current: contextvars.ContextVar[KeptFits | None] = contextvars.ContextVar("kept", default=None)
+
+
+@contextlib.contextmanager
+def fits_kept(folder: Path | str, tell: Progress = no_progress) -> Iterator[KeptFits]:
+    """Keep the fits of the innovation likelihood that are made within, and take those kept before.
+
+        with diffsea.fits_kept("boat-parts"):
+            found = diffsea.diagnose("boat.toml", runs)
+
+    They stay in the folder if the work is killed or interrupted, and are removed once it has ended:
+    then its results are what is kept. What has a time of its own (`budget`) keeps no fit that was
+    cut short.
+    """
+    kept = KeptFits(Path(folder), tell)
+    token = _current.set(kept)
+    try:
+        yield kept
+    except Exception:
+        kept.remove()
+        raise
+    else:
+        kept.remove()
+    finally:
+        _current.reset(token)
+
+
+def kept_fit(
+    problem: Problem, settings: Any, fit: Callable[[Progress], Estimate], progress: Progress
+) -> Estimate:
+    """A fit as it was kept, or made and kept, where fits are; a new one elsewhere.
+
+    Arguments:
+        settings: all that it depends on besides the problem: a tree of arrays, numbers and text.
+    """
+    kept = _current.get()
+    if kept is None or problem.further is not None:
+        return fit(progress)
+    return kept.get(problem, settings, fit, progress)
+
+
+def _digest(problem: Problem) -> bytes:
+    """A hash of a problem and of the versions by which it is solved."""
+    leaves, structure = jax.tree.flatten((problem.base, problem.dataset, problem.prior))
+    layout = problem.layout
+    effects = tuple(effect.name for effect in layout.effects)
+    plain = layout.parameters, effects, layout.sizes, layout.runs, layout.per_run, layout.latest
+    versions = [importlib.metadata.version(name) for name in ("diffsea", "jaxlib", "numpy")]
+    digest = hashlib.sha256(_plain((structure, plain, versions)))
+    for leaf in leaves:
+        digest.update(_bits(leaf))
+    return digest.digest()
+
+
+def _plain(value: Any) -> bytes:
+    return _ADDRESS.sub("", repr(value)).encode()
+
+
+def _bits(leaf: Any) -> bytes:
+    array = np.asarray(leaf)
+    return _plain((array.dtype.str, array.shape)) + array.tobytes()
+
+
+def _as_arrays(kept: KeptFit) -> dict[str, np.ndarray]:
+    """A fit as arrays of numbers and text."""
+    fit, shares = kept.fit, [getattr(message, "share", math.nan) for message in kept.said]
+    named = {name: np.asarray(getattr(fit, name)) for name in _NUMBERS}
+    return named | {
+        "free": np.array(fit.free, str),
+        "noise": np.asarray(fit.noise.scales),
+        "outcome": np.array(fit.outcome.value),
+        "said": np.array([str(message) for message in kept.said], str),
+        "shares": np.array(shares, float),
+    }
+
+
+def _read(file: Path) -> KeptFit | None:
+    """A fit that was kept; None where there is none, or its file is damaged."""
+    try:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as read:
+            found = {name: read[name] for name in read.files}
+        fit = Estimate(
+            free=tuple(map(str, found["free"])),
+            coordinates=found["coordinates"],
+            deviance=float(found["deviance"]),
+            index=found["index"],
+            covariance=found["covariance"],
+            information=found["information"],
+            precision=found["precision"],
+            shrinkage=found["shrinkage"],
+            inflation=float(found["inflation"]),
+            state=Noise.of(found["noise"]),
+            path=tuple(found["path"].tolist()),
+            outcome=FitOutcome(str(found["outcome"])),
+        )
+        told = zip(map(str, found["said"]), map(float, found["shares"]), strict=True)
+        said = [text if math.isnan(share) else PartialProgress(text, share) for text, share in told]
+        return KeptFit(fit, said)
+    except _DAMAGED:
+        return None
