@@ -74,7 +74,7 @@ class Kills:
 
     def _started(self, name):
         files = {one.name: str(one) for one in self.inputs.iterdir()}
-        words = [files.get(word, word) for word in self.work.words]
+        words = [str(files.get(word, word)) for word in self.work.words]
         return subprocess.Popen(
             [sys.executable, "-m", "diffsea", *words, "-o", str(self.folder / name)],
             stdout=subprocess.DEVNULL,
