@@ -30,7 +30,7 @@ from diffsea.identification.problem import Problem
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
-from diffsea.vessel.effects.coordinates import PRIOR_SPREAD, Peaks, Size
+from diffsea.vessel.effects.coordinates import PRIOR_SPREAD, Jump, Peaks, Size, vessel_time
 
 
 SHORT_LIST = 6  # of the strongest candidates, all refitted
@@ -39,6 +39,8 @@ CONFUSABLE = 0.5  # share of information mimicked from which on a rival is alway
 DECLARED = 0.2  # share of the best expected evidence from which on a declared confusable is, too
 WORTHWHILE = 0.15  # share of the best expected evidence below which a refit is not worth its time
 ALWAYS = 3  # candidates that are refitted however little they promise
+SETTLED = 2.0  # sqrt(L / g) after a step of a sensor: until then the filter settles
+SETTLING_ROWS = 3.0  # at least
 REFINEMENTS = (4.0, 16.0)  # of the grid of onsets or frequencies around the best expansion point
 PEAKS = 4  # of a spectrum, or of surprising readings, at which an effect is expanded
 COMMON_CLOCK = 2.0  # times the longest run: clocks of runs that lie within it begin together
@@ -124,15 +126,19 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
     peaks = Peaks(frequencies, jumps(problem, fitted))
     effects = [effect for effect in problem.layout.effects if effect.name not in fitted.free]
     best: dict[str, Candidate] = {}
+    promise: dict[str, float] = {}  # by all readings, which tell best when something begins
 
     def test_points(points: list[ExpansionPoint]) -> list[Columns]:
         """Keep those that promise more than what was tried before; the columns of all."""
-        columns = [projection.efficient(J) for J in model.by_points(points)]
-        for point, E in zip(points, columns, strict=True):
-            score, name = one_sided(point, projection.test(E)), point.effect
-            one = Candidate(point, score, E, expected_evidence(score, E), spacing[name])
-            if name not in best or one.expected > best[name].expected:
-                best[name] = one
+        columns = []
+        for point, J in zip(points, model.by_points(points), strict=True):
+            E, name = projection.efficient(J), point.effect
+            at_all = expected_evidence(one_sided(point, projection.test(E)), E)
+            E = lasting(problem, point, E)
+            columns.append(E)
+            if name not in best or at_all > promise[name]:
+                score, promise[name] = one_sided(point, projection.test(E)), at_all
+                best[name] = Candidate(point, score, E, expected_evidence(score, E), spacing[name])
         return columns
 
     points = [
@@ -153,6 +159,25 @@ def screen(problem: Problem, fitted: Estimate) -> Screening:
         for name, one in best.items()
     }
     return Screening(best, cells, _null_distribution(projection, columns, unnamed))
+
+
+def lasting(problem: Problem, point: ExpansionPoint, E: Columns) -> Columns:
+    """Efficient columns of a candidate; of a step of a sensor, without those of its moment.
+
+    One reading that surprises, and those after it by which the filter settles, may be anything: a
+    gust, a wild value. A step is what stays.
+    """
+    scanned = EFFECTS[point.effect].scanned
+    if scanned is None or not isinstance(scanned[1], Jump):
+        return E
+    data, (place, _) = problem.dataset, scanned
+    begins = point.at[place] * EFFECTS[point.effect].sizes(problem.base)[place]
+    since = np.asarray(data.run_time) - begins
+    usual = float(np.median(np.asarray(data.dt)))
+    settling = max(SETTLED * float(vessel_time(problem.base)), SETTLING_ROWS * usual)
+    moment = (since > 0) & (since <= settling)
+    rows = np.concatenate([np.repeat(moment, 6), np.zeros(len(E) - 6 * len(moment), bool)])
+    return np.where(rows[:, None], 0.0, E)
 
 
 def one_sided(point: ExpansionPoint, score: ScoreTest) -> ScoreTest:
