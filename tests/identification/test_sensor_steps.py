@@ -3,8 +3,11 @@
 at the reading, and fitted to their size.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import random_steps
@@ -49,3 +52,18 @@ def test_a_step_is_found_where_it_is_and_fitted_to_its_size(name):
     assert std < 0.1 * abs(size)
     assert time == pytest.approx(table["time"], abs=0.5 * STEP + 0.01 if "angle" in table else 1.0)
     assert nominal.deviance - fit.deviance > 100
+
+
+def test_a_turn_that_no_model_knows_is_no_step_of_the_compass():
+    """A kick turns the boat by 0.1 rad between two readings, and nothing tells where she goes."""
+    t = np.arange(-1.0, 61.0, 0.05)
+    yaw = np.where((t > 24.2) & (t <= 24.4), 2.5, np.where((t > 24.4) & (t <= 24.6), -2.5, 0.0))
+    kick = CubicSpline(t, np.stack([0 * t, 0 * t, yaw], axis=1))
+    document = load(str(ORACLE / "usv.toml"))
+    run = random_steps(document, 5, 60.0, STEP, {}, kick)
+    unknown = np.full(run.t.shape, np.nan)
+    run = dataclasses.replace(run, x=unknown, y=unknown, r=unknown)
+    effects = tuple(EFFECTS[name] for name in STEPS)
+    problem = make_problem(build(document), [run], FREE, effects)
+    found = screen(problem, estimate(problem, FREE)).candidates["heading-offset:step"]
+    assert found.expected < 5.0
