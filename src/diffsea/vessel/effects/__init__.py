@@ -10,6 +10,7 @@ from diffsea.vessel.effects.actuators import ACTUATORS
 from diffsea.vessel.effects.coordinates import Coefficient as Coefficient
 from diffsea.vessel.effects.coordinates import Coordinate as Coordinate
 from diffsea.vessel.effects.coordinates import Frequency as Frequency
+from diffsea.vessel.effects.coordinates import Jump as Jump
 from diffsea.vessel.effects.coordinates import Onset as Onset
 from diffsea.vessel.effects.coordinates import Size as Size
 from diffsea.vessel.effects.entry import Effect as Effect
