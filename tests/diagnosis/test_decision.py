@@ -71,7 +71,7 @@ def test_what_predicts_the_motion_worse_gets_no_name_and_the_next_one_does():
 
 def test_of_two_that_are_supported_nearly_as_well_the_motion_tells():
     best, near = judged("clock-drift", 60.0), judged("roll-coupling", 55.0)
-    change = {"ratio": 0.6, "chance": 0.04}
+    change = {"ratio": 0.6, "chance": 0.009}
 
     def compare(one, other):
         assert (one, other) == (best, near)
@@ -80,7 +80,7 @@ def test_of_two_that_are_supported_nearly_as_well_the_motion_tells():
 
     assert decide(listed(best, near), None, compare) is near
     assert decide(listed(best, near)) is best
-    change["chance"] = 0.06
+    change["chance"] = 0.011
     assert decide(listed(best, near), None, compare) is best
     change |= {"chance": 0.001, "ratio": 0.95}
     assert decide(listed(best, near), None, compare) is best

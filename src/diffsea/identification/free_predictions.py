@@ -102,9 +102,12 @@ class MotionChange:
 
     @property
     def is_noticeably_better(self) -> bool:
-        """Whether they probably get better, and noticeably, at one horizon, and worse at none."""
+        """Whether they get better beyond chance, and noticeably, at one horizon, and worse at none.
+
+        Probably worse at none: several are compared, and one is soon better by chance.
+        """
         noticeable = any(
-            max(both) < 1 - PROBABLE and self.ratio[horizon] < 1 / NOTICEABLE
+            max(both) < 1 - BEYOND_CHANCE and self.ratio[horizon] < 1 / NOTICEABLE
             for horizon, both in self.worse.items()
         )
         return noticeable and not self._is_beyond(PROBABLE)
