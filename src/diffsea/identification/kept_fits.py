@@ -23,6 +23,7 @@ from diffsea.identification.estimates import Estimate, FitOutcome
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import Problem
 from diffsea.outside.durable import written_beside
+from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, Remark, no_progress
 
 
@@ -50,7 +51,6 @@ class KeptFits:
         self.folder, self.tell = folder, tell
         self.found = 0
         self.writes = True
-        self._problems: list[tuple[Problem, bytes]] = []
 
     def get(
         self, problem: Problem, settings: Any, fit: Callable[[Progress], Estimate], to: Progress
@@ -59,7 +59,7 @@ class KeptFits:
 
         What it says on its way goes `to` whoever follows, in either case.
         """
-        file = self.folder / f"fit-{self._key(problem, settings)}.npz"
+        file = self.folder / f"fit-{_key(problem, settings)}.npz"
         if (kept := _read(file)) is not None:
             self.found += 1
             if self.found == 1:
@@ -88,27 +88,14 @@ class KeptFits:
             told = f"fits are not kept: cannot write {error.filename or file}: {error.strerror}"
             self.tell(Remark(told))
 
-    def _key(self, problem: Problem, settings: Any) -> str:
-        arrays, structure = jax.tree.flatten(settings)
-        key = hashlib.sha256(self._problem_digest(problem))
-        key.update(_plain(structure))
-        for array in arrays:
-            key.update(_plain(array) if isinstance(array, str) else _bits(array))
-        return key.hexdigest()[:32]
-
-    def _problem_digest(self, problem: Problem) -> bytes:
-        for known, digest in self._problems:
-            if known is problem:
-                return digest
-        digest = _digest(problem)
-        self._problems.append((problem, digest))
-        return digest
-
     def remove(self) -> None:
-        """Remove what was kept, and the folder if nothing else lies there."""
-        for file in self.folder.glob("fit-*.npz"):
-            file.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # it is not there, or holds what others have put there
+        """Remove what was kept, and the folder if nothing else lies there; as far as possible."""
+        if not self.folder.is_dir():
+            return
+        with contextlib.suppress(OSError):  # it holds what others have put there, or is not ours
+            for file in self.folder.glob("fit-*.npz"):
+                file.unlink(missing_ok=True)
+            clear_abandoned(self.folder)
             self.folder.rmdir()
 
 
@@ -153,17 +140,17 @@ def kept_fit(
     return kept.get(problem, settings, fit, progress)
 
 
-def _digest(problem: Problem) -> bytes:
-    """A hash of a problem and of the versions by which it is solved."""
-    leaves, structure = jax.tree.flatten((problem.base, problem.dataset, problem.prior))
+def _key(problem: Problem, settings: Any) -> str:
+    """A hash of a problem, of the settings of a fit, and of the versions by which it is made."""
+    leaves, structure = jax.tree.flatten((problem.base, problem.dataset, problem.prior, settings))
     layout = problem.layout
     effects = tuple(effect.name for effect in layout.effects)
     plain = layout.parameters, effects, layout.sizes, layout.runs, layout.per_run, layout.latest
     versions = [importlib.metadata.version(name) for name in ("diffsea", "jaxlib", "numpy")]
-    digest = hashlib.sha256(_plain((structure, plain, versions)))
+    key = hashlib.sha256(_plain((structure, plain, versions)))
     for leaf in leaves:
-        digest.update(_bits(leaf))
-    return digest.digest()
+        key.update(_plain(leaf) if isinstance(leaf, str) else _bits(leaf))
+    return key.hexdigest()[:32]
 
 
 def _plain(value: Any) -> bytes:

@@ -39,12 +39,13 @@ def disagreement_findings(
     found = _latencies(heading, velocity)
     velocity = None if velocity is None else _without_slow_clock(velocity)
     compass = velocity is not None and "iron" in velocity.causes
-    for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, _VELOCITY_FAULTS)):
+    velocity_faults: _Makers = _VELOCITY_FAULTS
+    if jump is not None:
+        velocity_faults = velocity_faults | {"step": functools.partial(_heading_step, jump)}
+    for explanation, makers in ((heading, _HEADING_FAULTS), (velocity, velocity_faults)):
         if explanation is None:
             continue
         for cause in explanation.causes:
-            if cause == "step" and jump is not None:
-                found.append(_heading_step(explanation, jump))
             if cause not in makers or (compass and explanation is heading and cause == "gain"):
                 continue
             fault = makers[cause](explanation)
@@ -180,12 +181,11 @@ def _heading_offset(found: Explanation) -> Finding:
     return finding_of(fault, ("psi",), value, std, words, edit, parameters=by, doubt=doubt)
 
 
-def _heading_step(found: Explanation, jump: float) -> Finding:
+def _heading_step(jump: float, found: Explanation) -> Finding:
     value, std = found.theta["step"], found.std["step"]
     by, edit = {"time": jump, "angle": value}, Step("psi", value, jump)
     words = {"degrees": np.degrees(value), "time": jump}
-    doubt = _rival_text(found, "step")
-    return finding_of("heading-step", ("psi",), value, std, words, edit, parameters=by, doubt=doubt)
+    return finding_of("heading-step", ("psi",), value, std, words, edit, parameters=by)
 
 
 def _through_water(found: Explanation) -> Finding:
