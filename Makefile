@@ -63,7 +63,7 @@ docs: setup
 
 # Hostile inputs to every reader, in processes of their own; what breaks is kept in out/fuzz.
 fuzz: setup
-	$(BIN)/python -m tests.fuzz.run --inputs $(or $(INPUTS),1000) --seed $(or $(SEED),1)
+	$(BIN)/python -m tests.fuzz.run --inputs $(or $(INPUTS),1000)
 
 # Every call for a file of every command made to fail, and a sweep killed at random: hours.
 faults: setup

@@ -44,8 +44,10 @@ class Harness:
 
     def close(self):
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
+        self._process.stdout.close()
 
 
 def breach(ended):

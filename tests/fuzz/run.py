@@ -1,8 +1,10 @@
 """The longer run of `make fuzz`: hostile inputs to every reader, counted in results.json.
 
-    python -m tests.fuzz.run --inputs 1000 --seed 1 --only csv mat
+    python -m tests.fuzz.run --inputs 100000 --only csv mat
 
-What breaks is kept in a folder, to be made small and put into tests/corpus.
+Inputs come in blocks, each drawn by a seed of its own. A run that was stopped goes on after the
+last whole block of each reader; `--anew` begins again. What breaks is kept in a folder, to be made
+small and put into tests/corpus.
 """
 
 import argparse
@@ -12,6 +14,7 @@ import importlib.metadata
 import json
 import pathlib
 import tempfile
+import time
 
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as with_seed
@@ -20,6 +23,7 @@ from tests.fuzz.harness import Harness, breach
 from tests.fuzz.seeds import KINDS, SUFFIXES
 
 
+BLOCK = 500  # inputs drawn by one seed
 RESULTS = pathlib.Path(__file__).with_name("results.json")
 
 
@@ -51,28 +55,41 @@ def tried(kind, inputs, seed, harness, kept):
 
     before = harness.tried
     try_one()  # pyright: ignore[reportCallIssue]  # Hypothesis gives the content
-    counts = {"inputs": harness.tried - before, **statuses, "breaches": sum(found.values())}
-    return counts, found
+    return {"inputs": harness.tried - before, **statuses, "breaches": sum(found.values())}
+
+
+def with_block(results, kind, counts):
+    """The counts of a reader with those of one more block."""
+    had = results.get(kind, {})
+    sums = {key: had.get(key, 0) + n for key, n in {"blocks": 1, **counts}.items()}
+    return {**results, kind: {"pandas": importlib.metadata.version("pandas"), **had, **sums}}
 
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--inputs", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--inputs", type=int, default=1000, help="of each reader, in all runs")
     parser.add_argument("--only", nargs="*", default=KINDS)
+    parser.add_argument("--anew", action="store_true", help="forget what was counted")
     parser.add_argument("--kept", type=pathlib.Path, default=pathlib.Path("out/fuzz"))
     parser.add_argument("--results", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
     args.kept.mkdir(parents=True, exist_ok=True)
     results = json.loads(args.results.read_text()) if args.results.exists() else {}
-    pandas = importlib.metadata.version("pandas")
+    if args.anew:
+        results = {kind: own for kind, own in results.items() if kind not in args.only}
+    of = lambda kind, key: results.get(kind, {}).get(key, 0)
     with tempfile.TemporaryDirectory() as folder:
         harness = Harness(folder)
-        for kind in args.only:
-            counts, found = tried(kind, args.inputs, args.seed, harness, args.kept)
-            results[kind] = {"pandas": pandas, **counts}
+        # The reader with the fewest comes next, so that a run that is stopped has tried all alike.
+        while left := [kind for kind in args.only if of(kind, "inputs") < args.inputs]:
+            kind = min(left, key=lambda kind: of(kind, "inputs"))
+            inputs = min(BLOCK, args.inputs - of(kind, "inputs"))
+            began = time.monotonic()
+            counts = tried(kind, inputs, of(kind, "blocks") + 1, harness, args.kept)
+            results = with_block(results, kind, counts)
             args.results.write_text(json.dumps(results, indent=1) + "\n")
-            print(kind, counts, dict(found), flush=True)
+            took = 1e3 * (time.monotonic() - began) / max(counts["inputs"], 1)
+            print(kind, results[kind], f"{took:.0f} ms an input", flush=True)
         harness.close()
 
 
