@@ -65,7 +65,8 @@ docs: setup
 fuzz: setup
 	$(BIN)/python -m tests.fuzz.run --inputs $(or $(INPUTS),1000)
 
-# Every call for a file of every command made to fail, and a sweep killed at random: hours.
+# Every call for a file of every command made to fail; a sweep, a fit and a diagnosis killed at
+# random moments, each so many times: hours, which go on where they were stopped.
 faults: setup
 	$(BIN)/python -m tests.faults.run
 	$(BIN)/python -m tests.faults.kill --rounds $(or $(ROUNDS),200)

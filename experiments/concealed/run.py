@@ -96,10 +96,17 @@ def work(core: int, folder: Path, cases: list[str], settings: dict, threads: int
         record["source_sha256"] = settings["tool"]["source_sha256"]
         record["warm"] = i > 0
         (out / "report.html").unlink(missing_ok=True)
-        (out / "run.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        _write_at_once(out / "run.json", json.dumps(record, indent=1) + "\n")
         outcome = "failed" if record["error"] else verdict(out)
         print(f"core {core}: {i + 1}/{len(cases)} {name} {record['seconds']:.0f} s {outcome}",
               file=sys.stderr, flush=True)  # fmt: skip
+
+
+def _write_at_once(path: Path, text: str) -> None:
+    """Write a file that is whole or not there: it says that a case is done."""
+    unfinished = path.with_name(f".{path.name}")
+    unfinished.write_text(text, encoding="utf-8")
+    unfinished.replace(path)
 
 
 def verdict(out: Path) -> str:

@@ -1,9 +1,9 @@
 """Long work is killed at a random moment and begun again: the results are those of one left alone.
 
     python -m tests.faults.kill --rounds 200
-    python -m tests.faults.kill --rounds 200 --of diagnosis
+    python -m tests.faults.kill --rounds 200 --of diagnosis fit
 
-Counts go into results.json beside those of failing calls.
+Counts go into results.json beside those of failing calls; a run that was stopped goes on.
 """
 
 import argparse
@@ -49,6 +49,21 @@ WORKS = {
         ),
         "*/part-*.parquet",
         True,
+    ),
+    "fit": Work(
+        (
+            "fit",
+            "wrong.toml",
+            "run.csv",
+            "--test",
+            "other.csv",
+            "--free",
+            "X_u,N_r",
+            "--starts",
+            "4",
+        ),
+        "fit-*.npz",
+        False,
     ),
     "diagnosis": Work(
         ("diagnose", "wrong.toml", "run.csv", "--test", "other.csv", "--free", "X_u,N_r"),
@@ -154,26 +169,29 @@ class Kills:
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--rounds", type=int, default=200)
-    parser.add_argument("--of", choices=WORKS, default="sweep")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rounds", type=int, default=200, help="of each work, in all runs")
+    parser.add_argument("--of", nargs="+", choices=WORKS, default=list(WORKS))
+    parser.add_argument("--anew", action="store_true", help="forget the rounds counted")
     parser.add_argument("--results", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
     results = json.loads(args.results.read_text()) if args.results.exists() else {}
-    draw, parts, breaches = random.Random(args.seed), [], []
-    with tempfile.TemporaryDirectory() as folder:
-        kills = Kills(pathlib.Path(folder), WORKS[args.of])
-        for number in range(args.rounds):
-            left, wrong = kills.breach(*kills.moment(draw))
-            parts.append(left)
-            breaches += [wrong] if wrong else []
-            print(number, left, wrong, flush=True)
-            results[f"kills of a {args.of}"] = {
-                "rounds": len(parts),
-                "within_the_parts": sum(0 < n < kills.count for n in parts),
-                "breaches": len(breaches),
-            }
-            args.results.write_text(json.dumps(results, indent=1) + "\n")
+    for name in args.of:
+        none = {"rounds": 0, "within_the_parts": 0, "breaches": 0}
+        counts = none if args.anew else results.get(f"kills of a {name}", none)
+        if counts["rounds"] >= args.rounds:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            kills = Kills(pathlib.Path(folder), WORKS[name])
+            for number in range(counts["rounds"], args.rounds):
+                left, wrong = kills.breach(*kills.moment(random.Random(f"{name} {number}")))
+                print(name, number, left, wrong, flush=True)
+                counts = {
+                    "rounds": number + 1,
+                    "within_the_parts": counts["within_the_parts"] + (0 < left < kills.count),
+                    "breaches": counts["breaches"] + bool(wrong),
+                }
+                results[f"kills of a {name}"] = counts
+                args.results.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":
