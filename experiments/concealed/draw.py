@@ -23,7 +23,8 @@ SHARES = {
     "uninformative": 0.08,
 }  # fmt: skip
 LEAST, MOST = 1.0, 30.0  # detection limits
-BESIDE, STANDARD = 4.0, 8.0  # the least of each of several effects, and in standard trials
+BESIDE = 4.0  # the least of each of several effects
+ENOUGH = {"standard": 8.0, "alike": 4.0}  # the least in strata whose runs show less than all
 ROOM = 1.2  # largest plausible size over the least one, for sizes to be drawn between
 
 
@@ -43,6 +44,8 @@ SETS = {
     # Beside the 400: what they hold none of, and what makes rivals.
     "triples": Set("scored", 31_013, {"triple": 1.0}, 24),
     "standard": Set("scored", 52_021, {"standard": 1.0}, 40),
+    # One manoeuvre, which leaves rivals: what is ambiguous is sailed on by `resolve`.
+    "alike": Set("scored", 61_027, {"alike": 1.0}, 120),
     # So many that no false alarm in these and the 400 bounds their rate by 2.5 per cent.
     "clean": Set("scored", 73_009, {"clean": 1.0}, 100),
 }
@@ -99,9 +102,9 @@ def plan(set_name: str, count: int, seed: int) -> list[dict]:
                 cases[-1]["effects"] = [_sized(rng, hull, next(deck))]
             elif stratum in TOGETHER:
                 cases[-1]["effects"] = _together(rng, hull, deck, TOGETHER[stratum])
-            elif stratum == "standard":
-                key = next(k for k in deck if _reaches(hull, k, STANDARD))
-                cases[-1]["effects"] = [_sized(rng, hull, key, STANDARD)]
+            elif least := ENOUGH.get(stratum):
+                key = next(k for k in deck if _reaches(hull, k, least))
+                cases[-1]["effects"] = [_sized(rng, hull, key, least)]
             elif stratum == "uninformative":
                 there = [k for k in NEEDS_TURNING if k in available(hull)]
                 cases[-1]["effects"] = [_sized(rng, hull, str(rng.choice(there)))]

@@ -172,7 +172,21 @@ def standard(rng: np.random.Generator, hull, sensing: Sensing) -> list:
     return [zig(), circle(), zig(), circle(), zig(), circle()]
 
 
-RUN_SETS = {"uninformative": uninformative, "standard": standard}  # of a stratum; others `full`
+def alike(rng: np.random.Generator, hull, sensing: Sensing) -> list:
+    """Six runs of one kind, as an owner has them who sailed one manoeuvre: causes have rivals."""
+    mix, rows, hold = hull.mix, hull.rows, hull.hold / hull.step
+    kinds = [
+        lambda: _zigzag(rng, hull, sensing),
+        lambda: circles(rng, rows, hull, mix),
+        lambda: crash_and_coast(rng, rows, hull.astern, mix),
+        lambda: random_steps(rng, rows, hold, (0.4, 0.6), 0.3, mix),
+    ]
+    sail = kinds[int(rng.integers(len(kinds)))]
+    return [sail() for _ in range(6)]
+
+
+# Of a stratum; others `full`.
+RUN_SETS = {"uninformative": uninformative, "standard": standard, "alike": alike}
 
 
 def _zigzag(rng: np.random.Generator, hull, sensing: Sensing) -> Zigzag:

@@ -444,9 +444,10 @@ def test_sets_beside_the_scored_one():
 
 
 def test_several_effects_and_those_of_standard_trials_are_of_a_good_size():
-    for name, seed in (("develop", 5), ("scored", 6), ("triples", 7), ("standard", 8)):
+    least_of = {"pair": 4.0, "triple": 4.0, "standard": 8.0, "alike": 4.0}
+    for seed, name in enumerate(("develop", "scored", "triples", "standard", "alike"), 5):
         cases = draw.plan(name, 400, seed)
-        for stratum, least in (("pair", 4.0), ("triple", 4.0), ("standard", 8.0)):
+        for stratum, least in least_of.items():
             found = [e["limits"] for c in cases if c["stratum"] == stratum for e in c["effects"]]
             assert all(least - 1e-3 <= x <= draw.MOST for x in found), (name, stratum)
 
@@ -470,6 +471,16 @@ def test_standard_trials_are_zigzags_and_circles():
     found = orders.RUN_SETS["standard"](np.random.default_rng(2), USV, model.sensing)
     assert [type(p) for p in found] == 3 * [orders.Zigzag, orders.Table]
     assert len({tuple(p.stages) for p in found[::2]}) == 3
+
+
+def test_runs_of_one_kind_are_of_one_kind_and_the_kinds_differ():
+    kinds = set()
+    for seed in range(12):
+        model = outside.true_model(USV, np.random.default_rng(seed))
+        found = orders.RUN_SETS["alike"](np.random.default_rng(seed), USV, model.sensing)
+        assert len(found) == 6 and len({type(policy) for policy in found}) == 1
+        kinds.add((type(found[0]), len(getattr(found[0], "rows", ()))))
+    assert len(kinds) >= 3
 
 
 def test_detection_limit_of_a_gyro_bias_is_near_its_floor():
