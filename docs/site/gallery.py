@@ -65,6 +65,36 @@ GALLERY = (
         "state and is corrected by nothing.",
     ),
     Shown(
+        "What is in a log",
+        "check examples/demo/recordings/zigzag-slow.csv",
+        ("check.html",),
+        "Without a mapping or a vessel: what was recorded, whether it is sound, what it shows, and "
+        "what it cannot tell. [From a log to a vessel](from-log-to-vessel.md).",
+    ),
+    Shown(
+        "A diagnosis",
+        "diagnose examples/demo/usv.toml examples/demo/recordings/circle-fast.csv "
+        "examples/demo/recordings/random-fast.csv examples/demo/recordings/speed-steps.csv "
+        "examples/demo/recordings/zigzag-slow.csv --test examples/demo/held_out/random-slow.csv "
+        "examples/demo/held_out/zigzag-fast.csv",
+        ("report.html",),
+        "Recorded tracks beside free predictions before and after, and what was left out of the "
+        "model. [Diagnosis](diagnosis.md).",
+    ),
+    Shown(
+        "A campaign of trials",
+        "campaign kvlcc2",
+        ("campaign.html",),
+        "Circles and zig-zags to both sides, with the verdicts of IMO. "
+        "[Virtual sea trials](virtual-sea-trials.md).",
+    ),
+    Shown(
+        "Estimates as the boat ran",
+        "online examples/demo/usv.toml examples/demo/recordings/random-fast.csv --free X_u,N_r",
+        ("online.html",),
+        "Parameters, their trust and what a gate would have passed. [Online](online.md).",
+    ),
+    Shown(
         "A mission in a tide",
         "run examples/missions/survey_in_a_tide.toml",
         ("run.html",),

@@ -103,6 +103,62 @@ def test_an_export_is_recognised_as_such(recording, tmp_path, capsys):
     assert "read as an export of diffsea (mcap-json)" in capsys.readouterr().err
 
 
+def bag_messages(path):
+    """Messages of a bag by topic, read by rosbags alone; each with its receive time (s)."""
+    from rosbags.highlevel import AnyReader
+
+    found = {}
+    with AnyReader([path]) as reader:
+        for connection, time, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((1e-9 * time, message))
+    return found
+
+
+def test_a_bag_has_odometry_in_the_axes_of_ros(recording, tmp_path):
+    path, table = recording
+    assert main(["export", str(path), "--to", "ros2", "-o", str(tmp_path / "out")]) == 0
+    found = bag_messages(tmp_path / "out" / "run-ros2.mcap")
+    assert len(found["/odometry"]) == len(found["/pose"]) == len(found["/tf"]) == ROWS - 1
+    (time, odometry), last = found["/odometry"][-1], table.iloc[-1]
+    stamp = odometry.header.stamp
+    assert time == pytest.approx(last["t"]) == stamp.sec + 1e-9 * stamp.nanosec
+    place, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+    assert (place.x, place.y, place.z) == (last["y"], last["x"], 0.0)
+    east, north = turn.w**2 - turn.z**2, 2 * turn.w * turn.z  # the bow: (1, 0) turned about z
+    assert math.atan2(east, north) == pytest.approx(last["psi"])
+    ahead, port = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
+    assert (ahead, port) == (last["u"], -last["v"])
+    assert odometry.twist.twist.angular.z == -last["r"]
+    transform = found["/tf"][-1][1].transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "base_link")
+    assert transform.transform.translation.x == last["y"]
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_bag_comes_back_as_it_was(missing, recording, tmp_path):
+    path, table = recording
+    table = table.rename(columns={"cmd_port": "cmd_a1.force", "exec_port": "exec_a1.force"})
+    if missing:
+        table.loc[table.index % 3 != 0, ["x", "y"]] = np.nan
+    table.to_csv(path, index=False)
+    assert main(["export", str(path), "--to", "ros2", "-o", str(tmp_path / "out")]) == 0
+    again = diffsea.read_recording(tmp_path / "out" / "run-ros2.mcap")  # without a mapping
+    np.testing.assert_allclose(again.t - again.t[0], table["t"] - table["t"][0], atol=1e-9)
+    for channel in ("x", "y", "psi", "u", "v", "r"):
+        np.testing.assert_array_equal(getattr(again, channel), table[channel])
+    np.testing.assert_array_equal(again.commanded["a1.force"], table["cmd_a1.force"])
+    np.testing.assert_array_equal(again.executed["a1.force"], table["exec_a1.force"])
+    np.testing.assert_array_equal(again.extra["wind_speed"], table["wind_speed"])
+
+
+def test_topics_of_a_bag_have_no_sign_that_ros_refuses():
+    from diffsea.exports.ros_bags import topic_of
+
+    assert topic_of("orders", "cmd_a 1.force") == "/diffsea/orders/a_1/force"
+    assert topic_of("motion", "psi") == "/diffsea/motion/psi"
+
+
 def test_a_long_table_has_a_row_for_each_value_with_its_unit(recording, tmp_path):
     path, table = recording
     assert main(["export", str(path), "--to", "parquet", "-o", str(tmp_path / "out")]) == 0
@@ -128,8 +184,9 @@ def test_options_of_other_tools_are_refused(words, status, told, recording, tmp_
     assert told in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_times_before_zero_are_refused(recording, tmp_path, capsys):
+@pytest.mark.parametrize("tool", ["mcap", "ros2"])
+def test_times_before_zero_are_refused(tool, recording, tmp_path, capsys):
     path, table = recording
     table.assign(t=table["t"] - 200.0).to_csv(path, index=False)
-    assert main(["export", str(path), "--to", "mcap", "-o", str(tmp_path / "out")]) == 1
+    assert main(["export", str(path), "--to", tool, "-o", str(tmp_path / "out")]) == 1
     assert "has times from 0 s on" in capsys.readouterr().err and not (tmp_path / "out").exists()

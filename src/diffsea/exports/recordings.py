@@ -80,12 +80,11 @@ def write_mcap(run: Trajectory, path: Path) -> None:
     except ImportError:
         raise UserError("MCAP needs the extra: pip install 'diffsea[mcap]'") from None
     run = run.counted()
-    if not (run.t[0] >= 0 and run.t[-1] < 2**63 / 1e9):
-        raise UserError(
-            f"{run.name}: an MCAP file has times from 0 s on, and the run is from {run.t[0]:g} to "
-            f"{run.t[-1]:g} s; shift its clock with a mapping"
-        )
-    native = _native_topics(run)
+    require_times(run)
+    native = {
+        f"{OWN_TOPICS}{group}": (f"diffsea.{group.capitalize()}", channels)
+        for group, channels in groups_of(run).items()
+    }
     schemas = _FOXGLOVE | {
         topic: (name, _object(timestamp=_TIME, **{channel: _described(channel) for channel in of}))
         for topic, (name, of) in native.items()
@@ -104,18 +103,34 @@ def write_mcap(run: Trajectory, path: Path) -> None:
         writer.finish()
 
 
-def _native_topics(run: Trajectory) -> dict[str, tuple[str, dict[str, np.ndarray]]]:
-    """Topics under `/diffsea`, with the name of their schema and their channels."""
+def require_times(run: Trajectory) -> None:
+    """Raises `UserError` where the run has times that an MCAP file cannot have."""
+    if not (run.t[0] >= 0 and run.t[-1] < 2**63 / 1e9):
+        raise UserError(
+            f"{run.name}: an MCAP file has times from 0 s on, and the run is from {run.t[0]:g} to "
+            f"{run.t[-1]:g} s; shift its clock with a mapping"
+        )
+
+
+def groups_of(run: Trajectory) -> dict[str, dict[str, np.ndarray]]:
+    """The native channels by what they are: `motion`, `orders`, `executed`, `surroundings`."""
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, column in to_frame(run).drop(columns="t").items():
         prefix = str(name).partition("_")[0]
         usual = "motion" if name in MOTION_CHANNELS else "surroundings"
         group = {"cmd": "orders", "exec": "executed"}.get(prefix, usual)
         groups.setdefault(group, {})[str(name)] = column.to_numpy(float)
-    return {
-        f"{OWN_TOPICS}{group}": (f"diffsea.{group.capitalize()}", channels)
-        for group, channels in groups.items()
-    }
+    return groups
+
+
+def in_viewers_axes(run: Trajectory, row: int) -> tuple[dict[str, float], dict[str, float]] | None:
+    """Position and quaternion of a row, x east, y north, z up; None where one is not known."""
+    north, east, psi = (float(run.motion[channel][row]) for channel in ("x", "y", "psi"))
+    if not all(map(math.isfinite, (north, east, psi))):
+        return None
+    half = 0.5 * (0.5 * math.pi - psi)  # of the angle from east, counter-clockwise
+    turn = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+    return {"x": east, "y": north, "z": 0.0}, turn
 
 
 def _described(channel: str) -> dict[str, str]:
@@ -130,17 +145,10 @@ def _messages(
         stamp = {
             "timestamp": dict(zip(("sec", "nsec"), divmod(round(t * 1e9), 10**9), strict=True))
         }
-        place = [float(run.motion[channel][row]) for channel in ("x", "y", "psi")]
-        if all(map(math.isfinite, place)):
-            north, east, psi = place
-            at = {"x": east, "y": north, "z": 0.0}
-            half = 0.5 * (0.5 * math.pi - psi)  # of the angle from east, counter-clockwise
-            turn = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
-            yield (
-                t,
-                "/pose",
-                stamp | {"frame_id": MAP, "pose": {"position": at, "orientation": turn}},
-            )
+        if placed := in_viewers_axes(run, row):
+            at, turn = placed
+            pose = {"position": at, "orientation": turn}
+            yield t, "/pose", stamp | {"frame_id": MAP, "pose": pose}
             frames = {"parent_frame_id": MAP, "child_frame_id": BODY}
             yield t, "/tf", stamp | frames | {"translation": at, "rotation": turn}
         for topic, (_, channels) in native.items():

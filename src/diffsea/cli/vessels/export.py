@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 def register(commands: options.Commands) -> None:
     """Add the command."""
-    text = "a vessel for Gazebo, ArduPilot, FMI or MATLAB; a recording for Foxglove or tables"
+    text = (
+        "a vessel for Gazebo, ArduPilot, FMI or MATLAB; a recording for Foxglove, ROS 2 or tables"
+    )
     parser = options.add_command(commands, "export", export_command, text)
-    text = "TOML file, or name of a shipped vessel; for mcap and parquet a RECORDING"
+    text = "TOML file, or name of a shipped vessel; for mcap, ros2 and parquet a RECORDING"
     parser.add_argument("vessel", metavar="VESSEL", help=text)
     every = (*_WRITERS, *_OF_RECORDINGS)
     targets = options.OneOf(every, "target")
@@ -31,7 +33,7 @@ def register(commands: options.Commands) -> None:
     options.add_option(pilot, "--fit", "FILE", pathlib.Path, text)
     text = "cruising speed (default: Froude number 0.2, at most 80 %% of top speed)"
     options.add_option(pilot, "--speed", "M/S", options.positive, text)
-    options.add_reading(parser.add_argument_group("for mcap and parquet"))
+    options.add_reading(parser.add_argument_group("for mcap, ros2 and parquet"))
 
 
 def export_command(args: argparse.Namespace) -> None:
@@ -45,6 +47,7 @@ def export_command(args: argparse.Namespace) -> None:
     What a tool cannot express is refused by name, or left out with --allow-loss.
 
     mcap       a recording for Foxglove and other viewers, by its schemas (needs the extra `mcap`)
+    ros2       a recording as a ROS 2 bag with odometry, poses and tf (needs the extra `ros`)
     parquet    a recording as a long table: run, t, channel, value, unit
 
     examples:
@@ -76,6 +79,7 @@ def export_command(args: argparse.Namespace) -> None:
 def _export_recording(args: argparse.Namespace) -> None:
     """A recording for viewers and tables."""
     from diffsea.exports.recordings import long_table, write_mcap
+    from diffsea.exports.ros_bags import write_ros_bag
 
     if args.allow_loss:
         raise UserError("--allow-loss is for vessels; leave it out")
@@ -83,9 +87,11 @@ def _export_recording(args: argparse.Namespace) -> None:
     (run,) = options.read_recordings([path], args)
     with Outputs(args.output) as out, StagedProgress({"writing": 3.0}) as tell:
         tell(f"writing for {args.to}")
-        target = out.path(f"{path.stem}.{args.to}")
+        target = out.path(f"{path.stem}{_OF_RECORDINGS[args.to]}")
         if args.to == "mcap":
             write_mcap(run, target)
+        elif args.to == "ros2":
+            write_ros_bag(run, target)
         else:
             long_table(run).to_parquet(target, index=False)
     told = {"format": 1, "to": args.to, "recording": run.name, "file": str(out.files[0])}
@@ -163,4 +169,4 @@ _WRITERS = {
     "fmu": _write_fmu,
     "mss": _write_mss,
 }
-_OF_RECORDINGS = ("mcap", "parquet")
+_OF_RECORDINGS = {"mcap": ".mcap", "ros2": "-ros2.mcap", "parquet": ".parquet"}

@@ -21,6 +21,7 @@ _LAYOUTS = importlib.resources.files("diffsea.recordings.known") / "layouts"
 _GROUPS = ("position", "heading", "velocity", "yaw_rate", "roll", "armed", "orders")
 _BOAT = 2  # FRAME_CLASS of Rover
 OWN_TOPICS = "/diffsea/"  # under which an exported recording has its channels as they are
+OWN_PREFIXES = {"orders": "cmd_", "executed": "exec_"}  # of channels, by their group of topics
 _NEEDED = ("position", "velocity", "heading", "yaw_rate", "orders")
 
 Contents = dict[str, list[str]]  # fields by topic
@@ -121,9 +122,13 @@ def recognise(path: str | Path) -> Recognised | None:
 
 
 def _exported(log: str, found: Contents, path: Path) -> Recognised:
-    """A recording that was exported: its own channels under their own names."""
+    """A recording that was exported: its own channels under their own names.
+
+    A topic has the channels of a group, or in a ROS bag one of them.
+    """
+    alone = all(set(fields) == {"data"} for fields in found.values())
     channels = {
-        field: f"{topic}:{field}"
+        _own_channel(topic) if alone else field: f"{topic}:{field}"
         for topic, fields in found.items()
         for field in fields
         if not field.startswith("timestamp.")
@@ -133,6 +138,12 @@ def _exported(log: str, found: Contents, path: Path) -> Recognised:
     title = "an export of diffsea"
     mapping = dataclasses.replace(mapping, name=f"the channels of {title}")
     return Recognised(log, title, mapping, (), _craft(channels, {}), (), ())
+
+
+def _own_channel(topic: str) -> str:
+    """The channel of which a topic is."""
+    group, _, name = topic.removeprefix(OWN_TOPICS).partition("/")
+    return OWN_PREFIXES.get(group, "") + name.replace("/", ".")
 
 
 @functools.cache
