@@ -23,6 +23,7 @@ PAGES = {
     "recordings": ("recordings", "Recordings"),
     "pure": ("functions", "Pure functions"),
     "records": ("studies", "Records of a study"),
+    "work": ("kept-fits", "Work that goes on"),
     "vocabulary": ("vocabulary", "Vocabulary"),
     "set-up": ("set-up", "Set-up"),
 }

@@ -51,7 +51,7 @@ def applied(text: str, hunks: list[tuple[str, list[str]]]) -> str:
 @pytest.mark.slow
 def test_a_trial_added_by_the_guide_passes_its_test_and_fails_it_with_a_sign_turned(tmp_path):
     files = changes(GUIDE.read_text(encoding="utf-8"))
-    assert sorted(path.split("/")[0] for path in files) == ["src", "src", "tests"]
+    assert sorted(path.split("/")[0] for path in files) == ["src"] * 4 + ["tests"]
     skip = shutil.ignore_patterns("__pycache__", "corpus")
     for folder in ("src", "tests"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=skip)
@@ -60,6 +60,11 @@ def test_a_trial_added_by_the_guide_passes_its_test_and_fails_it_with_a_sign_tur
         own = tmp_path / path
         own.write_text(applied(own.read_text(encoding="utf-8"), hunks), encoding="utf-8")
     assert tried(tmp_path) == 0
+    names = "names_written_out"
+    assert tried(tmp_path, "tests/cli/test_grammar.py", names) == 0
+    for line in commands(GUIDE.read_text(encoding="utf-8")):
+        words = [sys.executable, "-m", "diffsea", *line.split()[1:]]
+        subprocess.run(words, cwd=tmp_path, env=environment(tmp_path), check=True, timeout=600)
     standard = tmp_path / "src/diffsea/simulation/standard.py"
     text = standard.read_text(encoding="utf-8")
     assert text.count("furthest - then") == 1
@@ -67,9 +72,24 @@ def test_a_trial_added_by_the_guide_passes_its_test_and_fails_it_with_a_sign_tur
     assert tried(tmp_path) == 1
 
 
-def tried(copy: Path) -> int:
-    """Exit status of pytest with the guide's test: 0 passed, 1 failed, 5 there is none."""
-    environment = os.environ | {"PYTHONPATH": f"{copy / 'src'}{os.pathsep}{copy}"}
+def commands(guide: str) -> list[str]:
+    """The commands of the guide's last section."""
+    lines = guide.split("## 5. Use it")[1].split("\n")
+    found = [line.strip() for line in lines if line.startswith("    .venv/bin/diffsea")]
+    assert len(found) == 2
+    return found
+
+
+def environment(copy: Path) -> dict[str, str]:
+    """That in which the copy is the package."""
+    return os.environ | {"PYTHONPATH": f"{copy / 'src'}{os.pathsep}{copy}"}
+
+
+def tried(
+    copy: Path, file: str = "tests/simulation/test_standard.py", chosen: str = "course_change"
+) -> int:
+    """Exit status of pytest with some tests: 0 passed, 1 failed, 5 there is none."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "0",
-               "tests/simulation/test_standard.py", "-k", "course_change"]  # fmt: skip
-    return subprocess.run(command, cwd=copy, env=environment, check=False, timeout=600).returncode
+               file, "-k", chosen]  # fmt: skip
+    ended = subprocess.run(command, cwd=copy, env=environment(copy), check=False, timeout=600)
+    return ended.returncode

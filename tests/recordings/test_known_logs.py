@@ -14,6 +14,7 @@ from diffsea.cli import main
 from diffsea.cli.options import used_parts
 from diffsea.recordings.known import recognise
 from diffsea.recordings.logs import contents
+from diffsea.workflows.audits import as_used_recordings
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +188,38 @@ def test_fits_leave_idle_stretches_of_known_logs_out_and_say_so(log, tmp_path, c
     own = read_recording(path, file)
     args.keep_idle = False
     assert used_parts([own], args) == [own] and capsys.readouterr().err == ""
+
+
+def test_calls_from_python_leave_idle_stretches_of_files_out_and_say_so(log):
+    """As commands do; of a recording that is given as read, all is used."""
+    path, said = log("bin"), []
+    (piece,) = as_used_recordings(path, progress=said.append)
+    assert piece.t[0] > BOOT + 25 and piece.t[-1] < BOOT + 420
+    assert "at rest without orders" in said[0] and "keep_idle=True keeps them" in said[0]
+    (whole,) = as_used_recordings(path, keep_idle=True)
+    assert as_used_recordings(whole) == [whole] and whole.t[-1] > piece.t[-1]
+
+
+def test_a_fleet_leaves_idle_stretches_of_known_logs_out_and_says_so(log, monkeypatch):
+    from diffsea.workflows import boat, identification
+
+    class Found(Exception):
+        """What a fit was asked for."""
+
+    def asked(file, train, *other, **more):
+        raise Found(train)
+
+    monkeypatch.setattr(identification, "fit", asked)
+    monkeypatch.setattr("diffsea.simulation.order_units.require_order_units", lambda *of: None)
+    monkeypatch.setattr("diffsea.identification.data.dataset.make_dataset", lambda *of: None)
+    row = {"name": "monday", "recording": str(log("bin")), "mapping": None, "role": "train"}
+    rows, runs = boat._read([row])
+    settings = {"until": "fit", "free": None, "per_recording": False}
+    with pytest.raises(Found) as raised:
+        boat._fitted({"vessel": "otter", "settings": settings}, rows, runs)
+    ((piece,),) = raised.value.args
+    assert piece.name.startswith("monday [") and piece.t[-1] < BOOT + 420
+    assert "at rest without orders" in rows[0]["idle"]
 
 
 def test_an_mcap_file_is_of_ros_or_of_json_by_its_content(log, bag, boat):  # noqa: F811

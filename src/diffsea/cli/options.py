@@ -305,19 +305,17 @@ def used_parts(runs: "Sequence[Trajectory]", args: argparse.Namespace) -> "list[
 
     What is left out, and how to keep it, is told on standard error.
     """
-    from diffsea.recordings.idle import without_idle
+    from diffsea.recordings import idle
 
-    parts: list[Trajectory] = []
+    if args.keep_idle:
+        return list(runs)
+    used: list[Trajectory] = []
     for run in runs:
-        if args.keep_idle or not run.read.recognised:
-            parts.append(run)
-            continue
-        used, idle = without_idle(run)
-        parts += used
-        if idle:
-            told = ", ".join(f"{one.start:.0f} s to {one.end:.0f} s ({one.why})" for one in idle)
-            progress(f"{run.name}: left out as idle: {told}; --keep-idle keeps them")
-    return parts
+        parts, left_out = idle.used_parts(run)
+        used += parts
+        if left_out:
+            progress(f"{left_out}; --keep-idle keeps them")
+    return used
 
 
 def source_of(args: argparse.Namespace) -> dict[str, Any]:

@@ -73,7 +73,8 @@ def add_trial_command(
 def _add_run_options(group: argparse._ArgumentGroup) -> None:
     """How trials are run: speed or thrust, time limit, step, executes."""
     start = group.add_mutually_exclusive_group()
-    speed = "approach speed, held until the execute (default: Froude number 0.2)"
+    usual = "Froude number 0.2, at most 80 %% of top speed"
+    speed = f"approach speed, held until the execute (default: {usual})"
     add_option(start, "--speed", "M/S", options.positive, speed)
     thrust = "total thrust, left alone, instead of a speed"
     add_option(start, "--thrust", "N", options.positive, thrust)

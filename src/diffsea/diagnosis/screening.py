@@ -27,6 +27,7 @@ from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem
+from diffsea.identification.sufficiency import missing_channel
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
@@ -60,20 +61,11 @@ def candidate_effects(
     its own.
     """
 
-    def is_recorded(channel: str) -> bool:
-        series = (np.asarray(run.extra.get(channel, np.nan), float) for run in recordings)
-        return all(np.isfinite(values).any() for values in series)
-
-    def is_measured(effect: Effect) -> bool:
-        channels = effect.place.all_on(vessel)
-        return all(channel in run.executed for run in recordings for channel in channels)
-
     return tuple(
         effect
         for effect in EFFECTS.values()
         if effect.possible(vessel)
-        and (not effect.needs or is_recorded(effect.needs))
-        and (not effect.needs_feedback or is_measured(effect))
+        and not missing_channel(effect, vessel, recordings)
         and not (per_run and effect.per_run and effect.has_coefficients)
     )
 

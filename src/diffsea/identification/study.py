@@ -41,7 +41,7 @@ from diffsea.identification.objectives.trial_numbers import (
     acts_in_trials,
 )
 from diffsea.identification.problem import Problem, make_problem
-from diffsea.identification.sufficiency import FitVerdict, sufficiency
+from diffsea.identification.sufficiency import FitVerdict, missing_channel, sufficiency
 from diffsea.identification.uncertainty.design import NextManoeuvre, next_manoeuvre
 from diffsea.identification.uncertainty.identifiability import (
     Identifiability,
@@ -384,6 +384,12 @@ def _objective(
     recordings = [one for one in data if isinstance(one, Trajectory)]
     priors = {p.name: p for p in parameters}
     effects = effects_to_estimate(vessel, settings.effects)
+    for effect in effects:
+        if lacking := missing_channel(effect, vessel, recordings):
+            raise UserError(
+                f"{effect.name} cannot be estimated without the channel {lacking} in every "
+                "recording; add it, map it, or leave the effect out"
+            )
     shared = [effect.name for effect in effects if effect.per_run and effect.has_coefficients]
     if settings.per_recording and shared:
         raise UserError(

@@ -8,6 +8,7 @@ nevertheless fails lacks something.
 import dataclasses
 import enum
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,9 @@ from diffsea.identification.filter.noise_fit import PLAUSIBLE_GUSTS
 from diffsea.identification.free_predictions import motion_misfit
 from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.statistics import block_sums
+from diffsea.trajectory import Trajectory
+from diffsea.vessel.base import Vessel
+from diffsea.vessel.effects import Effect
 
 
 DETERMINED = 0.5  # share of a parameter's estimate that is due to the data
@@ -265,3 +269,14 @@ class FitVerdict:
         runs = {} if self.runs is None else self.runs.as_dict()
         numbers = {} if self.numbers is None else {"trial_numbers": {"p_value": self.numbers}}
         return {**runs, **numbers, "held_out": self.is_held_out, "reasons": self.reasons}
+
+
+def missing_channel(effect: Effect, vessel: Vessel, recordings: Sequence[Trajectory]) -> str:
+    """A channel that an effect must have measured and some recording lacks; empty where none."""
+    for run in recordings:
+        if effect.needs and not np.isfinite(run.extra.get(effect.needs, np.nan)).any():
+            return effect.needs
+        for channel in effect.place.all_on(vessel) if effect.needs_feedback else ():
+            if channel not in run.executed:
+                return f"exec_{channel}"
+    return ""

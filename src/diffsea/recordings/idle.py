@@ -96,6 +96,16 @@ def without_idle(run: Trajectory) -> tuple[list[Trajectory], list[IdleStretch]]:
     ], idle
 
 
+def used_parts(run: Trajectory) -> tuple[list[Trajectory], str]:
+    """What fits use of a recording, and in words what they leave out; empty where nothing.
+
+    Only of a log that was read by what it contains: who gives a mapping has said what is meant.
+    """
+    parts, idle = without_idle(run) if run.read.recognised else ([run], [])
+    told = ", ".join(f"{one.start:.0f} s to {one.end:.0f} s ({one.why})" for one in idle)
+    return parts, f"{run.name}: left out as idle: {told}" if idle else ""
+
+
 def _upside_down(run: Trajectory) -> Bool[np.ndarray, "time"]:
     phi = run.extra.get("phi")
     if phi is None:

@@ -7,8 +7,10 @@ changes is written into the user's own file and everything else stays as it was.
 import copy
 import dataclasses
 import importlib.resources
+import math
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import tomli_w
 
@@ -33,7 +35,20 @@ _NEEDED = ("mass", "I_z", "length", "beam", "draught")
 _BODY = ("mass", "I_z", "x_G", "length", "beam", "draught", "water_density")
 _ADDED = ("X_udot", "Y_vdot", "Y_rdot", "N_vdot", "N_rdot")
 _HULL_WORDS = ("added_mass_coriolis", "nondimensional", "exponents")
-_WRITTEN_AS = {"curve.0": "curve.c", "curve.1": "curve.d"}  # parameters by their place in a file
+# Numbers of actuators that a file calls otherwise: by the first of these keys that it states.
+_WRITTEN_AS = {
+    "curve.0": ("curve.c",),
+    "curve.1": ("curve.d",),
+    **{
+        f"{channel}{end}": (f"{short}_force", f"{short}_speed", f"{short}_angle")
+        for end, short in (("lower", "min"), ("upper", "max"))
+        for channel in ("", "force.")
+    },
+    "angle.lower": ("min_angle",),
+    "angle.upper": ("max_angle",),
+    "angle.time_constant": ("angle_time_constant",),
+    "angle.rate_limit": ("angle_rate_limit",),
+}
 _COMMON_DERIVATIVES = ("X_u", "X_uu", "Y_v", "Y_vv", "Y_r", "Y_rr", "N_v", "N_r", "N_rr")
 
 
@@ -133,6 +148,8 @@ def build(document: Table) -> Vessel:
             vessel = dataclasses.replace(vessel, actuators=parts)
     for table in tables_of(document, "effect"):
         vessel = with_effect(vessel, table)
+    for name in vessel.actuators.keys() & (vessel.forces.keys() | vessel.dependent_forces.keys()):
+        raise UserError(f"an actuator is called {name!r}, as a force is; give it another name")
     check(vessel)
     return vessel
 
@@ -171,6 +188,8 @@ def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     """Rigid body, added mass and forces of a `[hull]` table."""
     known = (*_BODY, *_ADDED, *_HULL_WORDS, "reference_speed")
     derivatives = list(filter(is_derivative, hull))
+    for key in derivatives:
+        _require_symmetry(key)
     for key in hull:
         if key not in known and key not in derivatives:
             hint = nearest(key, (*known, *_COMMON_DERIVATIVES))
@@ -185,6 +204,22 @@ def _hull(hull: Table) -> tuple[RigidBody, AddedMass, dict[str, AbstractForce]]:
     added = {key: values[key] for key in _ADDED if key in values}
     damping = _damping(hull, body, {key: values[key] for key in derivatives})
     return body, AddedMass(**added, coriolis_terms=terms), {"damping": damping}
+
+
+def _require_symmetry(name: str) -> None:
+    """Refuse a derivative of Y or N that pushes to the same side whichever way a vessel turns.
+
+    The modulus of `monomial` is that of the first letter, which must be a transverse one then.
+    """
+    axis, letters = name.split("_")
+    transverse = [letter for letter in letters if letter in "vrd"]
+    if axis in "YN" and transverse and len(transverse) % 2 == 0 and letters[0] == "u":
+        place = letters.index(transverse[0])
+        other = letters[place] + letters[:place] + letters[place + 1 :]
+        raise UserError(
+            f"[hull] {name} would push to the same side in turns to port and to starboard; "
+            f"{axis}_{other} is odd, by the modulus of its first letter"
+        )
 
 
 def _damping(hull: Table, body: RigidBody, derivatives: dict[str, Scalar]) -> AbstractForce:
@@ -247,18 +282,47 @@ def updated_document(
     return new
 
 
-def _place_in_actuator(document: Table, name: str) -> tuple[Table, str]:
-    """The table and its key that hold an actuator's number, `port.max_force` or one further in."""
-    parts = ((kind, table) for kind in ACTUATORS for table in document.get(kind, []))
-    named = ((f"{table.get('name', kind)}.", table) for kind, table in parts)
-    found = next(((name.removeprefix(n), t) for n, t in named if name.startswith(n)), None)
-    if found is not None:
-        path, table = found
-        *places, key = _WRITTEN_AS.get(path, path).split(".")
-        for place in places:
-            table = table.setdefault(place, {}) if isinstance(table, dict) else None
-        if isinstance(table, dict):
-            return table, key
+def require_writable(document: Table, names: Iterable[str]) -> None:
+    """Refuse numbers of the vessel that no key of its file holds, before they are fitted.
+
+    Raises:
+        UserError: there is one; says which.
+    """
+    before = named(build(document))
+    for name in names:
+        other = 0.999 * float(before[name]) or 1e-6  # a limit that follows from others stays
+        try:
+            after = named(build(updated_document(document, {name: other}, [])))
+        except UserError:
+            after = {}
+        if name not in after or not math.isclose(float(after[name]), other, rel_tol=1e-9):
+            raise UserError(
+                f"{name!r} cannot be fitted: no key of the vessel file holds it alone"
+                + nearest(name, [known for known in before if known != name])
+            )
+
+
+def _place_in_actuator(document: Table, name: str) -> tuple[Any, Any]:
+    """The table and its key that hold an actuator's number, `port.max_force` or one further in.
+
+    Of a number in a list, the list and its place there.
+    """
+    for kind in ACTUATORS:
+        for number, table in enumerate(document.get(kind, []), start=1):
+            own = table.get("name", kind if number == 1 else f"{kind}{number}")
+            if not name.startswith(f"{own}."):
+                continue
+            path = name.removeprefix(f"{own}.").removeprefix(f"{own}.")
+            keys = _WRITTEN_AS.get(path, (path,))
+            stated = next((key for key in keys if key in table), keys[0])
+            *places, key = stated.split(".")
+            holder: Any = table
+            for place in places:
+                holder = holder.setdefault(place, {}) if isinstance(holder, dict) else None
+            if isinstance(holder, list) and key.isdecimal() and int(key) < len(holder):
+                return holder, int(key)
+            if isinstance(holder, dict):
+                return holder, key
     raise UserError(f"{name!r} cannot be written into the vessel file")
 
 

@@ -10,7 +10,9 @@ from typing import Any
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
+from diffsea.recordings.idle import used_parts
 from diffsea.trajectory import Trajectory
 
 
@@ -113,6 +115,26 @@ def as_recordings(
     """One or several recordings, read where they are not yet; see `as_recording`."""
     several = [given] if isinstance(given, Recording) else given
     return [as_recording(one, mapping) for one in several]
+
+
+def as_used_recordings(
+    given: Recording | Iterable[Recording],
+    mapping: Mapping | str | pathlib.Path | None = None,
+    keep_idle: bool = False,
+    progress: Progress = no_progress,
+) -> list[Trajectory]:
+    """Recordings as fits use them: of files that are read here without their idle stretches.
+
+    What is left out is told; see `diffsea.recordings.idle.used_parts`.
+    """
+    used: list[Trajectory] = []
+    for one in [given] if isinstance(given, Recording) else given:
+        read = as_recording(one, mapping)
+        parts, left_out = ([read], "") if keep_idle or read is one else used_parts(read)
+        used += parts
+        if left_out:
+            progress(f"{left_out}; keep_idle=True keeps them")
+    return used
 
 
 def read_readable(

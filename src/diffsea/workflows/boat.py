@@ -51,7 +51,14 @@ def _read(given: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[Any]]
 
     rows, runs = [], []
     for one in given:
-        row = one | {"status": "done", "reason": "", "samples": 0, "seconds": 0.0, "audit": []}
+        row = one | {
+            "status": "done",
+            "reason": "",
+            "idle": "",
+            "samples": 0,
+            "seconds": 0.0,
+            "audit": [],
+        }
         try:
             (read,) = read_readable([one["recording"]], one["mapping"])
         except UserError as error:  # of the mapping
@@ -87,6 +94,7 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
     import dataclasses
 
     from diffsea.identification.data.dataset import make_dataset
+    from diffsea.recordings.idle import used_parts
     from diffsea.simulation.order_units import require_order_units
     from diffsea.workflows.identification import as_vessel_file, diagnose, fit
 
@@ -101,7 +109,8 @@ def _fitted(job: dict[str, Any], rows: list[dict[str, Any]], runs: list[Any]) ->
         except UserError as error:
             row |= {"status": "failed", "reason": str(error)}
             continue
-        kept[row["role"]].append(dataclasses.replace(run, name=row["name"]))
+        parts, row["idle"] = used_parts(dataclasses.replace(run, name=row["name"]))
+        kept[row["role"]] += parts
     if not kept["train"]:
         lost = "; ".join(dict.fromkeys(row["reason"] for row in rows if row["reason"]))
         raise UserError(f"no recording is left to fit: {lost}")

@@ -277,6 +277,7 @@ def _table_rows(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
             "reason": row["reason"] or one["reason"],
             "samples": row["samples"],
             "seconds": row["seconds"],
+            "idle": row.get("idle", ""),
             "audit": [finding["kind"] for finding in row["audit"]],
             **shared,
         }

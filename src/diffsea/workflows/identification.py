@@ -23,7 +23,13 @@ from diffsea.identification.objectives.trial_numbers import (
     is_trial_table,
     read_trial_table,
 )
-from diffsea.identification.study import FitSettings, Study, identify, with_priors
+from diffsea.identification.study import (
+    FitSettings,
+    Study,
+    free_parameters,
+    identify,
+    with_priors,
+)
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
 from diffsea.progress import Progress, no_progress
@@ -37,9 +43,15 @@ from diffsea.simulation.actuation import how_actuated, with_common_feedback
 from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.files import VesselFile, build, read_vessel, updated_document
+from diffsea.vessel.files import (
+    VesselFile,
+    build,
+    read_vessel,
+    require_writable,
+    updated_document,
+)
 from diffsea.workflows import quick as look
-from diffsea.workflows.audits import Recording, Tabulated, as_recordings, audit
+from diffsea.workflows.audits import Recording, Tabulated, as_used_recordings, audit
 
 
 def as_vessel_file(given: VesselFile | str | pathlib.Path) -> VesselFile:
@@ -60,8 +72,13 @@ def fitted_data(
     data: Recording | MeasuredTrial | Iterable[Recording | MeasuredTrial],
     test: Recording | Iterable[Recording] = (),
     mapping: ColumnMapping | str | pathlib.Path | None = None,
+    keep_idle: bool = False,
+    progress: Progress = no_progress,
 ) -> FittedData:
     """Recordings and sheets told apart, and read where they are files.
+
+    Arguments:
+        keep_idle: whether idle stretches of logs stay in.
 
     Raises:
         UserError: a file that cannot be read, or a test where there is nothing to judge by it.
@@ -78,8 +95,10 @@ def fitted_data(
             runs.append(one)
     tests: list[Recording] = [test] if isinstance(test, Recording) else list(test)
     check_held_out(tests, bool(runs))
-    read = as_recordings([*runs, *tests], mapping)
-    return FittedData(read[: len(runs)], trials, read[len(runs) :])
+    fitted, held_out = (
+        as_used_recordings(some, mapping, keep_idle, progress) for some in (runs, tests)
+    )
+    return FittedData(fitted, trials, held_out)
 
 
 def _with_same_feedback(
@@ -178,6 +197,7 @@ def fit(
     profiles: Sequence[str] | None = None,
     quick: bool = False,
     budget: float = math.inf,
+    keep_idle: bool = False,
 ) -> FitResult:
     """Identify a vessel's parameters as `diffsea fit` does.
 
@@ -199,13 +219,14 @@ def fit(
         quick: whether to leave out what `quick` says, and name it in `not_done`.
         budget: seconds, after which no further step is begun but judging what was found; the
             result then says what was left out.
+        keep_idle: whether idle stretches of logs that are read here stay in.
 
     Raises:
         UserError: an unknown parameter, objective, anchor or effect, or data that do not suit.
     """
     with time_budget(budget) as left:
         file = as_vessel_file(vessel)
-        given = fitted_data(file.vessel, data, test, mapping)
+        given = fitted_data(file.vessel, data, test, mapping, keep_idle, progress)
         require_order_units(file.vessel, [*given.recordings, *given.test])
         not_done: tuple[str, ...] = ()
         if quick:
@@ -228,6 +249,7 @@ def fit(
             per_recording,
             proposes=not quick,
         )
+        require_writable(file.document, [p.name for p in free_parameters(file.vessel, settings)])
         numbers = (len(given.recordings), "recordings"), (len(given.trials), "trials of sheets")
         told = " and ".join(f"{number} {what}" for number, what in numbers if number)
         same = _with_same_feedback(file.vessel, given.recordings, given.test, progress)
@@ -328,6 +350,7 @@ def diagnose(
     anchor: str = "mass",
     quick: bool = False,
     budget: float = math.inf,
+    keep_idle: bool = False,
 ) -> DiagnosisResult:
     """Find the physics that a vessel's model leaves out, as `diffsea diagnose` does.
 
@@ -345,6 +368,7 @@ def diagnose(
         quick: whether to leave out what `quick` says; the record then names it under `not_done`.
         budget: seconds, after which no further step of any stage is begun: fits end where they
             are, and what was found is judged and told, with what was left out.
+        keep_idle: as for `fit`.
 
     Raises:
         UserError: recordings that cannot be read or do not suit the vessel.
@@ -352,7 +376,9 @@ def diagnose(
     with time_budget(budget) as left:
         deadline = Deadline(seconds)
         file = as_vessel_file(vessel)
-        runs, held_out = as_recordings(recordings, mapping), as_recordings(test, mapping)
+        runs, held_out = (
+            as_used_recordings(some, mapping, keep_idle, progress) for some in (recordings, test)
+        )
         require_order_units(file.vessel, [*runs, *held_out])
         progress(f"checking {len(runs) + len(held_out)} recordings for faults")
         audited = list(audit([*runs, *held_out]))
@@ -366,6 +392,7 @@ def diagnose(
             not_done = look.of_diagnosis(look.left_out(file.vessel, whole, [*runs, *held_out]))
         names = None if free is None else tuple(free)
         parameters = with_priors(file.vessel, names, file.priors | dict(priors or {}), anchor)
+        require_writable(file.document, [parameter.name for parameter in parameters])
         found = search_effects(
             file.vessel,
             runs,

@@ -22,7 +22,7 @@ from diffsea.vessel.base import (
 )
 from diffsea.vessel.forces import Force
 from diffsea.vessel.servo import Servo
-from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number
+from diffsea.vessel.tables import Table, check_keys, needed, numbers, optional_number, positive
 
 
 TURN_ROUNDING = 1e-3  # rad: how exactly a file says half a turn to both sides
@@ -213,6 +213,8 @@ class TunnelThruster(AbstractActuator):
     def from_table(cls, name: str, table: Table, vessel: Vessel) -> "TunnelThruster":
         where, optional = f"[[tunnel_thruster]] {name!r}", ("fading_speed", "effectiveness")
         check_keys(table, ("name", *Servo.KEYS, *FORCES, "x", *optional), where)
+        if "fading_speed" in table:
+            positive(table, "fading_speed", where)
         return cls(
             {name: Servo.from_table(table, where, *FORCES)},
             x=needed(table, "x", where),

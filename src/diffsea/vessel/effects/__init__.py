@@ -52,5 +52,10 @@ def with_effect(vessel: Vessel, table: Table) -> Vessel:
     """
     name = str(table.get("name", ""))
     variants = find_effects(name)
+    if name != (usual := catalogue_name(name)):
+        raise UserError(
+            f"[[effect]] {name!r} is one way of an entry of the catalogue: a file has its name, "
+            f"{usual!r}, and says by other keys on what it acts, and how"
+        )
     read = variants[0].read or read_table
     return read(vessel, table, variants, f"[[effect]] {name!r}")

@@ -70,8 +70,9 @@ def _read_latency(vessel: Vessel, table: Table, variants: Sequence[Effect], wher
     channels = read_names(table, "channels", where, ' such as ["x", "y"]')
     if channels is None:
         channels = variants[0].place.in_file(vessel)["channels"]
+    known = {channel for members in LATENCY_CHANNELS.values() for channel in members}
     groups = [g for g, members in LATENCY_CHANNELS.items() if set(members) & set(channels)]
-    if not groups:
+    if not groups or not set(channels) <= known:
         raise UserError(f"{where}: channels are among x, y, psi, u, v, r")
     return _add_latency(vessel, np.asarray(delay), groups)
 
