@@ -125,6 +125,4 @@ def test_an_effect_that_recordings_do_not_show_is_not_estimated(tmp_path):
     offset = next(name for name in diffsea.EFFECTS if name.startswith("feedback-error"))
     for effect, channel in (("roll-coupling", "phi"), (offset, "exec_")):
         with pytest.raises(UserError, match=f"without the channel {channel}"):
-            diffsea.fit(
-                str(file), table(60).assign(cmd_starboard=40.0), free=["X_u"], effects=[effect]
-            )
+            diffsea.fit(str(file), run, free=["X_u"], effects=[effect])
