@@ -75,6 +75,23 @@ def test_what_stays_alike_for_longer_than_a_vessel_does_is_not_left_out(boat, ru
     assert found == {"r": int(2 * np.sqrt(length / 9.80665) / float(problem.dataset.dt[0]))}
 
 
+def test_positions_are_used_alike_whichever_way_the_axes_of_the_world_point(boat, runs):
+    """North alone errs alike from row to row: turned by any angle, as many samples are used."""
+    problem = make_problem(boat, runs, FREE)
+    run = problem.run_filter(*problem.start())
+    rng = np.random.default_rng(3)
+    white = rng.normal(size=run.white.shape)
+    white[:, 0] = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.normal(size=len(white)))
+    found = []
+    for angle in (0.0, 0.3, 0.7, np.pi / 2):
+        c, s = np.cos(angle), np.sin(angle)
+        turned = white.copy()
+        turned[:, :2] = white[:, :2] @ np.array([[c, s], [-s, c]])
+        now = dataclasses.replace(run, white=jnp.asarray(turned))
+        found.append(independent_sampling(now, problem.dataset, 100.0))
+    assert found[0]["x"] == found[0]["y"] > 1 and all(one == found[0] for one in found)
+
+
 def test_every_run_keeps_its_first_sample_and_one_of_so_many(boat, runs):
     problem = make_problem(boat, runs, FREE)
     thin = thin_channels(problem.dataset, {"r": 4, "x": 3})

@@ -6,7 +6,8 @@ whatever acts slowly, and evidence counts the same error many times. Samples tha
 their innovations hardly correlate say what they say once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,39 +23,54 @@ from diffsea.trajectory import MOTION_CHANNELS
 HARDLY_CORRELATED = 0.2  # of an AR(1): errors of what is fitted are stated a fifth too small
 LONGEST_INTERVAL = 2.0  # in sqrt(L / g): what stays alike for longer is a mismatch, no sensor
 FEWEST_SAMPLES = 50  # of a channel, from which a correlation is told
+SENSORS = (("x", "y"), ("psi",), ("u",), ("v",), ("r",))  # channels whose errors are of one kind
 
 
 def independent_sampling(run: FilterRun, data: Dataset, length: float) -> dict[str, int]:
     """Channels whose errors follow one another: of how many samples one is to be used.
 
     The correlation of a run's innovations falls below 0.2 there, or the samples are 2 sqrt(L / g)
-    apart, L the vessel's `length` (m).
+    apart, L the vessel's `length` (m). Both axes of the positions are judged together: which way
+    the axes of the world point must not matter.
     """
-    white, used, found = np.asarray(run.white), np.asarray(run.gains.used), dict[str, int]()
-    longest = LONGEST_INTERVAL * time_scale(length)
-    for k, channel in enumerate(MOTION_CHANNELS):
-        rows = np.flatnonzero(used[:, k])
-        if len(rows) < FEWEST_SAMPLES:
-            continue
-        of_run, times = np.asarray(data.run)[rows], np.asarray(data.run_time)[rows]
-        steps = np.diff(times)[of_run[1:] == of_run[:-1]]
-        most = int(longest / np.median(steps)) if len(steps) else 1
-        every = _forgotten_after(white[rows, k], of_run, most)
+    longest, found = LONGEST_INTERVAL * time_scale(length), dict[str, int]()
+    for group in SENSORS:
+        series = [_innovations(run, data, channel) for channel in group]
+        series = [one for one in series if len(one.white) >= FEWEST_SAMPLES]
+        every = _forgotten_after(series, longest) if series else 1
         if every > 1:
-            found[channel] = every
+            found |= dict.fromkeys(group, every)
     return found
 
 
-def _forgotten_after(
-    white: Float[np.ndarray, "sample"], run: Int[np.ndarray, "sample"], most: int
-) -> int:
-    """The first lag, of at most so many samples, at which innovations hardly correlate."""
+class _Innovations(NamedTuple):
+    """Those of one channel, at its samples."""
+
+    white: Float[np.ndarray, "sample"]
+    run: Int[np.ndarray, "sample"]
+    t: Float[np.ndarray, "sample"]  # s, on the run's clock
+
+
+def _innovations(run: FilterRun, data: Dataset, channel: str) -> _Innovations:
+    k = MOTION_CHANNELS.index(channel)
+    rows = np.flatnonzero(np.asarray(run.gains.used)[:, k])
+    times = np.asarray(data.run_time)[rows]
+    return _Innovations(np.asarray(run.white)[rows, k], np.asarray(data.run)[rows], times)
+
+
+def _forgotten_after(series: Sequence[_Innovations], longest: float) -> int:
+    """The first lag at which innovations hardly correlate, in samples; within `longest` s."""
+    steps = np.concatenate([np.diff(one.t)[one.run[1:] == one.run[:-1]] for one in series])
+    most = int(longest / np.median(steps)) if len(steps) else 1
+    variance = np.concatenate([one.white**2 for one in series]).mean()
     for lag in range(1, most):
-        same = run[lag:] == run[:-lag]
-        if not same.any():
-            return lag
-        products = (white[lag:] * white[:-lag])[same]
-        if products.mean() < HARDLY_CORRELATED * np.mean(white**2):
+        products = np.concatenate(
+            [
+                (one.white[lag:] * one.white[:-lag])[one.run[lag:] == one.run[:-lag]]
+                for one in series
+            ]
+        )
+        if not products.size or products.mean() < HARDLY_CORRELATED * variance:
             return lag
     return max(most, 1)
 
