@@ -82,8 +82,8 @@ stands for the entry of that very name, and where there is none for all its vari
 can have; these share what there is to explain, so ask for one (`--effects actuator-bias:port`).
 *Vessels* says which vessels are asked, where not all are; a file may state the effect for others,
 too, unless it says *refused*. Of a sheet of trial numbers only effects of actuators and hull can be
-estimated, and no change at a `time`. `fit` does not ask whether recordings have what an effect
-needs: where they lack it, the number comes back as its prior has it.
+estimated, and no change at a `time`. Where a recording lacks what
+an effect needs (*Recordings*), `fit` refuses it.
 
 ## In a verdict
 
