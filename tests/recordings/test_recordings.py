@@ -64,6 +64,13 @@ def some_run(**channels):
     )
 
 
+def test_a_pulse_width_is_not_turned_into_seconds(tmp_path):
+    file = tmp_path / "m.toml"
+    file.write_text('[columns]\nu = "u"\ncmd_port = { column = "c1", unit = "us" }\n')
+    with pytest.raises(UserError, match="would turn pulse widths into seconds"):
+        read_mapping(file)
+
+
 def test_native_file_is_read_with_heading_unwrapped(place):
     run = read_recording(place(NATIVE))
     assert run.name == "run.csv"

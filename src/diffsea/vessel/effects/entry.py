@@ -231,6 +231,8 @@ def read_table(
     check_keys(table, tuple(dict.fromkeys(("name", *keys, *others))), where)
     # Where an effect has an entry of all its coefficients, its parts are of no use here.
     whole = [variant for variant in variants if variant.name == table["name"]]
+    if not table.keys() & {*keys, *others}:
+        raise UserError(f"{where} states no number; its keys are {', '.join(dict.fromkeys(keys))}")
     for variant in whole or variants:
         values = numbers(table, variant.units, where)
         if not values and not whole:
