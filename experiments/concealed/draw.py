@@ -4,10 +4,10 @@ A plan is a list of cases: hull, stratum, effects with their sizes in detection 
 of a case decides everything else: true derivatives, gusts, sensor noise, manoeuvres.
 """
 
+import dataclasses
 import hashlib
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +24,13 @@ SHARES = {
 }  # fmt: skip
 LEAST, MOST = 1.0, 30.0  # detection limits
 BESIDE = 4.0  # the least of each of several effects
-ENOUGH = {"standard": 8.0, "alike": 4.0}  # the least in strata whose runs show less than all
+# The least in strata whose runs show less than all, in limits of whole runs; and their length.
+ENOUGH = {"standard": 8.0, "alike": 4.0, "short": 4.0}
+LENGTH = {"short": 0.2}  # of the hull's usual run
 ROOM = 1.2  # largest plausible size over the least one, for sizes to be drawn between
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Set:
     """Whose hulls, in which shares the strata, how many cases, and the plan's seed."""
 
@@ -44,8 +46,9 @@ SETS = {
     # Beside the 400: what they hold none of, and what makes rivals.
     "triples": Set("scored", 31_013, {"triple": 1.0}, 24),
     "standard": Set("scored", 52_021, {"standard": 1.0}, 40),
-    # One manoeuvre, which leaves rivals: what is ambiguous is sailed on by `resolve`.
+    # One manoeuvre, of usual length and short, which leaves rivals: `resolve` sails on.
     "alike": Set("scored", 61_027, {"alike": 1.0}, 120),
+    "short": Set("scored", 61_129, {"short": 1.0}, 160),
     # So many that no false alarm in these and the 400 bounds their rate by 2.5 per cent.
     "clean": Set("scored", 73_009, {"clean": 1.0}, 100),
 }
@@ -173,6 +176,7 @@ def make_case(case: dict) -> tuple[list[dict], dict]:
 def _made(case: dict) -> tuple[list[dict], dict] | None:
     """Recordings and truth of a case as it is; None where a run diverges."""
     hull = HULLS[case["hull"]]
+    hull = dataclasses.replace(hull, rows=round(LENGTH.get(case["stratum"], 1.0) * hull.rows))
     rng = np.random.default_rng(case["seed"])
     model, done = true_vessel(case, rng)
     policies = orders.RUN_SETS.get(case["stratum"], orders.full)(rng, hull, model.sensing)

@@ -186,7 +186,9 @@ def alike(rng: np.random.Generator, hull, sensing: Sensing) -> list:
 
 
 # Of a stratum; others `full`.
-RUN_SETS = {"uninformative": uninformative, "standard": standard, "alike": alike}
+RUN_SETS = {
+    "uninformative": uninformative, "standard": standard, "alike": alike, "short": alike,
+}  # fmt: skip
 
 
 def _zigzag(rng: np.random.Generator, hull, sensing: Sensing) -> Zigzag:

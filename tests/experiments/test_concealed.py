@@ -444,8 +444,8 @@ def test_sets_beside_the_scored_one():
 
 
 def test_several_effects_and_those_of_standard_trials_are_of_a_good_size():
-    least_of = {"pair": 4.0, "triple": 4.0, "standard": 8.0, "alike": 4.0}
-    for seed, name in enumerate(("develop", "scored", "triples", "standard", "alike"), 5):
+    least_of = {"pair": 4.0, "triple": 4.0, "standard": 8.0, "alike": 4.0, "short": 4.0}
+    for seed, name in enumerate(("develop", "scored", "triples", "standard", "alike", "short"), 5):
         cases = draw.plan(name, 400, seed)
         for stratum, least in least_of.items():
             found = [e["limits"] for c in cases if c["stratum"] == stratum for e in c["effects"]]

@@ -92,3 +92,14 @@ def test_the_page_on_trust_names_tests_that_exist_and_the_numbers_of_the_last_ru
     told = f"{inputs} inputs to {len(results)} readers, found {breaches} breaches"
     assert told in " ".join(page.split()) and f"tries {INPUTS} of each reader" in page
     assert results.keys() == set(KINDS)
+    faults = json.loads((root / "tests" / "faults" / "results.json").read_text())
+    commands = faults["commands"].values()
+    kills = [one for name, one in faults.items() if name.startswith("kills of a ")]
+    total = lambda key, rows: sum(row[key] for row in rows)
+    told = (
+        f"{total('tried', commands)} failing calls of {len(commands)} commands were tried, with "
+        f"{total('breaches', commands)} breaches, and {total('rounds', kills)} kills, "
+        f"{total('within_the_parts', kills)} of them amid the parts, with "
+        f"{total('breaches', kills)}"
+    )
+    assert told in " ".join(page.split())
