@@ -418,8 +418,8 @@ def _column(channel: str, entry: object, where: str) -> Column:
         raise UserError(f"{where}: {unit!r} is not a unit of {dimension}; use one of {fitting}")
     if unit is not None and dimension is None and UNITS[unit][0] == "time":
         raise UserError(
-            f"{where}: {unit!r} would turn pulse widths into seconds; leave the unit out, and state "
-            'unit = "us" in the vessel file'
+            f"{where}: {unit!r} would turn pulse widths into seconds; leave the unit out, and "
+            'state unit = "us" in the vessel file'
         )
     return Column(entry["column"], unit=unit, cosine=cosine, **numbers)
 

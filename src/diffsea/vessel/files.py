@@ -289,17 +289,28 @@ def require_writable(document: Table, names: Iterable[str]) -> None:
         UserError: there is one; says which.
     """
     before = named(build(document))
-    for name in names:
-        other = 0.999 * float(before[name]) or 1e-6  # a limit that follows from others stays
-        try:
-            after = named(build(updated_document(document, {name: other}, [])))
-        except UserError:
-            after = {}
-        if name not in after or not math.isclose(float(after[name]), other, rel_tol=1e-9):
+    # Other values than those: a limit that follows from others would stay as it is.
+    others = {name: 0.999 * float(before[name]) or 1e-6 for name in names}
+    if _holds(document, others):
+        return
+    for name, value in others.items():
+        if not _holds(document, {name: value}):
             raise UserError(
                 f"{name!r} cannot be fitted: no key of the vessel file holds it alone"
                 + nearest(name, [known for known in before if known != name])
             )
+
+
+def _holds(document: Table, values: Mapping[str, float]) -> bool:
+    """Whether a document with some numbers is a vessel that has them."""
+    try:
+        there = named(build(updated_document(document, values, [])))
+    except UserError:
+        return False
+    return all(
+        name in there and math.isclose(float(there[name]), value, rel_tol=1e-9)
+        for name, value in values.items()
+    )
 
 
 def _place_in_actuator(document: Table, name: str) -> tuple[Any, Any]:
