@@ -22,6 +22,11 @@ from .outcomes import Outcome, read_all, read_table
 
 BINS = (1.0, 2.0, 4.0, 8.0, 16.0, 31.0)
 LARGE = 8.0  # detection limits from which naming must succeed
+FEW_KINDS = {  # strata whose runs are of few kinds
+    "standard": "standard trials",
+    "alike": "one manoeuvre",
+    "short": "one manoeuvre, short",
+}
 TARGETS = {
     "false alarms, clean": "at most 1 % (upper bound 2.5 %)",
     "named rightly, of decided, at least 8 limits": "95 %",
@@ -56,7 +61,6 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
     """All figures of a set."""
     of = lambda *strata: [o for o in outcomes if o.stratum in strata]
     single, effects = of("single"), [o for o in outcomes if o.limits]
-    standard = of("standard")
     found = lambda o: len(set(o.named) & set(o.true))
     large = [o for o in single if o.limits[0] >= LARGE]
     values = [e for o in effects for e in o.errors.values()]
@@ -81,9 +85,15 @@ def score(outcomes: list[Outcome], resolved: list[dict], gains: list[dict]) -> d
         "triples: all three named, nothing else": share(o.right for o in of("triple")),
         "triples: at least two named rightly": share(found(o) >= 2 for o in of("triple")),
         "triples: at least one named rightly": share(found(o) >= 1 for o in of("triple")),
-        "standard trials: named rightly, of decided": share(o.right for o in standard if o.decided),
-        "standard trials: named rightly, of all": share(o.right for o in standard),
-        "standard trials: ambiguous": share(o.verdict == "ambiguous" for o in standard),
+        **{
+            f"{runs}: {what}": share(flags)
+            for stratum, runs in FEW_KINDS.items()
+            for what, flags in (
+                ("named rightly, of decided", [o.right for o in of(stratum) if o.decided]),
+                ("named rightly, of all", [o.right for o in of(stratum)]),
+                ("ambiguous", [o.verdict == "ambiguous" for o in of(stratum)]),
+            )
+        },
         "wrong name, any case": share(o.wrong for o in outcomes),
         "outside the catalogue: no catalogue name": share(not o.named for o in of("outside")),
         "outside the catalogue: unexplained": share(

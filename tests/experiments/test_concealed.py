@@ -839,3 +839,16 @@ def test_the_figures_since_laws_are_asked_as_one_are_those_of_the_results():
     ):
         found = results["rates"][name]
         assert f"{found['hits']}/{found['n']}" in told, name
+
+
+def test_the_figures_of_few_runs_are_those_of_the_results():
+    folder = Path(score.__file__).parent
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    told = page[page.index("**One manoeuvre alone") : page.index("**Winds on superstructures")]
+    results = json.loads((folder / "results" / "few_runs.json").read_text(encoding="utf-8"))
+    assert results["revision"] in told
+    for name, figures in results["sets"].items():
+        assert f"`{name}`" in told and f"{figures['cases']} cases" in told
+        row = next(line for line in told.splitlines() if line.startswith(f"| `{name}`"))
+        for rate, found in figures["rates"].items():
+            assert f"{found['hits']}/{found['n']}" in row, (name, rate)
