@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 # As the library has them, which would import JAX to be asked.
 RECORDED_TRIALS = (
-    *("turning-circle", "zigzag", "pull-out", "stopping"),
-    *("straight", "unknown"),
+    *("turning-circle", "zigzag", "pull-out"),
+    *("stopping", "straight", "unknown"),
 )
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 UNITS_OF_PEOPLE = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
