@@ -48,7 +48,15 @@ overshoot_1 = { value = 8.2, unit = "deg", std = 0.5 }
 """
 VESSEL = BOAT + '[[effect]]\nname = "current"\nspeed = 0.3\ndirection = 1.2\n'
 VESSEL += "[prior]\nX_u = { spread = 0.5 }\n"
-TEXTS = {"mapping": MAPPING, "priors": PRIORS, "sheet": SHEET, "vessel": VESSEL}
+MISSIONS = pathlib.Path(__file__).parents[2] / "examples" / "missions"
+TEXTS = {
+    "mapping": MAPPING,
+    "priors": PRIORS,
+    "sheet": SHEET,
+    "vessel": VESSEL,
+    "mission": (MISSIONS / "survey_that_learns.toml").read_text(encoding="utf-8"),
+    "battery": (MISSIONS / "batteries" / "tides_and_loads.toml").read_text(encoding="utf-8"),
+}
 SUFFIXES = {
     **dict.fromkeys(TEXTS, ".toml"),
     "csv": ".csv",

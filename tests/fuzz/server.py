@@ -30,6 +30,8 @@ ADDRESSES = 6_000_000_000  # bytes: a bound so that a bomb does not take the mac
 LOADED = (
     "diffsea.exports.ardupilot",
     "diffsea.identification.objectives.trial_numbers",
+    "diffsea.missions.document",
+    "diffsea.missions.studies.battery",
     "mcap.reader",
     "pyarrow.parquet",
     "pymavlink.DFReader",
@@ -39,6 +41,7 @@ LOADED = (
     "scipy.io",
 )
 BOAT = []  # vessel and priors
+DOCUMENTS = ("vessel", "priors", "sheet", "fit", "mission", "battery")  # without a command
 SIZE = "200MB"  # to which files may expand here
 
 
@@ -69,8 +72,10 @@ def _boat():
 
 
 def _read_document(kind, file):
-    """Read a vessel, priors, a sheet or a result; these need no command's computing."""
+    """Read a document; these need no command's computing."""
     from diffsea.identification.objectives.trial_numbers import read_trial_table
+    from diffsea.missions.document import read_mission
+    from diffsea.missions.studies.battery import read_battery
     from diffsea.outside.documents import read_json
     from diffsea.parameters import read_priors
     from diffsea.vessel.files import read_vessel
@@ -78,6 +83,10 @@ def _read_document(kind, file):
     vessel, priors = BOAT
     if kind == "vessel":
         read_vessel(file)
+    elif kind == "mission":
+        read_mission(file)
+    elif kind == "battery":
+        read_battery(file)
     elif kind == "priors":
         read_priors(file, priors)
     elif kind == "sheet":
@@ -111,7 +120,7 @@ def _run(kind, file, out):
     from diffsea.errors import UserError
     from diffsea.outside.printable import printable
 
-    if kind not in ("vessel", "priors", "sheet", "fit"):
+    if kind not in DOCUMENTS:
         return cli.main(_command(kind, file, out))
     try:
         _read_document(kind, file)

@@ -174,13 +174,13 @@ def _vessel(document: Table, key: str, folder: pathlib.Path) -> Vessel:
     if ("name" in table) == ("file" in table):
         raise UserError(f"{where} has either the name of a shipped vessel or a file")
     shipped = files.shipped_vessels()
-    if "name" in table and table["name"] not in shipped:
-        hint = nearest(str(table["name"]), shipped)
+    name = str(table.get("name", ""))
+    if "name" in table and name not in shipped:
         raise UserError(
-            f"{where}: no vessel {table['name']!r} ships{hint}; give one of {', '.join(shipped)}, "
-            "or a file"
+            f"{where}: no vessel {name!r} ships{nearest(name, shipped)}; give one of "
+            f"{', '.join(shipped)}, or a file"
         )
-    source = shipped[table["name"]] if "name" in table else folder / str(table["file"])
+    source = shipped[name] if "name" in table else folder / str(table["file"])
     vessel = files.read_vessel(source).vessel
     parameters = _table(table, "parameters", {})
     values = numbers(parameters, parameters, f"{where} parameters")
@@ -192,9 +192,9 @@ def _vessel(document: Table, key: str, folder: pathlib.Path) -> Vessel:
 
 
 def _controller(table: Table, vessel: Vessel) -> Controller:
-    where, kind = "[controller]", table.get("kind")
+    where, kind = "[controller]", str(table.get("kind"))
     if kind not in CONTROLLERS:
-        hint = nearest(str(kind), CONTROLLERS)
+        hint = nearest(kind, CONTROLLERS)
         raise UserError(f"{where} kind = {kind!r}{hint}; it is one of {', '.join(CONTROLLERS)}")
     _, keys, needs = CONTROLLERS[kind]
     check_keys(table, ("kind", "limits", *keys), f"{where} of kind {kind!r}")
@@ -210,7 +210,7 @@ def _controller(table: Table, vessel: Vessel) -> Controller:
     if "far" in stated and not stated["far"] > stated["near"]:
         raise UserError(f"{where}: far = {stated['far']:g} must be above near = {stated['near']:g}")
     heading = dict(_table(table, "heading", {}))
-    law = heading.pop("law", "pid")
+    law = str(heading.pop("law", "pid"))
     if law not in HEADING_LAWS:
         raise UserError(f"{where} heading: law = {law!r} is one of {', '.join(HEADING_LAWS)}")
     check_keys(heading, HEADING_LAWS[law], f"{where} heading, law {law!r}")

@@ -26,6 +26,7 @@ numbers: compiling is most of the time that it takes.
 
 import dataclasses
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -114,14 +115,17 @@ def read_trial_table(path: str | Path, vessel: Vessel) -> tuple[MeasuredTrial, .
     )
 
 
-def _read_trial(
-    where: str, entry: dict[str, Any], relative: float, vessel: Vessel
-) -> MeasuredTrial:
+def _read_trial(where: str, entry: Any, relative: float, vessel: Vessel) -> MeasuredTrial:
+    if not isinstance(entry, dict):
+        raise UserError(f"{where} is {entry!r} and not a [[trial]]")
     for key in entry:
         if key not in _KEYS:
             raise UserError(f"{where}: unknown key {key!r}{nearest(key, _KEYS)}")
-    if "manoeuvre" not in entry or not entry.get("numbers"):
-        raise UserError(f"{where} needs a manoeuvre and [trial.numbers] with at least one number")
+    manoeuvre, numbers = entry.get("manoeuvre"), entry.get("numbers")
+    if not isinstance(manoeuvre, str) or not isinstance(numbers, dict) or not numbers:
+        raise UserError(
+            f"{where} needs a manoeuvre by its name and [trial.numbers] with at least one number"
+        )
     side = entry.get("side", "starboard")
     if side not in ("starboard", "port"):
         raise UserError(f"{where}: side = {side!r} is neither starboard nor port")
@@ -129,15 +133,19 @@ def _read_trial(
     orders = {key: _finite_number(entry[key], f"{where}: {key}") for key in given}
     orders |= {key: math.radians(orders[key]) for key in ("angle", "heading") if key in orders}
     # Enough rudder executions for the overshoots that are asked for.
-    overshoots = [int(n.rsplit("_", 1)[1]) for n in entry["numbers"] if n.startswith("overshoot_")]
-    executes = int(entry.get("executes", max([2, *(k + 1 for k in overshoots)])))
+    overshoots = [
+        int(n[1]) for name in numbers if (n := re.fullmatch(r"overshoot_(\d{1,3})", name))
+    ]
+    executes = entry.get("executes", max([2, *(k + 1 for k in overshoots)]))
+    if isinstance(executes, bool) or not isinstance(executes, int):
+        raise UserError(f"{where}: executes = {executes!r} is no number of rudder executions")
     sign = 1.0 if side == "starboard" else -1.0
     plan = planning.plan_trial(
-        vessel, entry["manoeuvre"], side=sign, executes=executes, keep_speed=False, **orders
+        vessel, manoeuvre, side=sign, executes=executes, keep_speed=False, **orders
     )
     rows = [
         _read_number(f"{where}, {name}", name, given, relative, float(vessel.rigid_body.length))
-        for name, given in entry["numbers"].items()
+        for name, given in numbers.items()
     ]
     names, values, stds = zip(*rows, strict=True)
     return MeasuredTrial(plan, names, np.array(values), np.array(stds))
@@ -153,9 +161,9 @@ def _read_number(
             raise UserError(f"{where}: unknown key {key!r}; give value, std and unit")
     factor = 1.0
     if "unit" in entry:
-        if entry["unit"] not in _UNITS:
+        if str(entry["unit"]) not in _UNITS:
             raise UserError(f"{where}: unknown unit {entry['unit']!r}; use {', '.join(_UNITS)}")
-        factor = _UNITS[entry["unit"]]
+        factor = _UNITS[str(entry["unit"])]
     if name.endswith("_over_L"):
         name, factor = name.removesuffix("_over_L"), length
     value = factor * _finite_number(entry.get("value"), where)
