@@ -136,3 +136,19 @@ def test_parts_lie_beside_the_results_and_within_a_folder_without_a_name(given, 
     assert parts_folder(args) == pathlib.Path(parts)
     args.parts = pathlib.Path("elsewhere")
     assert parts_folder(args) == pathlib.Path("elsewhere")
+
+
+def test_what_a_million_designs_took_is_as_measured():
+    text = (ROOT / "docs" / "sweeps-and-sensitivities.md").read_text(encoding="utf-8")
+    figures = json.loads(RESULTS.read_text(encoding="utf-8"))["figures"]
+    one = next(figure for figure in figures if figure["name"] == "scale")
+    memory = one["megabytes_of_memory"] / 1e3
+    kept = (one["megabytes_of_parts"] + one["megabytes_of_results"]) / 1e3
+    hours, more = one["hours_of_planned"], one["gigabytes_of_planned"]
+    for told in (
+        f"in {one['seconds']:.0f} s on two cores",
+        f"{one['value']:.2f} s for a part of 4096, {memory:.1f} GB of memory",
+        f"{kept:.2f} GB of parts and results",
+        f"are {hours:.1f} h of such a machine and {more:.0f} GB",
+    ):
+        assert told in " ".join(text.split()), told
