@@ -68,7 +68,7 @@ from diffsea.vessel.effects import Effect
 RELATIVE_STD = 0.03  # of a number that states none: a guess at the scatter of repeated trials
 _ORDERS = ("angle", "heading", "speed", "thrust", "seconds", "step")
 _KEYS = (*_ORDERS, "manoeuvre", "side", "executes", "numbers")
-_UNITS = dict.fromkeys(("m", "s", "rad", "rad/s", "m/s"), 1.0)
+_UNITS: dict[str, float] = dict.fromkeys(("m", "s", "rad", "rad/s", "m/s"), 1.0)
 _UNITS |= dict.fromkeys(("deg", "deg/s"), math.pi / 180)
 
 
