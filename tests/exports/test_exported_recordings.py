@@ -157,6 +157,15 @@ def test_topics_of_a_bag_have_no_sign_that_ros_refuses():
 
     assert topic_of("orders", "cmd_a 1.force") == "/diffsea/orders/a_1/force"
     assert topic_of("motion", "psi") == "/diffsea/motion/psi"
+    assert topic_of("executed", "exec_2.angle") == "/diffsea/executed/_2/angle"
+
+
+def test_two_channels_of_one_topic_are_refused(recording, tmp_path, capsys):
+    path, table = recording
+    table.assign(**{"cmd_a b": 1.0, "cmd_a_b": 2.0}).to_csv(path, index=False)
+    assert main(["export", str(path), "--to", "ros2", "-o", str(tmp_path / "out")]) == 1
+    assert "would both be /diffsea/orders/a_b" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_long_table_has_a_row_for_each_value_with_its_unit(recording, tmp_path):

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from diffsea.errors import UserError
-from diffsea.recordings.known.recognition import OWN_TOPICS
+from diffsea.recordings.known.recognition import OWN_PREFIXES, OWN_TOPICS
 from diffsea.recordings.readers import to_frame
 from diffsea.trajectory import CHANNEL_UNITS, MOTION_CHANNELS, Trajectory
 
@@ -79,8 +79,7 @@ def write_mcap(run: Trajectory, path: Path) -> None:
         from mcap.writer import Writer
     except ImportError:
         raise UserError("MCAP needs the extra: pip install 'diffsea[mcap]'") from None
-    run = run.counted()
-    require_times(run)
+    run = on_a_clock_of_mcap(run)
     native = {
         f"{OWN_TOPICS}{group}": (f"diffsea.{group.capitalize()}", channels)
         for group, channels in groups_of(run).items()
@@ -103,22 +102,25 @@ def write_mcap(run: Trajectory, path: Path) -> None:
         writer.finish()
 
 
-def require_times(run: Trajectory) -> None:
-    """Raises `UserError` where the run has times that an MCAP file cannot have."""
+def on_a_clock_of_mcap(run: Trajectory) -> Trajectory:
+    """The rows that count. Raises `UserError` where an MCAP file cannot have their times."""
+    run = run.counted()
     if not (run.t[0] >= 0 and run.t[-1] < 2**63 / 1e9):
         raise UserError(
             f"{run.name}: an MCAP file has times from 0 s on, and the run is from {run.t[0]:g} to "
             f"{run.t[-1]:g} s; shift its clock with a mapping"
         )
+    return run
 
 
 def groups_of(run: Trajectory) -> dict[str, dict[str, np.ndarray]]:
     """The native channels by what they are: `motion`, `orders`, `executed`, `surroundings`."""
     groups: dict[str, dict[str, np.ndarray]] = {}
+    of_prefix = {prefix: group for group, prefix in OWN_PREFIXES.items()}
     for name, column in to_frame(run).drop(columns="t").items():
-        prefix = str(name).partition("_")[0]
+        prefix, underscore, _ = str(name).partition("_")
         usual = "motion" if name in MOTION_CHANNELS else "surroundings"
-        group = {"cmd": "orders", "exec": "executed"}.get(prefix, usual)
+        group = of_prefix.get(prefix + underscore, usual)
         groups.setdefault(group, {})[str(name)] = column.to_numpy(float)
     return groups
 

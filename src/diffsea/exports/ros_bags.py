@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
-from diffsea.exports.recordings import BODY, MAP, groups_of, in_viewers_axes, require_times
-from diffsea.recordings.known.recognition import OWN_TOPICS
+from diffsea.exports.recordings import BODY, MAP, groups_of, in_viewers_axes, on_a_clock_of_mcap
+from diffsea.recordings.known.recognition import OWN_PREFIXES, OWN_TOPICS
 from diffsea.trajectory import Trajectory
 
 
@@ -30,15 +30,15 @@ def write_ros_bag(run: Trajectory, path: Path) -> None:
     A row without place or velocity has no message of it; a native channel has not-a-number there.
 
     Raises:
-        UserError: the extra `ros` is not installed, or times that the format cannot have.
+        UserError: the extra `ros` is not installed, times that the format cannot have, or two
+            channels that would share a topic.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise UserError("a ROS 2 bag needs the extra: pip install 'diffsea[ros]'") from None
-    run = run.counted()
-    require_times(run)
+    run = on_a_clock_of_mcap(run)
     store = get_typestore(Stores.ROS2_JAZZY)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / path.stem
@@ -54,21 +54,33 @@ def write_ros_bag(run: Trajectory, path: Path) -> None:
 
 
 def topic_of(group: str, channel: str) -> str:
-    """The topic of a native channel: dots part names as slashes do, other signs become `_`."""
-    name = re.sub("^(cmd|exec)_", "", channel).replace(".", "/")
-    return f"{OWN_TOPICS}{group}/{_NOT_IN_TOPICS.sub('_', name)}"
+    """The topic of a native channel: dots part names as slashes do, other signs become `_`.
+
+    A part that begins with a digit, which ROS refuses, gets one in front.
+    """
+    name = channel.removeprefix(OWN_PREFIXES.get(group, "")).replace(".", "/")
+    topic = f"{OWN_TOPICS}{group}/{_NOT_IN_TOPICS.sub('_', name)}"
+    return re.sub(r"/(?=\d)", "/_", topic)
+
+
+def _native(run: Trajectory) -> dict[str, np.ndarray]:
+    """The native channels that have values, by topic."""
+    found: dict[str, np.ndarray] = {}
+    for group, channels in groups_of(run).items():
+        for name, series in channels.items():
+            topic = topic_of(group, name)
+            if topic in found:
+                raise UserError(f"{run.name}: {name} and another channel would both be {topic}")
+            if np.isfinite(series).any():
+                found[topic] = series
+    return found
 
 
 def _messages(run: Trajectory, types: dict[str, Any]) -> Iterator[tuple[float, str, Any]]:
     """Times, topics and messages, row by row."""
     number, unknown = types["std_msgs/msg/Float64"], np.zeros(36)
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    native = {
-        topic_of(group, name): series
-        for group, channels in groups_of(run).items()
-        for name, series in channels.items()
-        if np.isfinite(series).any()
-    }
+    native = _native(run)
     for row, t in enumerate(run.t):
         seconds, rest = divmod(round(t * 1e9), 10**9)
         stamp = types["builtin_interfaces/msg/Time"](seconds, rest)
