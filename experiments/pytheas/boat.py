@@ -31,8 +31,10 @@ def boat(
     lever: Scalar = LEVER,
     mass: Scalar = MASS,
     D: Scalar | None = None,
+    full_angle: Scalar = FULL_ANGLE,
 ) -> Vessel:
-    """The catalogue's boat with another full thrust (N), thruster position (m), mass (kg) or D (m).
+    """The catalogue's boat with other numbers: full thrust (N), thruster position (m), mass (kg),
+    D (m), or largest angle of the thruster to either side (rad).
 
     `lever` is L_t, positive ahead of the mass centre. Inertia follows mass and D by the formulas
     of Table I; D is `draught(mass)` where none is given. Damping stays as it is.
@@ -50,8 +52,8 @@ def boat(
             "N_rdot": -(0.1 * mass * BEAM**2 + section * LENGTH**3) / 24,
             "thruster.x": lever,
             "thruster.thruster.force.upper": thrust,
-            "thruster.thruster.angle.upper": FULL_ANGLE,
-            "thruster.thruster.angle.lower": -FULL_ANGLE,
+            "thruster.thruster.angle.upper": full_angle,
+            "thruster.thruster.angle.lower": -full_angle,
         },
     )
     return floats(vessel)

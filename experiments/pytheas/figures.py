@@ -2,6 +2,7 @@
 
 from experiments.harness.reporting import panels
 from experiments.pytheas import disturbances
+from experiments.pytheas.boat import FREQUENCY, SWING
 from experiments.pytheas.layouts import Flown
 from experiments.pytheas.sailing import Track
 from experiments.pytheas.sweep import Map
@@ -126,4 +127,65 @@ def sweep(maps: dict[str, Map]) -> Figure:
         ax.minorticks_off()
         ax.legend(fontsize=8, loc="lower left")
     figure.colorbar(shown, ax=axes, label="time to the waypoint, s; grey: first attempt fails")
+    return figure
+
+
+SHOWN = ("D1", "D3", "D6", "D8", "D9")  # figures 7 to 11
+
+
+def trials(tracks: dict[str, Track]) -> Figure:
+    """Headings, track, speeds, forces and the thruster's angle, a column for each trial."""
+    figure, axes = panels(5, len(SHOWN), 14.0, 12.0)
+    for k, name in enumerate(SHOWN):
+        track, (heading, path, speeds, forces, angle) = tracks[name], axes[:, k]
+        number = disturbances.NAMES.index(name)
+        bias, direction = disturbances.BIASES[number % 3], disturbances.DIRECTIONS[number // 3]
+        north, east = disturbances.WAYPOINT
+        bearing = np.unwrap(np.arctan2(east - track.y, north - track.x))
+        heading.plot(track.t, np.rad2deg(bearing), color=GREY, ls="--", label="to the waypoint")
+        heading.plot(track.t, np.rad2deg(track.psi), color=BLUE, label="of the boat")
+        heading.set_title(f"{name}: {bias:.0f} N towards {np.rad2deg(direction):.0f} deg")
+        path.plot(track.y, track.x, color=BLUE)
+        circle(path, north, east, disturbances.TOLERANCE)
+        path.set(xlabel="east, m", aspect="equal", adjustable="datalim")
+        for value, colour, label in (
+            (track.u, BLUE, "surge, m/s"), (track.v, RED, "sway, m/s"),
+            (track.r, ORANGE, "yaw rate, rad/s"),
+        ):  # fmt: skip
+            speeds.plot(track.t, value, color=colour, lw=1.0, label=label)
+        swell = bias + SWING * np.sin(2 * np.pi * FREQUENCY * track.t)
+        forces.plot(track.t, track.commanded["thruster.force"], color=BLUE, lw=1.0, label="thrust, N")
+        forces.plot(track.t, swell, color=GREY, lw=1.0, label="swell, N")
+        angle.plot(track.t, np.rad2deg(track.commanded["thruster.angle"]), color=BLUE, lw=1.0)
+        angle.set_xlabel("time, s")
+    labels = ("heading, deg", "north, m", "speed", "force", "thruster's angle, deg")
+    for ax, label in zip(axes[:, 0], labels, strict=True):
+        ax.set_ylabel(label)
+    for ax in axes[(0, 2, 3), 0]:
+        ax.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def requirements(angles: dict, near: dict[str, dict], distances: tuple[float, ...]) -> Figure:
+    """Directions reached over the full angle, and runs over the distance of reduced thrust."""
+    figure, axes = panels(1, 3, 13.0, 3.8)
+    left, middle, right = axes[0]
+    for one, colour in zip(angles["swell"][3:], (BLUE, ORANGE, RED), strict=True):
+        left.plot(np.rad2deg(angles["angles"]), 100 * np.array(one["shares"]), "o-", color=colour,
+                  ms=3, lw=1.2, label=f"swell of {one['bias']:.0f} N")  # fmt: skip
+    left.set(xlabel="full thrust angle to either side, deg", ylabel="directions reached, %",
+             title=f"{angles['swell'][-1]['thrust']:g} N of thrust", ylim=(0, 105))  # fmt: skip
+    places = list(dict.fromkeys(name.rpartition(", ")[0] for name in near))
+    for place, colour in zip(places, (GREY, "#444444", BLUE, RED), strict=True):
+        rows = [near[f"{place}, {d:g} m"] for d in distances]
+        for ax, key, factor in ((middle, "at_once", 100), (right, "median_time", 1)):
+            ax.plot(distances, [factor * row[key] for row in rows], "o-", color=colour, ms=3, lw=1.2,
+                    label=place)  # fmt: skip
+    for ax, label in ((middle, "reached at the first pass, %"), (right, "median time, s")):
+        ax.axvspan(10, 20, color="#d1720f", alpha=0.15, label="recommended")
+        ax.set(xscale="log", xlabel="wide turns have less thrust within, m", ylabel=label)
+        ax.set_xticks(distances, labels=[f"{d:g}" for d in distances])
+        ax.minorticks_off()
+    left.legend(frameon=False, fontsize=8, loc="lower right")
+    right.legend(frameon=False, fontsize=7)
     return figure

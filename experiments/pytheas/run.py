@@ -1,7 +1,16 @@
 """A boat with one vectored thruster: its published runs, and its design by derivative."""
 
 from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
-from experiments.pytheas import design, disturbances, figures, layouts, still_water, sweep
+from experiments.pytheas import (
+    design,
+    disturbances,
+    figures,
+    layouts,
+    motor_out,
+    requirements,
+    still_water,
+    sweep,
+)
 
 import numpy as np
 
@@ -18,13 +27,15 @@ def main() -> None:
     rows, tables = rows + more, tables | {"battery": text}
     others, more, text = other_layouts(work)
     rows, tables = rows + more, tables | {"layouts": text}
+    asked, more, texts = required(work, calm["half_widths"])
+    rows, tables = rows + more, tables | texts
     designs, more_tables = designed(work)
     tables |= more_tables
     maps, text = mapped(work)
     tables |= {"map": text}
     results = {
         "comparison": rows, "still_water": calm, "battery": trials, "layouts": others,
-        "beyond": {"design": designs, "sweep": maps},
+        "requirements": asked, "beyond": {"design": designs, "sweep": maps},
     }  # fmt: skip
     work.write(results, {"comparison": comparison(rows)} | tables)
 
@@ -58,6 +69,7 @@ def in_still_water(work: Experiment) -> tuple[dict, list[dict], dict[str, str]]:
         "literal_1.4_m_s": still_water.literal_reading(eight[3]),
         "readings": found,
         "reached_by_reading": reached,
+        "half_widths": {thrust: still_water.turning_radius(track) for thrust, track in turns.items()},
         "steady_radius_at_1_N": still_water.steady_radius(1.0),
         "half_width_of_turns_with_positions_turned": still_water.rotated_widths(work.quick),
     }
@@ -75,6 +87,7 @@ def in_swell(work: Experiment) -> tuple[list[dict], list[dict], str]:
     ]
     trials, text = disturbances.summary(tracks, *ways)
     work.save(figures.battery(tracks, ways[1]), "disturbances")
+    work.save(figures.trials(tracks), "trials")
     work.say("disturbances")
     return trials, disturbances.comparison_rows(trials), text
 
@@ -88,6 +101,30 @@ def other_layouts(work: Experiment) -> tuple[dict, list[dict], str]:
         work.save(figures.layouts(found), "layouts")
     work.say("layouts")
     return layouts.record(found), layouts.comparison_rows(found), layouts.layouts_table(found)
+
+
+def required(work: Experiment, widths: dict[float, float]) -> tuple[dict, list[dict], dict]:
+    """What the closed loop asks of thrust angle, tolerance, logic, thrust, and of a motor's loss."""
+    every = 30.0 if work.quick else 5.0
+    angles, sizes = requirements.angle_range(every), requirements.tolerances(every)
+    near, compromise = requirements.nears(3 * every), requirements.thrusts(widths)
+    rows = requirements.comparison_rows(angles, near, compromise)
+    results = {"thrust_angle": angles, "tolerance": sizes, "near": near, "thrust": compromise}
+    texts = {
+        "angles": requirements.angle_table(angles),
+        "tolerances": requirements.shares_table("tolerance", sizes),
+        "nears": requirements.shares_table("within", near),
+        "thrusts": requirements.thrusts_table(compromise),
+    }
+    work.save(figures.requirements(angles, near, requirements.NEARS), "requirements")
+    work.say("requirements")
+    if not work.quick:
+        limping = motor_out.limping()
+        rows.append(motor_out.comparison_row(limping))
+        results["motor_out"] = motor_out.record(limping)
+        texts["motor_out"] = motor_out.limping_table(limping)
+        work.say("a motor out")
+    return results, rows, texts
 
 
 def designed(work: Experiment) -> tuple[dict, dict[str, str]]:
