@@ -154,7 +154,8 @@ def trials(tracks: dict[str, Track]) -> Figure:
         ):  # fmt: skip
             speeds.plot(track.t, value, color=colour, lw=1.0, label=label)
         swell = bias + SWING * np.sin(2 * np.pi * FREQUENCY * track.t)
-        forces.plot(track.t, track.commanded["thruster.force"], color=BLUE, lw=1.0, label="thrust, N")
+        thrust = track.commanded["thruster.force"]
+        forces.plot(track.t, thrust, color=BLUE, lw=1.0, label="thrust, N")
         forces.plot(track.t, swell, color=GREY, lw=1.0, label="swell, N")
         angle.plot(track.t, np.rad2deg(track.commanded["thruster.angle"]), color=BLUE, lw=1.0)
         angle.set_xlabel("time, s")
@@ -179,8 +180,8 @@ def requirements(angles: dict, near: dict[str, dict], distances: tuple[float, ..
     for place, colour in zip(places, (GREY, "#444444", BLUE, RED), strict=True):
         rows = [near[f"{place}, {d:g} m"] for d in distances]
         for ax, key, factor in ((middle, "at_once", 100), (right, "median_time", 1)):
-            ax.plot(distances, [factor * row[key] for row in rows], "o-", color=colour, ms=3, lw=1.2,
-                    label=place)  # fmt: skip
+            shown = [factor * row[key] for row in rows]
+            ax.plot(distances, shown, "o-", color=colour, ms=3, lw=1.2, label=place)
     for ax, label in ((middle, "reached at the first pass, %"), (right, "median time, s")):
         ax.axvspan(10, 20, color="#d1720f", alpha=0.15, label="recommended")
         ax.set(xscale="log", xlabel="wide turns have less thrust within, m", ylabel=label)

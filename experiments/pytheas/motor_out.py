@@ -63,7 +63,8 @@ class SternAndRudders(Allocated):
         rudder = RUDDER_ANGLE * angle / FULL_ANGLE
         return {
             "bow.force": jnp.zeros(()), "bow.angle": jnp.zeros(()),
-            "stern": jnp.minimum(throttle, MOTOR), "port_rudder": rudder, "starboard_rudder": rudder,
+            "stern": jnp.minimum(throttle, MOTOR),
+            "port_rudder": rudder, "starboard_rudder": rudder,
         }  # fmt: skip
 
 

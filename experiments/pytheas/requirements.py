@@ -67,14 +67,13 @@ class _Sailing(eqx.Module):
 
 def run(cases: Sequence[Case]) -> End:
     """Every case, in blocks of one size."""
-    blocks = [list(cases[k : k + LANES]) for k in range(0, len(cases), LANES)]
-    found = []
-    for block in blocks:
-        full = block + block[-1:] * (LANES - len(block))
-        batch = jax.tree.map(lambda *leaves: jnp.array(leaves, float), *full)
-        end = jax.tree.map(np.asarray, _block(batch))
-        found.append(jax.tree.map(lambda leaf, n=len(block): leaf[:n], end))
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+    full = [*cases, *[cases[-1]] * (-len(cases) % LANES)]
+    batch = jax.tree.map(lambda *leaves: np.array(leaves, float), *full)
+    ends = [
+        _block(jax.tree.map(lambda leaf, k=k: leaf[k : k + LANES], batch))
+        for k in range(0, len(full), LANES)
+    ]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(cases)], *ends)
 
 
 @eqx.filter_jit
@@ -107,8 +106,7 @@ def _block(cases: Case) -> End:
 
 
 def _step(case: Case, vessel, logic, sailing: _Sailing, number: Scalar) -> _Sailing:
-    """One period further; a pass has gone by once the boat is a tolerance further off than it was.
-    """
+    """One period further; a pass is over once the boat is a tolerance further off than it was."""
     t = number * PERIOD
     memory, orders = logic.step(sailing.memory, sailing.motion.state, t, PERIOD)
     motion = advance(vessel, sailing.motion, orders, Environment(), t, PERIOD)
@@ -135,8 +133,8 @@ def by(cases: Iterable[tuple[object, Case]]) -> dict[object, End]:
     """Runs of many cases at once, apart by their keys."""
     keys, listed = zip(*cases, strict=True)
     end = run(listed)
-    picked = {key: [k for k, other in enumerate(keys) if other == key] for key in dict.fromkeys(keys)}
-    return {key: jax.tree.map(lambda leaf, r=rows: leaf[r], end) for key, rows in picked.items()}
+    rows = {key: np.array([other == key for other in keys]) for key in dict.fromkeys(keys)}
+    return {key: jax.tree.map(lambda leaf, r=row: leaf[r], end) for key, row in rows.items()}
 
 
 # Thrust angle
@@ -189,7 +187,8 @@ def tolerances(every: float) -> dict:
         ((f"swell of {B:.0f} N", size), Case(tolerance=size, bias=B, direction=way))
         for B in SWELLS[1:3] for size in TOLERANCES for way in directions(every)
     ]  # fmt: skip
-    return {f"{where}, {size:g} m": _shares(end) for (where, size), end in by(still + swell).items()}
+    ends = by(still + swell)
+    return {f"{where}, {size:g} m": _shares(end) for (where, size), end in ends.items()}
 
 
 def nears(every: float) -> dict:
@@ -263,7 +262,7 @@ def comparison_rows(angles: dict, near: dict, compromise: list[dict]) -> list[di
     widths = [one["half_width"] for one in compromise]
     fall = 100 * (1 - min(widths) / max(widths))
     return [
-        compared("full angle that reaches as many directions as any", "", "to be found by the design",
+        compared("full angle that reaches as many directions as any", "", "a result of the design",
                  f"at {DESIGNED:g} N: {enough}"),
         compared("distance within which wide turns have less thrust", "", "10 to 20 m",
                  f"most reached: {most.split(', ')[1]}"),

@@ -69,7 +69,7 @@ def in_still_water(work: Experiment) -> tuple[dict, list[dict], dict[str, str]]:
         "literal_1.4_m_s": still_water.literal_reading(eight[3]),
         "readings": found,
         "reached_by_reading": reached,
-        "half_widths": {thrust: still_water.turning_radius(track) for thrust, track in turns.items()},
+        "half_widths": {F: still_water.turning_radius(track) for F, track in turns.items()},
         "steady_radius_at_1_N": still_water.steady_radius(1.0),
         "half_width_of_turns_with_positions_turned": still_water.rotated_widths(work.quick),
     }
@@ -104,7 +104,7 @@ def other_layouts(work: Experiment) -> tuple[dict, list[dict], str]:
 
 
 def required(work: Experiment, widths: dict[float, float]) -> tuple[dict, list[dict], dict]:
-    """What the closed loop asks of thrust angle, tolerance, logic, thrust, and of a motor's loss."""
+    """What the closed loop asks of thrust angle, tolerance, logic and thrust; a motor out."""
     every = 30.0 if work.quick else 5.0
     angles, sizes = requirements.angle_range(every), requirements.tolerances(every)
     near, compromise = requirements.nears(3 * every), requirements.thrusts(widths)

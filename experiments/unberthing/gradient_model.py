@@ -162,11 +162,16 @@ def descended(
 
 
 def estimated(
-    model: Linear, window: Window, leaving: Bool[Array, ""], rates: Float[Array, "2"]
+    model: Linear,
+    window: Window,
+    leaving: Bool[Array, ""],
+    rates: Float[Array, "2"],
+    bias: Scalar = 0.0,
 ) -> Linear:
-    """The model after one control period of gradient descent."""
+    """The model after one control period of gradient descent; `bias`, 0 or 1: eq. 4 has one."""
     rows, rate = [], jnp.where(leaving, rates[1], rates[0])
     for k in range(2):
-        terms = jnp.where(leaving, jnp.array(LEAVING[k]), jnp.array(UNBERTHING[k])).astype(float)
+        unberthing = jnp.array(UNBERTHING[k], float).at[5].set(bias)
+        terms = jnp.where(leaving, jnp.array(LEAVING[k], float), unberthing)
         rows.append(descended(model.rows[k], *normal_equations(window, k, terms), rate))
     return Linear(jnp.stack(rows))

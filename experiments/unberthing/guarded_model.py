@@ -11,7 +11,7 @@ from experiments.unberthing.harbour_ship import PERIOD, nominal
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffsea import Parameter, State, Vessel
+from diffsea import Parameter, State, Vessel, replace
 from diffsea.identification.online.guarded import Gate, GuardedEstimator, GuardedState
 from diffsea.identification.online.rls import recursive_least_squares
 from diffsea.identification.online.trust import TrustLimits, trust_limits
@@ -23,6 +23,7 @@ BANDWIDTH = 0.2  # rad/s, of the filters: sway noise below it, thrusters' change
 LASTING = 5.0  # s that a gust lasts in the residual
 WINDOW = 30.0  # s of the trust, and of the quarantine
 REOPEN = 0.6  # trust that opens the gate: while leaving, the thrusters rest and tell nothing
+NEVER = 1e3  # m/s, at which thrusters that do not fade are down to half
 NOISE = (1.5e3, 2.5e3, 4.0e4)  # N, N, N m: residual of the leaving phase on development seeds
 
 FREE = (
@@ -34,17 +35,22 @@ FREE = (
 )
 
 
-def model_vessel() -> Vessel:
-    """The nominal ship in calm water with a steady force at zero."""
+def model_vessel(fading: bool = True) -> Vessel:
+    """The nominal ship in calm water with a steady force at zero; without `fading` her thrusters
+    push as hard at any speed."""
     vessel = nominal()
+    if not fading:
+        vessel = replace(vessel, dict.fromkeys(("bow.fading_speed", "stern.fading_speed"), NEVER))
     forces = {n: f for n, f in vessel.forces.items() if n != "wind"} | {"steady": SteadyForce()}
     return eqx.tree_at(lambda v: v.forces, vessel, forces, is_leaf=lambda x: x is vessel.forces)
 
 
-def guard(limits: TrustLimits | None = None) -> tuple[GuardedEstimator, GuardedState]:
+def guard(
+    limits: TrustLimits | None = None, fading: bool = True
+) -> tuple[GuardedEstimator, GuardedState]:
     """The estimator behind its gate, before the first measurement."""
     estimator = recursive_least_squares(
-        model_vessel(),
+        model_vessel(fading),
         FREE,
         memory=MEMORY,
         bandwidth=BANDWIDTH,

@@ -15,6 +15,7 @@ from experiments.unberthing.gradient_model import (
 )
 from experiments.unberthing.guarded_model import guard
 from experiments.unberthing.harbour_ship import KNOT, PERIOD, nominal, orders
+from experiments.unberthing.track_lqr import BLADE_LIMITS
 
 import equinox as eqx
 import jax
@@ -59,11 +60,17 @@ class AbstractEstimator(eqx.Module):
 
 
 class Gradient(AbstractEstimator):
-    """The published estimator; each phase starts from the nominal model of its first speed."""
+    """The published estimator; each phase starts from the nominal model of its first speed.
+
+    With `bias` eq. 4 has a bias in both equations, as eq. 5 has one in sway, and with `forward`,
+    too, the thrusters also bear the push that it stands for.
+    """
 
     unberthing: Linear
     leaving: Linear
     rates: Float[Array, "2"]
+    bias: Scalar = 0.0  # or 1
+    forward: Scalar = 0.0  # or 1
 
     def init(self) -> tuple[Linear, Window]:
         return self.unberthing, empty()
@@ -72,8 +79,12 @@ class Gradient(AbstractEstimator):
         start = _where(seen.leaving, self.leaving, self.unberthing)
         model = _where(seen.fresh, start, memory[0])
         window = push(memory[1], seen.speeds, seen.blades[1:], seen.fresh)
-        model = estimated(model, window, seen.leaving, self.rates)
-        return (model, window), Advice(model, jnp.zeros(2), jnp.ones(()))
+        model = estimated(model, window, seen.leaving, self.rates, self.bias)
+        # Estimates on their way through zero ask for more than thrusters have.
+        ahead = -jnp.linalg.solve(model.inputs[:, 1:], model.rows[:, 5])
+        ahead = jnp.clip(jnp.nan_to_num(ahead), -jnp.array(BLADE_LIMITS), jnp.array(BLADE_LIMITS))
+        ahead = jnp.where(seen.leaving, 0.0, self.forward * ahead)
+        return (model, window), Advice(model, ahead, jnp.ones(()))
 
 
 class Recursive(AbstractEstimator):
@@ -112,17 +123,24 @@ class Recursive(AbstractEstimator):
         return self.guard.step(standing, orders(seen.blades), row, dt)
 
 
-def gradient(rates: tuple[float, float] = RATES) -> Gradient:
+def gradient(
+    rates: tuple[float, float] = RATES, bias: bool = False, forward: bool = False
+) -> Gradient:
     """The published estimator, from the regressions' ship at 1 and at 3 kn."""
     models = (nominal_linear(nominal(), jnp.asarray(knots * KNOT)) for knots in (1.0, 3.0))
-    return Gradient(*models, rates=jnp.array(rates, float))
+    switches = (jnp.asarray(switch, float) for switch in (bias, forward))
+    return Gradient(*models, jnp.array(rates, float), *switches)
 
 
 def recursive(
-    limits: TrustLimits | None = None, gated: bool = True, forward: bool = False
+    limits: TrustLimits | None = None,
+    gated: bool = True,
+    forward: bool = False,
+    fading: bool = True,
 ) -> Recursive:
-    """The library's estimator with its trust and gate."""
-    return Recursive(*guard(limits), *(jnp.asarray(switch, float) for switch in (gated, forward)))
+    """The library's estimator with its trust and gate; `fading`: it knows that thrusters fade."""
+    switches = (jnp.asarray(switch, float) for switch in (gated, forward))
+    return Recursive(*guard(limits, fading), *switches)
 
 
 def _where(which: Bool[Array, ""], one: Linear, other: Linear) -> Linear:

@@ -4,7 +4,7 @@
 from experiments.harness.reporting import panels
 from experiments.unberthing.harbour_ship import DEGREE
 from experiments.unberthing.unberthing_loop import Log
-from experiments.unberthing.unberthing_scores import Score, wrong_way
+from experiments.unberthing.unberthing_scores import wrong_way
 
 import matplotlib.axes
 import numpy as np
@@ -79,30 +79,31 @@ def leaving(found: dict[str, Log]) -> Figure:
     return figure
 
 
-def scored(found: dict[str, list[Score]], summaries: dict[str, dict]) -> Figure:
-    """Largest errors of Step 2 over seeds, and shares of wrong-way runs."""
-    figure, axes = panels(1, 2, 11.5, 4.2)
-    for name, judged in found.items():
-        worst = np.sort([abs(one.worst[2]) for one in judged])
-        share = np.arange(1, len(worst) + 1) / len(worst)
-        axes[0, 0].step(worst, share, where="post", color=COLOURS[name], label=name)
-    axes[0, 0].set(xscale="log", xlabel="largest cross-track error in Step 2, m",
-                   ylabel="share of runs", ylim=(0, 1.02))  # fmt: skip
-    axes[0, 0].set_xticks([1, 2, 5, 10, 20, 50, 100, 200], [1, 2, 5, 10, 20, 50, 100, 200])
-    axes[0, 0].minorticks_off()
-    axes[0, 0].axvline(7.1, color="black", lw=0.8, ls=":")
-    axes[0, 0].text(7.3, 0.03, "published run", fontsize=8)
-    axes[0, 0].legend(frameon=False, fontsize=8)
-    names = list(summaries)
-    for k, name in enumerate(names):
-        one = summaries[name]
-        low, high = one["wrong_way_interval"]
-        colour = COLOURS.get(name, COLOURS["published"])
-        axes[0, 1].plot([100 * low, 100 * high], [k, k], color=colour, lw=2)
-        axes[0, 1].plot(100 * one["wrong_way"], k, "o", color=colour)
-    axes[0, 1].set_yticks(range(len(names)), names)
-    axes[0, 1].invert_yaxis()
-    axes[0, 1].set(xlabel="runs with thrusters the wrong way, % (95 % interval)", xlim=(-1, None))
+def scored(same: dict[str, dict], other: dict[str, dict]) -> Figure:
+    """Wrong-way runs and errors of every control system, on ships of both structures."""
+    figure, axes = panels(1, 2, 12.5, 0.9 + 0.36 * len(same))
+    left, right = axes[0]
+    ships = (("of the estimators' structure", same, "#1f5fa8", -0.14),
+             ("of another structure", other, "#d1720f", 0.14))  # fmt: skip
+    for label, summaries, colour, off in ships:
+        for k, one in enumerate(summaries.values()):
+            for ax, key, factor in ((left, "wrong_way", 100), (right, "p95_worst_step_2", 1)):
+                low, high = one[f"{key}_interval"]
+                ax.plot([factor * low, factor * high], [k + off] * 2, color=colour, lw=2)
+                ax.plot(factor * one[key], k + off, "o", color=colour, ms=5,
+                        label=label if k == 0 else None)  # fmt: skip
+    for ax in (left, right):
+        ax.set_yticks(range(len(same)), list(same) if ax is left else [])
+        ax.set_ylim(len(same) - 0.5, -0.5)
+        ax.grid(axis="y", color="#dddddd", lw=0.6)
+        ax.set_axisbelow(True)
+    left.set(xlabel="runs with thrusters the wrong way, % (95 % interval)", xlim=(-1, None))
+    right.set(
+        xscale="log", xlabel="95th percentile of the largest error in Step 2, m (95 % interval)"
+    )
+    right.set_xticks([3, 5, 10, 20, 50, 100], ["3", "5", "10", "20", "50", "100"])
+    right.minorticks_off()
+    left.legend(frameon=False, fontsize=8, title="ships", title_fontsize=8, loc="lower right")
     return figure
 
 

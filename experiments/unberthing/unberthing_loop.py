@@ -3,6 +3,7 @@
 
 from typing import Any
 
+from experiments.unberthing.harbour_plants import AbstractPlant, Air
 from experiments.unberthing.harbour_route import place
 from experiments.unberthing.harbour_ship import PERIOD, Weather
 from experiments.unberthing.unberthing_system import ControlSystem
@@ -12,12 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffsea import Environment, State, Vessel
-from diffsea.simulation.integrate import advance, begin, history_lengths
+from diffsea import State
 from diffsea.types import Scalar
-
-
-LONGEST_DELAY = 8.0  # s, of any actuator of any seed's ship
 
 
 class Log(eqx.Module):
@@ -41,48 +38,40 @@ def started(u: Scalar, x: Scalar = 0.0, y: Scalar = 0.0) -> State:
     return State(*(jnp.asarray(value, float) for value in (x, y, 0.0, u, 0.0, 0.0)))
 
 
-def run(vessel: Vessel, control: ControlSystem, weather: Weather, start: State) -> Log:
+def run(plant: AbstractPlant, control: ControlSystem, weather: Weather, start: State) -> Log:
     """One run; pure, for jit and vmap. Rows after the last step have `step` above it."""
-    lengths = history_lengths(vessel, PERIOD, longest=LONGEST_DELAY)
-    still = {c: jnp.zeros(()) for c in vessel.channels}
 
     def body(carry: tuple, row: tuple) -> tuple[tuple, Log]:
         motion, memory = carry
         number, air = row
-        t = number * PERIOD
-        true = motion.state
-        memory, ordered = control.step(memory, _measured(true, air.noise), t, PERIOD)
-        environment = Environment(
-            air.current_north, air.current_east, air.wind_north, air.wind_east
-        )
-        ordered = {c: jnp.asarray(order, float) for c, order in ordered.items()}
-        after = advance(vessel, motion, ordered, environment, t, PERIOD)
+        t, true = number * PERIOD, plant.state(motion)
+        memory, _ = control.step(memory, _measured(true, air.noise), t, PERIOD)
+        flow = Air(air.current_north, air.current_east, air.wind_north, air.wind_east)
+        after = plant.advance(motion, memory.blades, flow, t)
         at = place(memory.step, true)
         log = Log(
             t, true, memory.blades, memory.step, at.cross, at.Y_d, memory.speeds,
-            _side_force(vessel, true, ordered), memory.advice.model.rows, memory.gain,
+            plant.side_force(motion, memory.blades), memory.advice.model.rows, memory.gain,
             memory.advice.trust,
         )  # fmt: skip
         over = control.is_finished(memory)
         motion = jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, after)
         return (motion, memory), log
 
-    carry = begin(vessel, start, still, lengths), control.init()
+    carry = plant.begin(start), control.init()
     numbers = jnp.arange(weather.current_north.shape[0], dtype=float)
     return jax.lax.scan(body, carry, (numbers, weather))[1]
 
 
 @eqx.filter_jit
-def run_all(vessels: Vessel, control: ControlSystem, weathers: Weather, starts: State) -> Log:
+def run_all(plants: AbstractPlant, control: ControlSystem, weathers: Weather, starts: State) -> Log:
     """A batch of ships, each in its own weather, all under the same control."""
     some = eqx.if_array(0)
-    return eqx.filter_vmap(run, in_axes=(some, None, some, some))(
-        vessels, control, weathers, starts
-    )
+    return eqx.filter_vmap(run, in_axes=(some, None, some, some))(plants, control, weathers, starts)
 
 
 def stacked(members: list) -> Any:
-    """Vessels or weathers as one batch."""
+    """Ships or weathers as one batch."""
     return jax.tree.map(
         lambda *leaves: jnp.stack([jnp.asarray(x, float) for x in leaves]), *members
     )
@@ -90,9 +79,3 @@ def stacked(members: list) -> Any:
 
 def _measured(state: State, noise: Float[Array, "6"]) -> State:
     return State(*(value + noise[k] for k, value in enumerate(jax.tree.leaves(state))))
-
-
-def _side_force(vessel: Vessel, state: State, ordered: dict[str, Scalar]) -> Scalar:
-    """What the thrusters' orders come to once executed at this speed (N to starboard)."""
-    parts = (vessel.actuators[name] for name in ("bow", "stern"))
-    return sum(part.force(ordered, state, {}).Y for part in parts)

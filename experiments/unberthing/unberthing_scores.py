@@ -22,6 +22,7 @@ class Score:
     error: np.ndarray  # cross-track error of every period of Step 2 on, m
     wrong_way: float  # s in which the thrusters pushed away from the line, in Steps 1 and 2
     first_wrong: float  # s, when that began; NaN where it never did
+    farthest_wrong: float  # m off the line at most while it lasted; NaN where it never did
     wrong_sign: float  # s in which a thruster's coefficient had the wrong sign, in Steps 1 and 2
     finished: bool
 
@@ -36,9 +37,11 @@ def score(log: Log) -> Score:
         if len(rows):
             worst[k] = float(cross[rows[np.abs(cross[rows]).argmax()]])
     wrong = wrong_way(log)
+    off = float(np.abs(np.asarray(log.Y_d)[wrong]).max()) if wrong.any() else np.nan
     return Score(
         worst, cross[(step >= 2) & (step <= 5)], PERIOD * wrong.sum(),
-        float(t[wrong.argmax()]) if wrong.any() else np.nan, PERIOD * wrong_sign(log).sum(),
+        float(t[wrong.argmax()]) if wrong.any() else np.nan,
+        off, PERIOD * wrong_sign(log).sum(),
         bool(step[-1] > max(STEPS)),
     )  # fmt: skip
 
@@ -77,7 +80,7 @@ def wilson(hits: int, runs: int, z: float = 1.959964) -> tuple[float, float]:
     p, n = hits / runs, runs
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return middle - half, middle + half
+    return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def bootstrap(values: np.ndarray, share: float = 95.0, draws: int = 2000) -> tuple[float, float]:

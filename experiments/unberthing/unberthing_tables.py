@@ -96,8 +96,10 @@ def summary(judged: Sequence[Score]) -> dict:
     low, high = wilson(wrong, runs)
     errors = [np.abs(one.error) for one in judged]
     worst_2 = np.abs([one.worst.get(2, np.nan) for one in judged])
+    farthest = [one.farthest_wrong for one in judged if one.wrong_way > 0]
     return {
-        "runs": runs, "wrong_way": wrong / runs, "wrong_way_interval": [low, high],
+        "runs": runs, "farthest_wrong": float(np.median(farthest)) if farthest else None,
+        "wrong_way": wrong / runs, "wrong_way_interval": [low, high],
         "wrong_sign": sign / runs, "wrong_sign_interval": list(wilson(sign, runs)),
         "p95_error": float(np.percentile(np.concatenate(errors), 95)),
         "p95_error_interval": list(pooled(errors)),
@@ -110,10 +112,12 @@ def summary(judged: Sequence[Score]) -> dict:
 
 def scored_table(found: dict[str, dict]) -> str:
     """One row per control system."""
-    head = ("control system", "runs with thrusters the wrong way", "runs with a wrong sign",
+    head = ("control system", "runs with thrusters the wrong way", "off the line by then",
+            "runs with a wrong sign",
             "95th percentile of error", "of the largest in Step 2", "median of that")  # fmt: skip
     rows = [
         (name, _percent(one["wrong_way"], one["wrong_way_interval"]),
+         "-" if one["farthest_wrong"] is None else f"{one['farthest_wrong']:.1f} m",
          _percent(one["wrong_sign"], one["wrong_sign_interval"]),
          _metres(one["p95_error"], one["p95_error_interval"]),
          _metres(one["p95_worst_step_2"], one["p95_worst_step_2_interval"]),

@@ -10,6 +10,9 @@ from scipy.linalg import expm, solve_discrete_are
 from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
+from diffsea import Environment
+from diffsea.simulation.integrate import advance, begin, history_lengths
+
 
 pytestmark = pytest.mark.experiment
 
@@ -297,9 +300,9 @@ def test_thrusters_push_the_resting_ship_sideways_by_force_over_mass(parts):
 def test_a_control_period_is_a_fine_enough_step(parts):
     ship, loop = parts.harbour_ship, parts.unberthing_loop
     vessel = ship.ship(7)
-    lengths = loop.history_lengths(vessel, 0.125, longest=8.0)
+    lengths = history_lengths(vessel, 0.125, longest=8.0)
     still = {c: jnp.zeros(()) for c in vessel.channels}
-    air = loop.Environment(0.1, 0.1, -4.0, 3.0)
+    air = Environment(0.1, 0.1, -4.0, 3.0)
 
     @jax.jit
     def end(parts_of_a_period):
@@ -310,11 +313,11 @@ def test_a_control_period_is_a_fine_enough_step(parts):
             thrusters = jnp.where(t < 40.0, 1.0, -0.5) * jnp.array([0.0, 0.0, 8.0, -5.0])
             rudder = jnp.where(t >= 60.0, jnp.array([5.0, 10.0, 0.0, 0.0]), 0.0)
             ordered = ship.orders((thrusters + rudder) * DEGREE)
-            moved = loop.advance(vessel, motion, ordered, air, t, dt)
+            moved = advance(vessel, motion, ordered, air, t, dt)
             over = t >= 100.0 - 1e-9
             return jax.tree.map(lambda a, b: jnp.where(over, a, b), motion, moved), None
 
-        begun = loop.begin(vessel, loop.started(0.5), still, lengths)
+        begun = begin(vessel, loop.started(0.5), still, lengths)
         return jax.lax.scan(body, begun, jnp.arange(800.0))[0].state
 
     coarse, fine = end(1.0), end(4.0)
