@@ -8,7 +8,7 @@ receiver, a compass and a gyro of good quality measure every run.
 import dataclasses
 import math
 
-from experiments.vrx_wamv.plant import CHANNELS, NEW, Plant, driven, speed_for
+from experiments.vrx_wamv.plant import CHANNELS, NEW, AnyPlant, driven, speed_for
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class Run:
 
 
 def recorded(
-    plant: Plant, name: str, orders, seconds: float, rng: np.random.Generator, noise: float = 1.0
+    plant: AnyPlant, name: str, orders, seconds: float, rng: np.random.Generator, noise: float = 1.0
 ) -> Run:
     """Drive the plant from rest and measure it; `noise` scales the sensors' errors."""
     true = driven(plant, orders, seconds, 1 / RATE)
@@ -80,7 +80,7 @@ class Campaign:
         return [*self.straight, self.spin, self.wide]
 
 
-def campaign(seed: int, plant: Plant = NEW, noise: float = 1.0) -> Campaign:
+def campaign(seed: int, plant: AnyPlant = NEW, noise: float = 1.0) -> Campaign:
     """The paper's runs of a plant, measured."""
     rng = np.random.default_rng(seed)
     straight = [
@@ -92,7 +92,7 @@ def campaign(seed: int, plant: Plant = NEW, noise: float = 1.0) -> Campaign:
     return Campaign(straight, spin, wide)
 
 
-def held_out(seed: int, plant: Plant = NEW) -> list[Run]:
+def held_out(seed: int, plant: AnyPlant = NEW) -> list[Run]:
     """Runs that nothing is fitted to: turns of changing side at two speeds, and steps."""
     rng = np.random.default_rng(seed)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from experiments.vrx_wamv.campaign import NOISE
 from experiments.vrx_wamv.paths import Path, off_path
-from experiments.vrx_wamv.plant import Plant
+from experiments.vrx_wamv.plant import CHANNELS, AnyPlant
 
 import equinox as eqx
 import jax
@@ -22,7 +22,6 @@ PERIOD = 0.1  # s, of the controller
 STEP = 0.05  # s, of integration
 SECONDS = 300.0  # the longest run
 LARGEST = 30.0  # rev/s, 250 N: the largest order in the paper
-REST = (0.0,) * 6
 
 # Not published; K_p is found as the paper found its gains, see `tuning.by_hand`.
 GAINS = {
@@ -84,20 +83,20 @@ def controller(
 
 
 def on_plant(
-    plant: Plant, law: DynamicPD, seconds: float = SECONDS, noise: int | None = None
+    plant: AnyPlant, law: DynamicPD, seconds: float = SECONDS, noise: int | None = None
 ) -> Driven:
     """Steer the reference plant; it knows nothing of the law nor the law of it.
 
     With `noise`, a seed, the law is shown the state as the sensors of `campaign` measure it.
     """
-    state, memory, rows, over = REST, law.init(), [], False
+    state, memory, rows, over = plant.at_rest, law.init(), [], False
     errors = np.zeros((round(seconds / PERIOD), 6))
     if noise is not None:
         errors = np.random.default_rng(noise).standard_normal(errors.shape) * NOISE
     for k, error in enumerate(errors):
-        memory, answer = _step(law, memory, np.add(state, error))
+        memory, answer = _step(law, memory, np.add(state[: len(CHANNELS)], error))
         port, starboard, over = np.asarray(answer).tolist()
-        rows.append((k * PERIOD, *state, port, starboard))
+        rows.append((k * PERIOD, *state[: len(CHANNELS)], port, starboard))
         if over:
             break
         state = plant.advanced(state, port, starboard, PERIOD)
@@ -111,12 +110,12 @@ def on_model(vessel: Vessel, law: DynamicPD) -> Driven:
     return _driven(rows, bool(finished))
 
 
-def replayed(plant: Plant, run: Driven) -> Driven:
+def replayed(plant: AnyPlant, run: Driven) -> Driven:
     """The plant under a run's orders, without a controller."""
-    state, rows = REST, []
+    state, rows = plant.at_rest, []
     held = zip(run.orders["port"], run.orders["starboard"], strict=True)
     for k, (port, starboard) in enumerate(held):
-        rows.append((k * PERIOD, *state, port, starboard))
+        rows.append((k * PERIOD, *state[: len(CHANNELS)], port, starboard))
         state = plant.advanced(state, float(port), float(starboard), PERIOD)
     return _driven(np.array(rows), run.finished)
 

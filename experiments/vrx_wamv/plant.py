@@ -8,6 +8,7 @@ none, so inertia and Coriolis forces are the rigid body's alone.
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -34,6 +35,11 @@ class Plant:
     arm: float = 1.027  # m, engines off the centreline; 2.65 m aft, where they push ahead only
     max_force: float = 2353.5  # N
     min_force: float = -1000.0
+
+    @property
+    def at_rest(self) -> tuple:
+        """The state lying still at the origin, heading north."""
+        return (0.0,) * len(CHANNELS)
 
     def thrust(self, n: float) -> float:
         """Thrust (N) of an engine turning at `n` rev/s, within its limits."""
@@ -106,18 +112,27 @@ def speed_for(thrust: float) -> float:
     return math.copysign(math.sqrt(abs(thrust) / THRUST_PER_SPEED), thrust)
 
 
+class AnyPlant(Protocol):
+    """A boat to be driven; its state begins with `CHANNELS` and may go on with what is hidden."""
+
+    @property
+    def at_rest(self) -> tuple: ...
+
+    def advanced(self, state: tuple, port: float, starboard: float, dt: float) -> tuple: ...
+
+
 def driven(
-    plant: Plant, orders: Callable[[float], tuple], seconds: float, dt: float, start: tuple = ()
+    plant: AnyPlant, orders: Callable[[float], tuple], seconds: float, dt: float
 ) -> dict[str, np.ndarray]:
-    """A run under orders (port, starboard) in rev/s that hold for `dt` s each.
+    """A run from rest under orders (port, starboard) in rev/s that hold for `dt` s each.
 
     Arrays `t`, motion channels, `port` and `starboard`; the last orders hold no longer.
     """
-    state = tuple(start) or (0.0,) * 6
+    state = plant.at_rest
     rows, count = [], round(seconds / dt)
     for k in range(count + 1):
         port, starboard = map(float, orders(k * dt))
-        rows.append((k * dt, *state, port, starboard))
+        rows.append((k * dt, *state[: len(CHANNELS)], port, starboard))
         state = plant.advanced(state, port, starboard, dt)
     names = ("t", *CHANNELS, "port", "starboard")
     return dict(zip(names, np.array(rows).T, strict=True))
