@@ -6,6 +6,7 @@ without thrust in a wide turn, one made for what is left.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 from experiments.harness.reporting import compared, table
 from experiments.pytheas.disturbances import DIRECTIONS
@@ -104,7 +105,7 @@ LEFT: tuple[tuple[str, str, str, Allocated], ...] = (
 )  # fmt: skip
 
 
-def limping() -> list[Limping]:
+def limping(left: Sequence[tuple[str, str, str, Allocated]] = LEFT) -> list[Limping]:
     """Every layout with a motor out: eight waypoints in still water, three directions of swell."""
     makes = {name[:3]: vessel for name, (vessel, _) in layouts().items()}
     calm = spread(Trial(RANGE * jnp.cos(BEARINGS), RANGE * jnp.sin(BEARINGS)), len(BEARINGS))
@@ -113,7 +114,7 @@ def limping() -> list[Limping]:
     )
     both = jax.tree.map(lambda *parts: jnp.concatenate(parts), calm, swell)
     found = []
-    for letter, out, steered, allocation in LEFT:
+    for letter, out, steered, allocation in left:
         batch = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, (len(both.north), *leaf.shape)), makes[letter]
         )

@@ -38,10 +38,10 @@ FREE = (
 _COUPLINGS = {"Y_r": 100.0, "N_v": 50.0}  # N s/rad and N s: a size that would be noticed
 
 
-def document(hull: dict[str, float] = HULL) -> Table:
-    """The vessel's file."""
+def document(hull: dict[str, float] = HULL, arm: float = ARM) -> Table:
+    """The vessel's file, its thrusters `arm` m off the centreline."""
     thrusters = [
-        {"name": side, "x": AFT, "y": sign * ARM} for side, sign in (("port", -1), ("starboard", 1))
+        {"name": side, "x": AFT, "y": sign * arm} for side, sign in (("port", -1), ("starboard", 1))
     ]
     return {
         "format": 1,
@@ -52,9 +52,9 @@ def document(hull: dict[str, float] = HULL) -> Table:
     }
 
 
-def start() -> Vessel:
+def start(arm: float = ARM) -> Vessel:
     """The vessel before the fit."""
-    return build(document())
+    return build(document(arm=arm))
 
 
 def parameters() -> tuple[Parameter, ...]:

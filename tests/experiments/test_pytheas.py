@@ -18,7 +18,10 @@ pytestmark = pytest.mark.experiment
 
 
 HOME = EXPERIMENTS / "pytheas"
-PARTS = ("printed", "boat", "sailing", "still_water", "disturbances", "layouts", "design")
+PARTS = (
+    "printed", "boat", "sailing", "still_water", "disturbances", "layouts", "design",
+    "requirements", "motor_out",
+)  # fmt: skip
 PUBLISHED_TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)
 
 
@@ -229,3 +232,43 @@ def test_every_layout_turns_to_starboard_on_a_positive_angle(parts, name):
         other = vessel.acceleration(going, mirrored, Environment(), 0.0)
         assert float(made[2]) > 0.1
         assert float(other[2]) == pytest.approx(-float(made[2]), rel=1e-9)
+
+
+# -- what the closed loop asks for -------------------------------------------------------------
+
+
+def test_requirements_end_as_the_plain_equations_do(parts):
+    """Angle, tolerance and start are those that were asked for, by equations that share no code."""
+    asked = parts.requirements
+    cases = [
+        asked.Case(full_angle=0.2, bias=20.0, direction=np.pi / 4),
+        asked.Case(thrust=24.2, full_angle=0.6, bias=20.0, direction=2.0, tolerance=1.0),
+        asked.Case(-8.0, 3.0, tolerance=0.5),
+    ]
+    end = asked.run(cases)
+    for k, case in enumerate(cases):
+        boat = parts.printed.Boat(thrust=case.thrust, full_angle=case.full_angle)
+        trial = parts.printed.Trial(
+            (case.north, case.east), case.tolerance, case.bias, 5.0 if case.bias else 0.0,
+            case.direction,
+        )  # fmt: skip
+        track = parts.printed.run(boat, trial, 119.0, step=0.05)
+        away = np.hypot(track[:, 1] - case.north, track[:, 2] - case.east)
+        assert np.isfinite(end.time[k]) == (away[-1] <= case.tolerance)
+        if np.isfinite(end.time[k]):
+            assert end.time[k] == pytest.approx(track[-1, 0], rel=0.003, abs=0.06)
+        assert end.closest[k] == pytest.approx(away.min(), abs=0.1)
+
+
+def test_less_thrust_near_a_waypoint_delays_and_a_start_at_speed_overshoots(parts):
+    asked = parts.requirements
+    slow, fast = asked.run([asked.Case(-5.0, near=20.0), asked.Case(-5.0, near=1.0)]).time
+    assert slow > 1.5 * fast
+    tight = [asked.Case(-5.0, tolerance=0.25, speed=speed) for speed in (0.0, 20 / 14)]
+    assert asked.run(tight).missed.tolist() == [0.0, 1.0]
+
+
+def test_one_fixed_motor_off_the_middle_runs_a_circle_of_the_closed_form(parts):
+    (fixed,) = parts.motor_out.limping(parts.motor_out.LEFT[-1:])
+    assert fixed.layout == "(c)" and fixed.reached == 0
+    assert parts.motor_out.circle([fixed]) == pytest.approx(5.0 / (14.0 * 0.225), rel=0.02)
