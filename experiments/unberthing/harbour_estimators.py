@@ -128,8 +128,9 @@ def gradient(
 ) -> Gradient:
     """The published estimator, from the regressions' ship at 1 and at 3 kn."""
     models = (nominal_linear(nominal(), jnp.asarray(knots * KNOT)) for knots in (1.0, 3.0))
-    switches = (jnp.asarray(switch, float) for switch in (bias, forward))
-    return Gradient(*models, jnp.array(rates, float), *switches)
+    unberthing, leaving = models
+    switches = jnp.asarray(bias, float), jnp.asarray(forward, float)
+    return Gradient(unberthing, leaving, jnp.array(rates, float), *switches)
 
 
 def recursive(

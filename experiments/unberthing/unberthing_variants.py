@@ -106,9 +106,10 @@ def _difference(without: Sequence[Score], own: Sequence[Score]) -> dict:
 def differences_table(found: Sequence[dict]) -> str:
     """One row per part; bold where the interval leaves out zero."""
     head = ("put in", "runs with thrusters the wrong way", "median error", "95th percentile")
-    keys = (("wrong_way", 100, "%"), ("median_error", 1, "m"), ("p95_error", 1, "m"))
+    keys = (("wrong_way", 100.0, "%"), ("median_error", 1.0, "m"), ("p95_error", 1.0, "m"))
     return table(head, [
-        (one["part"], *(_change(one[key], one[f"{key}_interval"], *rest) for key, *rest in keys))
+        (one["part"],
+         *(_change(one[key], one[f"{key}_interval"], factor, unit) for key, factor, unit in keys))
         for one in found
     ])  # fmt: skip
 

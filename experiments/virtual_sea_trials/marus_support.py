@@ -46,8 +46,11 @@ def misfits_by_trial(objective: TrialNumbers, fits: Mapping[str, Estimate]) -> d
     return found
 
 
-def foretold(misfit: dict[str, float], say: Callable[[str], None]) -> dict[str, dict]:
-    """Fits that have not seen some trials, and what they say of these."""
+def foretold(misfit: dict[str, float], uneven: str, say: Callable[[str], None]) -> dict[str, dict]:
+    """Fits that have not seen some trials, and what they say of these.
+
+    `uneven` is the effect that tells port from starboard, by name.
+    """
     sharp = marus_fit.objective_of(misfit)
     stds = np.concatenate([trial.stds for trial in sharp.trials])
     owners = [run.name for run in published.RUNS for _ in run.numbers]
@@ -55,7 +58,7 @@ def foretold(misfit: dict[str, float], say: Callable[[str], None]) -> dict[str, 
     given = np.concatenate([trial.values for trial in sharp.trials])
     found = {}
     for title, kept_out in KEPT_OUT.items():
-        fitted = _fitted(misfit, kept_out)
+        fitted = _fitted(misfit, (*marus_vessel.FREE, uneven), kept_out)
         told = [
             value for numbers in sharp.numbers(fitted.coordinates) for value in numbers.values()
         ]
@@ -82,13 +85,13 @@ def _largest(off: np.ndarray, given: np.ndarray, names: list[str], kind: str) ->
     return float(np.abs(off[rows] / given[rows]).max())
 
 
-def inertias(misfit: dict[str, float], say: Callable[[str], None]) -> dict[str, dict]:
+def inertias(misfit: dict[str, float], uneven: str, say: Callable[[str], None]) -> dict[str, dict]:
     """The yaw inertia under each of `READINGS`, and how well the figures are met then."""
     found = {}
     for title, (arm, held) in READINGS.items():
         objective = marus_fit.objective_of(misfit, arm=arm)
-        free = tuple(name for name in marus_vessel.FREE if name not in held)
-        fitted = _fitted(misfit, (), arm, free)
+        free = tuple(name for name in (*marus_vessel.FREE, uneven) if name not in held)
+        fitted = _fitted(misfit, free, (), arm)
         place = [p.name for p in objective.parameters].index("I_z")
         inertia = float(objective.parameters[place].decode(fitted.coordinates[place]))
         square, count = objective.squares(fitted)
@@ -100,9 +103,9 @@ def inertias(misfit: dict[str, float], say: Callable[[str], None]) -> dict[str, 
 
 def _fitted(
     misfit: dict[str, float],
+    free: tuple[str, ...],
     kept_out: tuple[str, ...],
     arm: float = marus_vessel.ARM,
-    free: tuple[str, ...] = marus_vessel.FREE,
 ) -> Estimate:
     """A fit from the rules of thumb, through ever sharper figures."""
     at = None
