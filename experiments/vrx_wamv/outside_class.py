@@ -45,29 +45,28 @@ class Outside:
     diagnosis: dict
 
 
-def outside(say: Say, quick: bool) -> Outside:
+def outside(say: Say) -> Outside:
     """Every model of the plant, its predictions and its closed loops."""
     data, kept = campaign(SEED, ROLLING), held_out(SEED + 100, ROLLING)
-    joint = fit_whole(data.runs, from_afar=True)
-    models = {PROCEDURE: vessel_of(_procedure(data)), JOINT: joint.vessel}
-    record = {}
-    if not quick:
-        say("outside the model class: the linear fit, and what the diagnosis names")
-        models[LINEAR] = fit_linear(data.runs).vessel
-        models[NAMED], record = named(document(joint.values), data, say)
-    gains = by_hand(joint.vessel, list(PATHS.values()))
-    paths = followed(ROLLING, models, gains)
-    hands = {"by hand": gains}
-    if not quick:
-        say("outside the model class: gains by derivative, and one part of the plant left out")
-        hands["tuned"] = tune(joint.vessel, list(PATHS.values()), gains).gains
+    joint, linear = fit_whole(data.runs, from_afar=True), fit_linear(data.runs)
+    say("what the diagnosis names in the joint model")
+    vessel, record = named(document(joint.values), data, say)
+    models = {
+        PROCEDURE: vessel_of(identify(data, "thrust as ordered").corrected.values()),
+        LINEAR: linear.vessel, JOINT: joint.vessel, NAMED: vessel,
+    }  # fmt: skip
+    by_hands = by_hand(joint.vessel, list(PATHS.values()))
+    paths = followed(ROLLING, models, by_hands)
+    say("gains by derivative, and one part of the plant left out")
+    hands = {"by hand": by_hands}
+    hands["tuned"] = tune(joint.vessel, list(PATHS.values()), by_hands).gains
     tuned = {
         name: {path: track(on_plant(ROLLING, controller(points, numbers)), points)
                for path, points in (PATHS | KEPT_BACK).items()}
         for name, numbers in hands.items()
     }  # fmt: skip
     predictions = {name: errors_on(vessel, kept) for name, vessel in models.items()}
-    return Outside(predictions, paths, tuned, {} if quick else without(), record)
+    return Outside(predictions, paths, tuned, without(), record)
 
 
 def named(file: dict, data: Campaign, say: Say) -> tuple[Vessel, dict]:
@@ -123,10 +122,6 @@ def followed(
     return rows
 
 
-def _procedure(data: Campaign) -> dict[str, float]:
-    return identify(data, "thrust as ordered").corrected.values()
-
-
 def predictions_table(found: Outside) -> str:
     """Open-loop errors and closed-loop differences of every model, and of plants less a part."""
     models = {name: (found.predictions[name], found.paths[name]) for name in found.predictions}
@@ -157,9 +152,9 @@ def diagnosis_table(record: dict) -> str:
     rows = [
         (effect["name"],
          ", ".join(f"{key} {value:.3g} +- {std:.1g}" for key, (value, std)
-                   in effect["parameters"].items() if value is not None and std is not None),
+                   in effect["parameters"].items() if std is not None and std < abs(value)),
          ", ".join(effect["alternatives"]) or "none")
-        for effect in record["effects"]
+        for effect in record["effects"] if effect["parameters"]
     ]  # fmt: skip
     text = table(("effect", "found", "cannot be told from"), rows)
     return f"{text}\n\nVerdict: {record['verdict']}."

@@ -3,6 +3,7 @@
 
 from experiments.harness.reporting import panels
 from experiments.vrx_wamv.closed import Driven
+from experiments.vrx_wamv.outside_class import JOINT, Outside
 from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, Path
 from experiments.vrx_wamv.plant import NEW, speed_for
 from experiments.vrx_wamv.procedure import (
@@ -167,3 +168,26 @@ def _legs(axes, points: Path) -> None:
     corners = np.concatenate([np.zeros((1, 2)), points])
     axes.plot(corners[:, 1], corners[:, 0], color=GREY, lw=0.8, ls=":")
     axes.plot(points[:, 1], points[:, 0], "o", color=GREY, ms=4, mfc="none")
+
+
+def outside(found: Outside) -> Figure:
+    """Errors of every model on the plant outside the class: free predictions and closed loops."""
+    figure, axes = panels(1, 2, 11.0, 3.6)
+    left, right = axes[0]
+    names = list(found.predictions)
+    left.barh(names, [found.predictions[name]["position"] for name in names], color=PLANT)
+    left.set(xscale="log", xlabel="free prediction of 64 s: rms of position, m")
+    paths = list(next(iter(found.paths.values())))
+    for k, name in enumerate(names):
+        for path, marker in zip(paths, "osD^", strict=True):
+            one = found.paths[name][path]
+            if one["finished"] and one["plant_finished"]:
+                right.plot(100 * one["time"], k, marker, color=PLANT, mfc="white",
+                           label=path if k == names.index(JOINT) else None)  # fmt: skip
+    right.set_yticks(range(len(names)), [])
+    right.set(xscale="log", xlabel="error of the time to follow a path, % (none: not finished)")
+    right.legend(frameon=False, fontsize=8)
+    right.set_ylim(left.get_ylim())
+    for ax in (left, right):
+        ax.invert_yaxis()
+    return figure

@@ -1,7 +1,9 @@
 """A twin-thruster boat identified and steered along waypoints: the WAM-V of the VRX simulator."""
 
+import dataclasses
+
 from experiments.harness.reporting import comparison, experiment
-from experiments.vrx_wamv import plots, stages, tables
+from experiments.vrx_wamv import outside_class, plots, stages, tables
 from experiments.vrx_wamv.campaign import held_out
 from experiments.vrx_wamv.diagnosed import diagnosed
 
@@ -61,13 +63,24 @@ def thorough(run, found, followed, gains, tuned, quiet, results, texts) -> None:
     linear = found.values["joint, linear"]
     record = diagnosed([*held_out(stages.SEED + 200), found.data.wide], linear, run.say)
     run.save(plots.diagnosis(record), "diagnosis")
+    run.say("a plant outside the model class")
+    elsewhere = outside_class.outside(run.say)
+    run.save(plots.outside(elsewhere), "outside_class")
     results["scale"] = scale
     results["repeats"] = again
-    results["beyond"] |= {"verified_with_noise": noisy, "slopes": slopes, "diagnosis": record}
+    results["beyond"] |= {
+        "verified_with_noise": noisy,
+        "slopes": slopes,
+        "diagnosis": record,
+        "outside_class": dataclasses.asdict(elsewhere),
+    }
     texts |= {
         "scale": tables.gauge(scale), "verified": tables.verified(quiet, noisy),
         "gains": tables.gains(gains, tuned), "slopes": tables.slopes(slopes),
         "diagnosis": tables.diagnosis(record),
+        "outside_predictions": outside_class.predictions_table(elsewhere),
+        "outside_gains": outside_class.tuned_table(elsewhere),
+        "outside_diagnosis": outside_class.diagnosis_table(elsewhere.diagnosis),
         "repeats": tables.repeats(again, found.values["joint"]),
     }  # fmt: skip
 
