@@ -12,6 +12,7 @@ from experiments.virtual_sea_trials import (
     marus_fit,
     marus_plots,
     marus_responses,
+    marus_support,
     marus_tables,
     marus_trials,
     marus_vessel,
@@ -93,6 +94,20 @@ def asymmetry(work: Experiment, found: Identified) -> Uneven:
         "directions",
     )
     return Uneven(tuple(candidates), ({"name": catalogue_name(best.name), **best.parameters},))
+
+
+def support(work: Experiment, found: Identified, uneven: Uneven) -> dict:
+    """How well the figures are met, what they foretell of each other, and the yaw inertia."""
+    if found.objective is None or found.even is None:
+        return {}
+    best = uneven.candidates[0]
+    work.say("refitting without some of the trials, and the yaw inertia under other assumptions")
+    fits = {"port and starboard alike": found.even, best.name: best.estimate}
+    return {
+        "misfit": marus_support.misfits_by_trial(found.objective, fits),
+        "foretold": marus_support.foretold(found.misfit, best.name, work.say),
+        "inertia": marus_support.inertias(found.misfit, best.name, work.say),
+    }
 
 
 def campaign(work: Experiment) -> Campaign:
@@ -207,12 +222,13 @@ def written(
     work: Experiment,
     found: Identified,
     uneven: Uneven,
+    supported: dict,
     runs: Campaign,
     turning: dict,
     beyond: dict,
 ) -> None:
     """results.json, the README's tables and, of a full run, the vessel's numbers."""
-    results, tables = marus_tables.assembled(found, uneven, runs, turning, beyond)
+    results, tables = marus_tables.assembled(found, uneven, supported, runs, turning, beyond)
     work.write(results, tables)
     if found.objective is not None:
         print(json.dumps({name: round(value, 4) for name, value in found.hull.items()}))

@@ -3,11 +3,13 @@
 import math
 
 from experiments.harness.reporting import compared, comparison, table
-from experiments.virtual_sea_trials import marus_asymmetry, marus_fit, marus_trials
+from experiments.virtual_sea_trials import marus_asymmetry, marus_fit, marus_support, marus_trials
 from experiments.virtual_sea_trials import marus_published as published
 
 
-def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, dict[str, str]]:
+def assembled(
+    found, uneven, supported: dict, runs, turning: dict, beyond: dict
+) -> tuple[dict, dict[str, str]]:
     """The record of results.json and the tables by key."""
     figures = _figures(found, uneven, runs)
     rows = [*_approach(runs), *figures, *_traced(runs)]
@@ -24,8 +26,11 @@ def assembled(found, uneven, runs, turning: dict, beyond: dict) -> tuple[dict, d
         "driven": _driven_table(runs),
     }
     if found.objective is not None:
-        results |= _fitted(found, uneven)
+        results |= _fitted(found, uneven) | {"support": supported}
         tables |= {
+            "misfit": marus_support.misfit_table(supported["misfit"]),
+            "foretold": marus_support.foretold_table(supported["foretold"]),
+            "inertia": marus_support.inertia_table(supported["inertia"]),
             "derivatives": _derivatives(results["derivatives"]),
             "directions": _directions(results["directions"]),
             "asymmetry": _asymmetry(results["asymmetry"]),

@@ -13,10 +13,11 @@ def main() -> None:
     work = experiment(__file__, __doc__)
     identified = stages.identified(work)
     uneven = stages.asymmetry(work, identified)
+    supported = stages.support(work, identified, uneven)
     campaign = stages.campaign(work)
     diameters = stages.diameters(work, identified)
     beyond = stages.actuation(work, campaign)
-    stages.written(work, identified, uneven, campaign, diameters, beyond)
+    stages.written(work, identified, uneven, supported, campaign, diameters, beyond)
 
 
 if __name__ == "__main__":

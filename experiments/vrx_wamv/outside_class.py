@@ -132,7 +132,8 @@ def predictions_table(found: Outside) -> str:
             *(f"time error, {name}, %" for name in names))  # fmt: skip
     return table(head, [
         (name, *(errors[key] for key in ("position", "u", "v", "r")),
-         *(100 * paths[p]["time"] if paths[p]["finished"] else None for p in names))
+         *(100 * paths[p]["time"] if paths[p]["finished"] and paths[p]["plant_finished"] else None
+           for p in names))
         for name, (errors, paths) in models.items()
     ])  # fmt: skip
 

@@ -176,7 +176,7 @@ def outside(found: Outside) -> Figure:
     left, right = axes[0]
     names = list(found.predictions)
     left.barh(names, [found.predictions[name]["position"] for name in names], color=PLANT)
-    left.set(xscale="log", xlabel="free prediction of 64 s: rms of position, m")
+    left.set(xlabel="free prediction of 64 s: rms of position, m")
     paths = list(next(iter(found.paths.values())))
     for k, name in enumerate(names):
         for path, marker in zip(paths, "osD^", strict=True):
@@ -186,6 +186,8 @@ def outside(found: Outside) -> Figure:
                            label=path if k == names.index(JOINT) else None)  # fmt: skip
     right.set_yticks(range(len(names)), [])
     right.set(xscale="log", xlabel="error of the time to follow a path, % (none: not finished)")
+    right.set_xticks([0.3, 1, 3, 10, 30], ["0.3", "1", "3", "10", "30"])
+    right.minorticks_off()
     right.legend(frameon=False, fontsize=8)
     right.set_ylim(left.get_ylim())
     for ax in (left, right):

@@ -42,7 +42,7 @@ def ships():
 def test_a_plant_imports_neither_the_library_nor_its_experiment(path):
     tree = ast.parse((EXPERIMENTS / path).read_text())
     names = [
-        alias.name if isinstance(node, ast.Import) else node.module
+        alias.name if isinstance(node, ast.Import) else node.module or ""
         for node in ast.walk(tree)
         if isinstance(node, ast.Import | ast.ImportFrom)
         for alias in node.names
@@ -105,7 +105,7 @@ def test_without_thrust_the_catamarans_energy_falls(rolling):
 @pytest.mark.parametrize("part", ["roll", "added mass", "engine lag", "flow loss"])
 def test_each_part_of_the_catamaran_matters(rolling, part):
     whole, less = (driven(p, zigzag, 20) for p in (rolling.ROLLING, rolling.WITHOUT[part]))
-    assert np.hypot(*(whole - less)[-1, :2]) > 0.1
+    assert np.hypot(*(whole - less)[-1, :2]) > 0.05
 
 
 # -- the harbour ship --------------------------------------------------------------------------

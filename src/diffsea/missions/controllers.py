@@ -27,7 +27,9 @@ from diffsea.simulation.control import (
     TimedOrders,
     TimedSpeed,
     dynamic_pd,
+    dynamic_positioning,
     full_throttle,
+    require_positioning,
     require_steering,
     speed_hold,
     throttle_for,
@@ -62,6 +64,9 @@ def require_controllable(mission: Mission) -> None:
     kind, model = mission.controller.kind, mission.model
     if kind in ("orders", "dynamic-pd", "waypoint-logic"):
         return  # whose own making tells what they need
+    if kind == "positioning":
+        require_positioning(model)
+        return
     require_steering(model, f"mission under {kind!r}")
     fastest = planning.top_speed(model)
     for speed in (speed_of(mission), *(one.speed for one in mission.steps)):
@@ -89,6 +94,16 @@ def controller_of(mission: Mission, period: float) -> AbstractController:
         times = jnp.array([one.time for one in mission.steps])
         columns = {c: jnp.array([one.orders[c] for one in mission.steps]) for c in model.channels}
         return TimedOrders(times, columns)
+    if asked.kind == "positioning":
+        times = jnp.array([one.time for one in mission.steps])
+        poses = jnp.array([(one.x, one.y, one.heading) for one in mission.steps], float)
+        named = {
+            "position": "position",
+            "heading_error": "heading",
+            "integral_time": "integral_time",
+        }
+        stated = {named[key]: value for key, value in asked.numbers.items()}
+        return dynamic_positioning(model, times, poses, period, **stated)
     if asked.kind == "dynamic-pd":
         return dynamic_pd(model, points, 0.0, **asked.numbers)
     if asked.kind == "waypoint-logic":

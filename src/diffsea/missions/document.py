@@ -72,6 +72,7 @@ CONTROLLERS = {
     "waypoint-logic": ControllerKind("waypoint", ("radius", *_OF_LOGIC)),
     "dynamic-pd": ControllerKind("waypoint", (*_OF_PAIRS, "largest"), _OF_PAIRS),
     "course": ControllerKind("step", ("heading", "speed_law")),
+    "positioning": ControllerKind("step", ("position", "heading_error", "integral_time")),
     "orders": ControllerKind("step"),
 }
 HEADING_LAWS = {
@@ -79,7 +80,15 @@ HEADING_LAWS = {
     "pd": ("gain", "rate_gain", "filter_time", "largest_angle"),
 }
 SPEED_LAW = ("gain", "integral_gain")
-_POSITIVE = ("speed", "lookahead", "radius", "near", "far", "T_f", "largest")  # of a controller
+_POSITIVE = (  # of a controller
+    *("speed", "lookahead", "radius", "near", "far", "T_f", "largest"),
+    *("position", "heading_error", "integral_time"),
+)
+_OF_STEPS = {
+    "orders": ("orders",),
+    "course": ("heading", "speed"),
+    "positioning": ("x", "y", "heading"),
+}
 _FLOW = ("speed", "direction")
 _SUPERSTRUCTURE = ("frontal_area", "lateral_area", "C_X", "C_Y", "C_N")
 _WAVE = ("bias", "amplitude", "frequency", "phase", "direction")
@@ -275,7 +284,7 @@ def _steps(document: Table, kind: str, vessel: Vessel) -> tuple[TimedStep, ...]:
     steps: list[TimedStep] = []
     for number, table in enumerate(tables_of(document, "step"), start=1):
         where = f"[[step]] {number}"
-        keys = ("orders",) if kind == "orders" else ("heading", "speed")
+        keys = _OF_STEPS.get(kind, _OF_STEPS["course"])
         check_keys(table, ("time", *keys), where)
         time = needed(table, "time", where)
         if kind == "orders":
@@ -286,6 +295,9 @@ def _steps(document: Table, kind: str, vessel: Vessel) -> tuple[TimedStep, ...]:
             for channel in vessel.channels:
                 needed(orders, channel, f"{where} orders")
             steps.append(TimedStep(time, orders=orders))
+        elif kind == "positioning":
+            x, y, heading = (needed(table, key, where) for key in keys)
+            steps.append(TimedStep(time, heading, x=x, y=y))
         else:
             heading, speed = needed(table, "heading", where), positive(table, "speed", where)
             steps.append(TimedStep(time, heading, speed))

@@ -15,7 +15,9 @@ from diffsea.missions.controllers import LOOKAHEAD, radius_of, speed_of
 from diffsea.missions.document import CONTROLLERS, HEADING_LAWS, SPEED_LAW
 from diffsea.missions.record import Controller, Flow, Mission, Weather
 from diffsea.parameters import file_parameters, named, replace, spread_over_places
+from diffsea.scales import time_scale
 from diffsea.simulation.control import FilteredPD, HeadingHold, SpeedHold, WaypointLogic
+from diffsea.simulation.control.positioning import HEADING, INTEGRAL_TIME, POSITION
 from diffsea.types import Scalar
 
 
@@ -64,6 +66,13 @@ def _of_controller(mission: Mission) -> dict[str, Any]:
     if "lookahead" in kind.keys:
         length = mission.model.rigid_body.length
         usual |= {"lookahead": LOOKAHEAD * length, "integral_gain": 0.0}
+    if "integral_time" in kind.keys:
+        length = mission.model.rigid_body.length
+        usual |= {
+            "position": POSITION * length,
+            "heading_error": HEADING,
+            "integral_time": INTEGRAL_TIME * time_scale(length),
+        }
     if asked.kind == "waypoint-logic":
         usual |= _defaults(WaypointLogic, kind.keys)
     usual |= asked.numbers

@@ -17,6 +17,7 @@ from diffsea.missions.record import Mission
 from diffsea.missions.running import order_limits
 from diffsea.scales import time_scale
 from diffsea.simulation.closed_loop import ClosedLoop
+from diffsea.simulation.control.positioning import continuous_poses, reference
 from diffsea.simulation.control.timed import in_force
 from diffsea.trajectory import Outcome, Trajectory
 from diffsea.types import Scalar
@@ -31,6 +32,8 @@ _AT_LIMIT = 1e-6  # of the room between both limits: nearer is at the limit
 NUMBERS = (  # that a run may have, the likeliest to be looked at first
     "path_rms",
     "path_largest",
+    "position_rms",
+    "position_largest",
     "heading_rms",
     "heading_largest",
     "speed_rms",
@@ -52,11 +55,16 @@ class Performance(eqx.Module):
 
 
 def tracking_errors(mission: Mission, run: Trajectory) -> dict[str, Series]:
-    """Errors of every row by name: `path` (m), or `heading` (rad) and `speed` (m/s)."""
+    """Errors of every row by name: `path` (m), or `heading` (rad) and `speed` (m/s) of a course,
+    `position` (m) and `heading` of poses."""
     if mission.waypoints:
         points = jnp.array([(one.x, one.y) for one in mission.waypoints])
         track = jnp.stack([jnp.asarray(run.x), jnp.asarray(run.y)], -1)
         return {"path": paths.path_offsets(points, track, radius_of(mission))}
+    if mission.controller.kind == "positioning":
+        north, east, psi = held_poses(mission, run.t)
+        off = jnp.sqrt((run.x - north) ** 2 + (run.y - east) ** 2 + 1e-12)
+        return {"position": off, "heading": jnp.asarray(wrap(run.psi - psi))}
     if mission.controller.kind != "course":
         return {}
     heading, speed = (held_values(mission, run.t, name) for name in ("heading", "speed"))
@@ -68,6 +76,14 @@ def held_values(mission: Mission, t: Series, name: str) -> Series:
     times = jnp.array([one.time for one in mission.steps])
     values = jnp.array([getattr(one, name) for one in mission.steps])
     return values[jax.vmap(lambda at: in_force(times, at))(jnp.asarray(t))]
+
+
+def held_poses(mission: Mission, t: Series) -> tuple[Series, Series, Series]:
+    """North and east (m) and heading (rad) that poses ask for at each time (s)."""
+    times = jnp.array([one.time for one in mission.steps])
+    poses = continuous_poses(jnp.array([(one.x, one.y, one.heading) for one in mission.steps]))
+    asked = jax.vmap(lambda at: reference(times, poses, at)[0])(jnp.asarray(t))
+    return asked[:, 0], asked[:, 1], asked[:, 2]
 
 
 def performance(mission: Mission, loop: ClosedLoop) -> Performance:
@@ -139,9 +155,11 @@ def cost_residuals(mission: Mission, loop: ClosedLoop, effort: float) -> Float[A
     run, valid = loop.trajectory, jnp.asarray(loop.trajectory.valid)
     scales = {
         "path": mission.model.rigid_body.length,
+        "position": mission.model.rigid_body.length,
         "heading": HEADING_SCALE,
-        "speed": SPEED_SCALE * speed_of(mission),
     }
+    if mission.controller.kind == "course":
+        scales["speed"] = SPEED_SCALE * speed_of(mission)
     share = jnp.sqrt(valid.astype(float) / jnp.maximum(valid.sum(dtype=float), 1.0))
     errors = tracking_errors(mission, run)
     parts = [jnp.where(valid, one, 0.0) / scales[name] * share for name, one in errors.items()]

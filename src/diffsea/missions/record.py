@@ -41,11 +41,14 @@ class Waypoint:
 
 @dataclasses.dataclass(frozen=True)
 class TimedStep:
-    """What holds from a time (s) on: heading (rad) and speed (m/s), or orders by channel."""
+    """What holds from a time (s) on: heading (rad) and speed (m/s), or orders by channel; or the
+    place (m north and east) and heading that are due at that time."""
 
     time: float
     heading: float = 0.0
     speed: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
     orders: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 

@@ -181,9 +181,10 @@ def noise_for(mission: Mission) -> Noise | None:
 
 
 def _start(mission: Mission) -> State:
-    """As stated; else at the first waypoint, on the first leg's course, at the mission's speed."""
+    """As stated; else at the first waypoint, on the first leg's course, at the mission's speed, or
+    at rest in the first pose."""
     usual: dict[str, Scalar] = dict.fromkeys(MOTION_CHANNELS, 0.0)
-    if mission.controller.kind != "orders":
+    if mission.controller.kind not in ("orders", "positioning"):
         usual["u"] = speed_of(mission)
     if mission.waypoints:
         first, second = mission.waypoints[:2]
@@ -191,6 +192,9 @@ def _start(mission: Mission) -> State:
         usual |= {"x": first.x, "y": first.y, "psi": course}
     elif mission.controller.kind == "course":
         usual["psi"] = mission.steps[0].heading
+    elif mission.controller.kind == "positioning":
+        first = mission.steps[0]
+        usual |= {"x": first.x, "y": first.y, "psi": first.heading}
     return State(*(jnp.asarray((usual | dict(mission.start))[c], float) for c in MOTION_CHANNELS))
 
 

@@ -70,6 +70,7 @@ class MissionResult(Tabulated):
         told = self.numbers
         errors = (
             ("path error", "path_error", "m"),
+            ("position error", "position_error", "m"),
             ("heading error", "heading_error", "rad"),
             ("speed error", "speed_error", "m/s"),
         )

@@ -158,6 +158,7 @@ def _summary(told: Mapping[str, Any]) -> dict[str, Any]:
     row = {"outcome": told["outcome"], "time": told["time"]}
     for key, short in (
         ("path_error", "path"),
+        ("position_error", "position"),
         ("heading_error", "heading"),
         ("speed_error", "speed"),
     ):

@@ -19,7 +19,7 @@ from diffsea.errors import UserError
 from diffsea.identification.least_squares import iterate_least_squares, value_and_jacobian
 from diffsea.missions.numbers import full_names, mission_numbers, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, cost_residuals, performance
-from diffsea.missions.record import Mission
+from diffsea.missions.record import Mission, TimedStep
 from diffsea.missions.running import Timing, assemble, closed_loop, noise_for
 from diffsea.missions.studies.sweep import (
     common_timing,
@@ -248,8 +248,14 @@ def _changed_path(
         )
 
     heading = lambda psi: course + angle + flip * (psi - course)
-    origin = (points[0].x, points[0].y) if points else (start.get("x", 0.0), start.get("y", 0.0))
+    posed = mission.controller.kind == "positioning"
+    stated = points or (steps if posed else ())
+    origin = (stated[0].x, stated[0].y) if stated else (start.get("x", 0.0), start.get("y", 0.0))
     places = [moved(one.x, one.y, origin) for one in points]
+
+    def at(step: TimedStep) -> dict[str, float]:
+        return dict(zip("xy", moved(step.x, step.y, origin), strict=True)) if posed else {}
+
     if "x" in start or "y" in start:
         start["x"], start["y"] = moved(start.get("x", 0.0), start.get("y", 0.0), origin)
     if "psi" in start:
@@ -261,6 +267,8 @@ def _changed_path(
         waypoints=tuple(
             dataclasses.replace(one, x=x, y=y) for one, (x, y) in zip(points, places, strict=True)
         ),
-        steps=tuple(dataclasses.replace(one, heading=heading(one.heading)) for one in steps),
+        steps=tuple(
+            dataclasses.replace(one, heading=heading(one.heading), **at(one)) for one in steps
+        ),
         start=start,
     )

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from diffsea.identification.online.closed_spans import closed_spans
 from diffsea.missions import MissionRun
-from diffsea.missions.performance import held_values, tracking_errors
+from diffsea.missions.performance import held_poses, held_values, tracking_errors
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
 from diffsea.report.pages.online import estimate_plot, trust_plot
@@ -100,6 +100,7 @@ def _verdict(outcome: Outcome, missed: int) -> str:
 def error_sentences(numbers: Record) -> list[str]:
     named = (
         ("path_error", "Distance from the path", "m"),
+        ("position_error", "Distance from the pose", "m"),
         ("heading_error", "Heading", "rad"),
         ("speed_error", "Speed", "m/s"),
     )
@@ -107,7 +108,7 @@ def error_sentences(numbers: Record) -> list[str]:
     for key, what, unit in named:
         if key in numbers:
             rms, largest = (round_to_error(numbers[key][n], None, unit) for n in ("rms", "largest"))
-            off = "" if key == "path_error" else " off"
+            off = "" if key in ("path_error", "position_error") else " off"
             sentences.append(f"{what}{off} by {rms} root mean square, {largest} at most.")
     points = numbers.get("waypoints", [])
     if points:
@@ -211,17 +212,18 @@ def _track(run: MissionRun, group: str) -> go.Figure:
             line=line,
             hovertemplate="%{customdata} s: %{x} m east, %{y} m north",
         )
-    points = run.mission.waypoints
+    posed = run.mission.controller.kind == "positioning"
+    points = run.mission.steps if posed else run.mission.waypoints
     if points:
         marker = {"color": "#fff", "size": 8, "line": {"color": plots.MEASURED, "width": 2}}
         drawn.add_scatter(
             x=[one.y for one in points],
             y=[one.x for one in points],
             mode="lines+markers",
-            name="path",
+            name="poses" if posed else "path",
             line=_PATH_LINE,
             marker=marker,
-            hovertemplate="waypoint: %{x} m east, %{y} m north",
+            hovertemplate=f"{'pose' if posed else 'waypoint'}: %{{x}} m east, %{{y}} m north",
             hoverinfo="skip",
         )
     colours = [str(line["color"]) for _, _, line in curves]
@@ -234,6 +236,10 @@ def _motion_panels(run: MissionRun) -> list[Panel]:
     if mission.waypoints:
         off = np.asarray(tracking_errors(mission, true)["path"])
         panels.append(("off the path, to starboard (m)", [("off the path", off, _TRUE_LINE)]))
+    poses = held_poses(mission, true.t) if mission.controller.kind == "positioning" else None
+    if poses is not None:
+        off = np.asarray(tracking_errors(mission, true)["position"])
+        panels.append(("off the pose (m)", [("off the pose", off, _TRUE_LINE)]))
     for channel, title, scale, wanted in (
         ("psi", "heading (deg)", _DEGREES, "heading"),
         ("u", "speed ahead u (m/s)", 1.0, "speed"),
@@ -244,6 +250,8 @@ def _motion_panels(run: MissionRun) -> list[Panel]:
         if mission.controller.kind == "course":
             asked = np.asarray(held_values(mission, true.t, wanted)) * scale
             curves.append(("asked for", asked, _WANTED_LINE))
+        if poses is not None and wanted == "heading":
+            curves.append(("asked for", np.asarray(poses[2]) * scale, _WANTED_LINE))
         panels.append((title, curves))
     return panels
 

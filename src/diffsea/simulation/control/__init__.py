@@ -28,6 +28,9 @@ from diffsea.simulation.control.lqr import discretise as discretise
 from diffsea.simulation.control.lqr import riccati as riccati
 from diffsea.simulation.control.lqr import steering_model as steering_model
 from diffsea.simulation.control.lqr import track_keeper as track_keeper
+from diffsea.simulation.control.positioning import DynamicPositioning as DynamicPositioning
+from diffsea.simulation.control.positioning import dynamic_positioning as dynamic_positioning
+from diffsea.simulation.control.positioning import require_positioning as require_positioning
 from diffsea.simulation.control.timed import TimedCourse as TimedCourse
 from diffsea.simulation.control.timed import TimedOrders as TimedOrders
 from diffsea.simulation.control.timed import TimedSpeed as TimedSpeed

@@ -1,0 +1,293 @@
+"""Dynamic positioning: a vessel is brought to poses and held there with every actuator she has.
+
+Linear-quadratic state feedback on surge, sway and yaw at once, with integrals of position and
+heading against a steady push (Fossen 2021, Handbook of Marine Craft, sect. 16.1 on optimal
+control and 15.3 on positioning). The gain is found anew at every period for the speed ahead at
+hand: thrusters fade with it, and a rudder acts by it alone.
+"""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from diffsea.errors import UserError
+from diffsea.kinematics import to_body, wrap
+from diffsea.scales import time_scale
+from diffsea.simulation.control.autopilot import AbstractController
+from diffsea.simulation.control.lqr import discrete_lqr, discretise
+from diffsea.types import Environment, Scalar, State
+from diffsea.vessel.base import Vessel
+
+
+Poses = Float[Array, "pose 3"]  # north (m), east (m), heading (rad, without jumps)
+Motion = Float[Array, "3"]  # u, v (m/s), r (rad/s)
+
+POSITION = 0.25  # ship lengths, and
+HEADING = jnp.radians(10.0)  # rad, off the pose are as bad as all of an actuator's effect
+INTEGRAL_TIME = 25.0  # sqrt(L / g), for which the same error is as bad again
+_FARTHEST = 1.0  # ship lengths: a pose farther off is met no harder
+_HALF = 0.5  # of its effect, at which an actuator's slope is taken
+_SAMPLES = 33  # of the curve of an actuator's effect between its limits
+_QUICKEST = 0.25  # periods: an actuator that answers sooner is taken to answer so
+_DOUBLINGS = 14  # 2^14 periods: a positioned vessel has settled by then
+_LEAST = 1e-3  # of the largest effect on any axis: less does not hold a vessel there
+
+
+class Effect(eqx.Module):
+    """What orders of a channel come to at rest, as shares of its largest effect."""
+
+    orders: Float[Array, "sample"]  # ascending
+    shares: Float[Array, "sample"]  # ascending, within -1 and 1
+
+    def order(self, share: Scalar) -> Scalar:
+        """The order with a share of the effect; the nearest limit where there is none."""
+        return jnp.interp(share, self.shares, self.orders)
+
+
+class Positioned(eqx.Module):
+    """What `DynamicPositioning` remembers."""
+
+    integral: Float[Array, "3"]  # of the errors, m s north and east, and rad s
+    executed: Float[Array, "channel"]  # shares of their effects, as the model has them executed
+
+
+class DynamicPositioning(AbstractController[Positioned]):
+    """Follows poses by time, from one to the next without a jump of speed, and stays at the last.
+
+    The reference runs from pose to pose as `3 s^2 - 2 s^3` of the time between them. Fed back
+    are the errors of surge, sway and yaw rate, of position in the vessel's axes (m) and of heading
+    (rad), the integrals of the last three, and what the actuators are still on their way to by
+    their lags and delays. The drag that the model has at the reference's speed, in the current and
+    wind of the model's environment, is met beforehand.
+    """
+
+    vessel: Vessel  # that is believed in
+    times: Float[Array, "pose"]  # s, ascending
+    poses: Poses
+    effects: dict[str, Effect]
+    lags: Float[Array, "channel"]  # s, of the actuators, delays included
+    position: Scalar  # m, see `POSITION`
+    heading: Scalar  # rad
+    integral_time: Scalar  # s
+    period: float = eqx.field(static=True)
+
+    def init(self) -> Positioned:
+        return Positioned(jnp.zeros(3), jnp.zeros(len(self.effects)))
+
+    def step(
+        self, memory: Positioned, state: State, t: Scalar, dt: Scalar
+    ) -> tuple[Positioned, dict[str, Scalar]]:
+        pose, velocity = reference(self.times, self.poses, t)
+        error = jnp.stack([state.x - pose[0], state.y - pose[1], wrap(state.psi - pose[2])])
+        farthest = _FARTHEST * self.vessel.rigid_body.length
+        size = jnp.sqrt(error[0] ** 2 + error[1] ** 2 + 1e-12)
+        near = jnp.minimum(1.0, farthest / size)
+        error = error * jnp.stack([near, near, jnp.ones(())])
+        wanted = jnp.stack([*to_body(velocity[0], velocity[1], state.psi), velocity[2]])
+        motion = jnp.stack([state.u, state.v, state.r])
+        B = self.inputs(state.u)
+        gain = self.gain(state.u, B)
+        in_axes = [
+            jnp.stack([*to_body(one[0], one[1], state.psi), one[2]])
+            for one in (error, memory.integral)
+        ]
+        steady = self.ahead(wanted, state, B)
+        off = jnp.concatenate([motion - wanted, *in_axes, memory.executed - steady])
+        shares = steady - gain @ off
+        orders = {
+            channel: effect.order(share)
+            for (channel, effect), share in zip(self.effects.items(), shares, strict=True)
+        }
+        # A push that the actuators cannot bear, or a pose far off, is not summed up.
+        sums = (near == 1.0) & jnp.all(jnp.abs(shares) < 1.0)
+        integral = memory.integral + jnp.where(sums, dt * error, 0.0)
+        way = 1 - jnp.exp(-dt / self.lags)
+        executed = memory.executed + way * (jnp.clip(shares, -1.0, 1.0) - memory.executed)
+        return Positioned(integral, executed), orders
+
+    def is_finished(self, memory: Positioned) -> Bool[Array, ""]:
+        return jnp.zeros((), bool)
+
+    def inputs(self, speed: Scalar) -> Float[Array, "3 channel"]:
+        """Accelerations (m/s^2, m/s^2, rad/s^2) by the share of each channel's effect, at a speed
+        ahead (m/s)."""
+        motion = jnp.stack([speed, jnp.zeros(()), jnp.zeros(())])
+
+        def column(channel: str, effect: Effect) -> Motion:
+            low, high = (jnp.clip(s, effect.shares[0], effect.shares[-1]) for s in (-_HALF, _HALF))
+            ends = (self._answer(motion, channel, effect.order(share)) for share in (low, high))
+            weaker, stronger = ends
+            return (stronger - weaker) / jnp.maximum(high - low, 1e-6)
+
+        return jnp.stack([column(*one) for one in self.effects.items()], axis=1)
+
+    def gain(self, speed: Scalar, B: Float[Array, "3 channel"]) -> Float[Array, "channel state"]:
+        """The feedback on errors of velocity, pose, integrals and executed shares at a speed ahead
+        (m/s)."""
+        zero = jnp.zeros(())
+        rest: dict[str, Scalar] = dict.fromkeys(self.vessel.channels, zero)
+
+        def rates(motion: Motion) -> Motion:
+            return acceleration(self.vessel, motion, rest)
+
+        channels = B.shape[1]
+        A = jnp.zeros((9 + channels, 9 + channels))
+        A = A.at[:3, :3].set(jax.jacfwd(rates)(jnp.stack([speed, zero, zero])))
+        A = A.at[3:6, :3].set(jnp.eye(3)).at[4, 5].set(speed).at[6:9, 3:6].set(jnp.eye(3))
+        A = A.at[:3, 9:].set(B).at[9:, 9:].set(-jnp.diag(1 / self.lags))
+        ordered = jnp.zeros((9 + channels, channels)).at[9:].set(jnp.diag(1 / self.lags))
+        bad = jnp.stack([self.position, self.position, self.heading])
+        Q = jnp.concatenate(
+            [jnp.zeros(3), bad**-2.0, (bad * self.integral_time) ** -2.0, jnp.zeros(channels)]
+        )
+        A, ordered = discretise(A, ordered, self.period)
+        return discrete_lqr(A, ordered, jnp.diag(Q), jnp.eye(channels), _DOUBLINGS)
+
+    def ahead(
+        self, wanted: Motion, state: State, B: Float[Array, "3 channel"]
+    ) -> Float[Array, "channel"]:
+        """Shares that bear what the model's drag and weather come to at the wanted motion."""
+        rest: dict[str, Scalar] = dict.fromkeys(self.vessel.channels, jnp.zeros(()))
+        at = State(state.x, state.y, state.psi, *wanted)
+        push = jnp.stack(self.vessel.acceleration(at, rest, self.vessel.environment, jnp.zeros(())))
+        return -B.T @ jnp.linalg.solve(B @ B.T, push)
+
+    def _answer(self, motion: Motion, channel: str, order: Scalar) -> Motion:
+        orders = dict.fromkeys(self.vessel.channels, jnp.zeros(())) | {channel: order}
+        return acceleration(self.vessel, motion, orders)
+
+
+def reference(
+    times: Float[Array, "pose"], poses: Poses, t: Scalar
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Pose and its rate of change (m/s, m/s, rad/s, north and east) at a time (s)."""
+    if len(times) == 1:
+        return poses[0], jnp.zeros(3)
+    number = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    begin, duration = times[number], times[number + 1] - times[number]
+    share = jnp.clip((t - begin) / duration, 0.0, 1.0)
+    change = poses[number + 1] - poses[number]
+    return (
+        poses[number] + (3 - 2 * share) * share**2 * change,
+        6 * share * (1 - share) / duration * change,
+    )
+
+
+def continuous_poses(poses: Poses) -> Poses:
+    """The same with headings that go the short way from each pose to the next."""
+    turns = jnp.concatenate([poses[:1, 2], wrap(jnp.diff(poses[:, 2]))])
+    return poses.at[:, 2].set(jnp.cumsum(turns))
+
+
+def acceleration(vessel: Vessel, motion: Motion, orders: Mapping[str, Scalar]) -> Motion:
+    """Accelerations in still water with actuators settled to orders, heading north."""
+    zero = jnp.zeros(())
+    executed = {
+        c: servo.target(jnp.asarray(orders[c], float)) for c, servo in vessel.servos.items()
+    }
+    state = State(zero, zero, zero, *motion)
+    return jnp.stack(vessel.acceleration(state, executed, Environment(), zero))
+
+
+def dynamic_positioning(
+    vessel: Vessel,
+    times: Float[Array, "pose"],
+    poses: Poses,
+    period: float,
+    position: Scalar | None = None,
+    heading: Scalar = HEADING,
+    integral_time: Scalar | None = None,
+) -> DynamicPositioning:
+    """Positioning that suits a vessel and acts every `period` s.
+
+    Weights follow Bryson's rule: `position` m, `heading` rad and all of an actuator's effect are
+    equally bad, and so is that error for `integral_time` s.
+
+    Arguments:
+        times: s, when each pose is due; before the first and after the last it is held.
+        poses: north and east (m), heading (rad); headings are taken the short way.
+        position: m; a quarter of the vessel's length by default.
+        integral_time: s; 25 sqrt(L / g) by default.
+
+    Raises:
+        UserError: an actuator without limits. That its gain is finite is `require_positioning`'s.
+    """
+    length = vessel.rigid_body.length
+    still, rest = jnp.zeros(3), dict.fromkeys(vessel.channels, jnp.zeros(()))
+
+    def answer(channel: str, order: Scalar) -> Motion:
+        return acceleration(vessel, still, rest | {channel: order}) - acceleration(
+            vessel, still, rest
+        )
+
+    effects = {c: _effect(vessel, c, answer) for c in vessel.channels}
+    return DynamicPositioning(
+        vessel,
+        jnp.asarray(times, float),
+        continuous_poses(jnp.asarray(poses, float)),
+        effects,
+        jnp.stack([_lag(vessel, channel, period) for channel in vessel.channels]),
+        jnp.asarray(POSITION * length if position is None else position, float),
+        jnp.asarray(heading, float),
+        jnp.asarray(
+            INTEGRAL_TIME * time_scale(length) if integral_time is None else integral_time, float
+        ),
+        period,
+    )
+
+
+def _effect(vessel: Vessel, channel: str, answer) -> Effect:
+    """The curve of a channel's effect at rest; in proportion to the order where there is none."""
+    servo = vessel.servos[channel]
+    if servo.lower is None or servo.upper is None:
+        raise UserError(
+            f"positioning needs limits of every actuator's orders, and {channel!r} of "
+            f"{vessel.name!r} has none: state them in the vessel file"
+        )
+    orders = jnp.linspace(servo.lower, servo.upper, _SAMPLES)
+    scale = jnp.array([1.0, 1.0, vessel.rigid_body.length])
+    answers = jax.vmap(lambda order: answer(channel, order))(orders) * scale
+    sizes = jnp.linalg.norm(answers, axis=1)
+    largest = jnp.argmax(sizes)
+    towards = answers[largest] * jnp.where(orders[largest] < 0, -1.0, 1.0)
+    along = answers @ towards / jnp.maximum(sizes[largest] ** 2, 1e-30)
+    plain = orders / jnp.maximum(jnp.abs(servo.lower), jnp.abs(servo.upper))
+    shares = jnp.where(sizes[largest] > 1e-12, along, plain)
+    # A rise too small to see keeps flat parts, a dead band's, in order.
+    return Effect(orders, jax.lax.cummax(shares) + 1e-9 * jnp.arange(float(_SAMPLES)))
+
+
+def _lag(vessel: Vessel, channel: str, period: float) -> Scalar:
+    """How late (s) an actuator is: lag, delay, and a quarter of its range at its largest rate."""
+    servo = vessel.servos[channel]
+    parts = [part for part in (servo.time_constant, servo.delay) if part is not None]
+    if servo.rate_limit is not None and servo.lower is not None and servo.upper is not None:
+        parts.append(0.25 * (servo.upper - servo.lower) / servo.rate_limit)
+    return jnp.maximum(jnp.asarray(sum(parts), float), _QUICKEST * period)
+
+
+def require_positioning(vessel: Vessel) -> None:
+    """Raise `UserError` for a vessel that at rest cannot be pushed ahead, sideways and round."""
+    made = dynamic_positioning(vessel, jnp.zeros(1), jnp.zeros((1, 3)), 1.0)
+    B = made.inputs(jnp.zeros(()))
+    scaled = B * jnp.array([1.0, 1.0, vessel.rigid_body.length])[:, None]
+    sizes = jnp.linalg.svd(scaled, compute_uv=False)
+    if B.shape[1] >= 3 and float(sizes[2]) > _LEAST * float(sizes[0]):
+        return
+    missing = [
+        name
+        for name, row in zip(("ahead", "sideways", "round"), scaled, strict=True)
+        if float(jnp.linalg.norm(row)) <= _LEAST * float(sizes[0])
+    ]
+    told = (
+        f"nothing pushes it {' or '.join(missing)}"
+        if missing
+        else (f"{B.shape[1]} actuators cannot push it ahead, sideways and round each by itself")
+    )
+    raise UserError(
+        f"{vessel.name!r} cannot be positioned: at rest {told}. It takes a tunnel thruster or "
+        "fixed thrusters set at angles; a path needs less"
+    )

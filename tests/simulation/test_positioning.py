@@ -1,0 +1,156 @@
+# pyright: reportArgumentType=false
+"""Dynamic positioning: poses are come to and held, in currents, behind lags, with derivatives."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+from diffsea import Environment, State, read_vessel, run_controlled
+from diffsea.errors import UserError
+from diffsea.simulation.control import dynamic_positioning, require_positioning
+from diffsea.simulation.control.positioning import continuous_poses, reference
+from diffsea.vessel.files import build
+
+
+SHIP = read_vessel("shioji_maru").vessel
+PERIOD = 0.5
+
+
+def square_boat(**engine):
+    """A boat of 2 m with four fixed thrusters set at 45 degrees, one at each corner."""
+    corners = ((0.8, -0.4, 45.0), (0.8, 0.4, -45.0), (-0.8, -0.4, -45.0), (-0.8, 0.4, 45.0))
+    return build(
+        {
+            "format": 1, "name": "square",
+            "hull": {
+                "length": 2.0, "beam": 1.0, "draught": 0.2, "mass": 150.0, "I_z": 60.0,
+                "X_udot": -10.0, "Y_vdot": -60.0, "N_rdot": -15.0, "X_u": -30.0, "Y_v": -90.0,
+                "N_r": -50.0,
+            },
+            "thruster": [
+                {"name": f"t{k}", "x": x, "y": y, "angle": float(np.radians(turned)),
+                 "max_force": 25.0, "min_force": -25.0, **engine}
+                for k, (x, y, turned) in enumerate(corners)
+            ],
+        }
+    )  # fmt: skip
+
+
+def driven(vessel, times, poses, seconds, start=None, plant=None, water=None, **options):
+    control = dynamic_positioning(vessel, jnp.array(times), jnp.array(poses), PERIOD, **options)
+    begin = State(*map(jnp.asarray, start or (*poses[0], 0.0, 0.0, 0.0)))
+    run = run_controlled(plant or vessel, control, begin, seconds, PERIOD, environment=water)
+    return jax.tree.map(np.asarray, run.trajectory)
+
+
+def test_the_reference_is_the_hermite_spline_that_stands_still_at_every_pose():
+    times = jnp.array([0.0, 40.0, 100.0])
+    poses = jnp.array([[0.0, 0.0, 3.0], [10.0, -5.0, -3.0], [10.0, 20.0, -1.0]])
+    smooth = continuous_poses(poses)
+    assert float(smooth[1, 2]) == pytest.approx(2 * np.pi - 3.0)  # the short way
+    spline = CubicHermiteSpline(np.asarray(times), np.asarray(smooth), np.zeros((3, 3)))
+    for t in (-5.0, 0.0, 13.0, 40.0, 77.0, 100.0, 130.0):
+        pose, rate = reference(times, smooth, jnp.asarray(t))
+        inside = min(max(t, 0.0), 100.0)
+        np.testing.assert_allclose(pose, spline(inside), atol=1e-9)
+        np.testing.assert_allclose(rate, spline(inside, 1) if inside == t else 0.0, atol=1e-9)
+    alone, rate = reference(times[:1], poses[:1], jnp.asarray(3.0))
+    np.testing.assert_array_equal(alone, poses[0])
+    assert not np.any(rate)
+
+
+def test_half_of_an_effect_is_half_of_the_acceleration_whatever_the_curve():
+    control = dynamic_positioning(SHIP, jnp.zeros(1), jnp.zeros((1, 3)), PERIOD)
+    rest = dict.fromkeys(SHIP.channels, jnp.zeros(()))
+    still = State(*map(jnp.asarray, (0.0,) * 6))
+    for channel, axis in (("propeller", 0), ("bow", 1), ("stern", 1)):
+
+        def push(order, channel=channel, axis=axis):
+            orders = rest | {channel: order}
+            return float(SHIP.acceleration(still, orders, Environment(), jnp.zeros(()))[axis])
+
+        effect = control.effects[channel]
+        assert push(effect.order(0.5)) == pytest.approx(0.5 * push(effect.order(1.0)), rel=0.03)
+    assert float(control.effects["propeller"].order(0.5)) > 0.6 * 4.5  # thrust by the square
+
+
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.15, -0.1)])
+def test_a_boat_comes_to_its_pose_and_stays_there_in_a_current(current):
+    boat = square_boat(time_constant=0.3)
+    water = Environment(*map(jnp.asarray, current))
+    poses = [(0.0, 0.0, 0.0), (8.0, -5.0, 2.0)]
+    run = driven(boat, (0.0, 60.0), poses, 200.0, plant=boat, water=water)
+    assert np.hypot(run.x[-1] - 8.0, run.y[-1] + 5.0) < 0.02
+    assert abs(run.psi[-1] - 2.0) < 0.005
+    due = int(60.0 / PERIOD)
+    assert np.hypot(run.x[due] - 8.0, run.y[due] + 5.0) < 0.6
+
+
+def test_without_integrals_a_current_pushes_it_off():
+    boat, water = square_boat(), Environment(jnp.asarray(0.0), jnp.asarray(0.2))
+    poses = [(0.0, 0.0, 0.0)]
+    off = [
+        abs(driven(boat, (0.0,), poses, 150.0, water=water, integral_time=time).y[-1])
+        for time in (None, 1e6)
+    ]
+    assert off[0] < 0.02 < 0.05 < off[1]
+
+
+def test_what_the_models_own_current_asks_for_is_met_beforehand():
+    water = Environment(jnp.asarray(0.0), jnp.asarray(0.2))
+    boat = square_boat()
+    knowing = dataclasses.replace(boat, environment=water)
+    worst = [
+        np.abs(driven(model, (0.0,), [(0.0, 0.0, 0.0)], 60.0, plant=boat, water=water).y).max()
+        for model in (boat, knowing)
+    ]
+    assert worst[1] < 0.2 * worst[0]
+
+
+def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing():
+    """Her thrusters answer after 4 s and with a lag of 4 s: a gain without them swings her."""
+    times, poses = (0.0, 300.0), [(0.0, 0.0, 0.0), (0.0, -40.0, 0.3)]
+    run = driven(SHIP, times, poses, 700.0)
+    late = run.t > 500.0
+    assert np.ptp(np.degrees(run.psi[late])) < 1.0
+    assert np.hypot(run.x[-1], run.y[-1] + 40.0) < 1.0
+
+    control = dynamic_positioning(SHIP, jnp.array(times), jnp.array(poses), PERIOD)
+    hasty = eqx.tree_at(lambda c: c.lags, control, jnp.full_like(control.lags, 0.1))
+    begin = State(*map(jnp.asarray, (0.0,) * 6))
+    swung = run_controlled(SHIP, hasty, begin, 700.0, PERIOD).trajectory
+    assert np.ptp(np.degrees(np.asarray(swung.psi)[late])) > 5.0
+
+
+def test_errors_have_derivatives_through_the_loop():
+    boat = square_boat(time_constant=0.3)
+
+    @jax.jit
+    def error(position):
+        control = dynamic_positioning(
+            boat, jnp.array([0.0, 20.0]), jnp.array([(0.0, 0.0, 0.0), (3.0, 1.0, 0.4)]), PERIOD,
+            position=position,
+        )  # fmt: skip
+        begin = State(*map(jnp.asarray, (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)))
+        run = run_controlled(boat, control, begin, 30.0, PERIOD).trajectory
+        return jnp.mean((run.x - 3.0) ** 2 + (run.y - 1.0) ** 2)
+
+    slope = float(jax.grad(error)(0.5))
+    apart = float(error(0.5 + 1e-4) - error(0.5 - 1e-4)) / 2e-4
+    assert slope == pytest.approx(apart, rel=1e-4) and slope != 0.0
+
+
+def test_vessels_that_cannot_be_positioned_are_told_why():
+    with pytest.raises(UserError, match="2 actuators cannot push it ahead, sideways and round"):
+        require_positioning(read_vessel("otter").vessel)
+    with pytest.raises(UserError, match="nothing pushes it sideways"):
+        require_positioning(read_vessel("vrx_wamv").vessel)
+    with pytest.raises(UserError, match="'propeller' of 'kvlcc2' has none"):
+        require_positioning(read_vessel("kvlcc2").vessel)
+    require_positioning(SHIP)
+    require_positioning(square_boat())
