@@ -193,7 +193,9 @@ def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str,
     table, mission = found.table, found.mission
     names = list(table)[: len(space.names)]
     numeric = [name for name in list(table)[len(names) :] if name != "outcome"]
-    judged_by = next((name for name in ("path_rms", "heading_rms") if name in numeric), None)
+    judged_by = next(
+        (name for name in ("path_rms", "position_rms", "heading_rms") if name in numeric), None
+    )
     record: dict[str, Any] = {
         "format": 1,
         "mission": mission.name,
@@ -315,6 +317,7 @@ def run_battery(
     """Run a mission with many plants, weathers and seeds, as `diffsea run --battery` does.
 
     Arguments:
+        battery: or its file.
         progress: is told the share that is done.
 
     Raises:

@@ -44,6 +44,12 @@ EVENTS: dict[str, Callable[[Mapping[str, Any]], bool]] = {
 }
 
 
+_SUMMED_UP = (  # numbers of a battery's runs
+    *("time", "path_rms", "path_largest", "position_rms", "position_largest"),
+    *("heading_rms", "speed_rms", "at_limit"),
+)
+
+
 @dataclasses.dataclass(frozen=True)
 class Battery:
     """How often a mission is run, and what is drawn for each run, evenly between two numbers.
@@ -193,7 +199,7 @@ def battery_scores(found: BatteryRun) -> dict[str, Any]:
         }
     done = [row for row in found.table if row["outcome"] != FAILED]
     quantiles = {}
-    for name in ("time", "path_rms", "path_largest", "heading_rms", "speed_rms", "at_limit"):
+    for name in _SUMMED_UP:
         values = [row[name] for row in done if name in row]
         if values:
             middle, most = np.quantile(values, [0.5, 0.95])

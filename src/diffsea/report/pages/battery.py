@@ -24,6 +24,8 @@ _NUMBER_WORDS = {
     "time": "time (s)",
     "path_rms": "path error, rms (m)",
     "path_largest": "path error, largest (m)",
+    "position_rms": "distance from the pose, rms (m)",
+    "position_largest": "distance from the pose, largest (m)",
     "heading_rms": "heading error, rms (rad)",
     "speed_rms": "speed error, rms (m/s)",
     "at_limit": "share of the time at a limit",
