@@ -659,3 +659,19 @@ def test_a_piece_that_nothing_begins_is_judged_by_itself(days):
     circle = next(s for s in found if s.manoeuvre == "turning-circle")
     assert "s of the piece" in straight.approach.why
     assert "s before the onset" in circle.approach.why
+
+
+def test_the_row_of_a_new_order_does_not_count_against_its_execution(days):
+    """Gear that answers at once still shows the old angle in the row of a reversed order."""
+    log = days["at once"]
+    run = log.run()
+    segment = trials(find_segments(run))[1]
+    late = dict(run.executed)
+    late["rudder"] = np.concatenate([run.commanded["rudder"][:1], run.commanded["rudder"][:-1]])
+    found = checks(dataclasses.replace(run, executed=late), segment)["actuation"]
+    assert found.verdict == "sound" and found.numbers["ratio_spread"] < 1e-6
+    restless = np.where(np.arange(len(run.t)) % 2, 0.2, -0.2)
+    told = checks(
+        dataclasses.replace(run, commanded=run.commanded | {"rudder": restless}), segment
+    )["actuation"]
+    assert told.verdict == "not checked" and "from row to row" in told.why

@@ -96,7 +96,8 @@ def _check_actuation(
     if np.sum(active) < 5:
         return Check("actuation", numbers, UNCHECKED, "hardly any steering was ordered")
     # In the row of a new order what it replaced is still being executed, however quick the gear.
-    active &= np.abs(np.diff(commanded, prepend=commanded[0])) <= settings.order
+    changes = np.diff(signals.commanded, prepend=signals.commanded[0])[rows]
+    active &= np.abs(changes) <= settings.order
     if np.sum(active) < 5:
         return Check("actuation", numbers, UNCHECKED, "the order changes from row to row")
     ratio = executed[active] / commanded[active]
