@@ -25,7 +25,7 @@ from diffsea.identification.uncertainty.identifiability import Identifiability, 
 from diffsea.identification.uncertainty.sources import Source, Sources
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import fit_report, worse_warning
-from diffsea.report.page import TEMPLATES, Plot, Verbatim
+from diffsea.report.page import TEMPLATES, Plot, Verbatim, with_commands
 from diffsea.report.plots import figure
 from diffsea.report.predictions import (
     ComparedRun,
@@ -704,6 +704,14 @@ def test_odds_intervals_and_durations():
     assert interval((-0.5, 0.5), "rad") == "-29 to 29 deg"
     assert interval((1.5, math.inf), "kg") == "1.50 to open kg"
     assert [duration(x) for x in (143.0, 600.0, 86400.0)] == ["140 s", "10 min", "24 h"]
+
+
+def test_commands_in_messages_are_code_and_nothing_else_becomes_markup():
+    assert with_commands("see `diffsea fit a.toml` -> <b>") == (
+        "see <code>diffsea fit a.toml</code> -&gt; &lt;b&gt;"
+    )
+    assert with_commands("`<i>`") == "<code>&lt;i&gt;</code>"
+    assert with_commands("a `lone one") == "a `lone one"
 
 
 def test_typesetting():

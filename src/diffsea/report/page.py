@@ -15,7 +15,7 @@ from typing import Literal
 
 import jinja2
 import plotly.graph_objects as go
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from diffsea.report.quantities import round_to_error, typeset, with_error
 from diffsea.report.words import Record, as_words
@@ -80,6 +80,17 @@ def typeset_unless_verbatim(value: object) -> object:
     return value
 
 
+def with_commands(text: str) -> Markup:
+    """A message for the terminal, verbatim: what stands there in backticks is set as code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:  # one of them is no bracket
+        return escape(text)
+    return Markup().join(
+        Markup("<code>{}</code>").format(part) if number % 2 else part
+        for number, part in enumerate(parts)
+    )
+
+
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("diffsea.report"),
     autoescape=True,
@@ -89,6 +100,7 @@ TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
 )
 TEMPLATES.filters["verbatim"] = Verbatim
+TEMPLATES.filters["commands"] = with_commands
 
 
 ASSETS = importlib.resources.files("diffsea.report") / "assets"
