@@ -92,6 +92,30 @@ def campaign(seed: int, plant: AnyPlant = NEW, noise: float = 1.0) -> Campaign:
     return Campaign(straight, spin, wide)
 
 
+def explored(seed: int, plant: AnyPlant = NEW) -> list[Run]:
+    """Runs for a diagnosis that share no manoeuvre with `held_out`: widening turns, a stop and a
+    turn astern, and thrust that steps on either side."""
+    rng = np.random.default_rng(seed)
+
+    def widening(t: float) -> tuple[float, float]:
+        side = 1 if (t // 12) % 2 == 0 else -1
+        return 20.0 + side * min(t / 6, 9.0), 20.0 - side * min(t / 6, 9.0)
+
+    def stopping(t: float) -> tuple[float, float]:
+        table = ((26, 26), (0, 0), (-18, -18), (-10, -20), (0, 0), (15, 22))
+        return table[min(int(t // 10), len(table) - 1)]
+
+    def sides(t: float) -> tuple[float, float]:
+        table = ((10, 20), (20, 20), (28, 14), (14, 14), (6, 24), (24, 24), (18, 28))
+        return table[min(int(t // 9), len(table) - 1)]
+
+    def slalom(t: float) -> tuple[float, float]:
+        return (27.0, 17.0) if (t // 6) % 2 else (17.0, 27.0)
+
+    driven_as = {"widening": widening, "stopping": stopping, "sides": sides, "slalom": slalom}
+    return [recorded(plant, name, orders, 64.0, rng) for name, orders in driven_as.items()]
+
+
 def held_out(seed: int, plant: AnyPlant = NEW) -> list[Run]:
     """Runs that nothing is fitted to: turns of changing side at two speeds, and steps."""
     rng = np.random.default_rng(seed)

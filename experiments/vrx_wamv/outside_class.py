@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Callable
 
 from experiments.harness.reporting import table
-from experiments.vrx_wamv.campaign import Campaign, campaign, held_out
+from experiments.vrx_wamv.campaign import Campaign, campaign, explored, held_out
 from experiments.vrx_wamv.closed import (
     SLOWEST,
     controller,
@@ -71,11 +71,11 @@ def outside(say: Say) -> Outside:
 
 def named(file: dict, data: Campaign, say: Say) -> tuple[Vessel, dict]:
     """The joint model with what the diagnosis names, from runs of its own, and its words."""
-    runs = [*held_out(SEED + 200, ROLLING), data.wide, data.straight[2]]
+    *own, kept = explored(SEED + 200, ROLLING)
     found = diagnose(
         VesselFile(build(file), file, "joint"),
-        [run.trajectory() for run in runs],
-        [run.trajectory() for run in held_out(SEED + 300, ROLLING)[:1]],
+        [run.trajectory() for run in (*own, data.wide, data.straight[2])],
+        [kept.trajectory()],
         progress=lambda message: say(message) if message.startswith("round") else None,
     )
     effects = [

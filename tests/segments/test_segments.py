@@ -674,4 +674,17 @@ def test_the_row_of_a_new_order_does_not_count_against_its_execution(days):
     told = checks(
         dataclasses.replace(run, commanded=run.commanded | {"rudder": restless}), segment
     )["actuation"]
-    assert told.verdict == "not checked" and "from row to row" in told.why
+    assert told.verdict == "doubtful" and told.numbers["ratio_spread"] > 0.1
+    thin = dataclasses.replace(
+        run, **{
+            name: getattr(run, name)[::40]
+            for name in ("t", "x", "y", "psi", "u", "v", "r", "valid")
+        },
+        commanded={"rudder": run.commanded["rudder"][::40]},
+        executed={"rudder": late["rudder"][::40]},
+    )  # fmt: skip
+    rows = np.flatnonzero(np.abs(np.diff(thin.commanded["rudder"])) > 0.03)
+    behind = thin.executed["rudder"].copy()
+    behind[rows + 1] = thin.commanded["rudder"][rows]
+    slow = checks(dataclasses.replace(thin, executed={"rudder": behind}), segment)["actuation"]
+    assert slow.verdict == "doubtful"  # a row of seconds is a delay

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from diffsea import Environment, State, read_vessel, run_controlled
+from diffsea import Environment, State, read_vessel, replace, run_controlled
 from diffsea.errors import UserError
 from diffsea.simulation.control import dynamic_positioning, require_positioning
 from diffsea.simulation.control.positioning import continuous_poses, reference
@@ -23,9 +23,12 @@ PERIOD = 0.5
 
 def square_boat(**engine):
     """A boat of 2 m with four fixed thrusters set at 45 degrees, one at each corner."""
+    return build(square_boat_document(**engine))
+
+
+def square_boat_document(**engine):
     corners = ((0.8, -0.4, 45.0), (0.8, 0.4, -45.0), (-0.8, -0.4, -45.0), (-0.8, 0.4, 45.0))
-    return build(
-        {
+    return {
             "format": 1, "name": "square",
             "hull": {
                 "length": 2.0, "beam": 1.0, "draught": 0.2, "mass": 150.0, "I_z": 60.0,
@@ -37,8 +40,15 @@ def square_boat(**engine):
                  "max_force": 25.0, "min_force": -25.0, **engine}
                 for k, (x, y, turned) in enumerate(corners)
             ],
-        }
-    )  # fmt: skip
+    }  # fmt: skip
+
+
+def pulsed_boat(**engine):
+    """The same with thrusters ordered in microseconds about 1500, two of them reversed."""
+    boat = square_boat_document(**engine)
+    for k, thruster in enumerate(boat["thruster"]):
+        thruster |= {"unit": "us", "reversed": k % 2 == 1}
+    return build(boat)
 
 
 def driven(vessel, times, poses, seconds, start=None, plant=None, water=None, **options):
@@ -125,6 +135,73 @@ def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing():
     begin = State(*map(jnp.asarray, (0.0,) * 6))
     swung = run_controlled(SHIP, hasty, begin, 700.0, PERIOD).trajectory
     assert np.ptp(np.degrees(np.asarray(swung.psi)[late])) > 5.0
+
+
+@pytest.mark.parametrize("speed", [3.0, 4.0])
+def test_a_reference_that_moves_fast_is_followed_from_beside_it(speed):
+    """Turned out of the reference's axes, its velocity would count a heading error twice."""
+    seconds = 600.0
+    times, poses = (-1500.0, 1500.0), [(0.0, 0.0, 0.0), (2000.0 * speed, 0.0, 0.0)]
+    begin = continuous_poses(jnp.array(poses))
+    pose, rate = reference(jnp.array(times), begin, jnp.zeros(()))
+    start = (float(pose[0]), 2.0, 0.05, float(rate[0]), 0.0, 0.0)
+    run = driven(SHIP, times, poses, seconds, start=start)
+    late = run.t > 400.0
+    assert np.abs(run.y[late]).max() < 0.05
+    assert np.abs(run.psi[late]).max() < 0.005
+
+
+def test_orders_about_a_neutral_and_reversed_ones_do_as_those_in_newtons():
+    water, poses = Environment(jnp.asarray(0.0), jnp.asarray(0.15)), [(0.0, 0.0, 0.0)]
+    plain, pulsed = (
+        driven(boat, (0.0,), poses, 120.0, water=water) for boat in (square_boat(), pulsed_boat())
+    )
+    assert abs(pulsed.y[-1]) < 0.02
+    np.testing.assert_allclose(pulsed.y, plain.y, atol=0.12)
+    first = [orders[0] for orders in pulsed.commanded.values()]
+    np.testing.assert_allclose(first, 1500.0, atol=40.0)
+    require_positioning(pulsed_boat())
+
+
+def test_narrower_limits_of_a_mission_are_known_and_wind_nothing_up():
+    """Six newtons a thruster just bear the current: not knowing the limits winds integrals up."""
+    boat, water = square_boat(), Environment(jnp.asarray(0.0), jnp.asarray(0.17))
+    narrow = {channel: (-6.0, 6.0) for channel in boat.channels}
+    run = driven(
+        boat, (0.0,), [(0.0, -2.0, 0.0)], 240.0, start=(0.0,) * 6, water=water, limits=narrow
+    )
+    assert max(np.abs(orders).max() for orders in run.commanded.values()) <= 6.0 + 1e-9
+    assert run.y.min() > -2.25
+    assert abs(run.y[-1] + 2.0) < 0.05
+
+
+def test_orders_have_derivatives_by_numbers_of_the_vessel():
+    boat = square_boat()
+
+    def order(mass):
+        changed = replace(boat, {"mass": mass})
+        control = dynamic_positioning(changed, jnp.zeros(1), jnp.zeros((1, 3)), PERIOD)
+        state = State(*map(jnp.asarray, (0.5, 0.2, 0.1, 0.0, 0.0, 0.0)))
+        orders = control.step(control.init(), state, jnp.zeros(()), jnp.asarray(PERIOD))[1]
+        return orders["t0"]
+
+    slope = float(jax.grad(order)(150.0))
+    apart = float(order(150.5) - order(149.5))
+    assert slope == pytest.approx(apart, rel=1e-3) and slope != 0.0
+
+
+@pytest.mark.parametrize(
+    ("times", "poses", "said"),
+    [
+        ([0.0, 0.0], [[0.0] * 3] * 2, "must increase"),
+        ([5.0, 1.0], [[0.0] * 3] * 2, "must increase"),
+        ([0.0, 1.0], [[0.0] * 3], r"shape \(1, 3\)"),
+        ([], np.zeros((0, 3)), "for each of them a pose"),
+    ],
+)
+def test_poses_that_do_not_go_with_their_times_are_refused(times, poses, said):
+    with pytest.raises(UserError, match=said):
+        dynamic_positioning(SHIP, jnp.array(times, float), jnp.array(poses, float), PERIOD)
 
 
 def test_errors_have_derivatives_through_the_loop():

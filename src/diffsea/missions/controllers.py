@@ -65,7 +65,7 @@ def require_controllable(mission: Mission) -> None:
     if kind in ("orders", "dynamic-pd", "waypoint-logic"):
         return  # whose own making tells what they need
     if kind == "positioning":
-        require_positioning(model)
+        require_positioning(model, mission.controller.limits)
         return
     require_steering(model, f"mission under {kind!r}")
     fastest = planning.top_speed(model)
@@ -103,7 +103,7 @@ def controller_of(mission: Mission, period: float) -> AbstractController:
             "integral_time": "integral_time",
         }
         stated = {named[key]: value for key, value in asked.numbers.items()}
-        return dynamic_positioning(model, times, poses, period, **stated)
+        return dynamic_positioning(model, times, poses, period, **stated, limits=asked.limits)
     if asked.kind == "dynamic-pd":
         return dynamic_pd(model, points, 0.0, **asked.numbers)
     if asked.kind == "waypoint-logic":

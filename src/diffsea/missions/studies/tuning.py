@@ -257,7 +257,7 @@ def _changed_path(
         return dict(zip("xy", moved(step.x, step.y, origin), strict=True)) if posed else {}
 
     if "x" in start or "y" in start:
-        start["x"], start["y"] = moved(start.get("x", 0.0), start.get("y", 0.0), origin)
+        start["x"], start["y"] = moved(start.get("x", origin[0]), start.get("y", origin[1]), origin)
     if "psi" in start:
         start["psi"] = heading(start["psi"])
     start |= {name: flip * start[name] for name in ("v", "r") if name in start}

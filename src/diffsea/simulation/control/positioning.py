@@ -6,12 +6,15 @@ control and 15.3 on positioning). The gain is found anew at every period for the
 hand: thrusters fade with it, and a rudder acts by it alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from diffsea.errors import UserError
 from diffsea.kinematics import to_body, wrap
@@ -20,6 +23,7 @@ from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.lqr import discrete_lqr, discretise
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.servo import Servo
 
 
 Poses = Float[Array, "pose 3"]  # north (m), east (m), heading (rad, without jumps)
@@ -86,7 +90,8 @@ class DynamicPositioning(AbstractController[Positioned]):
         size = jnp.sqrt(error[0] ** 2 + error[1] ** 2 + 1e-12)
         near = jnp.minimum(1.0, farthest / size)
         error = error * jnp.stack([near, near, jnp.ones(())])
-        wanted = jnp.stack([*to_body(velocity[0], velocity[1], state.psi), velocity[2]])
+        # In the pose's axes: that the vessel heads elsewhere is the heading error's.
+        wanted = jnp.stack([*to_body(velocity[0], velocity[1], pose[2]), velocity[2]])
         motion = jnp.stack([state.u, state.v, state.r])
         B = self.inputs(state.u)
         gain = self.gain(state.u, B)
@@ -102,10 +107,11 @@ class DynamicPositioning(AbstractController[Positioned]):
             for (channel, effect), share in zip(self.effects.items(), shares, strict=True)
         }
         # A push that the actuators cannot bear, or a pose far off, is not summed up.
-        sums = (near == 1.0) & jnp.all(jnp.abs(shares) < 1.0)
+        least, most = (jnp.stack([e.shares[k] for e in self.effects.values()]) for k in (0, -1))
+        sums = (near == 1.0) & jnp.all((shares > least) & (shares < most))
         integral = memory.integral + jnp.where(sums, dt * error, 0.0)
         way = 1 - jnp.exp(-dt / self.lags)
-        executed = memory.executed + way * (jnp.clip(shares, -1.0, 1.0) - memory.executed)
+        executed = memory.executed + way * (jnp.clip(shares, least, most) - memory.executed)
         return Positioned(integral, executed), orders
 
     def is_finished(self, memory: Positioned) -> Bool[Array, ""]:
@@ -127,8 +133,7 @@ class DynamicPositioning(AbstractController[Positioned]):
     def gain(self, speed: Scalar, B: Float[Array, "3 channel"]) -> Float[Array, "channel state"]:
         """The feedback on errors of velocity, pose, integrals and executed shares at a speed ahead
         (m/s)."""
-        zero = jnp.zeros(())
-        rest: dict[str, Scalar] = dict.fromkeys(self.vessel.channels, zero)
+        zero, rest = jnp.zeros(()), orders_at_rest(self.vessel)
 
         def rates(motion: Motion) -> Motion:
             return acceleration(self.vessel, motion, rest)
@@ -150,13 +155,14 @@ class DynamicPositioning(AbstractController[Positioned]):
         self, wanted: Motion, state: State, B: Float[Array, "3 channel"]
     ) -> Float[Array, "channel"]:
         """Shares that bear what the model's drag and weather come to at the wanted motion."""
-        rest: dict[str, Scalar] = dict.fromkeys(self.vessel.channels, jnp.zeros(()))
+        rest = orders_at_rest(self.vessel)
+        rest = {c: servo.target(rest[c]) for c, servo in self.vessel.servos.items()}
         at = State(state.x, state.y, state.psi, *wanted)
         push = jnp.stack(self.vessel.acceleration(at, rest, self.vessel.environment, jnp.zeros(())))
         return -B.T @ jnp.linalg.solve(B @ B.T, push)
 
     def _answer(self, motion: Motion, channel: str, order: Scalar) -> Motion:
-        orders = dict.fromkeys(self.vessel.channels, jnp.zeros(())) | {channel: order}
+        orders = orders_at_rest(self.vessel) | {channel: order}
         return acceleration(self.vessel, motion, orders)
 
 
@@ -182,6 +188,12 @@ def continuous_poses(poses: Poses) -> Poses:
     return poses.at[:, 2].set(jnp.cumsum(turns))
 
 
+def orders_at_rest(vessel: Vessel) -> dict[str, Scalar]:
+    """Orders by which no actuator does anything: neutral in its unit."""
+    neutral = {channel: servo.neutral for channel, servo in vessel.servos.items()}
+    return {c: jnp.asarray(0.0 if at is None else at, float) for c, at in neutral.items()}
+
+
 def acceleration(vessel: Vessel, motion: Motion, orders: Mapping[str, Scalar]) -> Motion:
     """Accelerations in still water with actuators settled to orders, heading north."""
     zero = jnp.zeros(())
@@ -194,12 +206,13 @@ def acceleration(vessel: Vessel, motion: Motion, orders: Mapping[str, Scalar]) -
 
 def dynamic_positioning(
     vessel: Vessel,
-    times: Float[Array, "pose"],
-    poses: Poses,
+    times: ArrayLike,
+    poses: ArrayLike,
     period: float,
     position: Scalar | None = None,
     heading: Scalar = HEADING,
     integral_time: Scalar | None = None,
+    limits: Mapping[str, tuple[Scalar, Scalar]] = MappingProxyType({}),
 ) -> DynamicPositioning:
     """Positioning that suits a vessel and acts every `period` s.
 
@@ -207,29 +220,35 @@ def dynamic_positioning(
     equally bad, and so is that error for `integral_time` s.
 
     Arguments:
-        times: s, when each pose is due; before the first and after the last it is held.
-        poses: north and east (m), heading (rad); headings are taken the short way.
+        times: s, ascending, when each pose is due; before the first and after the last it is held.
+        poses: a row of north and east (m) and heading (rad) for each; headings are taken the short
+            way.
         position: m; a quarter of the vessel's length by default.
         integral_time: s; 25 sqrt(L / g) by default.
+        limits: lowest and highest order by channel, where they are narrower than the actuator's.
 
     Raises:
-        UserError: an actuator without limits. That its gain is finite is `require_positioning`'s.
+        UserError: an actuator without limits, or poses that do not go with their times. That its
+            gain is finite is `require_positioning`'s.
     """
+    due, places = jnp.asarray(times, float), jnp.asarray(poses, float)
+    _require_schedule(due, places)
     length = vessel.rigid_body.length
-    still, rest = jnp.zeros(3), dict.fromkeys(vessel.channels, jnp.zeros(()))
+    still, rest = jnp.zeros(3), orders_at_rest(vessel)
 
     def answer(channel: str, order: Scalar) -> Motion:
         return acceleration(vessel, still, rest | {channel: order}) - acceleration(
             vessel, still, rest
         )
 
-    effects = {c: _effect(vessel, c, answer) for c in vessel.channels}
+    ends = {c: _ends(vessel, c, limits.get(c, (-jnp.inf, jnp.inf))) for c in vessel.channels}
+    effects = {c: _effect(rest[c], ends[c], partial(answer, c), length) for c in vessel.channels}
     return DynamicPositioning(
         vessel,
-        jnp.asarray(times, float),
-        continuous_poses(jnp.asarray(poses, float)),
+        due,
+        continuous_poses(places),
         effects,
-        jnp.stack([_lag(vessel, channel, period) for channel in vessel.channels]),
+        jnp.stack([_lag(vessel.servos[c], ends[c], period) for c in vessel.channels]),
         jnp.asarray(POSITION * length if position is None else position, float),
         jnp.asarray(heading, float),
         jnp.asarray(
@@ -239,39 +258,63 @@ def dynamic_positioning(
     )
 
 
-def _effect(vessel: Vessel, channel: str, answer) -> Effect:
-    """The curve of a channel's effect at rest; in proportion to the order where there is none."""
+def _require_schedule(times: Float[Array, "..."], poses: Float[Array, "..."]) -> None:
+    """Raise `UserError` unless there is a pose for each time, and times that are known increase."""
+    if times.ndim != 1 or len(times) == 0 or poses.shape != (len(times), 3):
+        raise UserError(
+            "positioning takes times and for each of them a pose (north, east, heading); there are "
+            f"times of shape {times.shape} and poses of shape {poses.shape}"
+        )
+    if not isinstance(times, Tracer) and not bool(jnp.all(jnp.diff(times) > 0)):
+        raise UserError("the times of poses must increase")
+
+
+def _ends(vessel: Vessel, channel: str, limits: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    """Lowest and highest order of a channel: the narrower of the actuator's and other limits."""
     servo = vessel.servos[channel]
-    if servo.lower is None or servo.upper is None:
+    lower = limits[0] if servo.lower is None else jnp.maximum(limits[0], servo.lower)
+    upper = limits[1] if servo.upper is None else jnp.minimum(limits[1], servo.upper)
+    if not isinstance(lower + upper, Tracer) and not bool(jnp.isfinite(upper - lower)):
         raise UserError(
             f"positioning needs limits of every actuator's orders, and {channel!r} of "
-            f"{vessel.name!r} has none: state them in the vessel file"
+            f"{vessel.name!r} has none: state them in the vessel file or the mission"
         )
-    orders = jnp.linspace(servo.lower, servo.upper, _SAMPLES)
-    scale = jnp.array([1.0, 1.0, vessel.rigid_body.length])
-    answers = jax.vmap(lambda order: answer(channel, order))(orders) * scale
-    sizes = jnp.linalg.norm(answers, axis=1)
+    return lower, upper
+
+
+def _effect(
+    rest: Scalar, ends: tuple[Scalar, Scalar], answer: Callable[[Scalar], Motion], length: Scalar
+) -> Effect:
+    """The curve of a channel's effect at rest; in proportion to the order where there is none."""
+    orders = jnp.linspace(*ends, _SAMPLES)
+    answers = jax.vmap(answer)(orders) * jnp.array([1.0, 1.0, length])
+    # The small constant keeps the root differentiable where an order does nothing.
+    sizes = jnp.sqrt(jnp.sum(answers**2, axis=1) + 1e-30)
     largest = jnp.argmax(sizes)
-    towards = answers[largest] * jnp.where(orders[largest] < 0, -1.0, 1.0)
-    along = answers @ towards / jnp.maximum(sizes[largest] ** 2, 1e-30)
-    plain = orders / jnp.maximum(jnp.abs(servo.lower), jnp.abs(servo.upper))
+    towards = answers[largest] * jnp.where(orders[largest] < rest, -1.0, 1.0)
+    along = answers @ towards / sizes[largest] ** 2
+    plain = (orders - rest) / jnp.max(jnp.abs(orders - rest))
     shares = jnp.where(sizes[largest] > 1e-12, along, plain)
     # A rise too small to see keeps flat parts, a dead band's, in order.
     return Effect(orders, jax.lax.cummax(shares) + 1e-9 * jnp.arange(float(_SAMPLES)))
 
 
-def _lag(vessel: Vessel, channel: str, period: float) -> Scalar:
+def _lag(servo: Servo, ends: tuple[Scalar, Scalar], period: float) -> Scalar:
     """How late (s) an actuator is: lag, delay, and a quarter of its range at its largest rate."""
-    servo = vessel.servos[channel]
     parts = [part for part in (servo.time_constant, servo.delay) if part is not None]
-    if servo.rate_limit is not None and servo.lower is not None and servo.upper is not None:
-        parts.append(0.25 * (servo.upper - servo.lower) / servo.rate_limit)
+    if servo.rate_limit is not None:
+        parts.append(0.25 * (ends[1] - ends[0]) / servo.rate_limit)
     return jnp.maximum(jnp.asarray(sum(parts), float), _QUICKEST * period)
 
 
-def require_positioning(vessel: Vessel) -> None:
-    """Raise `UserError` for a vessel that at rest cannot be pushed ahead, sideways and round."""
-    made = dynamic_positioning(vessel, jnp.zeros(1), jnp.zeros((1, 3)), 1.0)
+def require_positioning(
+    vessel: Vessel, limits: Mapping[str, tuple[Scalar, Scalar]] = MappingProxyType({})
+) -> None:
+    """Raise `UserError` for a vessel that at rest cannot be pushed ahead, sideways and round.
+
+    `limits` of orders are those of `dynamic_positioning`.
+    """
+    made = dynamic_positioning(vessel, jnp.zeros(1), jnp.zeros((1, 3)), 1.0, limits=limits)
     B = made.inputs(jnp.zeros(()))
     scaled = B * jnp.array([1.0, 1.0, vessel.rigid_body.length])[:, None]
     sizes = jnp.linalg.svd(scaled, compute_uv=False)
