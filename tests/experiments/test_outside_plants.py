@@ -1,6 +1,6 @@
 # pyright: reportArgumentType=false
-"""Plants outside the estimators' model class: physics that no coefficient may break, and that they
-share nothing with the library."""
+"""Plants outside the estimators' model class: energy, mirrors, signs, trial sheets, and that
+they share nothing with the library."""
 
 import ast
 import dataclasses
@@ -242,3 +242,14 @@ def test_gradient_descent_with_a_bias_finds_the_push_that_moves_the_ship():
 
     assert float(learned(1.0)) == pytest.approx(0.004, rel=0.1)
     assert float(learned(0.0)) == 0.0
+
+
+def test_the_diagnosis_of_the_catamaran_is_not_judged_by_manoeuvres_that_it_saw():
+    campaign = modules("vrx_wamv", "campaign")["campaign"]
+    seen, judged = campaign.explored(1), campaign.held_out(2)
+    assert len(seen) == 4
+    for one in seen:
+        for other in judged:
+            assert np.abs(one.port - other.port).mean() > 2.0 or (
+                np.abs(one.starboard - other.starboard).mean() > 2.0
+            )

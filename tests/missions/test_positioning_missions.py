@@ -1,6 +1,7 @@
 # pyright: reportArgumentType=false
 """Missions of poses: what they are judged by, many at once, mirrored, and what is refused."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
@@ -9,10 +10,12 @@ import diffsea
 from diffsea import UserError
 from diffsea.kinematics import wrap
 from diffsea.missions import mission_of, run, scores
+from diffsea.missions.controllers import controller_of
 from diffsea.missions.numbers import mission_numbers
 from diffsea.missions.performance import held_poses, tracking_errors
 from diffsea.missions.studies.sweep import closed_loop_sweep
 from diffsea.missions.studies.tuning import mirrored, turned
+from diffsea.simulation.control.positioning import reference
 from diffsea.simulation.designs import Grid
 
 
@@ -94,13 +97,36 @@ def test_a_mirrored_or_turned_mission_of_poses_is_the_mirrored_or_turned_run(fol
     np.testing.assert_allclose(round_.true.psi, one.true.psi + 1.0, atol=1e-6)
 
 
-def test_the_reference_of_the_scores_is_that_of_the_controller(folder):
+def test_limits_of_a_mission_hold_and_are_known_to_the_controller(folder):
+    narrow = {f"t{k}": [-8.0, 8.0] for k in range(4)}
+    given = document(controller={"kind": "positioning", "limits": narrow}, seconds=60.0)
+    mission = mission_of(given, folder)
+    told = scores(run(mission))
+    assert all(-8.0 <= one["least"] and one["largest"] <= 8.0 for one in told["orders"].values())
+    control = controller_of(mission, 0.25)
+    assert float(control.effects["t0"].orders[-1]) == 8.0
+    with pytest.raises(UserError, match="cannot be positioned"):
+        nothing = {f"t{k}": [-1e-9, 1e-9] for k in range(3)}
+        run(mission_of(document(controller={"kind": "positioning", "limits": nothing}), folder))
+
+
+def test_scores_and_controller_have_one_reference(folder):
     mission = mission_of(document(), folder)
+    control = controller_of(mission, 0.25)
+    t = np.linspace(0.0, 25.0, 11)
+    places = [reference(control.times, control.poses, jnp.asarray(at))[0] for at in t]
+    np.testing.assert_allclose(np.stack(held_poses(mission, t), 1), np.stack(places), atol=1e-12)
     found = run(mission)
-    north, east, psi = held_poses(mission, found.true.t)
-    assert (float(north[-1]), float(east[-1]), float(psi[-1])) == (2.0, -1.5, 0.6)
-    errors = tracking_errors(mission, found.true)
-    assert list(errors) == ["position", "heading"]
+    assert list(tracking_errors(mission, found.true)) == ["position", "heading"]
+
+
+def test_a_battery_of_poses_sums_up_distances(folder):
+    (folder / "battery.toml").write_text("runs = 3\nseed = 1\n[vessel]\nmass = [120.0, 180.0]\n")
+    (folder / "short.toml").write_text(tomli_w.dumps(document(seconds=10.0)))
+    found = diffsea.run_battery(folder / "short.toml", folder / "battery.toml")
+    table = found.to_frame()
+    assert len(table) == 3 and (table["position_rms"] > 0).all()
+    assert "position_rms" in str(found.numbers)
 
 
 def test_the_page_shows_how_far_off_the_poses_she_is(folder):
@@ -115,7 +141,7 @@ def test_the_page_shows_how_far_off_the_poses_she_is(folder):
     [
         ({"step": [{"time": 0.0, "x": 1.0, "y": 0.0}]}, "heading"),
         ({"step": [{"time": 0.0, "x": 1.0, "y": 0.0, "heading": 0.0, "speed": 1.0}]}, "speed"),
-        ({"controller": {"kind": "positioning", "position": 0.0}}, "position"),
+        ({"controller": {"kind": "positioning", "position": 0.0}}, "position = 0"),
         ({"controller": {"kind": "positioning", "speed": 1.0}}, "speed"),
         ({"vessel": {"name": "otter"}}, "cannot be positioned"),
     ],
