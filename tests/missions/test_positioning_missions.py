@@ -1,4 +1,4 @@
-# pyright: reportArgumentType=false
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 """Missions of poses: what they are judged by, many at once, mirrored, and what is refused."""
 
 import jax.numpy as jnp
@@ -125,7 +125,7 @@ def test_a_battery_of_poses_sums_up_distances(folder):
     (folder / "short.toml").write_text(tomli_w.dumps(document(seconds=10.0)))
     found = diffsea.run_battery(folder / "short.toml", folder / "battery.toml")
     table = found.to_frame()
-    assert len(table) == 3 and (table["position_rms"] > 0).all()
+    assert len(table) == 3 and min(table["position_rms"]) > 0
     assert "position_rms" in str(found.numbers)
 
 
