@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """The unberthing experiment: its quick run, and its pieces against closed forms and scipy."""
 
 from types import SimpleNamespace
