@@ -55,7 +55,6 @@ from .workflows.identification import fit as fit
 from .workflows.metamodel import MetamodelResult as MetamodelResult
 from .workflows.metamodel import metamodel as metamodel
 from .workflows.missions import MissionResult as MissionResult
-from .workflows.missions import run_battery as run_battery
 from .workflows.missions import run_mission as run_mission
 from .workflows.missions import sweep_mission as sweep_mission
 from .workflows.missions import tune_mission as tune_mission

@@ -17,6 +17,7 @@ from diffsea.missions.studies.sweep import closed_loop_sweep
 from diffsea.missions.studies.tuning import mirrored, turned
 from diffsea.simulation.control.positioning import reference
 from diffsea.simulation.designs import Grid
+from diffsea.workflows.missions import run_battery
 
 
 POSES = ((0.0, 0.0, 0.0, 0.0), (12.0, 2.0, -1.5, 0.6), (20.0, 2.0, -1.5, 0.6))
@@ -123,7 +124,7 @@ def test_scores_and_controller_have_one_reference(folder):
 def test_a_battery_of_poses_sums_up_distances(folder):
     (folder / "battery.toml").write_text("runs = 3\nseed = 1\n[vessel]\nmass = [120.0, 180.0]\n")
     (folder / "short.toml").write_text(tomli_w.dumps(document(seconds=10.0)))
-    found = diffsea.run_battery(folder / "short.toml", folder / "battery.toml")
+    found = run_battery(folder / "short.toml", folder / "battery.toml")
     table = found.to_frame()
     assert len(table) == 3 and min(table["position_rms"]) > 0
     assert "position_rms" in str(found.numbers)

@@ -6,6 +6,7 @@ control and 15.3 on positioning). The gain is found anew at every period for the
 hand: thrusters fade with it, and a rudder acts by it alone.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
@@ -30,7 +31,7 @@ Poses = Float[Array, "pose 3"]  # north (m), east (m), heading (rad, without jum
 Motion = Float[Array, "3"]  # u, v (m/s), r (rad/s)
 
 POSITION = 0.25  # ship lengths, and
-HEADING = jnp.radians(10.0)  # rad, off the pose are as bad as all of an actuator's effect
+HEADING = math.radians(10.0)  # rad, off the pose are as bad as all of an actuator's effect
 INTEGRAL_TIME = 25.0  # sqrt(L / g), for which the same error is as bad again
 _FARTHEST = 1.0  # ship lengths: a pose farther off is met no harder
 _HALF = 0.5  # of its effect, at which an actuator's slope is taken
