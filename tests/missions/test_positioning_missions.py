@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
+from tests.boats import square_boat_document
 
 import diffsea
 from diffsea import UserError
@@ -26,20 +27,7 @@ POSES = ((0.0, 0.0, 0.0, 0.0), (12.0, 2.0, -1.5, 0.6), (20.0, 2.0, -1.5, 0.6))
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("poses")
-    corners = ((0.8, -0.4, 0.785), (0.8, 0.4, -0.785), (-0.8, -0.4, -0.785), (-0.8, 0.4, 0.785))
-    table = {
-        "format": 1, "name": "square",
-        "hull": {
-            "length": 2.0, "beam": 1.0, "draught": 0.2, "mass": 150.0, "I_z": 60.0,
-            "X_udot": -10.0, "Y_vdot": -60.0, "N_rdot": -15.0, "X_u": -30.0, "Y_v": -90.0,
-            "N_r": -50.0,
-        },
-        "thruster": [
-            {"name": f"t{k}", "x": x, "y": y, "angle": angle, "max_force": 25.0, "min_force": -25.0}
-            for k, (x, y, angle) in enumerate(corners)
-        ],
-    }  # fmt: skip
-    (folder / "square.toml").write_text(tomli_w.dumps(table))
+    (folder / "square.toml").write_text(tomli_w.dumps(square_boat_document()))
     return folder
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from tests.boats import square_boat_document
 
 from diffsea import Environment, State, read_vessel, replace, run_controlled
 from diffsea.errors import UserError
@@ -24,23 +25,6 @@ PERIOD = 0.5
 def square_boat(**engine):
     """A boat of 2 m with four fixed thrusters set at 45 degrees, one at each corner."""
     return build(square_boat_document(**engine))
-
-
-def square_boat_document(**engine):
-    corners = ((0.8, -0.4, 45.0), (0.8, 0.4, -45.0), (-0.8, -0.4, -45.0), (-0.8, 0.4, 45.0))
-    return {
-            "format": 1, "name": "square",
-            "hull": {
-                "length": 2.0, "beam": 1.0, "draught": 0.2, "mass": 150.0, "I_z": 60.0,
-                "X_udot": -10.0, "Y_vdot": -60.0, "N_rdot": -15.0, "X_u": -30.0, "Y_v": -90.0,
-                "N_r": -50.0,
-            },
-            "thruster": [
-                {"name": f"t{k}", "x": x, "y": y, "angle": float(np.radians(turned)),
-                 "max_force": 25.0, "min_force": -25.0, **engine}
-                for k, (x, y, turned) in enumerate(corners)
-            ],
-    }  # fmt: skip
 
 
 def pulsed_boat(**engine):

@@ -97,13 +97,9 @@ def controller_of(mission: Mission, period: float) -> AbstractController:
     if asked.kind == "positioning":
         times = jnp.array([one.time for one in mission.steps])
         poses = jnp.array([(one.x, one.y, one.heading) for one in mission.steps], float)
-        named = {
-            "position": "position",
-            "heading_error": "heading",
-            "integral_time": "integral_time",
-        }
-        stated = {named[key]: value for key, value in asked.numbers.items()}
-        return dynamic_positioning(model, times, poses, period, **stated, limits=asked.limits)
+        return dynamic_positioning(
+            model, times, poses, period, **asked.numbers, limits=asked.limits
+        )
     if asked.kind == "dynamic-pd":
         return dynamic_pd(model, points, 0.0, **asked.numbers)
     if asked.kind == "waypoint-logic":

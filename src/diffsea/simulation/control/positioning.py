@@ -1,9 +1,9 @@
 """Dynamic positioning: a vessel is brought to poses and held there with every actuator she has.
 
 Linear-quadratic state feedback on surge, sway and yaw at once, with integrals of position and
-heading against a steady push (Fossen 2021, Handbook of Marine Craft, sect. 16.1 on optimal
-control and 15.3 on positioning). The gain is found anew at every period for the speed ahead at
-hand: thrusters fade with it, and a rudder acts by it alone.
+heading against a steady push (Fossen 2021, Handbook of Marine Craft Hydrodynamics and Motion
+Control, chapter 16 on linear-quadratic control and positioning). The gain is found anew at every
+period for the speed ahead at hand: thrusters fade with it, and a rudder acts by it alone.
 """
 
 import math
@@ -30,8 +30,9 @@ from diffsea.vessel.servo import Servo
 Poses = Float[Array, "pose 3"]  # north (m), east (m), heading (rad, without jumps)
 Motion = Float[Array, "3"]  # u, v (m/s), r (rad/s)
 
-POSITION = 0.25  # ship lengths, and
-HEADING = math.radians(10.0)  # rad, off the pose are as bad as all of an actuator's effect
+# Off the pose by so much is as bad as all of an actuator's effect.
+POSITION = 0.25  # ship lengths
+HEADING = math.radians(10.0)  # rad
 INTEGRAL_TIME = 25.0  # sqrt(L / g), for which the same error is as bad again
 _FARTHEST = 1.0  # ship lengths: a pose farther off is met no harder
 _HALF = 0.5  # of its effect, at which an actuator's slope is taken
@@ -211,20 +212,22 @@ def dynamic_positioning(
     poses: ArrayLike,
     period: float,
     position: Scalar | None = None,
-    heading: Scalar = HEADING,
+    heading_error: Scalar = HEADING,
     integral_time: Scalar | None = None,
     limits: Mapping[str, tuple[Scalar, Scalar]] = MappingProxyType({}),
 ) -> DynamicPositioning:
     """Positioning that suits a vessel and acts every `period` s.
 
-    Weights follow Bryson's rule: `position` m, `heading` rad and all of an actuator's effect are
-    equally bad, and so is that error for `integral_time` s.
+    Weights follow Bryson's rule: `position` m, `heading_error` rad and all of an actuator's effect
+    are equally bad, and so is that error for `integral_time` s.
 
     Arguments:
         times: s, ascending, when each pose is due; before the first and after the last it is held.
         poses: a row of north and east (m) and heading (rad) for each; headings are taken the short
             way.
+        period: s, between its steps.
         position: m; a quarter of the vessel's length by default.
+        heading_error: rad; 10 deg by default.
         integral_time: s; 25 sqrt(L / g) by default.
         limits: lowest and highest order by channel, where they are narrower than the actuator's.
 
@@ -251,7 +254,7 @@ def dynamic_positioning(
         effects,
         jnp.stack([_lag(vessel.servos[c], ends[c], period) for c in vessel.channels]),
         jnp.asarray(POSITION * length if position is None else position, float),
-        jnp.asarray(heading, float),
+        jnp.asarray(heading_error, float),
         jnp.asarray(
             INTEGRAL_TIME * time_scale(length) if integral_time is None else integral_time, float
         ),
