@@ -96,6 +96,48 @@ def time_update(
     return transition(transition(P).T) + Q
 
 
+class ScalarUpdate(NamedTuple):
+    """What the measurement of one channel does to the filter's state and covariance."""
+
+    h: Float[Array, "9"]  # the state to the channel; zero where unused
+    gain: Float[Array, "9"]  # the state's change from the channel's innovation
+    covariance: Float[Array, "9 9"]
+    variance: Float[Array, ""]  # of the innovation; one where unused
+
+
+def scalar_update(
+    P: Float[Array, "9 9"],
+    h: Float[Array, "9"],
+    noise: Float[Array, ""],
+    used: Bool[Array, ""],
+    Q: Float[Array, "9 9"],
+    rows_late: Float[Array, ""],
+) -> ScalarUpdate:
+    """Kalman's measurement update by one channel, in Joseph's form.
+
+    A delayed channel knows nothing of the process noise since, `Q` in each row of its delay. Of
+    the variance of what it measures, P now, only a share P / (P + rows Q) was there then: its
+    innovation varies by as much less, and its noise counts as that much larger. Of what the
+    state's variance would lose by the update, the share that is newer stays: in the steady state
+    of a random walk measured late, gain and variance are exactly those of one measured at once.
+
+    Arguments:
+        noise: variance of the channel's noise.
+    """
+    h = jnp.where(used, h, 0.0)
+    Ph = jnp.sum(P * h, axis=1)
+    now, since = jnp.sum(h * Ph), rows_late * jnp.sum(h * jnp.sum(Q * h, axis=1))
+    old = jnp.where(since > 0, now / jnp.where(since > 0, now + since, 1.0), 1.0)
+    noise = noise / old
+    s = jnp.where(used, now + noise, 1.0)
+    gain = Ph / s
+    # Joseph form: stays positive definite however small the sensor noise.
+    left = P - gain[:, None] * Ph[None, :]
+    spare = jnp.sum(left * h, axis=1) - noise * gain
+    P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
+    return ScalarUpdate(h, gain, P, jnp.where(used, s * old, 1.0))
+
+
 def measurement_update(
     P: Float[Array, "9 9"],
     H: Float[Array, "6 9"],
@@ -109,32 +151,15 @@ def measurement_update(
     Sensors are independent, so six scalar updates equal the joint one (Bierman 1977), and their
     innovations are the whitened ones, without any factorisation. The correction by the joint
     innovation is built up channel by channel.
-
-    A delayed channel knows nothing of the process noise since, `Q` in each row of its delay. Of
-    the variance of what it measures, P now, only a share P / (P + rows Q) was there then: its
-    innovation varies by as much less, and its noise counts as that much larger. Of what the
-    state's variance would lose by the update, the share that is newer stays: in the steady state
-    of a random walk measured late, gain and variance are exactly those of one measured at once.
     """
 
     def update_by_channel(carry: tuple[Array, Array], channel: tuple[Array, ...]) -> tuple:
         C, P = carry
         h, noise, known, unit, late = channel
-        h = jnp.where(known, h, 0.0)
-        Ph = jnp.sum(P * h, axis=1)
-        now, since = jnp.sum(h * Ph), late * jnp.sum(h * jnp.sum(Q * h, axis=1))
-        old = jnp.where(since > 0, now / jnp.where(since > 0, now + since, 1.0), 1.0)
-        noise = noise / old
-        s = jnp.where(known, now + noise, 1.0)
-        fresh = jnp.where(known, unit - jnp.sum(h[:, None] * C, axis=0), 0.0)
-        gain = Ph / s
-        C = C + gain[:, None] * fresh[None, :]
-        # Joseph form: stays positive definite however small the sensor noise.
-        left = P - gain[:, None] * Ph[None, :]
-        spare = jnp.sum(left * h, axis=1) - noise * gain
-        variance = jnp.where(known, s * old, 1.0)
-        P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
-        return (C, P), (fresh / jnp.sqrt(variance), variance)
+        one = scalar_update(P, h, noise, known, Q, late)
+        fresh = jnp.where(known, unit - jnp.sum(one.h[:, None] * C, axis=0), 0.0)
+        C = C + one.gain[:, None] * fresh[None, :]
+        return (C, one.covariance), (fresh / jnp.sqrt(one.variance), one.variance)
 
     channels = H, R, used, jnp.eye(6), rows_late
     start = jnp.zeros((9, 6)), P

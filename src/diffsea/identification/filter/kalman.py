@@ -11,6 +11,8 @@ converges to the estimate with the optimal gains: dropping the gains' own deriva
 asymptotic efficiency, because the innovations are uncorrelated with it (Ljung 1999, section 9.4).
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -154,7 +156,32 @@ def propagate(
     for k in range(substeps):
         part = {c: _part_of(r, k / substeps, 1 / substeps) for c, r in row.response.items()}
         state = rk4_looped(vessel, state, part, row.flow, row.run_time + k * dt, dt)
-    return jnp.stack(jax.tree.leaves(state)) * jnp.where(row.straight, jnp.array(_AHEAD), 1.0)
+    return jnp.stack(jax.tree.leaves(state)) * _followed(row)
+
+
+def propagation_jacobian(
+    vessel: Vessel, x: Float[Array, "6"], row: FilterRow, substeps: int
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+    """The vessel's state at the next row, and how it depends on the present one."""
+    x, by_motion = _by_motion(lambda at: propagate(vessel, at, row, substeps), x)
+    by_position = jnp.eye(6)[:, :2] * _followed(row)[:, None]
+    return x, jnp.concatenate([by_position, by_motion], axis=1)
+
+
+def _by_motion(
+    function: Callable[[Float[Array, "6"]], Float[Array, "6"]], x: Float[Array, "6"]
+) -> tuple[Float[Array, "6"], Float[Array, "6 4"]]:
+    """A function's value, and its slopes by heading and velocities.
+
+    No force depends on the position: what becomes of it is known without differentiation.
+    """
+    position, motion = x[:2], x[2:]
+    return value_and_jacobian(lambda at: function(jnp.concatenate([position, at])), motion)
+
+
+def _followed(row: FilterRow) -> Float[Array, "6"]:
+    """One for each number of the state that is followed, zero for those of a straight run's turn."""
+    return jnp.where(row.straight, jnp.array(_AHEAD), 1.0)
 
 
 def _part_of(response: Response, start: float, share: float) -> Response:
@@ -198,7 +225,8 @@ def measurement_jacobian(
         found = vessel.rate(State(*at), row.actuation, row.flow, row.run_time)
         return jnp.stack(jax.tree.leaves(found))
 
-    own, A = value_and_jacobian(rate, z[:6])
+    own, by_motion = _by_motion(rate, z[:6])
+    A = jnp.concatenate([jnp.zeros((6, 2)), by_motion], axis=1)
     now = own + jnp.concatenate([jnp.zeros(3), z[6:]])
     first = jnp.concatenate([A, jnp.eye(6)[:, 3:]], axis=1)
     motion = z[:6], now, matrix_vector(A, now)
@@ -307,7 +335,7 @@ def run_filter(
         z, history = correct_with_history(z, history, K, innovation, late, row.run_time, row.dt)
         impulse = gust.half * z[6:]
         x = with_impulse(z[:6], impulse)
-        x, F = value_and_jacobian(lambda at: propagate(vessel, at, row, dataset.substeps), x)
+        x, F = propagation_jacobian(vessel, x, row, dataset.substeps)
         P = time_update(P, F, gust, Q)
         x = with_impulse(x, impulse)
         white = matrix_vector(W, innovation)

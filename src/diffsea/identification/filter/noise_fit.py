@@ -22,7 +22,7 @@ from diffsea.identification.filter.covariance import (
     Noise,
     gust_propagation,
     matrix_vector,
-    measurement_update,
+    scalar_update,
     time_update,
 )
 from diffsea.identification.filter.kalman import FilterRun
@@ -182,22 +182,31 @@ def rerun_linearised(
     P0 = jnp.diag(jnp.concatenate([times.first_variance, jnp.exp(2 * noise.slow)]))
     gusts, Q = gust_propagation(noise, times.dt)
 
+    # Backwards a row is calculated anew: to keep all that is in it takes three times as long.
+    @functools.partial(jax.checkpoint, prevent_cse=False)
     def body(carry: tuple, inputs: tuple) -> tuple:
         # d: how far the vessel's state is from the one of the run; a: lasting accelerations
         d, a, P = carry
         at, gust, more, start = inputs
         d, a, P = jnp.where(start, 0.0, d), jnp.where(start, 0.0, a), jnp.where(start, P0, P)
+
+        def correct(carry: tuple[Array, Array], channel: tuple[Array, ...]) -> tuple:
+            off, P = carry
+            h, noise, used, shown, late = channel
+            one = scalar_update(P, h, noise, used, more, late)
+            innovation = jnp.where(used, shown - jnp.sum(one.h * off), 0.0)
+            white = innovation / jnp.sqrt(one.variance)
+            return (off + one.gain * innovation, one.covariance), (white, one.variance)
+
         off = jnp.concatenate([d, a - at.gust_acceleration])
-        used = at.gains.used
-        innovation = jnp.where(used, at.innovation - matrix_vector(at.H, off), 0.0)
-        C, W, P, variance = measurement_update(P, at.H, R, used, more, at.rows_late)
-        change = matrix_vector(C, innovation)
-        d = d + change[:6] - matrix_vector(at.gains.correction, at.innovation)[:6]
-        a = a + change[6:]
+        channels = at.H, R, at.gains.used, at.innovation, at.rows_late
+        (off, P), found = jax.lax.scan(correct, (off, P), channels)
+        d = off[:6] - matrix_vector(at.gains.correction, at.innovation)[:6]
+        a = off[6:] + at.gust_acceleration
         impulse = jnp.concatenate([jnp.zeros(3), gust.half * a - at.gust_impulse])
         d = matrix_vector(at.F, d + impulse) + impulse
         P = time_update(P, at.F, gust, more)
-        return (d, gust.decay * a, P), (matrix_vector(W, innovation), variance)
+        return (d, gust.decay * a, P), found
 
     start = jnp.zeros(6), jnp.zeros(3), P0
     return jax.lax.scan(body, start, (run, gusts, Q, times.starts))[1]
