@@ -4,9 +4,11 @@
 
 A stated size is that of the recordings, to which a real boat adds its own: an antenna is never just
 where its file says. So the names of each injected case whose sizes are judged are fitted to the
-unchanged runs as well. Writes `results/own_sizes.json`: sizes injected, found, and the runs' own.
+unchanged runs as well, beside what these are said to have. Writes `results/own_sizes.json`: sizes
+injected, found, and the runs' own.
 """
 
+import dataclasses
 import json
 from typing import Any
 
@@ -49,15 +51,16 @@ def in_catalogue(effect: dict[str, Any], vessel: Any) -> str:
 def own_sizes(line: Line, unchanged: Line) -> list[dict[str, Any]]:
     """A row for each judged number of a case; `own` is null where the runs show nothing."""
     material = sets.SETS[line["case"]["set"]].load()
+    known = {"effect": unchanged["vessel"]["effect"]}
+    material = dataclasses.replace(material, document=material.document | known)
     path, train, _ = material.write(WORK / "own" / line["id"])
     file = diffsea.read_vessel(path)
     true, rows = cases.truth(line["case"])["numbers"], []
     for entry in judged_entries(line, unchanged):
         name = in_catalogue(entry, file.vessel)
-        others = [in_catalogue(e, file.vessel) for e in unchanged["effects"] if e["parameters"]]
         own: dict[str, Any] = {}
         try:
-            fitted = diffsea.fit(file, train, effects=[*others, name], profiles=())
+            fitted = diffsea.fit(file, train, effects=[name], profiles=())
             own = fitted.study.effects[name][0]
         except diffsea.UserError as nothing:
             print(f"{line['id']}: {nothing}", flush=True)

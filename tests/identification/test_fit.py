@@ -327,6 +327,19 @@ def test_an_estimate_that_comes_out_impossible_is_told(document, recordings):
         study.require_possible(problem, found(0.5, math.inf))
 
 
+def test_what_every_start_makes_negative_is_told_not_to_be_there(document, recordings):
+    """Positions that are early; a start at zero and one at a delay both lead below zero."""
+    early = [
+        dataclasses.replace(
+            run, **{n: np.interp(run.t + 0.5, run.t, getattr(run, n)) for n in ("x", "y")}
+        )
+        for run in recordings
+    ]
+    settings = FitSettings(free=HULL, effects=("sensor-latency:position",), profiles=())
+    with pytest.raises(UserError, match="do not show sensor-latency:position"):
+        study.identify(build(document), early, settings)
+
+
 def test_starts_of_effects_are_their_sizes_and_times(document, recordings):
     effects = tuple(EFFECTS[name] for name in ("rate-limit:propulsion", "thrust-change", "current"))
     one, other = recordings

@@ -3,11 +3,12 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool
 from scipy.stats import chi2
 
 from diffsea.budget import current_budget
 from diffsea.errors import UserError
-from diffsea.identification.coordinates import expansion_points
+from diffsea.identification.coordinates import expansion_points, negative_effects
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.objectives.base import AbstractObjective, Starts
 from diffsea.identification.problem import Problem
@@ -63,8 +64,8 @@ def multistart(
     With `besides`, starts that hold more than parameters, draws hold nothing of that. Where only
     those and the prior mean are asked for, nothing is said of agreement.
 
-    All starts are explored for a few steps; the best of them and the best
-    one elsewhere are fitted to their ends. Starts agree where the exploration led them to one
+    All starts are explored for a few steps; the best of them and the best one elsewhere are fitted
+    to their ends, those that lead to what cannot be only where all do. Starts agree where the exploration led them to one
     place, within the 99.9 % region of the fit.
 
     Raises:
@@ -83,7 +84,7 @@ def multistart(
             "the model diverges from every start; look at the vessel file (drag and added mass "
             "are negative) and at the recordings' units"
         )
-    order = [k for k in np.argsort(costs) if finite[k]]
+    order = [k for k in np.lexsort((costs, _impossible(objective.problem, ends))) if finite[k]]
     progress(f"{len(order)} of {len(starts)} starts explored; fitting from the best")
     lead = ends[order[0]]
     best = objective.fit(free, lead, progress)
@@ -103,6 +104,13 @@ def multistart(
                 best, other, near = other, best, beside
             rival = other.deviance - best.deviance
     return best, Agreement(len(starts), len(near), rival)
+
+
+def _impossible(problem: Problem | None, ends: Starts) -> Bool[np.ndarray, "start"]:
+    """Whether an effect that cannot be negative is, at each of some coordinates."""
+    if problem is None:
+        return np.zeros(len(ends), bool)
+    return np.array([bool(negative_effects(problem.layout, end)) for end in ends])
 
 
 def _same_optimum(fitted: Estimate, difference: np.ndarray) -> bool:

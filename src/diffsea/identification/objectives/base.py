@@ -65,10 +65,7 @@ class AbstractObjective(abc.ABC):
 
     @abc.abstractmethod
     def explore(self, starts: Starts, free: Names) -> tuple[Starts, Costs]:
-        """Where a few steps lead from several starts at once, and the costs there.
-
-        Infinite where the steps lead to what cannot be.
-        """
+        """Where a few steps lead from several starts at once, and the costs there."""
 
     def effect_records(self, fitted: Estimate) -> dict[str, list[dict[str, ParameterRecord]]]:
         """Parameters of each effect with standard errors, for each of its per-run instances."""

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from diffsea.budget import on_every_core
-from diffsea.identification.coordinates import negative_effects
 from diffsea.identification.descent import filter_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
@@ -102,8 +101,7 @@ class Innovations(AbstractObjective):
 
         def one(start: Coordinates) -> tuple[Coordinates, float]:
             end = estimate(problem, free, start, noise, EXPLORING_ROUNDS, fixed_noise=True)
-            impossible = negative_effects(problem.layout, end.coordinates)
-            return end.coordinates, np.inf if impossible else end.deviance
+            return end.coordinates, end.deviance
 
         ends, costs = zip(*on_every_core(one, starts), strict=True)
         return np.array(ends), np.array(costs)
