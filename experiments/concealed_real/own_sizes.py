@@ -84,14 +84,15 @@ def own_sizes(line: Line, unchanged: Line) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Fit all of them, and write the file."""
-    unchanged, rows = read("unchanged"), []
+    """Fit those that the file has not yet, and add them to it."""
+    unchanged = read("unchanged")
+    rows = json.loads(PATH.read_text(encoding="utf-8")) if PATH.exists() else []
     for line in read("injected").values():
-        beside = unchanged[line["case"]["set"]]
-        if judged_entries(line, beside):
+        beside, known = unchanged[line["case"]["set"]], {row["id"] for row in rows}
+        if line["id"] not in known and judged_entries(line, beside):
             rows += own_sizes(line, beside)
+            PATH.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
             print(json.dumps(rows[-1]), flush=True)
-    PATH.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

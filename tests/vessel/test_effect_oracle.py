@@ -103,6 +103,7 @@ CASES = [
     ("twin", "thrust-lag", {"time_constant": 0.9}),
     ("ship", "thrust-lag", {"time_constant": 1.5, "actuators": ["rudder"]}),
     ("twin", "thrust-delay", {"delay": 0.47}),
+    ("twin", "thrust-delay", {"delay": 0.47, "actuators": ["port"]}),
     ("twin", "rate-limit", {"rate_limit": 110.0}),
     ("ship", "rate-limit", {"rate_limit": 0.07, "actuators": ["rudder"]}),
     ("twin", "actuator-response", {"delay": 0.47, "time_constant": 0.9}),

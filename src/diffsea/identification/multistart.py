@@ -65,8 +65,8 @@ def multistart(
     those and the prior mean are asked for, nothing is said of agreement.
 
     All starts are explored for a few steps; the best of them and the best one elsewhere are fitted
-    to their ends, those that lead to what cannot be only where all do. Starts agree where the exploration led them to one
-    place, within the 99.9 % region of the fit.
+    to their ends, those that lead to what cannot be only where all do. Starts agree where the
+    exploration led them to one place, within the 99.9 % region of the fit.
 
     Raises:
         UserError: no start from which the model can be simulated.

@@ -180,7 +180,7 @@ def _by_motion(
 
 
 def _followed(row: FilterRow) -> Float[Array, "6"]:
-    """One for each number of the state that is followed, zero for those of a straight run's turn."""
+    """One for numbers of the state that are followed, zero for those of a straight run's turn."""
     return jnp.where(row.straight, jnp.array(_AHEAD), 1.0)
 
 

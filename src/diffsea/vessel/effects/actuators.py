@@ -29,6 +29,7 @@ from diffsea.vessel.tables import Table, check_keys, needed
 Kind = Literal["propulsion", "steering", "port", "starboard"]
 KINDS: tuple[Kind, ...] = ("propulsion", "steering")
 SIDES: dict[Kind, int] = {"port": -1, "starboard": 1}  # sign of y
+EACH_SIDE = (*KINDS, *SIDES)  # of what one side alone is as likely to have as all
 ORDER_UNIT = "N or rev/s"  # the unit of a number on any vessel's propulsion
 RUDDER_ANGLE = 0.6  # rad, the largest of a vessel that states none: 35 deg
 FROUDE_NUMBER = 0.3  # of a vessel that needs all the revolutions that its propeller makes
@@ -305,11 +306,12 @@ STAGES = (
         _plus("delay"),
         lambda order, time: time,
         law="an order takes effect `delay` later",
-        phrase="a dead time of {delay} between order and action",
+        phrase="a dead time of {delay} between order and action of {actuators}",
         confusables=(
             *("thrust-lag", "actuator-response", "clock-drift"),
             *("sensor-latency", "rate-limit"),
         ),
+        kinds=EACH_SIDE,
     ),
     Stage(
         "rate-limit",
@@ -372,8 +374,7 @@ STAGES = (
         phrase="a neutral point of {actuators} that is off by {bias}",
         confusables=("thrust-asymmetry", "thruster-misalignment", "gyro-bias", "wind"),
         kind_of_size=Size,
-        # A fault of one side is as likely as one of all.
-        kinds=(*KINDS, *SIDES),
+        kinds=EACH_SIDE,
     ),
 )
 
@@ -437,5 +438,5 @@ _RESPONSES = (
 
 ACTUATORS = (
     *(stage.effect(kind) for stage in STAGES for kind in stage.kinds),
-    *(_late_response(kind, *response) for kind in KINDS for response in _RESPONSES),
+    *(_late_response(kind, *response) for kind in EACH_SIDE for response in _RESPONSES),
 )
