@@ -46,6 +46,11 @@ heading = 10.0
 [trial.numbers]
 overshoot_1 = { value = 8.2, unit = "deg", std = 0.5 }
 """
+MANIFEST = """boat,vessel,recording,mapping,role
+heron,boat.toml,one.csv,,train
+heron,boat.toml,two.csv,map.toml,test
+gull,kvlcc2,"other/one, early.csv",,
+"""
 VESSEL = BOAT + '[[effect]]\nname = "current"\nspeed = 0.3\ndirection = 1.2\n'
 VESSEL += "[prior]\nX_u = { spread = 0.5 }\n"
 MISSIONS = pathlib.Path(__file__).parents[2] / "examples" / "missions"
@@ -55,10 +60,12 @@ TEXTS = {
     "sheet": SHEET,
     "vessel": VESSEL,
     "mission": (MISSIONS / "survey_that_learns.toml").read_text(encoding="utf-8"),
+    "manifest": MANIFEST,
     "battery": (MISSIONS / "batteries" / "tides_and_loads.toml").read_text(encoding="utf-8"),
 }
 SUFFIXES = {
     **dict.fromkeys(TEXTS, ".toml"),
+    "manifest": ".csv",
     "csv": ".csv",
     "parquet": ".parquet",
     "mat": ".mat",

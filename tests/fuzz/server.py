@@ -32,6 +32,7 @@ LOADED = (
     "diffsea.identification.objectives.trial_numbers",
     "diffsea.missions.document",
     "diffsea.missions.studies.battery",
+    "diffsea.workflows.manifest",
     "mcap.reader",
     "pyarrow.parquet",
     "pymavlink.DFReader",
@@ -41,7 +42,8 @@ LOADED = (
     "scipy.io",
 )
 BOAT = []  # vessel and priors
-DOCUMENTS = ("vessel", "priors", "sheet", "fit", "mission", "battery")  # without a command
+# Read without a command.
+DOCUMENTS = ("vessel", "priors", "sheet", "fit", "mission", "battery", "manifest")
 SIZE = "200MB"  # to which files may expand here
 
 
@@ -79,6 +81,7 @@ def _read_document(kind, file):
     from diffsea.outside.documents import read_json
     from diffsea.parameters import read_priors
     from diffsea.vessel.files import read_vessel
+    from diffsea.workflows.manifest import read_manifest
 
     vessel, priors = BOAT
     if kind == "vessel":
@@ -87,6 +90,8 @@ def _read_document(kind, file):
         read_mission(file)
     elif kind == "battery":
         read_battery(file)
+    elif kind == "manifest":
+        read_manifest(file)
     elif kind == "priors":
         read_priors(file, priors)
     elif kind == "sheet":

@@ -143,7 +143,12 @@ def test_a_current_that_a_boat_conceals_is_named(harbour):
 
 
 MANIFESTS = {
-    "empty": ("", "cannot be read as CSV"),
+    "empty": ("", "has no column 'boat'"),
+    "two columns": ("boat,vessel,recording,boat\na,kvlcc2,b.csv,c\n", "has two columns 'boat'"),
+    "comma in a name": (
+        "boat,vessel,recording,role\na,kvlcc2,one, early.csv,train,\n",
+        "line 2: more cells than columns",
+    ),
     "no recordings": ("boat,vessel,recording\n", "names no recording"),
     "no vessel": ("boat,recording\na,b.csv\n", "no column 'vessel'"),
     "empty cell": ("boat,vessel,recording\na,,b.csv\n", "line 2: vessel is empty"),

@@ -20,7 +20,6 @@ from diffsea.outside.cluster import connected
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.report.pages.fleet import fleet_report
-from diffsea.vessel.files import shipped_vessels
 from diffsea.workflows.audits import Tabulated
 from diffsea.workflows.boat import DEPTHS, moved_parameters
 from diffsea.workflows.boat_processes import (
@@ -29,13 +28,12 @@ from diffsea.workflows.boat_processes import (
     keep_part,
     kept_part,
 )
+from diffsea.workflows.manifest import read_manifest
 
 
 if TYPE_CHECKING:
     from distributed import Client
 
-COLUMNS = ("boat", "vessel", "recording", "mapping", "role")
-ROLES = ("train", "test")
 CHANGED = ("explained", "ambiguous", "unexplained", "missing")  # verdicts: the file is not enough
 HORIZON = "20"  # s, of the free predictions that the table has
 
@@ -186,66 +184,6 @@ def fleet(
         told = "\n  ".join(f"{one['boat']}: {one['reason']}" for one in boats)
         raise UserError(f"none of the {len(boats)} boats could be done:\n  {told}")
     return FleetResult(boats, settings, reused)
-
-
-def read_manifest(given: pd.DataFrame | str | pathlib.Path) -> list[dict[str, Any]]:
-    """A task for each boat: `boat`, `vessel` and `recordings`, each `recording` with its `name`
-    among those of the boat, `mapping` or None, and `role`.
-
-    Raises:
-        UserError: it cannot be read, lacks a column or a cell, has an unknown role, a boat of two
-            vessels or without a recording to fit, or a recording twice.
-    """
-    where, folder = "the manifest", pathlib.Path()
-    if isinstance(given, pd.DataFrame):
-        table = given.astype(object).where(given.notna(), "").astype(str)
-    else:
-        where, folder = str(given), pathlib.Path(given).parent
-        try:
-            table = pd.read_csv(given, dtype=str, keep_default_na=False, skipinitialspace=True)
-        except OSError as error:
-            raise UserError(f"cannot read {where}: {error.strerror}") from None
-        except (ValueError, pd.errors.ParserError) as error:
-            raise UserError(f"{where} cannot be read as CSV: {str(error).strip()}") from None
-    missing = [name for name in COLUMNS[:3] if name not in table]
-    if missing:
-        raise UserError(
-            f"{where} has no column {missing[0]!r}; a manifest has the columns {', '.join(COLUMNS)}"
-        )
-    tasks: dict[str, dict[str, Any]] = {}
-    for number, row in enumerate(table.to_dict("records"), 2):
-        cells = {name: str(row.get(name, "")).strip() for name in COLUMNS}
-        line = f"{where}, line {number}"
-        empty = [name for name in COLUMNS[:3] if not cells[name]]
-        if empty:
-            raise UserError(f"{line}: {empty[0]} is empty")
-        role = cells["role"] or ROLES[0]
-        if role not in ROLES:
-            raise UserError(f"{line}: the role is {' or '.join(ROLES)}, not {role!r}")
-        vessel = _vessel_of(folder, cells["vessel"])
-        boat: dict[str, Any] = {"boat": cells["boat"], "vessel": vessel, "recordings": []}
-        task = tasks.setdefault(cells["boat"], boat)
-        if task["vessel"] != vessel:
-            raise UserError(f"{line}: boat {cells['boat']!r} has another vessel before")
-        path = str(folder / cells["recording"])
-        if any(one["recording"] == path for one in task["recordings"]):
-            raise UserError(f"{line}: boat {cells['boat']!r} has {cells['recording']} twice")
-        mapping = str(folder / cells["mapping"]) if cells["mapping"] else None
-        names = [one["name"] for one in task["recordings"]]
-        name = pathlib.Path(path).name
-        one = {"recording": path, "name": path if name in names else name}
-        task["recordings"].append(one | {"mapping": mapping, "role": role})
-    if not tasks:
-        raise UserError(f"{where} names no recording")
-    for task in tasks.values():
-        if all(one["role"] == "test" for one in task["recordings"]):
-            raise UserError(f"{where}: boat {task['boat']!r} has no recording of the role train")
-    return list(tasks.values())
-
-
-def _vessel_of(folder: pathlib.Path, text: str) -> str:
-    """A file beside the manifest, or the name of a vessel that ships."""
-    return text if text in shipped_vessels() else str(folder / text)
 
 
 def _table_rows(one: dict[str, Any]) -> Iterator[dict[str, Any]]:
