@@ -736,6 +736,22 @@ def test_a_change_says_by_how_much_of_what_there_was_and_a_stage_which_actuators
     assert lighter == "a mass that is 13 kg smaller from 60 s on"
     slow = said("thrust-lag", sizes={"time_constant": (0.6, 0.02, "s")}, actuators=["rudder"])
     assert slow == "a lag with a time constant of 0.60 s in the rudder"
+    late = {"delay": (0.48, 0.009, "s"), "time_constant": (0.62, 0.01, "s")}
+    one = said("actuator-response", sizes=late, actuators=["port"])
+    told = "that is 0.48 s late, with a time constant of 0.62 s"
+    assert one == f"an answer of the port actuator {told}"
+    assert said("actuator-response", sizes=late) == f"an answer of the actuators {told}"
+
+
+def test_the_terminal_says_which_actuators_and_channels_an_effect_acts_on():
+    result = summary_of("explained")
+    delay = {"delay": {"value": 0.5, "std": 0.01, "unit": "s"}}
+    late = {"parameters": delay, "evidence": {}, "alternatives": []}
+    one = {"name": "thrust-delay", "actuators": ["port"], **late}
+    other = {"name": "sensor-latency", "channels": ["u", "v"], **late}
+    text = verdict_text(result | {"effects": [one, other]})
+    assert "thrust delay of port: delay 0.500 +- 0.010 s" in text
+    assert "sensor latency of u, v: delay" in text
 
 
 def test_what_was_held_out_is_told_by_its_kind_and_not_by_the_words_for_it():

@@ -20,6 +20,7 @@ from diffsea.report.quantities import (
     with_error,
 )
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
+from diffsea.vessel.effects.actuators import SIDES
 from diffsea.vessel.effects.sensors import MeasuredChannels
 
 
@@ -96,13 +97,18 @@ def phrase(effect: Record) -> str:
     """An effect and its size as a phrase: `a steady current of 0.30 m/s flowing to 69 deg`."""
     entry = catalogue_entry(effect)
     parts: dict[str, object] = {k: PhrasedParameter(e) for k, e in effect["parameters"].items()}
-    parts["actuators"] = f"the {enumeration(effect.get('actuators') or ['actuators'])}"
+    parts["actuators"] = f"the {enumeration(_actuator_words(effect.get('actuators', ())))}"
     parts["channels"] = CHANNEL_WORDS.get(tuple(sorted(effect.get("channels", ()))), "signal")
     try:
         text = entry.phrase.format(**parts) if entry and entry.phrase else ""
     except KeyError:  # a record without a parameter that the phrase names
         text = ""
     return text or f"the effect {as_words(effect['name'])!r}"
+
+
+def _actuator_words(names: Sequence[str]) -> list[str]:
+    """Actuators in a phrase; those that have but the name of a side need a noun."""
+    return [f"{one} actuator" if one in SIDES else one for one in names] or ["actuators"]
 
 
 def group_phrase(group: list[Record]) -> str:
@@ -399,11 +405,12 @@ def verdict_text(summary: Record) -> str:
     what = []
     for effect in named:
         place = f" in {effect['recording']}" if "recording" in effect else ""
-        channels = f" of {', '.join(effect['channels'])}" if effect.get("channels") else ""
+        of = [*effect.get("channels", ()), *effect.get("actuators", ())]
+        acts_on = f" of {', '.join(of)}" if of else ""
         size = effect.get("evidence", {}).get("log10_odds")
         sure = f"; odds {odds(size)}" if is_known(size) else ""
         sizes = ", ".join(parameter_lines(effect))
-        what.append(f"{as_words(effect['name'])}{channels}{place}: {sizes}{sure}")
+        what.append(f"{as_words(effect['name'])}{acts_on}{place}: {sizes}{sure}")
     following, proposal = "", summary.get("next_experiment")
     if proposal:
         manoeuvre, seconds = "no manoeuvre", proposal.get("seconds")

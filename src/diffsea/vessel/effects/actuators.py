@@ -430,10 +430,10 @@ def _late_response(kind: Kind, variant: str, second: Stage, phrase: str) -> Effe
 
 
 _RESPONSES = (
-    ("", _STAGES["thrust-lag"], "{actuators} that answer {delay} late, with a time constant of "
-     "{time_constant}"),
-    ("-slew", _STAGES["rate-limit"], "{actuators} that answer {delay} late, and by no more than "
-     "{rate_limit}"),
+    ("", _STAGES["thrust-lag"], "an answer of {actuators} that is {delay} late, with a time "
+     "constant of {time_constant}"),
+    ("-slew", _STAGES["rate-limit"], "an answer of {actuators} that is {delay} late, and changes "
+     "by no more than {rate_limit}"),
 )  # fmt: skip
 
 ACTUATORS = (
