@@ -298,10 +298,14 @@ def _candidates(diagnosis: Diagnosis) -> list[Record]:
     inflation = next(iter(tried.values())).inflation if tried else 1.0
     rows = []
     by_evidence = sorted(screening.candidates.items(), key=lambda item: -item[1].expected)
+    placed: dict[str, Record] = {
+        name: {"name": catalogue_name(name), **EFFECTS[name].place.in_file(problem.base)}
+        for name in screening.candidates
+    }
     for name, candidate in by_evidence:
-        row: Record = {"name": catalogue_name(name), **EFFECTS[name].place.in_file(problem.base)}
-        variant = name.partition(":")[2]
-        if variant and len(row) == 1:  # neither actuators nor channels tell it from others
+        row, variant = dict(placed[name]), name.partition(":")[2]
+        alone = list(placed.values()).count(row) == 1
+        if variant and (len(row) == 1 or not alone):  # no actuators or channels tell it from others
             row["variant"] = variant
         row["p_value"] = screening.null.family_wise(candidate.score.p_value)
         one = tried.get(name)
