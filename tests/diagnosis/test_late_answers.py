@@ -30,9 +30,12 @@ LATE = {  # parameters, actuators, and the hypothesis that has them all
     "lag": ({"delay": 0.7, "time_constant": 0.9}, BOTH, "actuator-response:propulsion"),
     "slew": ({"delay": 0.7, "rate_limit": 60.0}, BOTH, "actuator-response:propulsion-slew"),
     "port": ({"delay": 0.5}, ["port"], "thrust-delay:port"),
-    "starboard": ({"delay": 0.4, "time_constant": 0.8}, ["starboard"],
-                  "actuator-response:starboard"),
-}  # fmt: skip
+    "starboard": (
+        {"delay": 0.4, "time_constant": 0.8},
+        ["starboard"],
+        "actuator-response:starboard",
+    ),
+}
 
 
 @pytest.mark.slow
