@@ -51,7 +51,7 @@ proof: setup
 	$(BIN)/python -m experiments.concealed_real.score
 
 # Speeds beside what the machine can do; BENCH=engine|jacobian|fit|diagnosis|sweep|startup|growth|
-# commands|scale for a part.
+# commands|scale|gpu for a part.
 bench: setup
 	$(BIN)/python -m benchmarks.run $(BENCH)
 

@@ -88,13 +88,14 @@ def in_turns(
 
 def keep(figures: list[Figure]) -> None:
     """Put figures into results.json in place of those of the same names, and into the README."""
-    kept: list[dict[str, Any]] = []
-    if RESULTS.exists():
-        kept = json.loads(RESULTS.read_text(encoding="utf-8"))["figures"]
+    earlier = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    kept: list[dict[str, Any]] = earlier.get("figures", [])
     new = [figure.as_dict() for figure in figures]
     names = {figure["name"] for figure in new}
     kept = [figure for figure in kept if figure["name"] not in names] + new
-    record = {"machine": machine(), "figures": kept}
+    elsewhere = all("device" in figure for figure in new)  # a lent card's figures name it
+    at = earlier["machine"] if elsewhere and earlier else machine()
+    record = {"machine": at, "figures": kept}
     RESULTS.write_text(json.dumps(_rounded(record), indent=1) + "\n", encoding="utf-8")
     write_table()
 
@@ -122,6 +123,8 @@ def table(record: dict[str, Any]) -> str:
     for one in record["figures"]:
         spread = f"{min(one['samples']):.3g} to {max(one['samples']):.3g}"
         beside = "-" if one["reference"] is None else f"{one['reference']:.3g}, {one['against']}"
+        if "device" in one:
+            beside += f" ({one['device']})"
         if "interval" in one:
             beside = "95 %: {:.2f} to {:.2f}".format(*one["interval"])
         ratio = "-" if one["ratio"] is None else f"{one['ratio']:.2f}"

@@ -1,4 +1,7 @@
-"""Many rows through one compiled program, side by side in batches, one on every processor core."""
+"""Many rows through one compiled program, side by side in batches.
+
+One on every processor core; on a GPU larger ones, of which one is read while the next runs.
+"""
 
 import concurrent.futures
 import os
@@ -17,6 +20,7 @@ Rows = Float[np.ndarray, "design name"]
 Tree = TypeVar("Tree")
 
 AT_ONCE = 64  # that run side by side; more of them leave the processor's cache
+AT_ONCE_ON_GPU = 4096  # fewer leave it idle, more take gigabytes for the rows of their trials
 _PROGRESS_INTERVAL = 2.0  # s between messages of progress
 
 
@@ -30,7 +34,11 @@ class Batched(NamedTuple, Generic[Tree]):
 
 def batch_size(rows: int) -> int:
     """How many of so many rows run side by side."""
-    return min(AT_ONCE, 1 << (rows - 1).bit_length())
+    return min(AT_ONCE if _on_processors() else AT_ONCE_ON_GPU, 1 << (rows - 1).bit_length())
+
+
+def _on_processors() -> bool:
+    return jax.default_backend() == "cpu"
 
 
 def in_batches(
@@ -56,7 +64,8 @@ def in_batches(
     first, compiling = run_batch(batches[0])
     results, done, began = [first], 0, time.perf_counter()
     reported = began
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+    workers = os.cpu_count() if _on_processors() else 2
+    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
         for found, _ in pool.map(run_batch, batches[1:]):
             results.append(found)
             done += steps(found)
