@@ -62,15 +62,16 @@ def test_half_of_an_effect_is_half_of_the_acceleration_whatever_the_curve():
     control = dynamic_positioning(SHIP, jnp.zeros(1), jnp.zeros((1, 3)), PERIOD)
     rest = dict.fromkeys(SHIP.channels, jnp.zeros(()))
     still = State(*map(jnp.asarray, (0.0,) * 6))
+    effects = {effector.channel: effector for effector in control.effectors}
     for channel, axis in (("propeller", 0), ("bow", 1), ("stern", 1)):
 
         def push(order, channel=channel, axis=axis):
             orders = rest | {channel: order}
             return float(SHIP.acceleration(still, orders, Environment(), jnp.zeros(()))[axis])
 
-        effect = control.effects[channel]
+        effect = effects[channel]
         assert push(effect.order(0.5)) == pytest.approx(0.5 * push(effect.order(1.0)), rel=0.03)
-    assert float(control.effects["propeller"].order(0.5)) > 0.6 * 4.5  # thrust by the square
+    assert float(effects["propeller"].order(0.5)) > 0.6 * 4.5  # thrust by the square
 
 
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.15, -0.1)])
@@ -115,7 +116,8 @@ def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing():
     assert np.hypot(run.x[-1], run.y[-1] + 40.0) < 1.0
 
     control = dynamic_positioning(SHIP, jnp.array(times), jnp.array(poses), PERIOD)
-    hasty = eqx.tree_at(lambda c: c.lags, control, jnp.full_like(control.lags, 0.1))
+    quick = [jnp.asarray(0.1)] * len(control.effectors)
+    hasty = eqx.tree_at(lambda c: [one.lag for one in c.effectors], control, quick)
     begin = State(*map(jnp.asarray, (0.0,) * 6))
     swung = run_controlled(SHIP, hasty, begin, 700.0, PERIOD).trajectory
     assert np.ptp(np.degrees(np.asarray(swung.psi)[late])) > 5.0
@@ -145,6 +147,55 @@ def test_orders_about_a_neutral_and_reversed_ones_do_as_those_in_newtons():
     first = [orders[0] for orders in pulsed.commanded.values()]
     np.testing.assert_allclose(first, 1500.0, atol=40.0)
     require_positioning(pulsed_boat())
+
+
+def azimuth_boat(angle=None, **engine):
+    """A ferry of 2 m with an azimuth thruster at each end, which turn all the way round."""
+    boat = square_boat_document()
+    del boat["thruster"]
+    angle = angle or {"angle_time_constant": 0.3}
+    boat["azimuth_thruster"] = [
+        {"name": name, "x": x, "max_force": 40.0, "min_force": 0.0, **angle, **engine}
+        for name, x in (("bow", 0.8), ("stern", -0.8))
+    ]
+    return build(boat)
+
+
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.15, -0.1)])
+def test_a_ferry_with_azimuth_thrusters_comes_to_its_pose_and_stays_there(current):
+    boat, water = azimuth_boat(time_constant=0.3), Environment(*map(jnp.asarray, current))
+    poses = [(0.0, 0.0, 0.0), (8.0, -5.0, 2.0)]
+    run = driven(boat, (0.0, 60.0), poses, 200.0, plant=boat, water=water)
+    assert np.hypot(run.x[-1] - 8.0, run.y[-1] + 5.0) < 0.02
+    assert abs(run.psi[-1] - 2.0) < 0.005
+    due = int(60.0 / PERIOD)
+    assert np.hypot(run.x[due] - 8.0, run.y[due] + 5.0) < 0.6
+    assert min(run.commanded[f"{name}.force"].min() for name in ("bow", "stern")) >= 0.0
+    assert np.ptp(run.commanded["bow.angle"]) > 1.0  # it pushes where it is asked to
+
+
+def test_an_azimuth_thruster_pushes_where_its_shares_point():
+    boat = azimuth_boat()
+    control = dynamic_positioning(boat, jnp.zeros(1), jnp.zeros((1, 3)), PERIOD)
+    bow = control.effectors[0]
+    for asked, done in (((0.3, -0.4), 0.5), ((-2.0, 0.0), 1.0), ((1.0, 1.0), 1.0), ((0.0, 0.0), 0)):
+        orders = bow.orders(jnp.array(asked))
+        assert float(orders["bow.force"]) == pytest.approx(40.0 * done, abs=1e-6)
+        expected = np.arctan2(asked[1], asked[0]) if any(asked) else 0.0
+        assert float(orders["bow.angle"]) == pytest.approx(expected)
+        held = np.asarray(bow.possible(jnp.array(asked)))
+        assert np.hypot(*held) == pytest.approx(done) and held @ asked >= 0.0
+
+
+def test_a_ferry_at_rest_has_derivatives():
+    def force(mass):
+        boat = replace(azimuth_boat(), {"mass": mass})
+        control = dynamic_positioning(boat, jnp.zeros(1), jnp.zeros((1, 3)), PERIOD)
+        state = State(*map(jnp.asarray, (0.0,) * 6))
+        orders = control.step(control.init(), state, jnp.zeros(()), jnp.asarray(PERIOD))[1]
+        return orders["bow.force"] + orders["bow.angle"]
+
+    assert np.isfinite(float(jax.grad(force)(150.0)))
 
 
 def test_narrower_limits_of_a_mission_are_known_and_wind_nothing_up():
@@ -211,7 +262,11 @@ def test_vessels_that_cannot_be_positioned_are_told_why():
         require_positioning(read_vessel("otter").vessel)
     with pytest.raises(UserError, match="nothing pushes it sideways"):
         require_positioning(read_vessel("vrx_wamv").vessel)
+    limited = {"max_angle": 0.6, "min_angle": -0.6}
+    with pytest.raises(UserError, match="sideways.*azimuth thrusters that turn all the way round"):
+        require_positioning(azimuth_boat(limited))
     with pytest.raises(UserError, match="'propeller' of 'kvlcc2' has none"):
         require_positioning(read_vessel("kvlcc2").vessel)
     require_positioning(SHIP)
     require_positioning(square_boat())
+    require_positioning(azimuth_boat())

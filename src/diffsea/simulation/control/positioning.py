@@ -7,13 +7,12 @@ period for the speed ahead at hand: thrusters fade with it, and a rudder acts by
 """
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
 from types import MappingProxyType
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
@@ -21,43 +20,35 @@ from diffsea.errors import UserError
 from diffsea.kinematics import to_body, wrap
 from diffsea.scales import time_scale
 from diffsea.simulation.control.autopilot import AbstractController
+from diffsea.simulation.control.effectors import (
+    AbstractEffector,
+    Limits,
+    Motion,
+    acceleration,
+    effectors_of,
+    orders_at_rest,
+)
 from diffsea.simulation.control.lqr import discrete_lqr, discretise
-from diffsea.types import Environment, Scalar, State
+from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.servo import Servo
 
 
 Poses = Float[Array, "pose 3"]  # north (m), east (m), heading (rad, without jumps)
-Motion = Float[Array, "3"]  # u, v (m/s), r (rad/s)
 
 # Off the pose by so much is as bad as all of an actuator's effect.
 POSITION = 0.25  # ship lengths
 HEADING = math.radians(10.0)  # rad
 INTEGRAL_TIME = 25.0  # sqrt(L / g), for which the same error is as bad again
 _FARTHEST = 1.0  # ship lengths: a pose farther off is met no harder
-_HALF = 0.5  # of its effect, at which an actuator's slope is taken
-_SAMPLES = 33  # of the curve of an actuator's effect between its limits
-_QUICKEST = 0.25  # periods: an actuator that answers sooner is taken to answer so
 _DOUBLINGS = 14  # 2^14 periods: a positioned vessel has settled by then
 _LEAST = 1e-3  # of the largest effect on any axis: less does not hold a vessel there
-
-
-class Effect(eqx.Module):
-    """What orders of a channel come to at rest, as shares of its largest effect."""
-
-    orders: Float[Array, "sample"]  # ascending
-    shares: Float[Array, "sample"]  # ascending, within -1 and 1
-
-    def order(self, share: Scalar) -> Scalar:
-        """The order with a share of the effect; the nearest limit where there is none."""
-        return jnp.interp(share, self.shares, self.orders)
 
 
 class Positioned(eqx.Module):
     """What `DynamicPositioning` remembers."""
 
     integral: Float[Array, "3"]  # of the errors, m s north and east, and rad s
-    executed: Float[Array, "channel"]  # shares of their effects, as the model has them executed
+    executed: Float[Array, "share"]  # of the effectors, as the model has them executed
 
 
 class DynamicPositioning(AbstractController[Positioned]):
@@ -73,15 +64,19 @@ class DynamicPositioning(AbstractController[Positioned]):
     vessel: Vessel  # that is believed in
     times: Float[Array, "pose"]  # s, ascending
     poses: Poses
-    effects: dict[str, Effect]
-    lags: Float[Array, "channel"]  # s, of the actuators, delays included
+    effectors: tuple[AbstractEffector, ...]
     position: Scalar  # m, see `POSITION`
     heading: Scalar  # rad
     integral_time: Scalar  # s
     period: float = eqx.field(static=True)
 
+    @property
+    def lags(self) -> Float[Array, "share"]:
+        """How late (s) each share acts."""
+        return jnp.concatenate([jnp.full(one.count, one.lag) for one in self.effectors])
+
     def init(self) -> Positioned:
-        return Positioned(jnp.zeros(3), jnp.zeros(len(self.effects)))
+        return Positioned(jnp.zeros(3), jnp.zeros(len(self.lags)))
 
     def step(
         self, memory: Positioned, state: State, t: Scalar, dt: Scalar
@@ -103,36 +98,36 @@ class DynamicPositioning(AbstractController[Positioned]):
         ]
         steady = self.ahead(wanted, state, B)
         off = jnp.concatenate([motion - wanted, *in_axes, memory.executed - steady])
-        shares = steady - gain @ off
-        orders = {
-            channel: effect.order(share)
-            for (channel, effect), share in zip(self.effects.items(), shares, strict=True)
-        }
+        asked = self.split(steady - gain @ off)
+        orders: dict[str, Scalar] = {}
+        for effector, shares in zip(self.effectors, asked, strict=True):
+            orders |= effector.orders(shares)
+        borne = [one.possible(shares) for one, shares in zip(self.effectors, asked, strict=True)]
         # A push that the actuators cannot bear, or a pose far off, is not summed up.
-        least, most = (jnp.stack([e.shares[k] for e in self.effects.values()]) for k in (0, -1))
-        sums = (near == 1.0) & jnp.all((shares > least) & (shares < most))
+        possible = jnp.concatenate(borne)
+        sums = (near == 1.0) & jnp.all(possible == jnp.concatenate(asked))
         integral = memory.integral + jnp.where(sums, dt * error, 0.0)
         way = 1 - jnp.exp(-dt / self.lags)
-        executed = memory.executed + way * (jnp.clip(shares, least, most) - memory.executed)
+        executed = memory.executed + way * (possible - memory.executed)
         return Positioned(integral, executed), orders
 
     def is_finished(self, memory: Positioned) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
 
-    def inputs(self, speed: Scalar) -> Float[Array, "3 channel"]:
-        """Accelerations (m/s^2, m/s^2, rad/s^2) by the share of each channel's effect, at a speed
-        ahead (m/s)."""
+    def split(self, shares: Float[Array, "share"]) -> list[Float[Array, "_"]]:
+        """The shares of each effector."""
+        counts = [effector.count for effector in self.effectors]
+        return jnp.split(shares, np.cumsum(counts)[:-1])
+
+    def inputs(self, speed: Scalar) -> Float[Array, "3 share"]:
+        """Accelerations (m/s^2, m/s^2, rad/s^2) by the shares of all effectors, at a speed ahead
+        (m/s)."""
         motion = jnp.stack([speed, jnp.zeros(()), jnp.zeros(())])
+        rest = orders_at_rest(self.vessel)
+        answer = lambda orders: acceleration(self.vessel, motion, rest | orders)
+        return jnp.concatenate([one.inputs(answer) for one in self.effectors], axis=1)
 
-        def column(channel: str, effect: Effect) -> Motion:
-            low, high = (jnp.clip(s, effect.shares[0], effect.shares[-1]) for s in (-_HALF, _HALF))
-            ends = (self._answer(motion, channel, effect.order(share)) for share in (low, high))
-            weaker, stronger = ends
-            return (stronger - weaker) / jnp.maximum(high - low, 1e-6)
-
-        return jnp.stack([column(*one) for one in self.effects.items()], axis=1)
-
-    def gain(self, speed: Scalar, B: Float[Array, "3 channel"]) -> Float[Array, "channel state"]:
+    def gain(self, speed: Scalar, B: Float[Array, "3 share"]) -> Float[Array, "share state"]:
         """The feedback on errors of velocity, pose, integrals and executed shares at a speed ahead
         (m/s)."""
         zero, rest = jnp.zeros(()), orders_at_rest(self.vessel)
@@ -140,32 +135,28 @@ class DynamicPositioning(AbstractController[Positioned]):
         def rates(motion: Motion) -> Motion:
             return acceleration(self.vessel, motion, rest)
 
-        channels = B.shape[1]
-        A = jnp.zeros((9 + channels, 9 + channels))
+        shares = B.shape[1]
+        A = jnp.zeros((9 + shares, 9 + shares))
         A = A.at[:3, :3].set(jax.jacfwd(rates)(jnp.stack([speed, zero, zero])))
         A = A.at[3:6, :3].set(jnp.eye(3)).at[4, 5].set(speed).at[6:9, 3:6].set(jnp.eye(3))
         A = A.at[:3, 9:].set(B).at[9:, 9:].set(-jnp.diag(1 / self.lags))
-        ordered = jnp.zeros((9 + channels, channels)).at[9:].set(jnp.diag(1 / self.lags))
+        ordered = jnp.zeros((9 + shares, shares)).at[9:].set(jnp.diag(1 / self.lags))
         bad = jnp.stack([self.position, self.position, self.heading])
         Q = jnp.concatenate(
-            [jnp.zeros(3), bad**-2.0, (bad * self.integral_time) ** -2.0, jnp.zeros(channels)]
+            [jnp.zeros(3), bad**-2.0, (bad * self.integral_time) ** -2.0, jnp.zeros(shares)]
         )
         A, ordered = discretise(A, ordered, self.period)
-        return discrete_lqr(A, ordered, jnp.diag(Q), jnp.eye(channels), _DOUBLINGS)
+        return discrete_lqr(A, ordered, jnp.diag(Q), jnp.eye(shares), _DOUBLINGS)
 
     def ahead(
-        self, wanted: Motion, state: State, B: Float[Array, "3 channel"]
-    ) -> Float[Array, "channel"]:
+        self, wanted: Motion, state: State, B: Float[Array, "3 share"]
+    ) -> Float[Array, "share"]:
         """Shares that bear what the model's drag and weather come to at the wanted motion."""
         rest = orders_at_rest(self.vessel)
         rest = {c: servo.target(rest[c]) for c, servo in self.vessel.servos.items()}
         at = State(state.x, state.y, state.psi, *wanted)
         push = jnp.stack(self.vessel.acceleration(at, rest, self.vessel.environment, jnp.zeros(())))
         return -B.T @ jnp.linalg.solve(B @ B.T, push)
-
-    def _answer(self, motion: Motion, channel: str, order: Scalar) -> Motion:
-        orders = orders_at_rest(self.vessel) | {channel: order}
-        return acceleration(self.vessel, motion, orders)
 
 
 def reference(
@@ -190,22 +181,6 @@ def continuous_poses(poses: Poses) -> Poses:
     return poses.at[:, 2].set(jnp.cumsum(turns))
 
 
-def orders_at_rest(vessel: Vessel) -> dict[str, Scalar]:
-    """Orders by which no actuator does anything: neutral in its unit."""
-    neutral = {channel: servo.neutral for channel, servo in vessel.servos.items()}
-    return {c: jnp.asarray(0.0 if at is None else at, float) for c, at in neutral.items()}
-
-
-def acceleration(vessel: Vessel, motion: Motion, orders: Mapping[str, Scalar]) -> Motion:
-    """Accelerations in still water with actuators settled to orders, heading north."""
-    zero = jnp.zeros(())
-    executed = {
-        c: servo.target(jnp.asarray(orders[c], float)) for c, servo in vessel.servos.items()
-    }
-    state = State(zero, zero, zero, *motion)
-    return jnp.stack(vessel.acceleration(state, executed, Environment(), zero))
-
-
 def dynamic_positioning(
     vessel: Vessel,
     times: ArrayLike,
@@ -214,7 +189,7 @@ def dynamic_positioning(
     position: Scalar | None = None,
     heading_error: Scalar = HEADING,
     integral_time: Scalar | None = None,
-    limits: Mapping[str, tuple[Scalar, Scalar]] = MappingProxyType({}),
+    limits: Limits = MappingProxyType({}),
 ) -> DynamicPositioning:
     """Positioning that suits a vessel and acts every `period` s.
 
@@ -238,21 +213,11 @@ def dynamic_positioning(
     due, places = jnp.asarray(times, float), jnp.asarray(poses, float)
     _require_schedule(due, places)
     length = vessel.rigid_body.length
-    still, rest = jnp.zeros(3), orders_at_rest(vessel)
-
-    def answer(channel: str, order: Scalar) -> Motion:
-        return acceleration(vessel, still, rest | {channel: order}) - acceleration(
-            vessel, still, rest
-        )
-
-    ends = {c: _ends(vessel, c, limits.get(c, (-jnp.inf, jnp.inf))) for c in vessel.channels}
-    effects = {c: _effect(rest[c], ends[c], partial(answer, c), length) for c in vessel.channels}
     return DynamicPositioning(
         vessel,
         due,
         continuous_poses(places),
-        effects,
-        jnp.stack([_lag(vessel.servos[c], ends[c], period) for c in vessel.channels]),
+        effectors_of(vessel, period, limits),
         jnp.asarray(POSITION * length if position is None else position, float),
         jnp.asarray(heading_error, float),
         jnp.asarray(
@@ -273,47 +238,7 @@ def _require_schedule(times: Float[Array, "..."], poses: Float[Array, "..."]) ->
         raise UserError("the times of poses must increase")
 
 
-def _ends(vessel: Vessel, channel: str, limits: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """Lowest and highest order of a channel: the narrower of the actuator's and other limits."""
-    servo = vessel.servos[channel]
-    lower = limits[0] if servo.lower is None else jnp.maximum(limits[0], servo.lower)
-    upper = limits[1] if servo.upper is None else jnp.minimum(limits[1], servo.upper)
-    if not isinstance(lower + upper, Tracer) and not bool(jnp.isfinite(upper - lower)):
-        raise UserError(
-            f"positioning needs limits of every actuator's orders, and {channel!r} of "
-            f"{vessel.name!r} has none: state them in the vessel file or the mission"
-        )
-    return lower, upper
-
-
-def _effect(
-    rest: Scalar, ends: tuple[Scalar, Scalar], answer: Callable[[Scalar], Motion], length: Scalar
-) -> Effect:
-    """The curve of a channel's effect at rest; in proportion to the order where there is none."""
-    orders = jnp.linspace(*ends, _SAMPLES)
-    answers = jax.vmap(answer)(orders) * jnp.array([1.0, 1.0, length])
-    # The small constant keeps the root differentiable where an order does nothing.
-    sizes = jnp.sqrt(jnp.sum(answers**2, axis=1) + 1e-30)
-    largest = jnp.argmax(sizes)
-    towards = answers[largest] * jnp.where(orders[largest] < rest, -1.0, 1.0)
-    along = answers @ towards / sizes[largest] ** 2
-    plain = (orders - rest) / jnp.max(jnp.abs(orders - rest))
-    shares = jnp.where(sizes[largest] > 1e-12, along, plain)
-    # A rise too small to see keeps flat parts, a dead band's, in order.
-    return Effect(orders, jax.lax.cummax(shares) + 1e-9 * jnp.arange(float(_SAMPLES)))
-
-
-def _lag(servo: Servo, ends: tuple[Scalar, Scalar], period: float) -> Scalar:
-    """How late (s) an actuator is: lag, delay, and a quarter of its range at its largest rate."""
-    parts = [part for part in (servo.time_constant, servo.delay) if part is not None]
-    if servo.rate_limit is not None:
-        parts.append(0.25 * (ends[1] - ends[0]) / servo.rate_limit)
-    return jnp.maximum(jnp.asarray(sum(parts), float), _QUICKEST * period)
-
-
-def require_positioning(
-    vessel: Vessel, limits: Mapping[str, tuple[Scalar, Scalar]] = MappingProxyType({})
-) -> None:
+def require_positioning(vessel: Vessel, limits: Limits = MappingProxyType({})) -> None:
     """Raise `UserError` for a vessel that at rest cannot be pushed ahead, sideways and round.
 
     `limits` of orders are those of `dynamic_positioning`.
@@ -329,12 +254,12 @@ def require_positioning(
         for name, row in zip(("ahead", "sideways", "round"), scaled, strict=True)
         if float(jnp.linalg.norm(row)) <= _LEAST * float(sizes[0])
     ]
-    told = (
-        f"nothing pushes it {' or '.join(missing)}"
-        if missing
-        else (f"{B.shape[1]} actuators cannot push it ahead, sideways and round each by itself")
-    )
+    count = len(made.effectors)
+    told = f"{count} actuators cannot push it ahead, sideways and round each by itself"
+    if missing:
+        told = f"nothing pushes it {' or '.join(missing)}"
     raise UserError(
-        f"{vessel.name!r} cannot be positioned: at rest {told}. It takes a tunnel thruster or "
-        "fixed thrusters set at angles; a path needs less"
+        f"{vessel.name!r} cannot be positioned: at rest {told}. It takes a tunnel thruster, fixed "
+        "thrusters set at angles or azimuth thrusters that turn all the way round; "
+        "a path needs less"
     )
