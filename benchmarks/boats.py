@@ -23,7 +23,8 @@ PARAMETERS = (*HULL, "thrust", "time_constant", "speed")
 
 BATCH = 4096
 STRAY = 1e-3  # share of boats that may flip at another sample: a heading lies next to its limit
-AGREEMENT = 1e-5  # rad and s, in 64 bits, between methods that answer the lag differently
+AGREEMENT = 1e-9  # m, rad, m/s, rad/s and s, in 64 bits
+OF_ANOTHER_LAG = 1e-5  # the same of a method that integrates the lag with the motion
 
 Rows = Float[np.ndarray, "parameter boat"]
 # Last x, y, psi, u, v and r; s, of switches, NaN for none.

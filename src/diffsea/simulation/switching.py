@@ -119,6 +119,27 @@ class _StageRun(eqx.Module):
         inside = (after >= -near) & (carry.t + after <= self.grid_time(carry) + near)
         return jnp.where(inside & (slope != 0), after, dt)
 
+    def planned_step(
+        self,
+        carry: Carry,
+        motion: SimulationState,
+        g: Scalar,
+        dt: Scalar,
+        crossing: Bool[Array, ""],
+        probing: Bool[Array, ""],
+    ) -> Scalar:
+        """Step to the event: guessed by a pass that crosses it, corrected by one that probes."""
+        guessed = jax.lax.cond(
+            in_any_lane(crossing),
+            lambda: jnp.where(crossing, self.first_guess(carry, motion, g, dt), carry.planned),
+            lambda: carry.planned,
+        )
+        return jax.lax.cond(
+            in_any_lane(probing),
+            lambda: jnp.where(probing, self.corrected(carry, motion, g, dt), guessed),
+            lambda: guessed,
+        )
+
     def grid_time(self, carry: Carry) -> Scalar:
         """When (s) the next ordinary step ends."""
         done = carry.grid.astype(float)
@@ -157,15 +178,7 @@ class _StageRun(eqx.Module):
             began=jnp.where(landing, t, carry.began),
             grid=carry.grid + stepping.astype(int),
             mode=jnp.where(crossing, _PROBE, jnp.where(probing, carry.mode + 1, _NORMAL)),
-            planned=jax.lax.cond(
-                in_any_lane(crossing | probing),
-                lambda: jnp.where(
-                    crossing,
-                    self.first_guess(carry, motion, g, dt),
-                    jnp.where(probing, self.corrected(carry, motion, g, dt), carry.planned),
-                ),
-                lambda: carry.planned,
-            ),
+            planned=self.planned_step(carry, motion, g, dt, crossing, probing),
             switch_times=jnp.where(
                 landing & (jnp.arange(self.stages.count) == carry.stage), t, carry.switch_times
             ),
