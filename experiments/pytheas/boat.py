@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from diffsea import State, Vessel, read_vessel, replace
+from diffsea import State, Vessel, named, read_vessel, replace
 from diffsea.types import Scalar
 from diffsea.vessel.forces import EarthForce
 
@@ -21,9 +21,9 @@ SWING, FREQUENCY = 5.0, 0.2  # N and Hz, A and w_d of the battery
 BASE = read_vessel("pytheas").vessel
 
 
-def draught(mass: Scalar = MASS, hulls: int = 2) -> Scalar:
+def draught(mass: Scalar = MASS, hulls: int = 2, length: Scalar = LENGTH) -> Scalar:
     """Draught (m) of semicircular hulls that displace the boat's mass: the D that is taken."""
-    return jnp.sqrt(2 * mass / (hulls * WATER * jnp.pi * LENGTH))
+    return jnp.sqrt(2 * mass / (hulls * WATER * jnp.pi * length))
 
 
 def boat(
@@ -32,25 +32,34 @@ def boat(
     mass: Scalar = MASS,
     D: Scalar | None = None,
     full_angle: Scalar = FULL_ANGLE,
+    scale: Scalar = 1.0,
 ) -> Vessel:
     """The catalogue's boat with other numbers: full thrust (N), thruster position (m), mass (kg),
-    D (m), or largest angle of the thruster to either side (rad).
+    D (m), largest angle of the thruster to either side (rad), or length over the published one.
 
-    `lever` is L_t, positive ahead of the mass centre. Inertia follows mass and D by the formulas
-    of Table I; D is `draught(mass)` where none is given. Damping stays as it is.
+    `lever` is L_t of the published length, positive ahead of the mass centre. Inertia follows mass
+    and D by the formulas of Table I; D is `draught(mass)` where none is given. Damping grows with
+    the `scale` alone, by Froude's law: its forces with the cube at speeds that go with the root.
     """
-    D = draught(mass) if D is None else D
+    length, beam = LENGTH * scale, BEAM * scale
+    D = draught(mass, length=length) if D is None else D
     section = WATER * jnp.pi * D**2
+    published = named(BASE)
     vessel = replace(
         BASE,
         {
             "mass": mass,
             "draught": D,
-            "I_z": mass * (BEAM**2 + LENGTH**2) / 12,
+            "length": length,
+            "beam": beam,
+            "I_z": mass * (beam**2 + length**2) / 12,
             "X_udot": -SURGE_SHARE * mass,
-            "Y_vdot": -section * LENGTH / 2,
-            "N_rdot": -(0.1 * mass * BEAM**2 + section * LENGTH**3) / 24,
-            "thruster.x": lever,
+            "Y_vdot": -section * length / 2,
+            "N_rdot": -(0.1 * mass * beam**2 + section * length**3) / 24,
+            "X_u": published["X_u"] * scale**2.5,
+            "Y_v": published["Y_v"] * scale**2.5,
+            "N_r": published["N_r"] * scale**4.5,
+            "thruster.x": lever * scale,
             "thruster.thruster.force.upper": thrust,
             "thruster.thruster.angle.upper": full_angle,
             "thruster.thruster.angle.lower": -full_angle,

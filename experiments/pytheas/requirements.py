@@ -10,7 +10,16 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from experiments.harness.reporting import compared, table
-from experiments.pytheas.boat import FULL_ANGLE, SWING, THRUST, TOP_SPEED, at_rest, boat, disturbed
+from experiments.pytheas.boat import (
+    FULL_ANGLE,
+    MASS,
+    SWING,
+    THRUST,
+    TOP_SPEED,
+    at_rest,
+    boat,
+    disturbed,
+)
 from experiments.pytheas.still_water import THRUSTS
 
 import equinox as eqx
@@ -48,6 +57,8 @@ class Case(eqx.Module):
     bias: Scalar = 0.0  # N
     direction: Scalar = 0.0  # rad, where the swell pushes to
     speed: Scalar = 0.0  # m/s ahead at the start, to the north
+    mass: Scalar = MASS  # kg
+    scale: Scalar = 1.0  # length over the published one
 
 
 class End(eqx.Module):
@@ -82,7 +93,7 @@ def _block(cases: Case) -> End:
     swing = jnp.where(cases.bias > 0, SWING, 0.0)
 
     def prepared(case: Case, swing: Scalar) -> tuple:
-        vessel = boat(case.thrust, full_angle=case.full_angle)
+        vessel = boat(case.thrust, mass=case.mass, full_angle=case.full_angle, scale=case.scale)
         vessel = disturbed(vessel, case.bias, case.direction, swing)
         point = jnp.stack([case.north, case.east])[None]
         logic = waypoint_logic(vessel, point, tolerance=case.tolerance, near=case.near)

@@ -5,6 +5,7 @@ from experiments.pytheas import (
     design,
     disturbances,
     figures,
+    hull_size,
     layouts,
     motor_out,
     requirements,
@@ -108,13 +109,16 @@ def required(work: Experiment, widths: dict[float, float]) -> tuple[dict, list[d
     every = 30.0 if work.quick else 5.0
     angles, sizes = requirements.angle_range(every), requirements.tolerances(every)
     near, compromise = requirements.nears(3 * every), requirements.thrusts(widths)
+    sizes_of_hulls = hull_size.loaded(every)
     rows = requirements.comparison_rows(angles, near, compromise)
-    results = {"thrust_angle": angles, "tolerance": sizes, "near": near, "thrust": compromise}
+    results = {"thrust_angle": angles, "tolerance": sizes, "near": near, "thrust": compromise,
+               "hull_size": sizes_of_hulls}  # fmt: skip
     texts = {
         "angles": requirements.angle_table(angles),
         "tolerances": requirements.shares_table("tolerance", sizes),
         "nears": requirements.shares_table("within", near),
         "thrusts": requirements.thrusts_table(compromise),
+        "hulls": hull_size.hull_table(sizes_of_hulls),
     }
     work.save(figures.requirements(angles, near, requirements.NEARS), "requirements")
     work.say("requirements")

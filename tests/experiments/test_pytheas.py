@@ -20,7 +20,7 @@ pytestmark = pytest.mark.experiment
 HOME = EXPERIMENTS / "pytheas"
 PARTS = (
     "printed", "boat", "sailing", "still_water", "disturbances", "layouts", "design",
-    "requirements", "motor_out",
+    "requirements", "motor_out", "hull_size",
 )  # fmt: skip
 PUBLISHED_TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)
 
@@ -272,3 +272,30 @@ def test_one_fixed_motor_off_the_middle_runs_a_circle_of_the_closed_form(parts):
     (fixed,) = parts.motor_out.limping(parts.motor_out.LEFT[-1:])
     assert fixed.layout == "(c)" and fixed.reached == 0
     assert parts.motor_out.circle([fixed]) == pytest.approx(5.0 / (14.0 * 0.225), rel=0.02)
+
+
+# -- payload to hull size ----------------------------------------------------------------------
+
+
+def test_a_grown_hull_carries_its_payload_at_the_published_draught_over_length(parts):
+    for payload in (0.0, 3.0, 20.0):
+        made = parts.hull_size.design("grown", payload)
+        own = 7.0 * made["scale"] ** 2  # kg, by the surface
+        assert made["mass"] == pytest.approx(own + payload)
+        drawn = float(parts.boat.draught(made["mass"], length=made["scale"]))
+        assert drawn / made["scale"] == pytest.approx(float(parts.boat.draught(7.0)))
+
+
+def test_a_grown_boat_moves_as_the_published_one_by_froudes_law(parts):
+    """Forces by the cube of the scale, speeds by its root: accelerations stay, turns are slower."""
+    scale, zero = 1.7, jnp.zeros(())
+
+    def acceleration(size):
+        vessel = parts.boat.boat(mass=7.0 * size**3, scale=size)
+        motion = 0.8 * size**0.5, 0.3 * size**0.5, 0.5 * size**-0.5
+        state = State(zero, zero, zero, *map(jnp.asarray, motion))
+        executed = {"thruster.force": 9.0 * size**3, "thruster.angle": 0.4}
+        return np.array(vessel.acceleration(state, executed, Environment(), zero))
+
+    wanted = acceleration(1.0) / np.array([1.0, 1.0, scale])
+    np.testing.assert_allclose(acceleration(scale), wanted, rtol=1e-12)
