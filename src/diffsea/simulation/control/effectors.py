@@ -137,7 +137,7 @@ def effectors_of(vessel: Vessel, period: float, limits: Limits) -> tuple[Abstrac
         if channel in turning:
             angle = vessel.servos[turning[channel]]
             lag = jnp.maximum(one.lag, _lag(angle, _QUARTER, period))
-            one = AzimuthEffector(one, turning[channel], lag)
+            one = AzimuthEffector(force=one, angle_channel=turning[channel], lag=lag)
         found.append(one)
     return tuple(found)
 
@@ -166,7 +166,7 @@ def _channel_effector(
     # A rise too small to see keeps flat parts, a dead band's, in order.
     shares = jax.lax.cummax(shares) + 1e-9 * jnp.arange(float(_SAMPLES))
     lag = _lag(vessel.servos[channel], 0.25 * (ends[1] - ends[0]), period)
-    return ChannelEffector(channel, orders, shares, lag)
+    return ChannelEffector(channel=channel, values=orders, shares=shares, lag=lag)
 
 
 def _ends(vessel: Vessel, channel: str, limits: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:

@@ -22,6 +22,7 @@ from diffsea.scales import time_scale
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.effectors import (
     AbstractEffector,
+    AzimuthEffector,
     Limits,
     Motion,
     acceleration,
@@ -49,6 +50,7 @@ class Positioned(eqx.Module):
 
     integral: Float[Array, "3"]  # of the errors, m s north and east, and rad s
     executed: Float[Array, "share"]  # of the effectors, as the model has them executed
+    turned: dict[str, Scalar]  # rad, the angles last ordered of what turns all the way round
 
 
 class DynamicPositioning(AbstractController[Positioned]):
@@ -76,7 +78,10 @@ class DynamicPositioning(AbstractController[Positioned]):
         return jnp.concatenate([jnp.full(one.count, one.lag) for one in self.effectors])
 
     def init(self) -> Positioned:
-        return Positioned(jnp.zeros(3), jnp.zeros(len(self.lags)))
+        turning = (one.angle_channel for one in self.effectors if isinstance(one, AzimuthEffector))
+        return Positioned(
+            jnp.zeros(3), jnp.zeros(len(self.lags)), {c: jnp.zeros(()) for c in turning}
+        )
 
     def step(
         self, memory: Positioned, state: State, t: Scalar, dt: Scalar
@@ -102,6 +107,9 @@ class DynamicPositioning(AbstractController[Positioned]):
         orders: dict[str, Scalar] = {}
         for effector, shares in zip(self.effectors, asked, strict=True):
             orders |= effector.orders(shares)
+        turned: dict[str, Scalar] = {
+            c: jnp.asarray(last + wrap(orders[c] - last)) for c, last in memory.turned.items()
+        }
         borne = [one.possible(shares) for one, shares in zip(self.effectors, asked, strict=True)]
         # A push that the actuators cannot bear, or a pose far off, is not summed up.
         possible = jnp.concatenate(borne)
@@ -109,7 +117,7 @@ class DynamicPositioning(AbstractController[Positioned]):
         integral = memory.integral + jnp.where(sums, dt * error, 0.0)
         way = 1 - jnp.exp(-dt / self.lags)
         executed = memory.executed + way * (possible - memory.executed)
-        return Positioned(integral, executed), orders
+        return Positioned(integral, executed, turned), orders | turned
 
     def is_finished(self, memory: Positioned) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
