@@ -1,12 +1,12 @@
 """How an actuator channel answers its order: delay, dead band, limits, lag, slew rate.
 
 Orders are constant between samples, so the response within a step is known in closed
-form. A step hands the integrator not samples of it but the quadratic with the same first
-three moments: a Runge-Kutta step of fourth order then stays of fourth order through kinks
-of the response and of third through jumps (a delay without a lag), a time constant far
-below or above the step is integrated rightly, and a lag or a delay is exactly absent at
-zero with a derivative that is not. A lag alone, long against the step, has no kinks: its
-exponential at the nodes is of fourth order, too, and costs a third.
+form. A lag alone that is long against the step hands the integrator its exponential at the
+nodes of the step. Whatever may have kinks, or is quick, hands it the quadratic with the same
+first three moments: a Runge-Kutta step of fourth order then stays of fourth order through
+kinks of the response and of third through jumps (a delay without a lag), a time constant far
+below the step is integrated rightly, and a lag or a delay is exactly absent at zero with a
+derivative that is not.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ from diffsea.vessel.tables import Table, optional_number
 
 ORDERS_PER_STEP = 4  # that can take effect within one step after a delay
 SHORTEST_STEP = 1e-12  # s, far below any clock's resolution
-LARGEST_RATIO = 0.25  # of a step to a lag, up to which the nodes of the latter are enough
+LARGEST_RATIO = 0.25  # of a step to a lag, up to which the latter's nodes are enough
 BREAK_ROUNDING = 1e-8  # of a step: how exactly sums of steps meet the times of orders
 
 # Integral of s^2 exp(-z s) over the unit interval by powers of z; exact to rounding at 1/4.
@@ -50,7 +50,7 @@ class OrderHistory(eqx.Module):
 class Response(eqx.Module):
     """Executed value during one step."""
 
-    start: Scalar  # value of the moment-matched quadratic at the start of the step
+    start: Scalar  # what the integrator takes at the start of the step
     middle: Scalar
     end: Scalar
     final: Scalar  # executed value itself at the end of the step
@@ -155,22 +155,25 @@ class Servo(eqx.Module):
     def _lag_response(self, executed: Scalar, target: Scalar, dt: Scalar) -> Response:
         """Response of a pure lag to a constant target: shares of what is left to go.
 
-        Where the step is short against the lag of every lane, they are the exponential itself at
-        the nodes, whose mean by Simpson's rule is off by `ratio^4 / 2880`.
+        Where the step is short against the lag they are the exponential itself at the nodes, whose
+        mean by Simpson's rule is off by `(dt / tau)^4 / 2880` of itself.
         """
         tau = jnp.asarray(self.time_constant, float)
         unit = jnp.ones_like(dt * tau)
+        is_long = jax.lax.stop_gradient(dt > LARGEST_RATIO * tau)
+        rate = 1 / jnp.where(tau > 0, tau, 1.0)  # where the lag is constant, found once a run
+        half = _power_series(_EXPONENTIAL, jnp.where(is_long, 0.0, 0.5 * dt * rate))
+        at_nodes = unit, half, half**2, half**2
 
-        def in_closed_form() -> tuple[Scalar, ...]:
+        def by_moments() -> tuple[Scalar, ...]:
             moments = _exponential_moments(unit, tau / dt)
             return *_quadratic_nodes(moments), _decay(unit, tau / dt)
 
-        def at_nodes() -> tuple[Scalar, ...]:
-            half = _power_series(_EXPONENTIAL, 0.5 * dt * (1 / tau))
-            return unit, half, half**2, half**2
+        def whichever() -> tuple[Scalar, ...]:
+            pairs = zip(by_moments(), at_nodes, strict=True)
+            return tuple(jnp.where(is_long, long, short) for long, short in pairs)
 
-        is_long = jax.lax.stop_gradient(dt > LARGEST_RATIO * tau)
-        shares = jax.lax.cond(in_any_lane(is_long), in_closed_form, at_nodes)
+        shares = jax.lax.cond(in_any_lane(is_long), whichever, lambda: at_nodes)
         return Response(*(target + (executed - target) * share for share in shares))
 
     @staticmethod
@@ -269,7 +272,7 @@ def _quadratic_nodes(moments: Moments) -> tuple[Scalar, Scalar, Scalar]:
 
 
 # exp(-x) by powers of x; exact to rounding at an eighth.
-_EXPONENTIAL = tuple((-1) ** j / math.factorial(j) for j in range(9))
+_EXPONENTIAL = tuple((-1) ** j / math.factorial(j) for j in range(11))
 
 
 def _power_series(coefficients: Sequence[float], x: Scalar) -> Scalar:
