@@ -22,7 +22,6 @@ from diffsea.scales import time_scale
 from diffsea.simulation.control.autopilot import AbstractController
 from diffsea.simulation.control.effectors import (
     AbstractEffector,
-    AzimuthEffector,
     Limits,
     Motion,
     acceleration,
@@ -50,7 +49,7 @@ class Positioned(eqx.Module):
 
     integral: Float[Array, "3"]  # of the errors, m s north and east, and rad s
     executed: Float[Array, "share"]  # of the effectors, as the model has them executed
-    turned: dict[str, Scalar]  # rad, the angles last ordered of what turns all the way round
+    angles: dict[str, Scalar]  # rad, last ordered, of what turns all the way round
 
 
 class DynamicPositioning(AbstractController[Positioned]):
@@ -78,10 +77,10 @@ class DynamicPositioning(AbstractController[Positioned]):
         return jnp.concatenate([jnp.full(one.count, one.lag) for one in self.effectors])
 
     def init(self) -> Positioned:
-        turning = (one.angle_channel for one in self.effectors if isinstance(one, AzimuthEffector))
-        return Positioned(
-            jnp.zeros(3), jnp.zeros(len(self.lags)), {c: jnp.zeros(()) for c in turning}
-        )
+        angles: dict[str, Scalar] = {}
+        for effector in self.effectors:
+            angles |= effector.first_angles
+        return Positioned(jnp.zeros(3), jnp.zeros(len(self.lags)), angles)
 
     def step(
         self, memory: Positioned, state: State, t: Scalar, dt: Scalar
@@ -106,10 +105,7 @@ class DynamicPositioning(AbstractController[Positioned]):
         asked = self.split(steady - gain @ off)
         orders: dict[str, Scalar] = {}
         for effector, shares in zip(self.effectors, asked, strict=True):
-            orders |= effector.orders(shares)
-        turned: dict[str, Scalar] = {
-            c: jnp.asarray(last + wrap(orders[c] - last)) for c, last in memory.turned.items()
-        }
+            orders |= effector.orders(shares, memory.angles)
         borne = [one.possible(shares) for one, shares in zip(self.effectors, asked, strict=True)]
         # A push that the actuators cannot bear, or a pose far off, is not summed up.
         possible = jnp.concatenate(borne)
@@ -117,7 +113,7 @@ class DynamicPositioning(AbstractController[Positioned]):
         integral = memory.integral + jnp.where(sums, dt * error, 0.0)
         way = 1 - jnp.exp(-dt / self.lags)
         executed = memory.executed + way * (possible - memory.executed)
-        return Positioned(integral, executed, turned), orders | turned
+        return Positioned(integral, executed, {c: orders[c] for c in memory.angles}), orders
 
     def is_finished(self, memory: Positioned) -> Bool[Array, ""]:
         return jnp.zeros((), bool)
@@ -263,7 +259,7 @@ def require_positioning(vessel: Vessel, limits: Limits = MappingProxyType({})) -
         if float(jnp.linalg.norm(row)) <= _LEAST * float(sizes[0])
     ]
     count = len(made.effectors)
-    told = f"{count} actuators cannot push it ahead, sideways and round each by itself"
+    told = f"{count} actuator{'s'[: count - 1]} cannot push it ahead, sideways and round by itself"
     if missing:
         told = f"nothing pushes it {' or '.join(missing)}"
     raise UserError(
