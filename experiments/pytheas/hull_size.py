@@ -18,8 +18,9 @@ from diffsea import named, read_vessel
 
 
 PAYLOADS = (0.0, 2.0, 5.0, 10.0, 20.0)  # kg
-SWELL = 20.0  # N, from any side: what `DESIGNED` is the least thrust for, without payload
+SWELL = 20.0  # N, from any side, on every hull; `DESIGNED` is the least thrust without payload
 WAYS = ("deeper", "grown")
+LONGEST = 600.0  # s: a heavy boat is slow, not unable
 
 
 def grown(payload: float) -> float:
@@ -40,31 +41,34 @@ def loaded(every: float) -> list[dict]:
     """Sizes of both, and what they do with the published thrust and with that for the swell."""
     drag = -named(read_vessel("pytheas").vessel)["X_u"]
 
-    def cases() -> Iterator[tuple[tuple, Case]]:
-        for payload in PAYLOADS:
-            for way in WAYS:
-                boat = design(way, payload)
-                for north in (20.0, -20.0):
-                    yield (way, payload, "calm"), Case(north, thrust=THRUST, **boat)
-                for to in directions(every):
-                    swell = {"bias": SWELL, "direction": to}
-                    yield (way, payload, "swell"), Case(thrust=DESIGNED, **swell, **boat)
+    hulls = [(way, payload) for payload in PAYLOADS for way in WAYS if payload or way == "deeper"]
 
-    ends, found = by(cases()), []
-    for payload in PAYLOADS:
-        for way in WAYS if payload else WAYS[:1]:
-            boat = design(way, payload)
-            length = LENGTH * boat["scale"]
-            ahead, astern = ends[way, payload, "calm"].time
-            found.append(
-                {
-                    "payload": payload, "way": way, "length": length, "mass": boat["mass"],
-                    "draught": float(draught(boat["mass"], length=length)),
-                    "top_speed": THRUST / (drag * boat["scale"] ** 2.5),
-                    "ahead": float(ahead), "astern": float(astern),
-                    "reached": float(np.isfinite(ends[way, payload, "swell"].time).mean()),
-                }
-            )  # fmt: skip
+    def cases() -> Iterator[tuple[tuple, Case]]:
+        for hull in hulls:
+            boat = design(*hull)
+            for north in (20.0, -20.0):
+                yield (*hull, "calm"), Case(north, thrust=THRUST, **boat)
+            for to in directions(every):
+                swell = {"bias": SWELL, "direction": to}
+                yield (*hull, "swell"), Case(thrust=DESIGNED, **swell, **boat)
+
+    ends, found = by(cases(), LONGEST), []
+    for way, payload in hulls:
+        boat = design(way, payload)
+        length = LENGTH * boat["scale"]
+        ahead, astern = ends[way, payload, "calm"].time
+        in_swell = ends[way, payload, "swell"].time
+        reached = np.isfinite(in_swell)
+        found.append(
+            {
+                "payload": payload, "way": way, "length": length, "mass": boat["mass"],
+                "draught": float(draught(boat["mass"], length=length)),
+                "top_speed": THRUST / (drag * boat["scale"] ** 2.5),
+                "ahead": float(ahead), "astern": float(astern),
+                "reached": float(reached.mean()),
+                "longest": float(in_swell[reached].max()),
+            }
+        )  # fmt: skip
     return found
 
 
@@ -72,7 +76,7 @@ def hull_table(found: list[dict]) -> str:
     """One row per payload and way."""
     head = ("payload, kg", "hull", "length, m", "mass, kg", "draught, m", "top speed at 20 N, m/s",
             "20 m ahead, s", "20 m astern, s",
-            f"{DESIGNED:g} N in a swell of {SWELL:g} N: directions reached")  # fmt: skip
+            f"{DESIGNED:g} N in a swell of {SWELL:g} N: directions reached, longest")  # fmt: skip
     return table(head, [_row(one) for one in found])
 
 
@@ -80,4 +84,5 @@ def _row(one: dict) -> tuple:
     name = "as published" if one["payload"] == 0 else one["way"]
     shown = [one[key] for key in ("length", "mass", "draught", "top_speed")]
     times = [f"{one[key]:.1f}" if np.isfinite(one[key]) else "never" for key in ("ahead", "astern")]
-    return one["payload"], name, *shown, *times, f"{100 * one['reached']:.0f} %"
+    swell = f"{100 * one['reached']:.0f} %, {one['longest']:.0f} s"
+    return one["payload"], name, *shown, *times, swell

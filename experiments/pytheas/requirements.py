@@ -77,19 +77,19 @@ class _Sailing(eqx.Module):
     missed: Scalar
 
 
-def run(cases: Sequence[Case]) -> End:
-    """Every case, in blocks of one size."""
+def run(cases: Sequence[Case], seconds: float = SECONDS) -> End:
+    """Every case for so long at most, in blocks of one size."""
     full = [*cases, *[cases[-1]] * (-len(cases) % LANES)]
     batch = jax.tree.map(lambda *leaves: np.array(leaves, float), *full)
     ends = [
-        _block(jax.tree.map(lambda leaf, k=k: leaf[k : k + LANES], batch))
+        _block(jax.tree.map(lambda leaf, k=k: leaf[k : k + LANES], batch), jnp.asarray(seconds))
         for k in range(0, len(full), LANES)
     ]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(cases)], *ends)
 
 
 @eqx.filter_jit
-def _block(cases: Case) -> End:
+def _block(cases: Case, seconds: Scalar) -> End:
     swing = jnp.where(cases.bias > 0, SWING, 0.0)
 
     def prepared(case: Case, swing: Scalar) -> tuple:
@@ -108,7 +108,7 @@ def _block(cases: Case) -> End:
     step = jax.vmap(_step, in_axes=(0, 0, 0, 0, None))
 
     def going(carry: tuple) -> Array:
-        return (carry[1] * PERIOD < SECONDS) & jnp.any(jnp.isinf(carry[0].time))
+        return (carry[1] * PERIOD < seconds) & jnp.any(jnp.isinf(carry[0].time))
 
     def body(carry: tuple) -> tuple:
         return step(cases, vessels, logics, *carry), carry[1] + 1
@@ -141,10 +141,10 @@ def beside(radius: float) -> list[tuple[float, float]]:
     return [(radius * np.cos(b), radius * np.sin(b)) for b in bearings]
 
 
-def by(cases: Iterable[tuple[Any, Case]]) -> dict[Any, End]:
+def by(cases: Iterable[tuple[Any, Case]], seconds: float = SECONDS) -> dict[Any, End]:
     """Runs of many cases at once, apart by their keys."""
     keys, listed = zip(*cases, strict=True)
-    end = run(listed)
+    end = run(listed, seconds)
     rows = {key: np.array([other == key for other in keys]) for key in dict.fromkeys(keys)}
     return {key: jax.tree.map(lambda leaf, r=row: leaf[r], end) for key, row in rows.items()}
 

@@ -219,7 +219,7 @@ def _ascending(shares: Float[Array, "sample"]) -> Float[Array, "sample"]:
 
 
 def _limits(vessel: Vessel, channel: str, limits: Limits) -> tuple[Scalar, Scalar]:
-    """The narrower of an actuator's and other limits of its orders; infinite where there is none."""
+    """The narrower of an actuator's and other limits of its orders; infinite without any."""
     servo, (lower, upper) = vessel.servos[channel], limits.get(channel, (-jnp.inf, jnp.inf))
     lower = lower if servo.lower is None else jnp.maximum(lower, servo.lower)
     upper = upper if servo.upper is None else jnp.minimum(upper, servo.upper)
