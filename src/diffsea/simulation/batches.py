@@ -20,7 +20,9 @@ Rows = Float[np.ndarray, "design name"]
 Tree = TypeVar("Tree")
 
 AT_ONCE = 64  # that run side by side; more of them leave the processor's cache
-AT_ONCE_ON_GPU = 4096  # fewer leave it idle, more take gigabytes for the rows of their trials
+AT_ONCE_ON_GPU = 4096  # fewer leave it idle
+_GPU_MEMORY = 2**31  # bytes, for the steps of a batch; two batches are there at a time
+_STEP_BYTES = 256  # of one vessel's step, its numbers and those on the way to them
 _PROGRESS_INTERVAL = 2.0  # s between messages of progress
 
 
@@ -32,9 +34,13 @@ class Batched(NamedTuple, Generic[Tree]):
     seconds: float  # that the timed rows took
 
 
-def batch_size(rows: int) -> int:
-    """How many of so many rows run side by side."""
-    return min(AT_ONCE if _on_processors() else AT_ONCE_ON_GPU, 1 << (rows - 1).bit_length())
+def batch_size(rows: int, steps: int) -> int:
+    """How many of so many rows run side by side, each of them of so many steps."""
+    most = AT_ONCE
+    if not _on_processors():
+        fitting = 1 << (_GPU_MEMORY // (_STEP_BYTES * steps)).bit_length() >> 1
+        most = min(max(AT_ONCE, fitting), AT_ONCE_ON_GPU)
+    return min(most, 1 << (rows - 1).bit_length())
 
 
 def _on_processors() -> bool:

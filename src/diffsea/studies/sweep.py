@@ -93,7 +93,7 @@ class Sweeper:
         """
         self.vessel, self.plan = vessel, plan
         self._plans = shorter_plans(vessel, plan)
-        self._batch = batch_size(at_once)
+        self._at_once = at_once
 
     def run(
         self,
@@ -109,7 +109,7 @@ class Sweeper:
         known, values = file_parameters(self.vessel), np.asarray(designs.values, float)
         places = tuple((name, known.get(name, ())) for name in designs.names)
         first, *longer = self._plans
-        run = functools.partial(_run_designs, self.vessel, size=self._batch, progress=progress)
+        run = functools.partial(_run_designs, self.vessel, at_once=self._at_once, progress=progress)
         found, steps, seconds = run(first, places, values)
         for following in longer:
             unfinished = np.isin(found.outcome, (Outcome.TIME_LIMIT, Outcome.APPROACH_UNSTEADY))
@@ -155,19 +155,20 @@ def _run_designs(
     plan: TrialPlan,
     places: Places,
     values: Float[np.ndarray, "design name"],
-    size: int,
+    at_once: int,
     progress: Callable[[str], None],
 ) -> tuple[_DesignResults, float, float]:
-    """Run all designs in batches of a size, one on every processor core at a time.
+    """Run designs, of which so many come together at most, in batches side by side.
 
     Returns their results, and of the batches that were not compiled first the vessel-steps and
     the seconds that they took.
     """
     arrays = as_inputs(vessel)
+    longest = plan.approach_seconds + plan.settings.seconds
     done = in_batches(
         lambda rows: _batched_trial(arrays, jnp.asarray(rows), plan, places),
         values,
-        size,
+        batch_size(at_once, round(longest / plan.settings.step)),
         progress,
         lambda found: int(found.steps.sum()),
     )

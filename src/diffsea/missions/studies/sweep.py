@@ -131,7 +131,7 @@ def _run_designs(
     done = in_batches(
         lambda rows: run_batch(jnp.asarray(rows)),
         np.asarray(designs.values, float),
-        batch_size(len(designs.values)),
+        batch_size(len(designs.values), times.rows * parts),
         progress,
         lambda found: int(found.rows.sum()) * parts,
     )
