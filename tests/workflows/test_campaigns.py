@@ -9,6 +9,7 @@ from tests.boats import BOAT
 
 import diffsea
 from diffsea.cli import main
+from diffsea.metrics.ittc import approach_verdict
 from diffsea.scales import HARD_OVER
 from diffsea.workflows.campaigns import CampaignResult, CampaignTrial
 
@@ -96,6 +97,34 @@ def test_every_trial_is_traced(found):
         assert one.metrics["approach"]["verdict"] == "steady"
         names = [check["name"] for check in one.metrics["checks"]]
         assert names[:3] == ["actuation", "yaw-rate", "time-step"]
+
+
+def test_approaches_are_judged_by_the_ittcs_limits(found):
+    for one in found.trials:
+        ittc, u = (
+            one.metrics["approach"]["ittc"],
+            one.run.u[one.run.t < one.metrics["execute_time"]],
+        )
+        assert ittc["verdict"] == "pass"
+        assert ittc["speed"] == pytest.approx(u[-20:].mean(), rel=2e-3)
+        assert ittc["least_speed"] == pytest.approx(0.9 * 1.2)
+    assert all(row["ITTC"] == "pass" for row in found.rows())
+
+
+@pytest.mark.parametrize(
+    ("speed", "yaw_rate", "wanted", "verdict"),
+    [
+        (0.91, math.radians(0.17), 1.0, "pass"),
+        (0.89, math.radians(0.17), 1.0, "fail"),
+        (0.91, math.radians(0.19), 1.0, "fail"),
+        (0.1, 0.0, None, "pass"),
+        (math.nan, 0.0, None, "pass"),
+        (math.nan, 0.0, 1.0, "unknown"),
+        (1.0, math.nan, 1.0, "unknown"),
+    ],
+)
+def test_the_ittcs_limits(speed, yaw_rate, wanted, verdict):
+    assert approach_verdict(speed, yaw_rate, wanted)["verdict"] == verdict
 
 
 def test_a_trial_that_fails_is_a_row_that_says_why_and_the_others_go_on(

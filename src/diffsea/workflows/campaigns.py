@@ -8,6 +8,7 @@ from typing import Any
 
 from diffsea.errors import UserError
 from diffsea.metrics.imo import SHORTEST_SHIP
+from diffsea.metrics.ittc import approach_verdict
 from diffsea.metrics.repeats import mean_and_half_width
 from diffsea.progress import Progress, no_progress
 from diffsea.report.pages.campaign import TrialRun, campaign_page
@@ -142,6 +143,7 @@ class CampaignResult(Tabulated):
                 "side": one.side,
                 "outcome": one.metrics.get("outcome", "failed"),
                 "approach": one.metrics.get("approach", {}).get("verdict", "-"),
+                "ITTC": one.metrics.get("approach", {}).get("ittc", {}).get("verdict", "-"),
                 "IMO": _imo_words(one.metrics.get("imo", {})),
             }
             for one in self.trials
@@ -216,7 +218,7 @@ def _run_trial(
         if outcome in FAILED:
             raise UserError(f"{outcome.sentence} (time step {plan.settings.step:g} s)")
         metrics = planning.summarise_trial(vessel, plan, trial, numbers)
-        return _with_log(vessel, planned, side, trial, metrics)
+        return _with_log(vessel, planned, side, trial, metrics, plan.speed)
     except UserError as error:
         return CampaignTrial(planned.name, side, {"failed": str(error)})
 
@@ -232,13 +234,21 @@ def trial_of_plan(
     planned = PlannedTrial(plan.manoeuvre, plan.angle, plan.heading)
     side = "starboard" if plan.side > 0 else "port"
     side = side if len(planned.sides) > 1 else AHEAD
-    return CampaignResult(vessel, (_with_log(vessel, planned, side, trial, metrics),))
+    return CampaignResult(vessel, (_with_log(vessel, planned, side, trial, metrics, plan.speed),))
 
 
 def _with_log(
-    vessel: Vessel, planned: PlannedTrial, side: str, trial: Trial, metrics: dict[str, Any]
+    vessel: Vessel,
+    planned: PlannedTrial,
+    side: str,
+    trial: Trial,
+    metrics: dict[str, Any],
+    speed: float | None,
 ) -> CampaignTrial:
     """A trial that has a result, with its checks and its log.
+
+    Arguments:
+        speed: that was to be held in the approach (m/s); None at a fixed throttle.
 
     Raises:
         UserError: the run is too short to be searched for its onset.
@@ -246,6 +256,8 @@ def _with_log(
     run = dataclasses.replace(trial.trajectory, name=f"{planned.name}-{side}").counted()
     signals = signals_of(run, vessel)
     traced, onset = _traced(vessel, signals, metrics["execute_time"])
+    approach = traced["approach"]
+    approach["ittc"] = approach_verdict(approach["speed"], approach["yaw_rate"], speed)
     log = state_log(vessel, signals, onset)
     return CampaignTrial(planned.name, side, metrics | traced, run, log)
 

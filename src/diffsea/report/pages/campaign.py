@@ -159,11 +159,22 @@ def _approach_table(trials: Mapping[str, Mapping[str, Record]]) -> Table:
     for trial, sides in trials.items():
         for side, metrics in sides.items():
             if "failed" in metrics:
-                rows.append([Verbatim(trial), side, "failed", Verbatim(metrics["failed"])])
-            else:
-                approach = metrics["approach"]
-                rows.append([Verbatim(trial), side, approach["verdict"], approach["why"]])
-    return Table(["trial", "side", "approach", "why"], rows)
+                failed = Verbatim(metrics["failed"])
+                rows.append([Verbatim(trial), side, "", "", "", "failed", failed])
+                continue
+            approach, ittc = metrics["approach"], metrics["approach"]["ittc"]
+            speed = _with_limit(ittc["speed"], ittc["least_speed"], "m/s", "at least")
+            rate = _with_limit(ittc["yaw_rate"], ittc["largest_yaw_rate"], "rad/s", "at most")
+            judged = [speed, rate, ittc["verdict"], approach["verdict"], approach["why"]]
+            rows.append([Verbatim(trial), side, *judged])
+    head = ["trial", "side", "speed, m/s", "largest yaw rate, deg/s", "ITTC", "approach", "why"]
+    return Table(head, rows, "Approaches, with what the ITTC asks of them", (2, 3))
+
+
+def _with_limit(value: float, limit: float | None, unit: str, words: str) -> str:
+    told = significant(for_people(value, unit)[0], 3)
+    limited = "" if limit is None else f" ({words} {significant(for_people(limit, unit)[0], 3)})"
+    return told + limited
 
 
 def _check_table(trials: Mapping[str, Mapping[str, Record]]) -> Table:
