@@ -46,6 +46,17 @@ def document() -> dict[str, Any]:
     }
 
 
+def ferry() -> dict[str, Any]:
+    """The same hull with an azimuth thruster at each end, which turn all the way round."""
+    thruster = {
+        "max_force": MOST, "min_force": 0.0, "time_constant": LAG, "angle_time_constant": LAG,
+    }  # fmt: skip
+    ends = (("bow", 2.0), ("stern", -2.0))
+    craft = {key: value for key, value in document().items() if key != "thruster"}
+    thrusters = [{"name": name, "x": x, **thruster} for name, x in ends]
+    return craft | {"name": "ferry", "azimuth_thruster": thrusters}
+
+
 def draw(count: int, seed: int = 0) -> Rows:
     """Numbers of so many boats, in the order of `PARAMETERS`.
 

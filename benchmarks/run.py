@@ -1,7 +1,7 @@
 """Benchmarks: measured in turns with their references, kept in results.json and the README.
 
     python -m benchmarks.run [engine] [jacobian] [fit] [diagnosis] [sweep] [startup]
-                             [growth] [commands] [scale] [gpu]
+                             [closed-loop] [growth] [commands] [scale] [gpu]
 
 Without a part, all of them, each below ten minutes. A part replaces only its own figures.
 """
@@ -16,7 +16,7 @@ from benchmarks.record import keep
 
 PARTS = {
     "engine": "engine", "jacobian": "derivatives", "fit": "fits", "diagnosis": "diagnoses",
-    "sweep": "sweeps", "startup": "startup", "growth": "growth", "commands": "commands",
+    "sweep": "sweeps", "closed-loop": "closed_loops", "startup": "startup", "growth": "growth", "commands": "commands",
     "scale": "scale", "gpu": "gpu",
 }  # fmt: skip
 

@@ -3,7 +3,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +12,14 @@ from tests.boats import square_boat_document
 
 from diffsea import Environment, State, read_vessel, replace, run_controlled
 from diffsea.errors import UserError
-from diffsea.simulation.control import dynamic_positioning, require_positioning
+from diffsea.simulation.control import dynamic_positioning, effectors, require_positioning
 from diffsea.simulation.control.effectors import (
     ChannelEffector,
     acceleration,
     orders_at_rest,
 )
 from diffsea.simulation.control.positioning import continuous_poses, reference
+from diffsea.simulation.control.positioning_gains import Weights, positioning_gains
 from diffsea.vessel.files import build
 
 
@@ -112,7 +112,7 @@ def test_what_the_models_own_current_asks_for_is_met_beforehand():
     assert worst[1] < 0.2 * worst[0]
 
 
-def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing():
+def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing(monkeypatch):
     """Her thrusters answer after 4 s and with a lag of 4 s: a gain without them swings her."""
     times, poses = (0.0, 300.0), [(0.0, 0.0, 0.0), (0.0, -40.0, 0.3)]
     run = driven(SHIP, times, poses, 700.0)
@@ -120,9 +120,8 @@ def test_lags_and_delays_of_seconds_do_not_make_a_ship_swing():
     assert np.ptp(np.degrees(run.psi[late])) < 1.0
     assert np.hypot(run.x[-1], run.y[-1] + 40.0) < 1.0
 
-    control = dynamic_positioning(SHIP, jnp.array(times), jnp.array(poses), PERIOD)
-    quick = [jnp.asarray(0.1)] * len(control.effectors)
-    hasty = eqx.tree_at(lambda c: [one.lag for one in c.effectors], control, quick)
+    monkeypatch.setattr(effectors, "_lag", lambda *_: jnp.asarray(0.1))
+    hasty = dynamic_positioning(SHIP, jnp.array(times), jnp.array(poses), PERIOD)
     begin = State(*map(jnp.asarray, (0.0,) * 6))
     swung = run_controlled(SHIP, hasty, begin, 700.0, PERIOD).trajectory
     assert np.ptp(np.degrees(np.asarray(swung.psi)[late])) > 5.0
@@ -307,6 +306,26 @@ def test_errors_have_derivatives_through_the_loop():
     slope = float(jax.grad(error)(0.5))
     apart = float(error(0.5 + 1e-4) - error(0.5 - 1e-4)) / 2e-4
     assert slope == pytest.approx(apart, rel=1e-4) and slope != 0.0
+
+
+@pytest.mark.parametrize("speed", [-0.8, 0.3, 1.7])
+def test_gains_between_the_speeds_of_the_schedule_are_nearly_those_of_the_speed(speed):
+    poses = jnp.array([(0.0, 0.0, 0.0), (200.0, 0.0, 0.0)])
+    control = dynamic_positioning(SHIP, jnp.array([0.0, 200.0]), poses, PERIOD)
+    low, high = float(control.gains.speeds[0]), float(control.gains.speeds[-1])
+    assert low < -1.7 and high > 1.7  # the poses ask for 1.5 m/s
+    L = float(SHIP.rigid_body.length)
+    weights = Weights(
+        jnp.asarray(0.25 * L), jnp.radians(10.0), jnp.asarray(25.0 * (L / 9.80665) ** 0.5)
+    )
+    exact = positioning_gains(
+        SHIP, control.effectors, control.lags, weights, PERIOD, jnp.array([speed])
+    )
+    gain, allocation = control.gains.at(jnp.asarray(speed))
+    for ours, theirs in ((gain, exact.gain[0]), (allocation, exact.allocation[0])):
+        assert float(jnp.abs(ours - theirs).max()) < 0.03 * float(jnp.abs(theirs).max())
+    beyond, _ = control.gains.at(jnp.asarray(100.0))
+    np.testing.assert_allclose(beyond, control.gains.gain[-1])
 
 
 def test_vessels_that_cannot_be_positioned_are_told_why():

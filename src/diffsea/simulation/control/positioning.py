@@ -2,15 +2,14 @@
 
 Linear-quadratic state feedback on surge, sway and yaw at once, with integrals of position and
 heading against a steady push (Fossen 2021, Handbook of Marine Craft Hydrodynamics and Motion
-Control, chapter 16 on linear-quadratic control and positioning). The gain is found anew at every
-period for the speed ahead at hand: thrusters fade with it, and a rudder acts by it alone.
+Control, chapter 16 on linear-quadratic control and positioning), with gains scheduled by the speed
+ahead.
 """
 
 import math
 from types import MappingProxyType
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -24,11 +23,15 @@ from diffsea.simulation.control.effectors import (
     AbstractEffector,
     Limits,
     Motion,
-    acceleration,
     effectors_of,
     orders_at_rest,
 )
-from diffsea.simulation.control.lqr import discrete_lqr, discretise
+from diffsea.simulation.control.positioning_gains import (
+    PositioningGains,
+    Weights,
+    inputs,
+    positioning_gains,
+)
 from diffsea.types import Scalar, State
 from diffsea.vessel.base import Vessel
 
@@ -40,7 +43,8 @@ POSITION = 0.25  # ship lengths
 HEADING = math.radians(10.0)  # rad
 INTEGRAL_TIME = 25.0  # sqrt(L / g), for which the same error is as bad again
 _FARTHEST = 1.0  # ship lengths: a pose farther off is met no harder
-_DOUBLINGS = 14  # 2^14 periods: a positioned vessel has settled by then
+_SPEEDS = 17  # ahead and astern, that gains are found for
+_FASTEST = 0.1  # sqrt(g L), in addition to the poses' own speed, between which these lie
 _LEAST = 1e-3  # of the largest effect on any axis: less does not hold a vessel there
 
 
@@ -66,15 +70,8 @@ class DynamicPositioning(AbstractController[Positioned]):
     times: Float[Array, "pose"]  # s, ascending
     poses: Poses
     effectors: tuple[AbstractEffector, ...]
-    position: Scalar  # m, see `POSITION`
-    heading: Scalar  # rad
-    integral_time: Scalar  # s
-    period: float = eqx.field(static=True)
-
-    @property
-    def lags(self) -> Float[Array, "share"]:
-        """How late (s) each share acts."""
-        return jnp.concatenate([jnp.full(one.count, one.lag) for one in self.effectors])
+    lags: Float[Array, "share"]  # s, how late each share acts
+    gains: PositioningGains
 
     def init(self) -> Positioned:
         angles: dict[str, Scalar] = {}
@@ -94,13 +91,12 @@ class DynamicPositioning(AbstractController[Positioned]):
         # In the pose's axes: that the vessel heads elsewhere is the heading error's.
         wanted = jnp.stack([*to_body(velocity[0], velocity[1], pose[2]), velocity[2]])
         motion = jnp.stack([state.u, state.v, state.r])
-        B = self.inputs(state.u)
-        gain = self.gain(state.u, B)
+        gain, allocation = self.gains.at(state.u)
         in_axes = [
             jnp.stack([*to_body(one[0], one[1], state.psi), one[2]])
             for one in (error, memory.integral)
         ]
-        steady = self.ahead(wanted, state, B)
+        steady = -allocation @ self.push(wanted, state)
         off = jnp.concatenate([motion - wanted, *in_axes, memory.executed - steady])
         asked = self.split(steady - gain @ off)
         orders: dict[str, Scalar] = {}
@@ -123,44 +119,12 @@ class DynamicPositioning(AbstractController[Positioned]):
         counts = [effector.count for effector in self.effectors]
         return jnp.split(shares, np.cumsum(counts)[:-1])
 
-    def inputs(self, speed: Scalar) -> Float[Array, "3 share"]:
-        """Accelerations (m/s^2, m/s^2, rad/s^2) by the shares of all effectors, at a speed ahead
-        (m/s)."""
-        motion = jnp.stack([speed, jnp.zeros(()), jnp.zeros(())])
-        rest = orders_at_rest(self.vessel)
-        answer = lambda orders: acceleration(self.vessel, motion, rest | orders)
-        return jnp.concatenate([one.inputs(answer) for one in self.effectors], axis=1)
-
-    def gain(self, speed: Scalar, B: Float[Array, "3 share"]) -> Float[Array, "share state"]:
-        """The feedback on errors of velocity, pose, integrals and executed shares at a speed ahead
-        (m/s)."""
-        zero, rest = jnp.zeros(()), orders_at_rest(self.vessel)
-
-        def rates(motion: Motion) -> Motion:
-            return acceleration(self.vessel, motion, rest)
-
-        shares = B.shape[1]
-        A = jnp.zeros((9 + shares, 9 + shares))
-        A = A.at[:3, :3].set(jax.jacfwd(rates)(jnp.stack([speed, zero, zero])))
-        A = A.at[3:6, :3].set(jnp.eye(3)).at[4, 5].set(speed).at[6:9, 3:6].set(jnp.eye(3))
-        A = A.at[:3, 9:].set(B).at[9:, 9:].set(-jnp.diag(1 / self.lags))
-        ordered = jnp.zeros((9 + shares, shares)).at[9:].set(jnp.diag(1 / self.lags))
-        bad = jnp.stack([self.position, self.position, self.heading])
-        Q = jnp.concatenate(
-            [jnp.zeros(3), bad**-2.0, (bad * self.integral_time) ** -2.0, jnp.zeros(shares)]
-        )
-        A, ordered = discretise(A, ordered, self.period)
-        return discrete_lqr(A, ordered, jnp.diag(Q), jnp.eye(shares), _DOUBLINGS)
-
-    def ahead(
-        self, wanted: Motion, state: State, B: Float[Array, "3 share"]
-    ) -> Float[Array, "share"]:
-        """Shares that bear what the model's drag and weather come to at the wanted motion."""
+    def push(self, wanted: Motion, state: State) -> Motion:
+        """What the model's drag and weather come to at the wanted motion (m/s^2, rad/s^2)."""
         rest = orders_at_rest(self.vessel)
         rest = {c: servo.target(rest[c]) for c, servo in self.vessel.servos.items()}
         at = State(state.x, state.y, state.psi, *wanted)
-        push = jnp.stack(self.vessel.acceleration(at, rest, self.vessel.environment, jnp.zeros(())))
-        return -B.T @ jnp.linalg.solve(B @ B.T, push)
+        return jnp.stack(self.vessel.acceleration(at, rest, self.vessel.environment, jnp.zeros(())))
 
 
 def reference(
@@ -217,18 +181,25 @@ def dynamic_positioning(
     due, places = jnp.asarray(times, float), jnp.asarray(poses, float)
     _require_schedule(due, places)
     length = vessel.rigid_body.length
-    return DynamicPositioning(
-        vessel,
-        due,
-        continuous_poses(places),
-        effectors_of(vessel, period, limits),
+    effectors = effectors_of(vessel, period, limits)
+    lags = jnp.concatenate([jnp.full(one.count, one.lag) for one in effectors])
+    weights = Weights(
         jnp.asarray(POSITION * length if position is None else position, float),
         jnp.asarray(heading_error, float),
         jnp.asarray(
             INTEGRAL_TIME * time_scale(length) if integral_time is None else integral_time, float
         ),
-        period,
     )
+    speeds = jnp.asarray(_fastest(due, places, length) * jnp.linspace(-1.0, 1.0, _SPEEDS))
+    gains = positioning_gains(vessel, effectors, lags, weights, period, speeds)
+    return DynamicPositioning(vessel, due, continuous_poses(places), effectors, lags, gains)
+
+
+def _fastest(times: Float[Array, "pose"], poses: Poses, length: Scalar) -> Scalar:
+    """Speed (m/s) up to which gains are found: what the poses ask for, and a drift besides."""
+    ways = jnp.sqrt(jnp.sum(jnp.diff(poses[:, :2], axis=0) ** 2, axis=1) + 1e-12)
+    asked = jnp.max(1.5 * ways / jnp.diff(times), initial=0.0)
+    return asked + _FASTEST * length / time_scale(length)
 
 
 def _require_schedule(times: Float[Array, "..."], poses: Float[Array, "..."]) -> None:
@@ -247,8 +218,8 @@ def require_positioning(vessel: Vessel, limits: Limits = MappingProxyType({})) -
 
     `limits` of orders are those of `dynamic_positioning`.
     """
-    made = dynamic_positioning(vessel, jnp.zeros(1), jnp.zeros((1, 3)), 1.0, limits=limits)
-    B = made.inputs(jnp.zeros(()))
+    effectors = effectors_of(vessel, 1.0, limits)
+    B = inputs(vessel, effectors, jnp.zeros(()))
     scaled = B * jnp.array([1.0, 1.0, vessel.rigid_body.length])[:, None]
     sizes = jnp.linalg.svd(scaled, compute_uv=False)
     if B.shape[1] >= 3 and float(sizes[2]) > _LEAST * float(sizes[0]):
@@ -258,7 +229,7 @@ def require_positioning(vessel: Vessel, limits: Limits = MappingProxyType({})) -
         for name, row in zip(("ahead", "sideways", "round"), scaled, strict=True)
         if float(jnp.linalg.norm(row)) <= _LEAST * float(sizes[0])
     ]
-    count = len(made.effectors)
+    count = len(effectors)
     told = f"{count} actuator{'s'[: count - 1]} cannot push it ahead, sideways and round by itself"
     if missing:
         told = f"nothing pushes it {' or '.join(missing)}"
