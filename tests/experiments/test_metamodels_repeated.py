@@ -2,6 +2,7 @@
 """Real repeats of zig-zags: which they are, what is predicted of them, and how far off it is."""
 
 import csv
+import dataclasses
 import json
 import math
 
@@ -126,6 +127,17 @@ def test_of_a_ship_that_is_a_norrbin_model_metamodels_know_the_other_side_and_av
         assert off["average"]["heading_deg"] > 1
         assert off[repeated.INTEGRATED]["overshoots_deg"] < 0.05
     assert out["errors"]["average"]["overshoots_deg"] == pytest.approx(apart)
+
+
+def test_what_the_kept_trial_did_is_used_in_no_prediction_of_it():
+    trials = [_sailed(LOPSIDED, 1.0), _sailed(LOPSIDED, -1.0), _sailed(LOPSIDED, 1.0, 30.0)]
+    other = dataclasses.replace(trials[0], r=0.8 * trials[0].r, overshoots=np.ones(2))
+    one, two = (repeated.answers([kept, *trials[1:]], 0, 1, RATE) for kept in (trials[0], other))
+    for method in repeated.METHODS:
+        for name in ("overshoots", "times", "psi"):
+            np.testing.assert_array_equal(getattr(one[method], name), getattr(two[method], name))
+    for check in (repeated.ITSELF, repeated.INTEGRATED):
+        assert np.max(np.abs(one[check].overshoots - two[check].overshoots)) > 0.5 * RAD
 
 
 def _by_hand(file: str) -> tuple[list[float], list[float]]:
