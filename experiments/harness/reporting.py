@@ -54,7 +54,10 @@ class Experiment:
         plain_colours.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
     def write(self, results: dict, tables: dict[str, str] | None = None) -> None:
-        """Write results.json; in a full run fill in the README's tables, see `fill`."""
+        """Write results.json; in a full run fill in the README's tables, see `fill`.
+
+        A README with a place for `SECONDS` is told there how long the run took.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         seconds = round(time.perf_counter() - self.began, 1)
         record = {"experiment": self.home.name, "quick": self.quick, "seconds": seconds} | results
@@ -63,6 +66,9 @@ class Experiment:
             print(f"\n{text}")
             if self.folder == self.home:
                 fill(self.home / "README.md", key, text)
+        readme = self.home / "README.md"
+        if self.folder == self.home and "<!-- begin SECONDS -->" in readme.read_text():
+            fill(readme, "SECONDS", f"The full run of these figures took {seconds:.0f} s.")
         print(f"\nwritten to {self.folder} after {seconds:.0f} s")
 
 

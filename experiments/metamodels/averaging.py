@@ -32,7 +32,7 @@ def _from_metamodels(sets: dict, dt, together: int):
     def one(chosen: dict):
         fit = identify(Trials(dt, chosen["delta"], chosen["r"], chosen["known"]), steps=15)
         asked = ideal_overshoots(fit.model)
-        shown = jax.vmap(_as_run, (0, 0, 0, None))(
+        shown = jax.vmap(as_run, (0, 0, 0, None))(
             fit.predicted, chosen["reversals"], chosen["side"], dt
         )
         port = (chosen["side"] < 0).astype(int)
@@ -48,8 +48,12 @@ def _from_metamodels(sets: dict, dt, together: int):
     return jax.lax.map(one, sets, batch_size=together)
 
 
-def _as_run(r, reversals, side, dt):
-    """Overshoots beyond the reversals of a simulated trial, from its yaw rates every `dt` s."""
+def as_run(r, reversals, side, dt):
+    """First two overshoots (rad) beyond the reversals of a simulated trial.
+
+    Yaw rates `r` (rad/s) every `dt` s, the two `reversals` in s since the first of them, `side` 1
+    where the first execute is to starboard, else -1.
+    """
     coarse = dt * jnp.arange(len(r))
     t = dt / FINE * jnp.arange(FINE * (len(r) - 1) + 1)
     rate = jnp.interp(t, coarse, r)

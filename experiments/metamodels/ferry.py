@@ -147,7 +147,7 @@ def _scatter(members: list[Piece]) -> dict:
     Root mean square of what differs from the mean of all trials over that of the mean itself.
     """
     found = {}
-    for name in ("u", "r", "rudder"):
+    for name in ("u", "v", "r", "rudder"):
         table, known = same_length([piece.channels[name] for piece in members], LONGEST)
         mean = (table * known).sum(0) / np.maximum(known.sum(0), 1)
         apart = np.sqrt(np.mean((table - mean)[known] ** 2))

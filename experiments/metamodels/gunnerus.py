@@ -71,7 +71,7 @@ def study(seed: int, campaigns: int) -> dict:
         "speeds": _speeds(fits["group 2"][0].model, slow.model),
         "validation": (judged := _validated(fits["group 2"][0].model, slow.model, seed))["figures"],
         "slow": told(slow),
-        "to_12": {name: _to_12(f[0].model, days[name]) for name, f in fits.items()},
+        "to_12": {name: _to_12(batches[name], f) for name, f in fits.items()},
         "series": {
             "validation": judged["series"],
             "records": batches,
@@ -80,12 +80,23 @@ def study(seed: int, campaigns: int) -> dict:
     }
 
 
-def _to_12(model: Norrbin, day: dict) -> dict:
-    """Overshoots of the ideal zig-zag to port, reversed at 12 deg, beside the trials' means."""
-    asked = np.degrees(overshoots_at(model, np.radians(12.0))).tolist()
-    means = day["intervals"]["port first"].values()
-    within = [abs(a - m["mean_deg"]) <= m["u95_deg"] for a, m in zip(asked, means, strict=True)]
-    return {"overshoots_deg": asked, "within": [bool(one) for one in within]}
+def _to_12(batch: Records, fits: list) -> dict:
+    """The ideal zig-zag to port, reversed at 12 deg, beside the means of each campaign's trials."""
+    asked = [np.asarray(overshoots_at(fit.model, np.radians(12.0))) for fit in fits]
+    within = []
+    for c, values in enumerate(asked):
+        own = intervals(np.asarray(batch.overshoots)[TESTS * c + 1 : TESTS * (c + 1) : 2])
+        within.append(
+            [
+                bool(abs(a - mean) <= half)
+                for a, (mean, half) in zip(values, own.values(), strict=True)
+            ]
+        )
+    return {
+        "overshoots_deg": np.degrees(asked[0]).tolist(),
+        "within": within[0],
+        "share_within": float(np.mean(within)),
+    }
 
 
 def _day(batch: Records, fits: list, truth: np.ndarray) -> dict:

@@ -33,9 +33,10 @@ def ideal_series(model: Norrbin):
     return ideal_zigzag(model, PORT)
 
 
-def overshoots_at(model: Norrbin, heading: float) -> np.ndarray:
+@jax.jit
+def overshoots_at(model: Norrbin, heading):
     """Overshoots (rad) of the ideal zig-zag to port first, reversed at a heading (rad)."""
-    return np.asarray(overshoots(model, dataclasses.replace(PORT, heading=heading)))
+    return overshoots(model, dataclasses.replace(PORT, heading=heading))
 
 
 @jax.jit

@@ -1,8 +1,8 @@
 # pyright: reportArgumentType=false
 """Real zig-zags: a tanker model in a basin, and one on a windy pond at several speeds.
 
-Every trial is predicted by a metamodel of the others. No two are alike, so that averaging their
-overshoots means nothing; a metamodel asks each what it says of any zig-zag.
+Every trial is predicted by a metamodel of the others, whatever their angles are. The few that
+repeat one another are compared with averaging in `repeated`.
 """
 
 import dataclasses
@@ -19,11 +19,16 @@ import pandas as pd
 
 from diffsea import Trajectory, read_mapping, read_recording
 from diffsea.metamodels.fit import Trials
-from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots
+from diffsea.metamodels.ideal_zigzag import IdealRun, Zigzag, ideal_zigzag
+from diffsea.metamodels.norrbin import Norrbin
+from diffsea.metrics.repeats import fit_percent
 
 
 DATA = data_folder()
 RAD = np.pi / 180
+# Rate (rad/s) of a rudder of which orders were recorded: the metamodel, identified under orders,
+# answers for the steering gear as well.
+AT_ONCE = 1e3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +39,8 @@ class Real:
     dt: float  # s, at the reference speed
     delta: np.ndarray  # rad
     r: np.ndarray  # rad/s, at the reference speed
+    psi: np.ndarray  # rad, off the course of the approach
+    executes: np.ndarray  # s, of the orders since the first row, at the reference speed
     angle: float  # rad, of the rudder
     marks: np.ndarray  # rad, headings (towards the first side) at the first two reversals
     overshoots: np.ndarray  # rad, beyond those headings
@@ -53,6 +60,7 @@ def _trial(run: Trajectory, channel: str, dt: float, reference: float | None, wi
     ]
     first = steady[0]
     side = float(held[first])
+    still = np.flatnonzero(side * np.diff(delta[: first + 1]) <= 0)
     changes = _departures(delta, held, steady, size)
     reversals = np.array(changes[:3])
     begin = max(first - round(3.0 / float(np.median(np.diff(t)))), 0)
@@ -70,8 +78,10 @@ def _trial(run: Trajectory, channel: str, dt: float, reference: float | None, wi
     clock = np.arange(t[begin], t[end], dt / ratio)
     marks = senses[: len(marks)] * marks
     rates = np.interp(clock, t, np.asarray(run.r, float)) / ratio
+    given = np.array([still[-1] + 1 if len(still) else 0, *changes[:3]])
     return Real(
-        Path(run.name).stem, dt, np.interp(clock, t, delta), rates, size, marks[:2],
+        Path(run.name).stem, dt, np.interp(clock, t, delta), rates,
+        np.interp(clock, t, psi - psi[begin]), (t[given] - t[begin]) * ratio, size, marks[:2],
         (np.array(peaks) - marks)[:2], side, wind, speed,
     )  # fmt: skip
 
@@ -110,7 +120,7 @@ def _wind(file: Path) -> float:
     return float(table["wind_velo_true [m/s]"].mean())
 
 
-def _table(trials: list[Real]) -> Trials:
+def table_of(trials: list[Real]) -> Trials:
     most = max(len(t.r) for t in trials)
     known = np.array([np.arange(most) < len(t.r) for t in trials])
     delta = np.stack([np.pad(t.delta, (0, most - len(t.delta)), "edge") for t in trials])
@@ -118,9 +128,23 @@ def _table(trials: list[Real]) -> Trials:
     return Trials(*(jnp.asarray(a) for a in (trials[0].dt, delta, r, known)))
 
 
+def read(say) -> dict[str, tuple[list[Real], float]]:
+    """Trials of each set, and how fast the rudder that was recorded turns (rad/s).
+
+    A message for a set that is not there.
+    """
+    out = {}
+    for name, found, rate in (("kvlcc2", kvlcc2, 15.8 * RAD), ("esso_osaka", esso_osaka, AT_ONCE)):
+        if trials := found():
+            out[name] = trials, rate
+        else:
+            say(f"{absent(name)}; left out")
+    return out
+
+
 def left_out(trials: list[Real], rate_limit: float) -> dict:
     """Every trial from a metamodel of the others: fit, and overshoots as the trial was ordered."""
-    table = _table(trials)
+    table = table_of(trials)
     rows = {}
     series = {}
     for k, trial in enumerate(trials):
@@ -138,31 +162,40 @@ def left_out(trials: list[Real], rate_limit: float) -> dict:
             "wind": trial.wind,
             "speed": trial.speed,
             "a1": float(fit.model.a1),
+            "alone": _alone(table, k),
         }
         series[trial.name] = (trial, np.asarray(predicted[0])[: len(trial.r)])
     every = identified(table)
     return {"trials": rows, "metamodel": told(every), "series": series}
 
 
+def _alone(table: Trials, k: int) -> dict:
+    """What a metamodel of one trial alone makes of that trial: as near as the model can come."""
+    only = dataclasses.replace(table, known=table.known & (np.arange(len(table.r)) == k)[:, None])
+    fit = identified(only)
+    return {
+        "percent": float(fit_percent(table.r[k], fit.predicted[k], table.known[k])),
+        "neutral_deg": float(fit.model.neutral) / RAD,
+    }
+
+
 def _asked(model, trial: Real, rate_limit: float) -> np.ndarray:
-    """Overshoots of a zig-zag like one that was run: its angle, its side, its marks on average."""
-    out = _zigzag(model, trial.angle, float(np.mean(np.abs(trial.marks))), trial.side, rate_limit)
-    return np.asarray(out)
+    """Overshoots (rad) of a zig-zag like one that was run."""
+    return np.asarray(like(model, trial, rate_limit).overshoots)[:2]
+
+
+def like(model: Norrbin, trial: Real, rate_limit: float) -> IdealRun:
+    """The ideal zig-zag with the angle and side of one that was run, and its mean reversal."""
+    heading = float(np.mean(np.abs(trial.marks)))
+    return _zigzag(model, trial.angle, heading, trial.side, rate_limit)
 
 
 @jax.jit
 def _zigzag(model, angle, heading, side, rate_limit):
-    wanted = Zigzag(angle, heading, side, rate_limit, seconds=250.0, step=0.1)
-    return overshoots(model, wanted)
+    wanted = Zigzag(angle, heading, side, rate_limit, seconds=250.0, step=0.1, executes=5)
+    return ideal_zigzag(model, wanted)
 
 
-def study(say) -> dict:
-    """What is there of both sets; a message for what is not."""
-    out = {}
-    for name, read, rate in (("kvlcc2", kvlcc2, 15.8 * RAD), ("esso_osaka", esso_osaka, 20 * RAD)):
-        trials = read()
-        if trials:
-            out[name] = left_out(trials, rate)
-        else:
-            say(f"{absent(name)}; left out")
-    return out
+def study(sets: dict[str, tuple[list[Real], float]]) -> dict:
+    """Every trial of every set from the others of its set."""
+    return {name: left_out(trials, rate) for name, (trials, rate) in sets.items()}

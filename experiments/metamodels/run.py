@@ -5,7 +5,16 @@ Run it as `python -m experiments.metamodels.run [--quick]`.
 
 from experiments.harness.reporting import experiment  # isort: skip
 
-from experiments.metamodels import averaging, beyond, ferry, gunnerus, pictures, recorded, tables
+from experiments.metamodels import (
+    averaging,
+    beyond,
+    ferry,
+    gunnerus,
+    pictures,
+    recorded,
+    repeated,
+    tables,
+)
 
 
 SEED = 2017
@@ -25,11 +34,12 @@ def main() -> None:
     else:
         errors = averaging.study(SEED, 24)
     run.say("real zig-zags")
-    real = recorded.study(run.say)
+    sets = recorded.read(run.say)
+    real, real_repeats = recorded.study(sets), repeated.study(sets)
     run.say("disturbances as nuisances")
     further = beyond.study(SEED, quick, service, run.say)
-    pictures.all_of(run.save, service, repeats, errors, real, further)
-    results = tables.results(service, repeats, errors, real, further)
+    pictures.all_of(run.save, service, repeats, errors, real, real_repeats, further)
+    results = tables.results(service, repeats, errors, real, real_repeats, further)
     run.write(results, tables.tables(results))
 
 

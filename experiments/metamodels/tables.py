@@ -5,19 +5,23 @@ from experiments.harness.reporting import compared, comparison, table
 import numpy as np
 
 
-def results(service: dict, repeats: dict, errors: dict, real: dict, further: dict) -> dict:
+def results(
+    service: dict, repeats: dict, errors: dict, real: dict, real_repeats: dict, further: dict
+) -> dict:
     """What is written down: series and models left out."""
     ferry = {k: v for k, v in service.items() if k not in ("series", "model", "found")}
     days = {k: v for k, v in repeats.items() if k != "series"}
-    recorded = {
-        name: {k: v for k, v in part.items() if k != "series"} for name, part in real.items()
-    }
+    recorded, repeated = (
+        {name: {k: v for k, v in part.items() if k != "series"} for name, part in sets.items()}
+        for sets in (real, real_repeats)
+    )
     return {
         "comparison": _compared(ferry, days),
         "case_1": ferry,
         "case_2": days,
         "averaging": errors,
         "recorded": recorded,
+        "real_repeats": repeated,
         "beyond": {k: v for k, v in further.items() if k != "series"},
     }
 
@@ -36,6 +40,7 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
         compared("rudder angles", "deg", "up to 5", first["largest_rudder_deg"]),
         compared("scatter of trials of group 1 about their mean: speed ahead", "%", "similar",
                  first["scatter_percent"]["u"], "rms over that of the mean"),
+        compared("the same of sway velocities", "%", "similar", first["scatter_percent"]["v"]),
         compared("the same of yaw rates", "%", "similar", first["scatter_percent"]["r"]),
         compared("the same of rudder angles", "%", "more", first["scatter_percent"]["rudder"]),
         compared("model 1 (planar motion tests) against metamodel", "%", 67.0,
@@ -46,12 +51,10 @@ def _compared(ferry: dict, days: dict) -> list[dict]:
                  "port is negative here"),
         compared("neutral rudder, group 2", "deg", 0.46, group["group 2"]["neutral_deg"],
                  "likewise"),
-        compared("metamodel's overshoots within 95 % of the means, group 1", "", "all",
-                 group["group 1"]["metamodel_within"], "share over repeated days"),
-        compared("the same, group 2", "", "all", group["group 2"]["metamodel_within"], "likewise"),
         compared("fit to a benchmark trial, metamodels of groups 1 / 2", "%", "nearly identical",
                  " / ".join(f"{v:.1f}" for v in days["benchmark_percent"].values())),
         *_to_12(days["to_12"]),
+        *_over_days(group, days["to_12"]),
         compared("loss of yaw rate at 0.75 of the speed, metamodels", "%", 25.0,
                  speeds["metamodels"]),
         compared("the same, simulation model", "%", 30.0,
@@ -73,6 +76,20 @@ def _to_12(found: dict) -> list[dict]:
     ]  # fmt: skip
 
 
+def _over_days(days: dict, to_12: dict) -> list[dict]:
+    """How many overshoots of ideal trials are within the intervals, over all repeated days."""
+    rows = [
+        compared(f"ideal 10/12 to port over repeated days, {name}: within 95 % of the means", "",
+                 "all", one["share_within"], "share of overshoots")
+        for name, one in to_12.items()
+    ]  # fmt: skip
+    return rows + [
+        compared(f"ideal 10/10 to either side, likewise, {name}", "", None,
+                 day["metamodel_within"], "share of overshoots")
+        for name, day in days.items()
+    ]  # fmt: skip
+
+
 def tables(out: dict) -> dict[str, str]:
     """The README's tables by their keys."""
     return {
@@ -81,7 +98,7 @@ def tables(out: dict) -> dict[str, str]:
         "DAYS": _days(out["case_2"]),
         "MODELS": _models(out["case_1"], out["case_2"]),
         "AVERAGING": _averaging(out["averaging"]),
-        "RECORDED": _recorded(out["recorded"]),
+        **_real(out["recorded"], out["real_repeats"]),
         **{key: _rows(rows) for key, rows in out["beyond"].get("tables", {}).items()},
     }
 
@@ -153,16 +170,61 @@ def _averaging(errors: dict) -> str:
     return table(head, rows)
 
 
+def _real(real: dict, repeats: dict) -> dict[str, str]:
+    """Tables of real trials, none where no recordings are."""
+    if not real:
+        return {}
+    return {
+        "RECORDED": _recorded(real),
+        "REAL_REPEATS": _repeated(repeats),
+        "REAL_REPEATS_ERRORS": _repeated_errors(repeats),
+    }
+
+
 def _recorded(real: dict) -> str:
     head = ("trial", "wind, m/s", "speed, m/s", "left out: fit, %", "overshoots measured, deg",
-            "predicted, deg")  # fmt: skip
+            "predicted, deg", "alone: fit, %", "alone: neutral rudder, deg")  # fmt: skip
     rows = []
     for part in real.values():
         for name, row in part["trials"].items():
-            both = [" / ".join(f"{x:.1f}" if np.isfinite(x) else "-" for x in row[k])
-                    for k in ("measured_deg", "predicted_deg")]  # fmt: skip
-            rows.append((name, row["wind"], row["speed"], row["percent"], *both))
+            both = [_pair(row[k]) for k in ("measured_deg", "predicted_deg")]
+            alone = row["alone"]
+            rows.append((name, row["wind"], row["speed"], row["percent"], *both,
+                         alone["percent"], alone["neutral_deg"]))  # fmt: skip
     return table(head, rows)
+
+
+def _repeated(repeats: dict) -> str:
+    head = ("kept back", "", "overshoots, deg", "times between executes, s",
+            "overshoots off, deg rms", "times off, % rms", "heading off, deg rms")  # fmt: skip
+    rows = []
+    for part in repeats.values():
+        for row in part["trials"]:
+            told = row["measured"]
+            rows.append((row["name"], "measured", _pair(told["overshoots_deg"]),
+                         _pair(told["times"]), None, None, None))  # fmt: skip
+            for method, said in row["methods"].items():
+                rows.append((row["name"], method, _pair(said["overshoots_deg"]),
+                             _pair(said["times"]), *said["errors"].values()))  # fmt: skip
+    return table(head, rows)
+
+
+def _repeated_errors(repeats: dict) -> str:
+    head = ("set", "method", "overshoots, deg", "times between executes, %", "heading, deg")
+    return table(head, [
+        (name, method, *errors.values())
+        for name, part in repeats.items() for method, errors in part["errors"].items()
+    ])  # fmt: skip
+
+
+def _pair(values) -> str:
+    """Two numbers beside each other, dashes for what there is not."""
+    known = [None if x is None or not np.isfinite(x) else x for x in values]
+    return (
+        "-"
+        if known == [None, None]
+        else " / ".join("-" if x is None else f"{x:.1f}" for x in known)
+    )
 
 
 def _rows(rows: list[dict]) -> str:

@@ -42,7 +42,10 @@ def test_results_are_written_whole_and_tables_filled_in(tmp_path, capsys):
     home = tmp_path / "made"
     home.mkdir()
     readme = home / "README.md"
-    readme.write_text("before\n<!-- begin figures -->\nold\n<!-- end figures -->\nafter\n")
+    readme.write_text(
+        "before\n<!-- begin SECONDS -->\n<!-- end SECONDS -->\n"
+        "<!-- begin figures -->\nold\n<!-- end figures -->\nafter\n"
+    )
     run = reporting.Experiment(home, home, quick=False, began=0.0)
     rows = [reporting.compared("speed", "m/s", 1.5, 1.52341), reporting.compared("x", "", None, 2)]
     run.write(
@@ -52,6 +55,7 @@ def test_results_are_written_whole_and_tables_filled_in(tmp_path, capsys):
     assert record["experiment"] == "made" and record["nothing"] is None
     assert record["comparison"][0]["obtained"] == 1.52341
     text = readme.read_text()
+    assert f"took {record['seconds']:.0f} s." in text
     assert text.startswith("before") and text.endswith("after\n") and "old" not in text
     assert "| speed | 1.5 | 1.523 | m/s |  |" in text and "| x | - | 2 |" in text
     with pytest.raises(SystemExit, match="no place for 'other'"):

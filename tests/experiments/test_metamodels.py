@@ -4,6 +4,10 @@
 import dataclasses
 import math
 import sys
+from types import SimpleNamespace
+
+from experiments.metamodels import gunnerus, pictures
+from experiments.metamodels.metamodel import overshoots_at
 
 import jax
 import jax.numpy as jnp
@@ -287,12 +291,40 @@ def test_likelihood_finds_the_coefficients_under_each_trials_wind():
     assert std[4] < 0.05 * float(MODEL.b) and std[1] < 0.2 * float(MODEL.a1)
 
 
+def test_an_ideal_trial_is_judged_by_the_intervals_of_every_repeated_day():
+    asked = np.asarray(overshoots_at(MODEL, 12 * RAD))
+    assert np.all(np.isfinite(asked)) and asked[0] != asked[1]
+    # Two days of six trials, port first in every other: means hit on the first, 5 deg off in the
+    # second overshoot on the other; trials to starboard are no part of it.
+    scatter = 0.1 * RAD * np.array([-1.0, 0.0, 1.0])[:, None]
+    table = np.full((12, 2), 1.0)
+    table[1:6:2], table[7:12:2] = asked + scatter, asked + scatter + np.array([0.0, 5 * RAD])
+    day, fit = SimpleNamespace(overshoots=table), SimpleNamespace(model=MODEL)
+    found = gunnerus._to_12(day, [fit, fit])
+    assert found["within"] == [True, True] and found["share_within"] == 0.75
+    np.testing.assert_allclose(found["overshoots_deg"], np.degrees(asked))
+
+
+def test_a_mean_is_drawn_while_nine_in_ten_trials_last():
+    def piece(level: float, rows: int) -> SimpleNamespace:
+        t = np.arange(rows) - 30.0
+        return SimpleNamespace(t=t, channels={"u": np.full(rows, level), "r": level * RAD + 0 * t})
+
+    pieces = [piece(4.0, 60), *(piece(2.0, 100) for _ in range(8)), piece(0.0, 140)]
+    t, mean = pictures._mean(pieces, "u")
+    np.testing.assert_allclose(t, np.arange(100) - 30.0)
+    np.testing.assert_allclose(mean[:60], 2.0)
+    np.testing.assert_allclose(mean[60:], 16 / 9)
+    np.testing.assert_allclose(pictures._mean(pieces, "r")[1][:60], 2.0)
+
+
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory) -> dict:
     """Results of the quick run."""
     folder = tmp_path_factory.mktemp("metamodels")
     found = quick_run("metamodels", folder)
-    assert {"service.png", "averaging.png"} <= {p.name for p in (folder / "figures").iterdir()}
+    drawn = {p.name for p in (folder / "figures").iterdir()}
+    assert {"service.png", "group.png", "chosen.png", "averaging.png"} <= drawn
     return found
 
 
