@@ -93,7 +93,8 @@ def test_limits_of_a_mission_hold_and_are_known_to_the_controller(folder):
     told = scores(run(mission))
     assert all(-8.0 <= one["least"] and one["largest"] <= 8.0 for one in told["orders"].values())
     control = controller_of(mission, 0.25)
-    assert float(control.effects["t0"].orders[-1]) == 8.0
+    effector = next(one for one in control.effectors if one.channel == "t0")
+    assert float(effector.values[-1]) == 8.0
     with pytest.raises(UserError, match="cannot be positioned"):
         nothing = {f"t{k}": [-1e-9, 1e-9] for k in range(3)}
         run(mission_of(document(controller={"kind": "positioning", "limits": nothing}), folder))
