@@ -25,6 +25,7 @@ from diffsea.identification.uncertainty.identifiability import Identifiability, 
 from diffsea.identification.uncertainty.sources import Source, Sources
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import fit_report, worse_warning
+from diffsea.report.histories import on_one_turn
 from diffsea.report.page import TEMPLATES, Plot, Verbatim, with_commands
 from diffsea.report.plots import figure
 from diffsea.report.predictions import (
@@ -32,7 +33,6 @@ from diffsea.report.predictions import (
     Prediction,
     compare,
     horizon_table,
-    on_one_turn,
     predict,
 )
 from diffsea.report.quantities import (
@@ -364,7 +364,9 @@ def test_every_verdict_has_every_section(verdict):
     assert verdict in reader.text("verdict")
     # Maps of regimes, with an effect also after it; of each recording a map and a track.
     assert len(reader.drawn("where")) == (6 if "current" in reader.text("verdict") else 5)
-    assert len(reader.drawn("held-out")) == 4 and len(reader.drawn("what")) == 1
+    # The first run's track stands beside the first sentence.
+    assert len(reader.drawn("verdict")) == 1
+    assert len(reader.drawn("held-out")) == 3 and len(reader.drawn("what")) == 1
 
 
 def test_page_shows_the_numbers_of_the_summary():
@@ -373,7 +375,8 @@ def test_page_shows_the_numbers_of_the_summary():
     assert "0.301 ± 0.004 m/s" in what and "69.0 ± 0.8°" in what and "flows to" in what
     assert "0.295 to 0.307 m/s" in what and "67.7 to 70.3°" in what
     assert "62 %" in what and "1540 ± 130" in what and "wind" in what
-    assert "no effect: 1×10¹⁴² : 1" in what and "next best name: 1800 : 1" in what
+    assert "no effect: certain" in what and "next best name: 1800 : 1" in what
+    assert '<abbr title="odds of 1×10¹⁴² : 1">certain</abbr>' in page_of("explained")
     assert "1 : 16" in what and "(Y rdot)" in what
     reasons = ("confirmed on held-out runs", "weaker", "its score is <within> chance")
     assert sorted(reasons, key=what.index) == list(reasons)
@@ -402,7 +405,7 @@ def test_what_was_not_computed_is_said():
     assert tuple(reader.ids) == SECTIONS
     for section in ("where", "what", "unseen"):
         assert "not computed" in reader.text(section)
-    assert not reader.drawn("where") and len(reader.drawn("held-out")) == 4
+    assert not reader.drawn("where") and len(reader.drawn("held-out")) == 3
 
 
 def test_maps_have_each_cell_in_its_place():
@@ -429,7 +432,8 @@ def test_maps_have_each_cell_in_its_place():
 
 def test_held_out_runs_are_drawn_in_people_s_units():
     run = recordings()[1][0]
-    track, times, *_ = Reader(page_of("explained")).drawn("held-out")
+    reader = Reader(page_of("explained"))
+    (track,), (times, *_) = reader.drawn("verdict"), reader.drawn("held-out")
     assert [trace["name"] for trace in track["data"]] == ["measured", "nominal", "diagnosed"]
     assert track["data"][0]["x"] == pytest.approx(run.y, abs=0.05)
     assert track["data"][0]["y"] == pytest.approx(run.x, abs=0.05)
@@ -445,8 +449,9 @@ def test_held_out_runs_are_drawn_in_people_s_units():
 def test_headings_lie_on_one_turn():
     wrapped = np.array([170.0, 179.0, -172.0, np.nan, -160.0])
     later = np.array([530.0, 539.0, 548.0, 553.0, 560.0])
-    first, second = on_one_turn([wrapped, later])
-    assert first[[0, 1, 2, 4]] == pytest.approx([170, 179, 188, 200])
+    t, measured = np.arange(5.0), np.isfinite(wrapped)
+    (times, first), (_, second) = on_one_turn([(t[measured], wrapped[measured]), (t, later)])
+    assert first == pytest.approx([170, 179, 188, 200]) and times == pytest.approx([0, 1, 2, 4])
     assert second == pytest.approx(later - 360)
 
 

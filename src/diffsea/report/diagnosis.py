@@ -11,11 +11,23 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from markupsafe import Markup
 
 from diffsea.identification.holdout import HeldOut, Split
 from diffsea.report import words
 from diffsea.report.location import location_section
-from diffsea.report.page import Cell, Plot, Table, Verbatim, parameter_table, provenance, render
+from diffsea.report.page import (
+    Cell,
+    Plot,
+    Table,
+    Verbatim,
+    odds_cell,
+    parameter_table,
+    probability_cell,
+    provenance,
+    render,
+    typeset_unless_verbatim,
+)
 from diffsea.report.plots import CURSOR, DIAGNOSED, MEASURED, NOMINAL, figure
 from diffsea.report.predictions import ComparedRun, prediction_section
 from diffsea.report.quantities import (
@@ -23,12 +35,12 @@ from diffsea.report.quantities import (
     interval,
     is_known,
     odds,
-    probability,
     round_to_error,
     significant,
     typeset,
     with_error,
 )
+from diffsea.report.tracks import Flow
 from diffsea.report.words import Record
 
 
@@ -47,7 +59,7 @@ BAR_ROOM = 1.05  # of the axis over the longest bar
 LABEL_WIDTH = 18  # characters of a candidate's name beside its bar, for a phone
 TICK_DISTANCE = 0.2  # of the axis, so that labels do not touch
 PAGE_NUMBERS = 140_000  # in all plots, some six characters each, beside the library's 5 MB
-NUMBERS_PER_ROW = (27, 33)  # for a row of a recording, and of a held-out run with two models
+NUMBERS_PER_ROW = (27, 43)  # for a row of a recording, and of a held-out run with two models
 LARGEST_RUN, SMALLEST_RUN = 1500, 50  # rows: more cannot be told apart, fewer are no curve
 
 
@@ -88,6 +100,8 @@ def diagnosis_report(
         method["significance from simulated data without effects"] = chance
     if "bootstrap" in null:
         method["the same, every simulated data set fitted anew"] = null["bootstrap"]
+    predictions = prediction_section(runs, models, most, None, flows(summary))
+    picture, predictions = predictions.without_first_track()
     return render(
         "diagnosis.html.j2",
         bundle="cartesian",
@@ -109,7 +123,8 @@ def diagnosis_report(
         effects=found_effects(summary),
         ranking=candidate_ranking(summary),
         own_environment=any("recording" in effect for effect in summary["effects"]),
-        predictions=prediction_section(runs, models, most, worst=None),
+        picture=picture,
+        predictions=predictions,
         next=next_experiment_section(summary),
         unseen=unseen_table(summary),
         parameters=parameter_table(summary.get("parameters", [])),
@@ -117,6 +132,26 @@ def diagnosis_report(
         fault_table=Table(columns, found, "Findings of the audit"),
         provenance=provenance(source | method, used),
     )
+
+
+def flows(summary: Record) -> list[Flow]:
+    """Current and wind that were named with one size for all recordings, to be drawn as arrows.
+
+    Arguments:
+        summary: the content of diagnosis.json.
+    """
+    found = []
+    for effect in words.named_effects(summary):
+        sizes = effect["parameters"]
+        if effect["name"] not in ("current", "wind") or "recording" in effect:
+            continue
+        if not {"speed", "direction"} <= set(sizes):
+            continue
+        comes_from = effect["name"] == "wind"
+        speed = round_to_error(sizes["speed"]["value"], sizes["speed"].get("std"), "m/s")
+        towards = sizes["direction"]["value"] + math.pi * comes_from
+        found.append(Flow(f"{effect['name']} {speed}", towards))
+    return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,15 +216,22 @@ def found_effects(summary: Record) -> list[FoundEffect]:
         title, known = words.as_words(first["name"]) + acted_on(first), first["evidence"]
         gain = with_error(known.get("held_out_gain"), known.get("held_out_gain_std"))
         removed = 100 * (known.get("cost_drop") or 0.0)
-        next_best = odds(known.get("log10_odds_next"))
+        against_none, next_best = (
+            odds_cell(known.get(key)) for key in ("log10_odds", "log10_odds_next")
+        )
+        chance = probability_cell(known.get("p_value"))
         sentences = {
-            "log10_odds": f"Odds in favour, against no effect: {odds(known.get('log10_odds'))}.",
-            "log10_odds_next": f"Odds in favour, against the next best name: {next_best}.",
-            "p_value": f"p = {probability(known.get('p_value'))} if nothing were missing.",
-            "cost_drop": f"It removes {removed:.0f} % of the squared prediction errors.",
-            "held_out_gain": f"Held-out gain in -2 log likelihood: {gain}.",
+            "log10_odds": ("Odds in favour, against no effect: {}.", against_none),
+            "log10_odds_next": ("Odds in favour, against the next best name: {}.", next_best),
+            "p_value": ("p, if nothing were missing: {}.", chance),
+            "cost_drop": ("It removes {} of the squared prediction errors.", f"{removed:.0f} %"),
+            "held_out_gain": ("Held-out gain in -2 log likelihood: {}.", gain),
         }
-        evidence = [text for key, text in sentences.items() if is_known(known.get(key))]
+        evidence = [
+            Markup(typeset(text)).format(typeset_unless_verbatim(value))
+            for key, (text, value) in sentences.items()
+            if is_known(known.get(key))
+        ]
         out.append(FoundEffect(title, Table(columns, rows), evidence))
     return out
 
@@ -266,8 +308,8 @@ def _candidate_row(one: Record) -> list[str]:
     return [
         candidate_label(one),
         one.get("status", "").replace(" ", "\u00a0"),
-        odds(size) if is_known(size) else "",
-        probability(p) if is_known(p) else "",
+        odds_cell(size) if is_known(size) else "",
+        probability_cell(p) if is_known(p) else "",
         with_error(gain, one.get("held_out_gain_std")) if is_known(gain) else "",
         "; ".join(sizes),
         one.get("reason", ""),

@@ -68,6 +68,8 @@ def fit_report(
     fitted, held_out = (words.count_recordings(len(several)) for several in data)
     worse = worse_warning(runs)
     warnings = [f"{words.capital(worse)}." if worse else "", left_out_sentence(left_out)]
+    predictions = prediction_section(runs, MODELS, DRAWN_ROWS, SHOWN_RUNS)
+    picture, predictions = predictions.without_first_track()
     return render(
         "fit.html.j2",
         title=f"Fit of {study.vessel_name}",
@@ -87,7 +89,8 @@ def fit_report(
         source_notes=[] if study.sources is None else _source_notes(study.sources),
         trial_numbers=_trial_number_table(study) if with_sheet else None,
         held_out=bool(test),
-        predictions=prediction_section(runs, MODELS, DRAWN_ROWS, SHOWN_RUNS),
+        picture=picture,
+        predictions=predictions,
         convergence=_convergence_plot(study.estimate.path),
         history=history,
         provenance=provenance(
@@ -113,7 +116,9 @@ def compare_fit(
     train, test = data
     runs, vessels = study.held_out(test) if test else (train, [fitted] * len(train))
     return [
-        ComparedRun(run, {"start": predict(start, run), "fitted": predict(vessel, run)})
+        ComparedRun(
+            run, {"start": predict(start, run), "fitted": predict(vessel, run)}, fitted.units
+        )
         for run, vessel in zip(runs, vessels, strict=True)
     ]
 

@@ -13,8 +13,8 @@ import plotly.graph_objects as go
 from jaxtyping import Float
 
 from diffsea.report import plots
-from diffsea.report.page import Plot, RunPlots, Table, Verbatim
-from diffsea.report.quantities import is_known, probability, significant, typeset, with_error
+from diffsea.report.page import Plot, RunPlots, Table, Verbatim, probability_cell
+from diffsea.report.quantities import is_known, significant, typeset, with_error
 from diffsea.report.words import Record, named_effects
 from diffsea.trajectory import Trajectory
 
@@ -154,7 +154,7 @@ def _strongest_places(summary: Record) -> Table:
         if cell["recording"] == "all":
             name, when = Verbatim("all runs"), "whole run"
         force = f"{significant(cell['force_rms'], 2)} {cell['unit']}"
-        p = probability(cell["p_value"])
+        p = probability_cell(cell["p_value"])
         rows.append([cell["degree_of_freedom"], name, when, cell["regime"], force, p])
     columns = ["degree of freedom", "recording", "when", "regime", "force missing", "p"]
     title = "Strongest places in the nominal model (p of each by itself)"

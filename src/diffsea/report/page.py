@@ -10,6 +10,7 @@ import importlib.metadata
 import importlib.resources
 import math
 import platform
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
@@ -17,7 +18,14 @@ import jinja2
 import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
-from diffsea.report.quantities import round_to_error, typeset, with_error
+from diffsea.report.quantities import (
+    is_known,
+    odds,
+    probability,
+    round_to_error,
+    typeset,
+    with_error,
+)
 from diffsea.report.words import Record, as_words
 from diffsea.trajectory import Trajectory
 
@@ -80,6 +88,27 @@ def typeset_unless_verbatim(value: object) -> object:
     return value
 
 
+CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing more
+
+
+def odds_cell(log10: float | None) -> str:
+    """Odds in words once nobody would doubt them, with the number on pointing at it."""
+    if not is_known(log10) or abs(log10) < CERTAIN:
+        return odds(log10)
+    return _with_tooltip("certain" if log10 > 0 else "excluded", f"odds of {odds(log10)}")
+
+
+def probability_cell(p: float | None) -> str:
+    """A p-value, by its bound once it is tiny, with the number on pointing at it."""
+    if not is_known(p) or p >= 10**-CERTAIN:
+        return probability(p)
+    return _with_tooltip("< 1e-6", f"p = {probability(p)}".replace("= <", "<"))
+
+
+def _with_tooltip(shown: str, meant: str) -> Markup:
+    return Markup('<abbr title="{}">{}</abbr>').format(typeset(meant), typeset(shown))
+
+
 def with_commands(text: str) -> Markup:
     """A message for the terminal, verbatim: what stands there in backticks is set as code."""
     parts = text.split("`")
@@ -99,6 +128,17 @@ TEMPLATES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+_SECTION = re.compile(r'<section id="([^"]+)">\s*<h2>(.*?)</h2>', re.DOTALL)
+_FEWEST_SECTIONS = 3  # of which a list helps
+
+
+def contents_of(main: Markup) -> list[tuple[str, Markup]]:
+    """Places and titles of the sections of a page's own markup, none where there are few."""
+    found = [(place, Markup(title)) for place, title in _SECTION.findall(str(main))]
+    return found if len(found) >= _FEWEST_SECTIONS else []
+
+
+TEMPLATES.filters["contents"] = contents_of
 TEMPLATES.filters["verbatim"] = Verbatim
 TEMPLATES.filters["commands"] = with_commands
 

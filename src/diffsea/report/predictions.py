@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import plotly.graph_objects as go
-from jaxtyping import Float
 
 from diffsea.report import plots
+from diffsea.report.histories import Curve, compared_histories
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
 from diffsea.report.quantities import is_known
-from diffsea.report.words import diverged_predictions, two_digits
+from diffsea.report.tracks import Flow, compared_tracks
+from diffsea.report.words import capital, diverged_predictions, two_digits
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -24,19 +24,13 @@ from diffsea.vessel.base import Vessel
 
 _COUNTS = ("starts", "diverged")  # beside the errors of a horizon
 OPEN_RUNS = 4  # of those held out; more would make the page long before it is read
-MARGIN = 0.06  # of a panel's range, above and below its curves
+PANEL_HEIGHT = 140  # pixels, of a history
 _QUANTITIES = (
     ("position", "position (m)", "m"),
     ("heading", "heading (deg)", "rad"),
     ("u", "u (m/s)", "m/s"),
     ("v", "v (m/s)", "m/s"),
     ("r", "yaw rate (deg/s)", "rad/s"),
-)
-_PANELS = (
-    ("psi", "heading (deg)", math.degrees(1.0)),
-    ("r", "yaw rate (deg/s)", math.degrees(1.0)),
-    ("u", "speed ahead u (m/s)", 1.0),
-    ("v", "speed to starboard v (m/s)", 1.0),
 )
 _MODEL_LINES = (
     {"color": plots.NOMINAL, "width": 1.6, "dash": "dash"},
@@ -45,7 +39,6 @@ _MODEL_LINES = (
 _MEASURED_LINE = {"color": plots.MEASURED, "width": 4}
 
 Errors = Mapping[float, Mapping[str, float]]  # by horizon (s), then by quantity
-Curve = tuple[str, Trajectory, dict[str, object]]  # name, run and line
 
 
 class Prediction(NamedTuple):
@@ -63,10 +56,11 @@ class Prediction(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ComparedRun:
-    """One run and the predictions of it by model, the result last."""
+    """One run and the predictions of it by model, the result last; `units` are those of orders."""
 
     recording: Trajectory
     predictions: dict[str, Prediction]
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 def predict(vessel: Vessel, run: Trajectory) -> Prediction:
@@ -94,7 +88,8 @@ def compare(
     if diagnosed is not None:
         after = [predict(vessel, run) for vessel, run in zip(diagnosed, runs, strict=True)]
     both = zip(runs, before, after, strict=True)
-    return [ComparedRun(run, {"nominal": old, "diagnosed": new}) for run, old, new in both]
+    units = nominal[0].units if nominal else {}
+    return [ComparedRun(run, {"nominal": old, "diagnosed": new}, units) for run, old, new in both]
 
 
 def horizon_table(comparisons: Sequence[ComparedRun]) -> list[dict[str, Any]]:
@@ -147,9 +142,22 @@ class PredictionSection:
     more_runs: Sequence[RunPlots]
     left_out: bool
 
+    def without_first_track(self) -> tuple[Plot | None, "PredictionSection"]:
+        """The track of the first run, to stand beside a page's first sentence, and the rest."""
+        if not self.runs or len(self.runs[0].plots) < 2:
+            return None, self
+        (track, *histories), name = self.runs[0].plots, self.runs[0].name
+        moved = dataclasses.replace(track, caption=f"{name}: recorded and predicted.", height=400)
+        rest = [RunPlots(name, histories), *self.runs[1:]]
+        return moved, dataclasses.replace(self, runs=rest)
+
 
 def prediction_section(
-    comparisons: Sequence[ComparedRun], models: Mapping[str, str], most: int, worst: int | None
+    comparisons: Sequence[ComparedRun],
+    models: Mapping[str, str],
+    most: int,
+    worst: int | None,
+    flows: Sequence[Flow] = (),
 ) -> PredictionSection:
     """What models predict of runs from their first state and their orders alone.
 
@@ -157,9 +165,10 @@ def prediction_section(
         models: how each model is called; the last is the result.
         most: rows of a run that are drawn.
         worst: how many runs to draw, those that are predicted worst; all of them if None.
+        flows: current and wind that the last model has.
     """
     shown = comparisons if worst is None else worst_predicted(comparisons, list(models), worst)
-    drawn = [_run_plots(one, models, f"held-out-{k}", most) for k, one in enumerate(shown)]
+    drawn = [_run_plots(one, models, f"held-out-{k}", most, flows) for k, one in enumerate(shown)]
     rows = [_error_row(row, models) for row in horizon_table(comparisons)]
     used = [k for k, _ in enumerate(_QUANTITIES) if any(row[k + 2] for row in rows)]
     columns = ["seconds ahead", "predictions", *(_QUANTITIES[k][1] for k in used)]
@@ -211,7 +220,9 @@ def _error_row(row: dict[str, Any], models: Mapping[str, str]) -> list[str]:
     return [f"{row['seconds']:g}", str(row["starts"]) + diverged, *cells]
 
 
-def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: int) -> RunPlots:
+def _run_plots(
+    one: ComparedRun, models: Mapping[str, str], group: str, most: int, flows: Sequence[Flow]
+) -> RunPlots:
     """Track and histories of one run, as far as they were measured."""
     name, who = one.recording.name, " and ".join(models.values())
     lines = _MODEL_LINES[-len(models) :]
@@ -221,89 +232,11 @@ def _run_plots(one: ComparedRun, models: Mapping[str, str], group: str, most: in
     drawn = []
     if one.recording.has("x") and one.recording.has("y"):
         text = f"Track of {name}, measured and predicted ({who})."
-        drawn.append(Plot(compared_tracks(curves, group, most), text, 460))
-    if any(one.recording.has(channel) for channel, _, _ in _PANELS):
-        text = f"Heading, yaw rate and speeds of {name}, measured and predicted ({who})."
-        drawn.append(Plot(compared_histories(curves, group, most), text, 560))
+        drawn.append(Plot(compared_tracks(curves, group, most, flows), text, 460))
+    histories, panels = compared_histories(curves, group, most, one.units)
+    if panels:
+        text = (
+            f"{capital(', '.join(panels))} of {name} against time, measured and predicted ({who})."
+        )
+        drawn.append(Plot(histories, text, PANEL_HEIGHT * len(panels)))
     return RunPlots(name, drawn)
-
-
-def compared_tracks(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
-    """Tracks from above, north up; the axes leave out what strays far from the measured one.
-
-    Arguments:
-        curves: what was measured, then each prediction, the result last.
-        group: of plots that share a cursor.
-        most: points of a track.
-    """
-    drawn = plots.figure(**plots.TRACK_LAYOUT | {"showlegend": True})
-    north, east = ([plots.thin_rows(run, c, most) for _, run, _ in curves] for c in ("x", "y"))
-    room = max(float(np.nanmax(series[0]) - np.nanmin(series[0])) for series in (north, east))
-    for k, (name, run, line) in enumerate(curves):
-        times = plots.numbers(plots.thin_rows(run, "t", most), plots.TIME_DIGITS)
-        x, y = plots.numbers(east[k]), plots.numbers(north[k])
-        drawn.add_scatter(x=x, y=y, customdata=times, mode="lines", name=name, line=line)
-    drawn.update_traces(hovertemplate="%{customdata} s: %{x} m east, %{y} m north")
-    drawn.update_xaxes(range=_axis_range(east, room))
-    drawn.update_yaxes(range=_axis_range(north, room))
-    colours = [str(line["color"]) for _, _, line in curves]
-    return plots.add_track_markers(drawn, group, range(len(curves)), colours)
-
-
-def compared_histories(curves: Sequence[Curve], group: str, most: int) -> go.Figure:
-    """Heading, yaw rate and speeds against time, measured beside predicted, as far as measured.
-
-    Arguments: as of `compared_tracks`. Angles are in degrees, headings without steps of a turn.
-    """
-    panels = [panel for panel in _PANELS if curves[0][1].has(panel[0])]
-    margin = {"t": 24, "b": 36, "l": 48, "r": 8}
-    drawn = plots.figure(hovermode="x", margin=margin, showlegend=False)
-    for k, (channel, title, scale) in enumerate(panels):
-        values = [plots.thin_rows(run, channel, most) * scale for _, run, _ in curves]
-        if channel == "psi":
-            values = on_one_turn(values)
-        axis = f"y{k + 1}" if k else "y"
-        for (name, run, line), series in zip(curves, values, strict=True):
-            x = plots.numbers(plots.thin_rows(run, "t", most), plots.TIME_DIGITS)
-            y = plots.numbers(series)
-            drawn.add_scatter(x=x, y=y, mode="lines", name=name, line=line, xaxis="x", yaxis=axis)
-        domain = plots.panel_of(k, len(panels), MARGIN)
-        shape = {"domain": domain, "nticks": 5, "range": _axis_range(values)}
-        drawn.update_layout({f"yaxis{k + 1}": shape})
-        drawn.add_annotation(plots.heading(title, domain[1]))
-    drawn.update_layout(xaxis={"title": {"text": "time (s)"}, "anchor": f"y{len(panels)}"})
-    return plots.add_time_cursor(drawn, group)
-
-
-def on_one_turn(headings: Sequence[Float[np.ndarray, "row"]]) -> list[Float[np.ndarray, "row"]]:
-    """Headings in degrees without steps, all on the turn of the first one."""
-    out: list[np.ndarray] = []
-    for psi in headings:
-        finite = np.isfinite(psi)
-        whole = psi.copy()
-        whole[finite] = np.unwrap(psi[finite], period=360.0)
-        if out and finite.any():
-            both = finite & np.isfinite(out[0])
-            first = int(np.argmax(both))
-            whole -= 360.0 * np.round((whole[first] - out[0][first]) / 360.0) if both.any() else 0.0
-        out.append(whole)
-    return out
-
-
-def _axis_range(
-    series: Sequence[Float[np.ndarray, "row"]], room: float | None = None
-) -> list[float]:
-    """Range of the first series with a margin, and of the others while within `room` of it.
-
-    `room` is the range of the first one if None; NaN counts for nothing.
-    """
-    finite = [s[np.isfinite(s)] for s in series]
-    finite = [s for s in finite if s.size] or [np.zeros(1)]
-    low, high = float(finite[0].min()), float(finite[0].max())
-    room = max(high - low if room is None else room, 1e-6)
-    first, last = low - room, high + room
-    for values in finite[1:]:
-        low = min(low, max(float(values.min()), first))
-        high = max(high, min(float(values.max()), last))
-    margin = MARGIN * max(high - low, 1e-6)
-    return [low - margin, high + margin]

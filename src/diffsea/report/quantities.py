@@ -97,6 +97,12 @@ def probability(p: float | None) -> str:
     return f"{p:.0e}".replace("e-0", "e-") if p < 1e-3 else significant(min(p, 1.0), 2)
 
 
+def p_equals(p: float | None) -> str:
+    """A p-value with its sign: `p = 0.03`, `p < 1e-99`."""
+    told = probability(p)
+    return f"p {told}" if told.startswith("<") else f"p = {told}"
+
+
 def interval(bounds: Sequence[float | None], unit: str = "") -> str:
     """An interval in people's units: `0.294 to 0.308 m/s`; an end that is not finite is `open`."""
     low, high = (for_people(end, unit)[0] if is_known(end) else None for end in bounds)

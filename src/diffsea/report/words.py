@@ -14,7 +14,7 @@ from diffsea.report.quantities import (
     duration,
     is_known,
     odds,
-    probability,
+    p_equals,
     round_to_error,
     significant,
     with_error,
@@ -270,10 +270,9 @@ def remainder_sentence(summary: Record) -> str:
         return ""
     if p < SURE_REMAINDER:
         return (
-            "Structure remains in the residuals that the model does not explain "
-            f"(p = {probability(p)})."
+            f"Structure remains in the residuals that the model does not explain ({p_equals(p)})."
         )
-    told = f"No significant structure remains in the residuals (p = {probability(p)})"
+    told = f"No significant structure remains in the residuals ({p_equals(p)})"
     if summary["verdict"] == "unexplained":
         return f"{told}, but runs held out are still predicted worse than noise explains."
     return f"{told}."

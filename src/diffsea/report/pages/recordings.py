@@ -7,18 +7,18 @@ import numpy as np
 
 from diffsea.recordings import Finding
 from diffsea.report import plots
+from diffsea.report.histories import Curve, compared_histories
 from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, render
 from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pictures import SEGMENT_COLOURS
 from diffsea.report.predictions import (
+    PANEL_HEIGHT,
     ComparedRun,
-    Curve,
     Prediction,
-    compared_histories,
-    compared_tracks,
     prediction_section,
 )
 from diffsea.report.quantities import for_people, significant, with_error
+from diffsea.report.tracks import compared_tracks
 from diffsea.report.words import Record, as_words, capital, count_recordings
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
@@ -38,9 +38,10 @@ def run_plots(run: Trajectory, group: str, alternative: str = "") -> list[Plot]:
     if run.has("x") and run.has("y"):
         tracks = compared_tracks(curves, group, DRAWN_ROWS)
         drawn.append(Plot(tracks, f"Track of {name}, north up.", 420))
-    if any(run.has(channel) for channel in ("psi", "r", "u", "v")):
-        histories = compared_histories(curves, group, DRAWN_ROWS)
-        drawn.append(Plot(histories, f"Heading, turning rate and speed of {name}.", 520))
+    histories, panels = compared_histories(curves, group, DRAWN_ROWS)
+    if panels:
+        text = f"{capital(', '.join(panels))} of {name} against time."
+        drawn.append(Plot(histories, text, PANEL_HEIGHT * len(panels)))
     return drawn
 
 
