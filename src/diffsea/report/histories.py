@@ -29,7 +29,7 @@ _ANGLES = {"rad": ("deg", math.degrees(1.0))}  # how orders are shown, by their 
 
 Rows = dict[str, Float[np.ndarray, "row"]]
 Curve = tuple[str, Trajectory, dict[str, object]]  # name, run and line
-Line = tuple[str, Float[np.ndarray, "row"], Float[np.ndarray, "row"], dict[str, object]]
+Line = tuple[str, Float[np.ndarray, "_"], Float[np.ndarray, "_"], dict[str, object]]
 
 
 class Panel(NamedTuple):
@@ -142,8 +142,8 @@ def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[
 
 
 def on_one_turn(
-    headings: Sequence[tuple[Float[np.ndarray, "row"], Float[np.ndarray, "row"]]],
-) -> list[tuple[Float[np.ndarray, "row"], Float[np.ndarray, "row"]]]:
+    headings: Sequence[tuple[Float[np.ndarray, "_"], Float[np.ndarray, "_"]]],
+) -> list[tuple[Float[np.ndarray, "_"], Float[np.ndarray, "_"]]]:
     """Times and headings in degrees without steps, all on the turn of the first one."""
     out: list[tuple[np.ndarray, np.ndarray]] = []
     for t, psi in headings:
@@ -156,9 +156,7 @@ def on_one_turn(
     return out
 
 
-def axis_range(
-    series: Sequence[Float[np.ndarray, "row"]], room: float | None = None
-) -> list[float]:
+def axis_range(series: Sequence[Float[np.ndarray, "_"]], room: float | None = None) -> list[float]:
     """Range of the first series with a margin, and of the others while within `room` of it.
 
     `room` is the range of the first one if None; NaN counts for nothing.

@@ -164,7 +164,11 @@ class CampaignResult(Tabulated):
 
     def html(self) -> str:
         """The page."""
-        drawn = [TrialRun(t.name, t.side, t.run, t.log) for t in self.trials if t.run is not None]
+        drawn = [
+            TrialRun(t.name, t.side, t.run, t.log, t.metrics)
+            for t in self.trials
+            if t.run is not None
+        ]
         source = {"vessel": self.vessel.name} | (
             {"numbers from": self.vessel.source} if self.vessel.source else {}
         )

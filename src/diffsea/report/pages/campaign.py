@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
+from diffsea.report.pages.trial_marks import mark_crossings, mark_overshoots
 from diffsea.report.quantities import for_people, significant
 from diffsea.report.words import Record, capital
 from diffsea.trajectory import Samples, Trajectory
@@ -47,6 +48,7 @@ class TrialRun:
     side: str
     run: Trajectory
     log: Mapping[str, Samples]
+    metrics: Mapping[str, Any]
 
 
 def campaign_page(record: Record, runs: Sequence[TrialRun], source: Record) -> str:
@@ -220,6 +222,7 @@ def _tracks(runs: Sequence[TrialRun], group: str) -> go.Figure:
         north, east = log["x"][rows] - x, log["y"][rows] - y
         ahead = math.cos(psi) * north + math.sin(psi) * east
         starboard = math.cos(psi) * east - math.sin(psi) * north
+        mark_crossings(drawn, _rows_of(log, rows), one.metrics, (starboard, ahead), _colour(one))
         drawn.add_scatter(
             x=plots.numbers(starboard),
             y=plots.numbers(ahead),
@@ -249,12 +252,18 @@ def _histories(runs: Sequence[TrialRun], group: str) -> go.Figure:
             y = plots.numbers(one.log[column][rows] * scale)
             line = {"color": _colour(one), "width": 1.8}
             drawn.add_scatter(x=x, y=y, name=one.side, line=line, **axis)
+            if column == "psi_relative":
+                mark_overshoots(drawn, one.log, one.metrics, _colour(one))
         domain = plots.panel_of(k, len(panels), 0.06)
         drawn.update_layout({f"yaxis{k + 1}": {"domain": domain, "nticks": 5}})
         drawn.add_annotation(plots.heading(title, domain[1]))
     title = {"text": "time since the onset (s)"}
     drawn.update_layout(xaxis={"title": title, "anchor": f"y{len(panels)}"})
     return plots.add_time_cursor(drawn, group)
+
+
+def _rows_of(log: Mapping[str, Samples], rows: slice) -> dict[str, Samples]:
+    return {name: np.asarray(series)[rows] for name, series in log.items()}
 
 
 def _thinned(one: TrialRun) -> slice:

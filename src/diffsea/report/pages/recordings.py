@@ -171,7 +171,7 @@ def segments_page(
     for k, (run, segments, notes) in enumerate(found[:DRAWN_RUNS]):
         drawn = run_plots(run, f"run-{k}")
         for one in drawn:
-            if one.figure.layout.meta["cursor"] == "time":
+            if one.figure.layout["meta"]["cursor"] == "time":
                 _shade(one, segments)
         sentences = [f"{capital(note)}." for note in notes]
         sections.append(Section(run.name, sentences, drawn, [_segment_table(segments)]))
