@@ -55,7 +55,7 @@ def test_every_plot_is_drawn_without_complaint_or_request(page):
 
 
 def test_hovering_moves_the_cursor_in_all_plots_of_the_run(page):
-    track, times, other = (plot("held-out", k) for k in (0, 1, 3))
+    track, times, other = plot("verdict", 0), plot("held-out", 0), plot("held-out", 2)
     line = f"{times}.layout.shapes[0]"
     assert page.run(f"{line}.visible") is False
     for share in (0.25, 0.75):
@@ -74,7 +74,7 @@ def test_hovering_moves_the_cursor_in_all_plots_of_the_run(page):
 
 
 def test_the_slider_of_time_moves_the_cursor_and_follows_it(page):
-    track, times = plot("held-out", 0), plot("held-out", 1)
+    track, times = plot("verdict", 0), plot("held-out", 0)
     slider = f"{track}.parentElement.querySelector('.time input')"
     # Plotly tells of a hover up to 50 ms late: one of the test before would move the cursor back.
     page.mouse(0, 0)
@@ -118,13 +118,13 @@ def test_hovering_a_map_moves_the_mark_on_its_track(page):
 
 
 def test_a_legend_entry_hides_its_curves_in_all_plots_of_the_run(page):
-    track, times = plot("held-out", 0), plot("held-out", 1)
+    track, times = plot("verdict", 0), plot("held-out", 0)
     shown = (
         f"[...{track}.data, ...{times}.data].filter(t => t.name === 'nominal')"
         ".map(t => t.visible ?? true)"
     )
     entry = f"{track}.querySelectorAll('.legendtoggle')[1]"
-    assert page.run(shown) == [True] * 5
+    assert page.run(shown) == [True] * 6
     for wanted in ("legendonly", True):
         page.run(f"{track}.scrollIntoView({{block: 'center'}})")
         at = page.run(
