@@ -23,7 +23,13 @@ from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.identification.uncertainty.sources import Source, Sources
-from diffsea.report.diagnosis import diagnosis_report
+from diffsea.report import words
+from diffsea.report.diagnosis import (
+    candidate_ranking,
+    diagnosis_report,
+    interval_of,
+    unseen_table,
+)
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.histories import on_one_turn
 from diffsea.report.page import TEMPLATES, Plot, Verbatim, with_commands
@@ -444,6 +450,28 @@ def test_held_out_runs_are_drawn_in_people_s_units():
     titles = [note["text"] for note in times["layout"]["annotations"]]
     assert titles[0] == "heading (deg)" and titles[1] == "yaw rate (deg/s)"
     assert track["layout"]["meta"]["group"] == times["layout"]["meta"]["group"]
+
+
+def test_a_page_says_each_number_of_an_accepted_effect_once():
+    result = summary_of("explained")
+    accepted = next(one for one in result["candidates"] if one["status"] == "accepted")
+    alone = {"speed": {"value": 9.87, "std": 0.01, "unit": "m/s"}}
+    accepted |= {"parameters": alone, "log10_odds": 5.4, "p_value": 0.02}
+    (effect,) = words.named_effects(result)
+    row = next(row for row in candidate_ranking(result).best.rows if row[1] == "accepted")
+    speed = effect["parameters"]["speed"]
+    assert interval_of(speed) in row[5] and "9.8" not in row[5]
+    assert "certain" in row[2] and "1.3e-9" not in row[3] and "0.02" not in row[3]
+
+
+def test_detection_limits_say_of_what():
+    result = summary_of("explained")
+    result["detection_limits"] = [
+        {"name": "sensor-latency", "channels": [c], "parameter": "delay", "limit": 0.1, "unit": "s"}
+        for c in ("psi", "u")
+    ]
+    names = [row[0] for row in unseen_table(result).rows]
+    assert names == ["sensor latency of psi", "sensor latency of u"]
 
 
 def test_headings_lie_on_one_turn():

@@ -350,7 +350,7 @@ def _limit(problem: Problem, name: str, limit: float | None) -> Record:
         "name": catalogue_name(name),
         **effect.place.in_file(problem.base),
         "parameter": effect.stated_key,
-        "unit": effect.units[effect.stated_key],
+        "unit": effect.place.unit_on(problem.base, effect.units[effect.stated_key]),
         "limit": limit,
     }
     if limit is None:

@@ -266,7 +266,8 @@ def candidate_ranking(summary: Record) -> Ranking | None:
         place = places.get(one.get("status", ""), len(places))
         return place, -size if is_known(size) else math.inf
 
-    ranked = sorted(summary.get("candidates") or [], key=order)
+    candidates = [_as_found(one, summary) for one in summary.get("candidates") or []]
+    ranked = sorted(candidates, key=order)
     if not ranked:
         return None
     weighed = [
@@ -289,6 +290,24 @@ def candidate_ranking(summary: Record) -> Ranking | None:
     return Ranking(
         plot, key, Table(columns, best, numeric=numeric), Table(columns, weaker, numeric=numeric)
     )
+
+
+def _as_found(candidate: Record, summary: Record) -> Record:
+    """A candidate that was accepted with the numbers that it has in the final model.
+
+    A page says each number once: by itself a candidate has slightly others than beside the rest.
+    """
+    if candidate.get("status") != "accepted":
+        return candidate
+    same = [
+        effect
+        for effect in words.named_effects(summary)
+        if (effect["name"], acted_on(effect)) == (candidate["name"], acted_on(candidate))
+    ]
+    if len(same) != 1:
+        return candidate
+    known = {key: value for key, value in same[0]["evidence"].items() if is_known(value)}
+    return candidate | known | {"parameters": same[0]["parameters"]}
 
 
 def candidate_label(candidate: Record) -> str:
@@ -364,7 +383,7 @@ def unseen_table(summary: Record) -> Table | None:
         size, limit = "not at any plausible size", one.get("limit")
         if is_known(limit):
             size = round_to_error(abs(limit), 0.1 * abs(limit), one.get("unit", ""))
-        name = words.as_words(one["name"].replace(":", ", ").replace("_", " "))
+        name = words.as_words(one["name"].replace(":", ", ").replace("_", " ")) + acted_on(one)
         parameter = str(one.get("parameter") or "").replace("_", " ")
         rows.append([name, parameter, size, one.get("note") or ""])
     return Table(["candidate", "parameter", "smallest size that would show", "note"], rows)
