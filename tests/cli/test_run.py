@@ -202,6 +202,7 @@ def test_a_grid_writes_a_row_for_each_combination(tmp_path, capsys):
     assert "Best runs" in page and "Smallest path rms of completed runs" in page
 
 
+@pytest.mark.proof
 def test_tuning_writes_the_mission_that_it_ran(tmp_path, capsys):
     mission, out = tmp_path / "mission.toml", tmp_path / "out"
     mission.write_text(SHORT)

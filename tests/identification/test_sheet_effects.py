@@ -69,6 +69,7 @@ def test_the_odds_of_an_even_vessel_speak_against_one(vessel):
     assert even.log10_odds["thrust-asymmetry"] < 0
 
 
+@pytest.mark.proof
 def test_the_evidence_is_that_of_the_whole_posterior(vessel):
     """The marginal likelihoods, which Laplace's formula is for, summed up on a grid."""
     priors = default_priors(vessel)

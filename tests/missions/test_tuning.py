@@ -67,6 +67,7 @@ def test_derivatives_through_the_closed_loop_are_those_of_differences():
         assert exact[k] == pytest.approx(central, rel=1e-5), name
 
 
+@pytest.mark.proof
 def test_tuning_finds_the_least_cost_of_a_grid_from_afar():
     mission = course()
     ranges = {"heading.gain": (0.2, 4.0)}

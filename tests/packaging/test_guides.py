@@ -55,7 +55,7 @@ def applied(text: str, hunks: list[tuple[str, list[str]]]) -> str:
     return "\n".join(lines)
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_trial_added_by_the_guide_passes_its_test_and_fails_it_with_a_sign_turned(tmp_path):
     files = changes(GUIDE.read_text(encoding="utf-8"))
     assert sorted(path.split("/")[0] for path in files) == ["src"] * 4 + ["tests"]

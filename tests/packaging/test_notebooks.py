@@ -7,6 +7,11 @@ from tests.paths import ROOT
 
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+QUICKEST = ("fit", "sweep")  # the others run by `make proof`
+RUN = [
+    pytest.param(path, id=path.stem, marks=[] if path.stem in QUICKEST else pytest.mark.proof)
+    for path in NOTEBOOKS
+]
 
 
 def rich_results(book: nbformat.NotebookNode) -> set[str]:
@@ -27,7 +32,7 @@ def test_a_notebook_is_kept_without_output(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", RUN)
 def test_a_notebook_runs_and_shows_tables_and_pictures(path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT / "src"))
     book = nbformat.read(path, 4)

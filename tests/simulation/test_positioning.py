@@ -172,8 +172,10 @@ TURNS = {
 }
 
 
-@pytest.mark.parametrize("turns", TURNS)
-@pytest.mark.parametrize("current", [(0.0, 0.0), (0.15, -0.1)])
+@pytest.mark.parametrize(
+    ("turns", "current"),
+    [("on and on", (0.0, 0.0)), *((turns, (0.15, -0.1)) for turns in TURNS)],
+)
 def test_a_ferry_with_azimuth_thrusters_comes_to_its_pose_and_stays_there(current, turns):
     boat = azimuth_boat(TURNS[turns], time_constant=0.3)
     water = Environment(*map(jnp.asarray, current))

@@ -70,7 +70,7 @@ def test_a_wind_too_strong_for_a_trim_says_so():
     assert not bool(trim.found) and float(trim.crab) == 0.0 and float(trim.angle) == 0.0
 
 
-@pytest.mark.parametrize("drag", ["linear", "quadratic"])
+@pytest.mark.parametrize("drag", ["linear", pytest.param("quadratic", marks=pytest.mark.proof)])
 def test_a_trim_has_the_derivative_of_its_differences(drag):
     """Also where there is no drift, where a quadratic drag has no slope."""
     vessel, _ = boat("current", drag)

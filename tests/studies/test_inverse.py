@@ -61,6 +61,7 @@ def test_one_number_is_met_by_several_designs_each_by_its_own_trial(numbers, ans
         assert all(low < one.parameters[n] < high for n, (low, high) in RANGES.items())
 
 
+@pytest.mark.proof
 def test_what_no_design_has_is_approached_and_told(numbers, answer):
     vessel, plan, _ = trial_of()
     wanted = {"overshoot_1": 5 * float(answer.swept["overshoot_1"].max())}

@@ -115,6 +115,7 @@ def test_a_sweep_from_python_takes_a_client_and_tells_how_far_it_is(harbour, wor
     assert shares == [0.5, 1.0]
 
 
+@pytest.mark.proof
 def test_a_worker_killed_amid_a_sweep_loses_nothing(
     harbour, workers, whole, attempts, tmp_path, monkeypatch
 ):

@@ -43,6 +43,14 @@ def run(harbour, *words):
 
 
 @pytest.fixture(scope="module")
+def audited(harbour, tmp_path_factory):
+    """The output folder of a fleet that was audited."""
+    out = tmp_path_factory.mktemp("fleet") / "out"
+    assert run(harbour, "--until", "audit", "--jobs", 2, "-o", out) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
 def fitted(harbour, tmp_path_factory):
     """The output folder of a fleet that was fitted."""
     out = tmp_path_factory.mktemp("fleet") / "out"
@@ -50,8 +58,8 @@ def fitted(harbour, tmp_path_factory):
     return out
 
 
-def test_every_recording_is_a_row_and_a_broken_log_says_why(fitted):
-    rows = pd.read_parquet(fitted / "fleet.parquet").to_dict("records")
+def test_every_recording_is_a_row_and_a_broken_log_says_why(audited):
+    rows = pd.read_parquet(audited / "fleet.parquet").to_dict("records")
     failed = {row["boat"]: row for row in rows if row["status"] == "failed"}
     assert len(rows) == 10 and set(failed) == {"torn", "ghost"}
     assert failed["torn"]["recording"].endswith("random-fast.csv") and failed["torn"]["reason"]
@@ -69,6 +77,7 @@ def test_a_boat_is_fitted_beside_its_broken_log(fitted, harbour):
     assert alone == pytest.approx(row["value"], rel=1e-4)
 
 
+@pytest.mark.proof
 def test_the_boat_in_the_current_is_the_one_that_changed(fitted):
     table = pd.read_parquet(fitted / "fleet.parquet").groupby("boat")["changed"].first()
     assert table.to_dict()["adrift"] is True and table.to_dict()["sound"] is False
@@ -78,6 +87,7 @@ def test_the_boat_in_the_current_is_the_one_that_changed(fitted):
     assert "ghost" in page[page.index('id="failures"') : page.index('id="boats"')]
 
 
+@pytest.mark.proof
 def test_a_run_goes_on_with_the_boats_that_are_kept(fitted, harbour, capsys, monkeypatch):
     """Only the boat whose log has changed is done again; where files lie does not count."""
     moved = fitted.parent / "moved"
