@@ -584,6 +584,11 @@ def test_a_page_says_where_what_was_found_does_not_improve_the_motion():
     assert "not the motion 20 s and 60 s ahead" in unimproved_sentence(summary)
     assert unimproved_sentence(summary | {"held_out": {"horizons": horizons[:1]}}) == ""
     assert unimproved_sentence(summary | {"effects": []}) == ""
+    for (old, new), row in zip(((0.1, 0.05), (0.1, 0.109), (0.1, 0.12)), horizons, strict=True):
+        row["nominal"] |= {"position": 3.0, "heading": old}
+        row["diagnosed"]["heading"] = new
+    told = unimproved_sentence(summary)
+    assert told == "Predicted worse with it: heading 60 s ahead (5.7 deg -> 6.9 deg)."
 
 
 @pytest.mark.parametrize("held_out", [True, False])

@@ -22,7 +22,6 @@ from diffsea.vessel.base import Vessel
 
 
 MODELS = {"start": "vessel file", "fitted": "fitted"}
-WORSE = 1.1  # times the error of the vessel file, which chance alone hardly gives
 SHOWN_RUNS = 2  # the two that are predicted worst tell most
 DRAWN_ROWS = 1500  # of a run: more cannot be told apart
 
@@ -133,7 +132,9 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
     if row is None:
         return ""
     before, after = row["start"], row["fitted"]
-    worse = [n for n in ("position", "heading") if n in after and after[n] > WORSE * before[n]]
+    worse = [
+        n for n in ("position", "heading") if n in after and after[n] > words.WORSE * before[n]
+    ]
     if not worse:
         return ""
     ahead, what = f"{row['seconds']:g} s ahead", words.enumeration(worse)

@@ -209,24 +209,36 @@ def prediction_sentence(summary: Record) -> str:
     return f"{what} off by {after} with what was found, instead of {before}."
 
 
-def unimproved_sentence(summary: Record) -> str:
-    """How far ahead what was found does not improve the predictions of held-out runs, or nothing.
+WORSE = 1.1  # times an error before, which chance alone hardly gives
 
-    Of the first quantity that was measured: position, else heading, else a speed.
+
+def unimproved_sentence(summary: Record) -> str:
+    """Where what was found does not improve the predictions of held-out runs, or nothing.
+
+    How far ahead the first quantity that was measured (position, else heading) is predicted no
+    better, and how far ahead another one is predicted worse by more than a tenth.
     """
     if not named_effects(summary):
         return ""
-    far = []
+    far, worse = [], []
     for row in summary.get("held_out", {}).get("horizons", []):
-        if quantities := known_quantities(row, MODELS):
-            old, new = (row[model][quantities[0]] for model in MODELS)
-            far += [f"{row['seconds']:g} s"] if new >= old else []
-    if not far:
-        return ""
-    return (
-        f"What was found explains single steps, but not the motion {enumeration(far)} ahead: "
-        "predictions there are no better with it."
-    )
+        ahead = f"{row['seconds']:g} s"
+        for number, quantity in enumerate(known_quantities(row, MODELS)):
+            old, new = (row[model][quantity] for model in MODELS)
+            if number == 0 and new >= old:
+                far.append(ahead)
+            elif number > 0 and new > WORSE * old:
+                change = " -> ".join(two_digits(one, _QUANTITIES[quantity]) for one in (old, new))
+                worse.append(f"{quantity} {ahead} ahead ({change})")
+    told = []
+    if far:
+        told.append(
+            f"What was found explains single steps, but not the motion {enumeration(far)} ahead: "
+            "predictions there are no better with it."
+        )
+    if worse:
+        told.append(f"Predicted worse with it: {enumeration(worse)}.")
+    return " ".join(told)
 
 
 def quick_sentence(not_done: Sequence[str]) -> str:
