@@ -351,7 +351,8 @@ def predict_command(args: argparse.Namespace) -> None:
         title = f"{recording.name} predicted by {vessel.name}"
         save_prediction(predicted, recording, out.path("prediction.png"), title)
         drawn = Prediction(predicted, ahead)
-        page = prediction_page(recording, drawn, result, options.source_of(args))
+        source = options.source_of(args)
+        page = prediction_page(recording, drawn, result, source, vessel.units)
         out.text("predict.html", page)
     out.present(args, _prediction_text(result))
 

@@ -218,15 +218,20 @@ def prediction_page(
     prediction: Prediction,
     result: Record,
     source: Record,
+    units: Mapping[str, str],
 ) -> str:
     """One run beside what a vessel's model makes of its orders.
 
     Arguments:
         prediction: the motion that was predicted, with its errors by horizon.
+        units: of orders, by channel.
         result: the content of predict.json.
     """
     told = prediction_section(
-        [ComparedRun(recording, {"model": prediction})], {"model": "predicted"}, DRAWN_ROWS, None
+        [ComparedRun(recording, {"model": prediction}, units)],
+        {"model": "predicted"},
+        DRAWN_ROWS,
+        None,
     )
     errors = result["overall"]
     worst = []

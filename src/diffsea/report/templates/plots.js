@@ -22,9 +22,20 @@
     return dark;
   }
 
+  // Lines that are too dark on a dark ground.
+  const lighter = { "#0072b2": "#56a8e6", "#d55e00": "#f0833a" };
+  const lines = new Map(); // colours of each plot's lines, as they came
+
+  function tones(holder, dark) {
+    return lines.get(holder).map((colour) => (dark && lighter[colour]) || colour);
+  }
+
   function recolour(dark) {
     for (const [holder, template] of templates) {
       Plotly.relayout(holder, { template: dark ? darkened(template) : template });
+      tones(holder, dark).forEach((colour, k) => {
+        if (lighter[lines.get(holder)[k]]) Plotly.restyle(holder, { "line.color": colour }, [k]);
+      });
     }
   }
 
@@ -39,6 +50,10 @@
     const template = layout.template;
     if (scheme.matches) layout.template = darkened(template);
     if (touch) layout.dragmode = false; // a finger scrolls the page
+    lines.set(holder, data.map((trace) => (trace.type || "scatter") === "scatter" && trace.line?.color));
+    tones(holder, scheme.matches).forEach((colour, k) => {
+      if (colour) data[k].line.color = colour;
+    });
     await Plotly.newPlot(holder, data, layout, config);
     templates.set(holder, template);
     const meta = layout.meta || {};
