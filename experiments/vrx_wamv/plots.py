@@ -3,7 +3,8 @@
 
 from experiments.harness.reporting import panels
 from experiments.vrx_wamv.closed import Driven
-from experiments.vrx_wamv.outside_class import JOINT, Outside
+from experiments.vrx_wamv.outside_class import Outside
+from experiments.vrx_wamv.outside_draws import JOINT
 from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, Path
 from experiments.vrx_wamv.plant import NEW, speed_for
 from experiments.vrx_wamv.procedure import (
