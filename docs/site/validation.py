@@ -120,19 +120,21 @@ def estimates(found: dict[str, Any]) -> str:
 
 
 def system(name: str, title: str) -> str:
-    """Published figures beside those obtained."""
+    """Published figures, or a rule's limits, beside those obtained."""
+    found = results(name)["comparison"]
+    beside = "limit" if "limit" in found[0] else "published"
     rows = [
         (
             row["quantity"],
-            number(row["published"]),
+            number(row[beside]),
             number(row["obtained"]),
             row["unit"],
             row["note"],
         )
-        for row in results(name)["comparison"]
+        for row in found
     ]
     return f"### {title}\n\n[The experiment]({readme(name)}).\n\n" + table(
-        ("quantity", "published", "obtained", "unit", "note"), rows
+        ("quantity", beside, "obtained", "unit", "note"), rows
     )
 
 

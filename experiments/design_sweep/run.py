@@ -10,7 +10,7 @@ from experiments.design_sweep import (
 )
 from experiments.design_sweep.loading import KINDS, MASS, STEP, THRUST
 from experiments.harness.memory import peak_memory
-from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
+from experiments.harness.reporting import Experiment, comparison, experiment, limited, table
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def main() -> None:
 def rows(criteria: list[dict]) -> list[dict]:
     """Every IMO criterion: its limit, and what the designs have."""
     return [
-        compared(
+        limited(
             c["criterion"], c["unit"], f"at most {c['limit']:g}",
             f"{c['least']:.3g} to {c['most']:.3g}",
             f"MSC.137(76) {c['section']}; {100 * c['share_pass']:.1f} % of the designs pass",

@@ -93,13 +93,21 @@ def compared(
     }  # fmt: skip
 
 
-def comparison(rows: Iterable[dict]) -> str:
-    """Rows of `compared` as a table."""
+def limited(quantity: str, unit: str, limit: float | str, obtained: object, note: str = "") -> dict:
+    """One row of a comparison with a rule's limit, which nobody measured."""
+    return {
+        "quantity": quantity, "unit": unit, "limit": limit, "obtained": obtained, "note": note,
+    }  # fmt: skip
+
+
+def comparison(rows: Sequence[dict]) -> str:
+    """Rows of `compared` as a table, or rows of `limited`."""
+    (beside,) = {"limit" if "limit" in row else "published" for row in rows}
     cells = [
-        (row["quantity"], shown(row["published"]), shown(row["obtained"]), row["unit"], row["note"])
+        (row["quantity"], shown(row[beside]), shown(row["obtained"]), row["unit"], row["note"])
         for row in rows
     ]
-    return table(("", "published", "obtained", "unit", ""), cells)
+    return table(("", beside, "obtained", "unit", ""), cells)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

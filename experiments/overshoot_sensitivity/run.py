@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from experiments.harness.reporting import Experiment, compared, comparison, experiment, table
+from experiments.harness.reporting import Experiment, comparison, experiment, limited, table
 from experiments.overshoot_sensitivity import at_the_sample, charts, differences, global_analysis
 from experiments.overshoot_sensitivity.trial_lanes import (
     CIRCLE_NUMBERS,
@@ -99,13 +99,13 @@ def limits(bench: Bench, local: list) -> list[dict]:
         ("20/20 first overshoot", local[1][0][k("overshoot_1")], 25 * RAD),
     )
     rows = [
-        compared(f"{bench.case.name}: {name}", "deg", f"at most {limit / RAD:g}", value / RAD,
-                 "IMO MSC.137(76) 5.3.3; the limit, not a measurement")
+        limited(f"{bench.case.name}: {name}", "deg", f"at most {limit / RAD:g}", value / RAD,
+                 "IMO MSC.137(76) 5.3.3")
         for name, value, limit in criteria
     ]  # fmt: skip
     if bench.case.circle:
         diameter = local[2][0][k("tactical_diameter")] / bench.case.length
-        rows.append(compared(f"{bench.case.name}: tactical diameter", "L", "at most 5", diameter,
+        rows.append(limited(f"{bench.case.name}: tactical diameter", "L", "at most 5", diameter,
                              "IMO MSC.137(76) 5.3.1"))  # fmt: skip
     return rows
 

@@ -15,9 +15,10 @@ from scipy.optimize import fsolve
 BEARINGS = np.deg2rad([0.0, 45.0, 90.0, 135.0, 180.0])
 TIMES = (2.4, 2.6, 3.0, 4.1, 5.1)  # s, Table III
 DISTANCES = (2.7, 2.8, 3.0, 3.1, 3.2)  # m
-REACHED = 0.99 * TOP_SPEED  # m/s: what "the maximum forward speed of 1.4 m/s" is taken for
+SHARE = 0.99  # of the terminal speed: what "the maximum forward speed of 1.4 m/s" is taken for
+REACHED = SHARE * TOP_SPEED  # m/s
 THRUSTS = (5.0, 10.0, 20.0, 40.0, 60.0, 80.0)  # N, figure 5
-# What D may be: the paper leaves it open.
+# Readings of D, which the paper does not define; a draught, as the same formulas have it elsewhere.
 READINGS = {
     "draught of two semicircular hulls (taken)": float(draught()),
     "draught of one semicircular hull": float(draught(hulls=1)),
@@ -43,14 +44,18 @@ def acceleration(names: list[str], lever: float) -> dict[str, np.ndarray]:
 
 
 def table_three(measured: np.ndarray) -> list[dict]:
-    """Table III beside what was obtained."""
+    """Table III beside what was obtained; what was taken for it stands in every row."""
+    taken = f"to {100 * SHARE:.0f} % of {TOP_SPEED:.3f} m/s; D {draught():.3f} m, thruster ahead"
     rows = []
     for k, bearing in enumerate(np.rad2deg(BEARINGS)):
         time, distance = measured[k]
+        note = taken if k else f"{taken}; the share was chosen by this row"
         rows += [
-            compared(f"time to top speed, waypoint at {bearing:.0f} deg", "s", TIMES[k], time),
-            compared(f"distance covered by then, {bearing:.0f} deg", "m", DISTANCES[k], distance),
-        ]
+            compared(f"time to top speed, waypoint at {bearing:.0f} deg", "s", TIMES[k], time,
+                     note),
+            compared(f"distance covered by then, {bearing:.0f} deg", "m", DISTANCES[k], distance,
+                     taken),
+        ]  # fmt: skip
     return rows
 
 
@@ -144,6 +149,6 @@ def turning_rows(turns: dict[float, Track]) -> list[dict]:
     """The published "around 0.2 m" beside the radius at each thrust."""
     return [
         compared(f"smallest turning radius at {thrust:.0f} N", "m", "around 0.2",
-                 turning_radius(track))
+                 turning_radius(track), "half the width of a half turn")
         for thrust, track in turns.items()
     ]  # fmt: skip

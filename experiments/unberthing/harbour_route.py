@@ -6,6 +6,8 @@ port, 300 m ahead, a change of course, 3 and 8 kn), the rest is chosen here.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from diffsea import State
 from diffsea.kinematics import wrap
@@ -33,6 +35,24 @@ class Place(eqx.Module):
     psi_d: Scalar  # rad to starboard of the route's course
     curvature: Scalar  # 1/m, to starboard
     speed: Scalar  # m/s aimed at
+
+
+def line(step: int, count: int = 50) -> Float[np.ndarray, "point 2"]:
+    """Points of the route of a step (1 to 5), m north and east of the berth, in order."""
+    share = np.linspace(0.0, 1.0, count)
+    straight = np.zeros(count)
+    if step == 1:
+        return np.stack([straight, -SIDEWAYS * share], axis=1)
+    if step in (2, 3):
+        begin, length = (0.0, AHEAD) if step == 2 else (AHEAD, STRAIGHT_3)
+        return np.stack([begin + length * share, straight - SIDEWAYS], axis=1)
+    turned = float(TURN) * (share if step == 4 else straight + 1)
+    north = AHEAD + STRAIGHT_3 + RADIUS * np.sin(turned)
+    east = -SIDEWAYS + RADIUS * (1 - np.cos(turned))
+    if step == 5:
+        north = north + STRAIGHT_5 * share * np.cos(TURN)
+        east = east + STRAIGHT_5 * share * np.sin(TURN)
+    return np.stack([north, east], axis=1)
 
 
 def _of_step(step: Scalar, *values: Scalar) -> Scalar:

@@ -18,6 +18,7 @@ def main() -> None:
     control = variants.systems()
     published, cured = control["published"], control["trusted, push borne"]
 
+    run.save(figures.plan(), "route")
     run.say("Exp. 1: unberthing")
     quay = stages.repeats(stages.EXP_1, 2 * draws)
     first = list(stages.logs(published, quay, lanes))

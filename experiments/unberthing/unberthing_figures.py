@@ -1,8 +1,9 @@
 # pyright: reportArgumentType=false
-"""Plots of the experiments and of the hundred seeds."""
+"""Plots of the route, the experiments and the hundred seeds."""
 
 from experiments.harness.reporting import panels
-from experiments.unberthing.harbour_ship import DEGREE
+from experiments.unberthing import harbour_route
+from experiments.unberthing.harbour_ship import DEGREE, KNOT
 from experiments.unberthing.unberthing_loop import Log
 from experiments.unberthing.unberthing_scores import wrong_way
 
@@ -16,6 +17,41 @@ COLOURS = {
     "trusted, push borne": "#3a8f5c", "no gate, push borne": "#d1720f",
 }  # fmt: skip
 _GREY = "#8a8a8a"
+
+
+def plan() -> Figure:
+    """Figure 6 of the paper: the five steps of the route, with the speed aimed at in each."""
+    route, (figure, ((axes,),)) = harbour_route, panels(1, 1, 5.0, 6.5)
+    turn = np.degrees(float(route.TURN))
+    told = (
+        f"{route.SIDEWAYS:.0f} m to port by thrusters",
+        f"{route.AHEAD:.0f} m ahead, {_knots(1)} kn at the end",
+        f"{route.STRAIGHT_3:.0f} m ahead, {_knots(2)} kn",
+        f"{turn:.0f} deg to starboard, radius {route.RADIUS:.0f} m, {_knots(3)} kn",
+        f"{route.STRAIGHT_5:.0f} m ahead, {_knots(4)} kn",
+    )
+    for step, words in enumerate(told, start=1):
+        points = route.line(step)
+        phase, colour = ("unberthing", "#1f5fa8") if step <= 2 else ("leaving", "#d1720f")
+        label = f"{phase} phase" if step in (1, 3) else None
+        axes.plot(points[:, 1], points[:, 0], color=colour, lw=2, label=label)
+        axes.plot(points[-1, 1], points[-1, 0], "o", color=colour, ms=4)
+        north, east = points[len(points) // 2]
+        line = {"arrowstyle": "-", "lw": 0.5}
+        axes.annotate(f"{step}: {words}", (east, north), (max(east, 20.0) + 40, north),
+                      fontsize=8, va="center", arrowprops=line)  # fmt: skip
+    axes.plot(0, 0, "s", color="black", ms=4)
+    axes.annotate("berth", (0, 0), (8, -12), textcoords="offset points", fontsize=8)
+    axes.set(xlabel="east, m", ylabel="north, m", xlim=(-150, 850), ylim=(-80, 1500))
+    axes.legend(frameon=False, fontsize=8, loc="upper left")
+    axes.set_aspect("equal")
+    axes.grid(linewidth=0.3)
+    axes.set_axisbelow(True)
+    return figure
+
+
+def _knots(k: int) -> str:
+    return f"{harbour_route.FAST[k] / KNOT:.3g}"
 
 
 def exp_1(published: Log, cured: Log) -> Figure:

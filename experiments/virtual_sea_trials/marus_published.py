@@ -10,7 +10,10 @@ import math
 
 LENGTH, BEAM, DRAUGHT, MASS = 2.952, 1.468, 1.361, 300.0  # m, m, m, kg; table 1
 TARGET_SPEED = 0.8311  # m/s, of SpeedHold
-SPEED_85 = 0.9235  # m/s, steady speed at 85 % of the largest continuous rating
+RATING_SHARE = 0.85  # of the largest continuous rating ...
+SPEED_85 = 0.9235  # m/s, ... and the steady speed there
+TARGET_SHARE = 0.9  # of that speed, about, is the target
+STARTS = "121 to 124"  # s, of the trials
 LARGEST_ANGLE = 35.0  # deg, rudder-equivalent of all thrust on one side
 YAW_RATE_LIMIT = 0.18  # deg/s, of an accepted approach
 SPEED_LIMIT = 0.9  # of the target, least mean speed of an accepted approach

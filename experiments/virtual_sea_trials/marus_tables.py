@@ -3,7 +3,13 @@
 import math
 
 from experiments.harness.reporting import compared, comparison, table
-from experiments.virtual_sea_trials import marus_asymmetry, marus_fit, marus_support, marus_trials
+from experiments.virtual_sea_trials import (
+    marus_asymmetry,
+    marus_fit,
+    marus_support,
+    marus_trials,
+    marus_vessel,
+)
 from experiments.virtual_sea_trials import marus_published as published
 
 
@@ -12,7 +18,7 @@ def assembled(
 ) -> tuple[dict, dict[str, str]]:
     """The record of results.json and the tables by key."""
     figures = _figures(found, uneven, runs)
-    rows = [*_approach(runs), *figures, *_traced(runs)]
+    rows = [*_begun(runs, found.hull), *_approach(runs), *figures, *_traced(runs)]
     results = {
         "comparison": rows,
         "campaign": _campaign(runs),
@@ -40,6 +46,23 @@ def assembled(
             "effects": _effects(beyond),
         }
     return results, tables
+
+
+def _begun(runs, hull: dict[str, float]) -> list[dict]:
+    """When the trials start and at which speed, with what was set or assumed for it."""
+    drag = marus_vessel.drag_at(hull, published.SPEED_85)
+    share = published.TARGET_SPEED / published.SPEED_85
+    starts = [marus_trials.onset(one.log) for one in runs.at_once]
+    return [
+        compared("start of the trials", "s", published.STARTS, max(starts),
+                 f"set: {marus_trials.SETTLING:g} ship lengths of running before the order"),
+        compared("target speed over that at 85 % of the rating", "1", published.TARGET_SHARE,
+                 share, "of the printed speeds"),
+        compared("largest continuous thrust, both thrusters", "N", None,
+                 drag / published.RATING_SHARE,
+                 "assumed: the rating is of thrust, so that 85 % of it is the drag at "
+                 f"{published.SPEED_85:g} m/s, {drag:.4g} N by the fit with both sides alike"),
+    ]  # fmt: skip
 
 
 def _approach(runs) -> list[dict]:

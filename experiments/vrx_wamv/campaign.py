@@ -58,7 +58,12 @@ def recorded(
     plant: AnyPlant, name: str, orders, seconds: float, rng: np.random.Generator, noise: float = 1.0
 ) -> Run:
     """Drive the plant from rest and measure it; `noise` scales the sensors' errors."""
-    true = driven(plant, orders, seconds, 1 / RATE)
+    return _measured(name, driven(plant, orders, seconds, 1 / RATE), rng, noise)
+
+
+def _measured(
+    name: str, true: dict[str, np.ndarray], rng: np.random.Generator, noise: float = 1.0
+) -> Run:
     measured = {
         channel: true[channel] + noise * std * rng.standard_normal(len(true["t"]))
         for channel, std in zip(CHANNELS, NOISE, strict=True)
@@ -89,6 +94,13 @@ def campaign(seed: int, plant: AnyPlant = NEW, noise: float = 1.0) -> Campaign:
     ]
     spin = recorded(plant, "spin", _held(30.0, -30.0), SPIN, rng, noise)
     wide = recorded(plant, "wide-turn", _held(30.0, 0.0), WIDE, rng, noise)
+    return Campaign(straight, spin, wide)
+
+
+def measured_again(data: Campaign, seed: int) -> Campaign:
+    """The same motion with another draw of noise: what `campaign(seed, ...)` gives of its plant."""
+    rng = np.random.default_rng(seed)
+    *straight, spin, wide = (_measured(run.name, run.true, rng) for run in data.runs)
     return Campaign(straight, spin, wide)
 
 

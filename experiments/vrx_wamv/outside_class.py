@@ -2,7 +2,7 @@
 
 The reference plant has the terms of the joint model, so that a fit of it comes out right by
 construction. `rolling_plant.py` has other terms; here the same runs, procedures, fits, laws and
-diagnosis meet it, and it with one of its four parts left out.
+diagnosis meet it, in one draw of the sensors' noise. `outside_draws.py` says what holds over draws.
 """
 
 import dataclasses
@@ -20,17 +20,19 @@ from experiments.vrx_wamv.closed import (
 )
 from experiments.vrx_wamv.joint import fit_linear, fit_whole
 from experiments.vrx_wamv.models import document, errors_on, vessel_of
+from experiments.vrx_wamv.outside_draws import JOINT, PROCEDURE, Draws, over_noise
 from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, WIDE
 from experiments.vrx_wamv.procedure import identify
-from experiments.vrx_wamv.rolling_plant import ROLLING, WITHOUT, RollingPlant
+from experiments.vrx_wamv.rolling_plant import ROLLING, RollingPlant
 from experiments.vrx_wamv.tuning import by_hand, tune
 
 from diffsea import Vessel, diagnose
+from diffsea.simulation.control.waypoints import DynamicPD
 from diffsea.vessel.files import VesselFile, build
 
 
 SEED = 1
-PROCEDURE, LINEAR, JOINT, NAMED = "procedure", "joint, linear", "joint", "joint, and what is named"
+LINEAR, NAMED = "joint, linear", "joint, and what is named"
 Say = Callable[[str], None]
 
 
@@ -41,14 +43,15 @@ class Outside:
     predictions: dict[str, dict[str, float]]
     paths: dict[str, dict[str, dict]]
     tuned: dict[str, dict[str, dict]]  # on the plant, by gains and path
-    without: dict[str, dict]  # the joint model of the plant less one part
     diagnosis: dict
+    outcome: str  # of the joint fit
+    draws: Draws
 
 
 def outside(say: Say) -> Outside:
     """Every model of the plant, its predictions and its closed loops."""
     data, kept = campaign(SEED, ROLLING), held_out(SEED + 100, ROLLING)
-    joint, linear = fit_whole(data.runs, from_afar=True), fit_linear(data.runs)
+    joint, linear = fit_whole(data.runs, ("guessed", "afar")), fit_linear(data.runs)
     say("what the diagnosis names in the joint model")
     vessel, record = named(document(joint.values), data, say)
     models = {
@@ -56,8 +59,9 @@ def outside(say: Say) -> Outside:
         LINEAR: linear.vessel, JOINT: joint.vessel, NAMED: vessel,
     }  # fmt: skip
     by_hands = by_hand(joint.vessel, list(PATHS.values()))
-    paths = followed(ROLLING, models, by_hands)
-    say("gains by derivative, and one part of the plant left out")
+    laws = both_regimes(by_hands)
+    paths = followed(ROLLING, models, laws)
+    say("gains by derivative")
     hands = {"by hand": by_hands}
     hands["tuned"] = tune(joint.vessel, list(PATHS.values()), by_hands).gains
     tuned = {
@@ -66,7 +70,8 @@ def outside(say: Say) -> Outside:
         for name, numbers in hands.items()
     }  # fmt: skip
     predictions = {name: errors_on(vessel, kept) for name, vessel in models.items()}
-    return Outside(predictions, paths, tuned, without(), record)
+    drawn = over_noise(laws, say)
+    return Outside(predictions, paths, tuned, record, joint.outcome.value, drawn)
 
 
 def named(file: dict, data: Campaign, say: Say) -> tuple[Vessel, dict]:
@@ -87,29 +92,21 @@ def named(file: dict, data: Campaign, say: Say) -> tuple[Vessel, dict]:
     return found.diagnosed.vessel, {"verdict": found.record["verdict"], "effects": effects}
 
 
-def without() -> dict[str, dict]:
-    """The joint model of each plant that lacks one part: its predictions and its times."""
-    rows = {}
-    for part, plant in WITHOUT.items():
-        vessel = fit_whole(campaign(SEED, plant).runs, from_afar=True).vessel
-        gains = by_hand(vessel, list(PATHS.values()))
-        rows[part] = errors_on(vessel, held_out(SEED + 100, plant)) | {
-            "paths": followed(plant, {JOINT: vessel}, gains)[JOINT]
-        }
-    return rows
-
-
-def followed(
-    plant: RollingPlant, models: dict[str, Vessel], gains: dict[str, float]
-) -> dict[str, dict[str, dict]]:
-    """Differences of each model from the plant on the paper's paths, slow and near full speed."""
-    laws = {
+def both_regimes(gains: dict[str, float]) -> dict[str, DynamicPD]:
+    """The paper's law on its paths: slow at waypoints, and near full speed throughout."""
+    return {
         f"{regime} {path}": controller(points, numbers)
         for regime, ways, numbers in (
             ("slow", PATHS, gains), ("fast", WIDE, gains | {"base_min": SLOWEST}),
         )
         for path, points in ways.items()
     }  # fmt: skip
+
+
+def followed(
+    plant: RollingPlant, models: dict[str, Vessel], laws: dict[str, DynamicPD]
+) -> dict[str, dict[str, dict]]:
+    """Differences of each model from the plant under each law."""
     driven = {name: on_plant(plant, law) for name, law in laws.items()}
     rows = {}
     for model, vessel in models.items():
@@ -123,10 +120,8 @@ def followed(
 
 
 def predictions_table(found: Outside) -> str:
-    """Open-loop errors and closed-loop differences of every model, and of plants less a part."""
+    """Open-loop errors and closed-loop differences of every model in the one draw."""
     models = {name: (found.predictions[name], found.paths[name]) for name in found.predictions}
-    models |= {f"joint, of the plant without {part}": (one, one["paths"])
-               for part, one in found.without.items()}  # fmt: skip
     names = list(next(iter(found.paths.values())))
     head = ("model", "position, m", "surge, m/s", "sway, m/s", "yaw rate, rad/s",
             *(f"time error, {name}, %" for name in names))  # fmt: skip

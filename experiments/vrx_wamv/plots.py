@@ -3,7 +3,8 @@
 
 from experiments.harness.reporting import panels
 from experiments.vrx_wamv.closed import Driven
-from experiments.vrx_wamv.outside_class import JOINT, Outside
+from experiments.vrx_wamv.outside_class import Outside
+from experiments.vrx_wamv.outside_draws import JOINT
 from experiments.vrx_wamv.paths import KEPT_BACK, PATHS, Path
 from experiments.vrx_wamv.plant import NEW, speed_for
 from experiments.vrx_wamv.procedure import (
@@ -62,8 +63,10 @@ def from_rest(found: Identified) -> Figure:
     ):
         axis.plot(run.t, run.measured["u"], ".", color=GREY, ms=3, label="measured")
         axis.plot(run.t, run.true["u"], color=PLANT, label="plant")
-        axis.plot(run.t, speeds_from_rest(model, run), color=PAPER, label="model")
-        axis.set(title=title, ylim=axes[0].get_ylim())
+        speed = speeds_from_rest(model, run)
+        axis.plot(run.t, speed, color=PAPER, label="model")
+        low, high = axes[0].get_ylim()
+        axis.set(title=title, ylim=(low, max(high, 1.05 * speed.max())))
         axis.legend(fontsize=7, frameon=False)
     for axis in axes:
         axis.set_xlabel("s")

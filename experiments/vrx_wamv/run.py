@@ -3,7 +3,7 @@
 import dataclasses
 
 from experiments.harness.reporting import comparison, experiment
-from experiments.vrx_wamv import outside_class, plots, stages, tables
+from experiments.vrx_wamv import outside_class, outside_draws, plots, stages, tables
 from experiments.vrx_wamv.campaign import held_out
 from experiments.vrx_wamv.diagnosed import diagnosed
 
@@ -79,6 +79,9 @@ def thorough(run, found, followed, gains, tuned, quiet, results, texts) -> None:
         "gains": tables.gains(gains, tuned), "slopes": tables.slopes(slopes),
         "diagnosis": tables.diagnosis(record),
         "outside_predictions": outside_class.predictions_table(elsewhere),
+        "outside_draws": outside_draws.medians_table(elsewhere.draws),
+        "outside_differences": outside_draws.differences_table(elsewhere.draws),
+        "outside_times": outside_draws.times_table(elsewhere.draws),
         "outside_gains": outside_class.tuned_table(elsewhere),
         "outside_diagnosis": outside_class.diagnosis_table(elsewhere.diagnosis),
         "repeats": tables.repeats(again, found.values["joint"]),

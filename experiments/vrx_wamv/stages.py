@@ -114,7 +114,7 @@ def arithmetic(found: Identified) -> dict:
 def repeats(found: Identified) -> dict:
     """The joint fit again: on other noise, which costs no compiling, and on the older drag."""
     again = fit_whole(campaign(SEED + 1).runs)
-    old = fit_whole(campaign(SEED, OLD).runs, from_afar=True)
+    old = fit_whole(campaign(SEED, OLD).runs, starts=("afar",))
     return {
         "other noise": {"values": again.values, "seconds": again.seconds},
         "older drag": {

@@ -7,7 +7,7 @@ from experiments.vrx_wamv.models import HULL, truth
 from experiments.vrx_wamv.plant import NEW
 from experiments.vrx_wamv.procedure import PUBLISHED, PUBLISHED_FIRST, masses, readings_of_masses
 from experiments.vrx_wamv.stages import Followed, Identified
-from experiments.vrx_wamv.tuning import NAMES, Tuned
+from experiments.vrx_wamv.tuning import BOUNDS, NAMES, Tuned
 
 import numpy as np
 
@@ -20,9 +20,11 @@ DRAG_UNITS = {"X_u": "N s/m", "Y_v": "N s/m", "N_r": "N m s/rad"}
 def plant_rows(checks: dict) -> list[dict]:
     """The reference plant beside the closed form and the paper's remarks on the simulator."""
     rows = []
-    for thrust, speed in ((100, 0.5486), (500, 1.5226), (2000, 3.3333)):
-        found = checks[f"new {thrust} N"]["integrated"]
-        rows.append(compared(f"steady speed at {thrust} N, closed form", "m/s", speed, found))
+    for thrust in (100, 500, 2000):
+        found = checks[f"new {thrust} N"]
+        note = f"not printed; closed form of the plant's equations: {found['closed form']:.4g}"
+        name = f"steady speed at {thrust} N"
+        rows.append(compared(name, "m/s", None, found["integrated"], note))
     fastest = checks["new 500 N"]["integrated"]
     rows.append(compared("largest speed, at 250 N an engine", "m/s", 1.5, fastest))
     published = float(PUBLISHED.thrust(np.array(30.0), np.array(1.5)))
@@ -176,10 +178,12 @@ def laws(found: dict[str, dict]) -> str:
 
 
 def gains(sets: dict[str, dict], results: dict[str, Tuned]) -> str:
-    """The gains of every set."""
-    return table(
-        ("", *sets), [(name, *(numbers[name] for numbers in sets.values())) for name in NAMES]
-    )
+    """The gains of every set, and between which bounds they were searched."""
+    head = ("", *sets, "searched between")
+    return table(head, [
+        (name, *(numbers[name] for numbers in sets.values()), "{:g} and {:g}".format(*BOUNDS[name]))
+        for name in NAMES
+    ])  # fmt: skip
 
 
 def slopes(found: dict) -> str:

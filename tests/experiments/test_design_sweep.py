@@ -49,8 +49,8 @@ def test_every_design_completes_and_has_its_verdict(quick):
     found = quick["beyond"]["sweep"]
     assert found["designs"] == 64 and found["trials"] == {"circle": {"completed": 64}}
     rows = {row["quantity"]: row for row in quick["comparison"]}
-    assert rows["tactical diameter"]["published"] == "at most 5"
-    assert rows["advance"]["published"] == "at most 4.5"
+    assert rows["tactical diameter"]["limit"] == "at most 5"
+    assert rows["advance"]["limit"] == "at most 4.5"
     least, most = map(float, rows["tactical diameter"]["obtained"].split(" to "))
     assert 4 < least < 5 < most < 8
     assert 0 < found["share_that_pass_everything"] < 0.5

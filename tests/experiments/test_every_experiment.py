@@ -60,3 +60,17 @@ def test_results_are_written_whole_and_tables_filled_in(tmp_path, capsys):
     assert "| speed | 1.5 | 1.523 | m/s |  |" in text and "| x | - | 2 |" in text
     with pytest.raises(SystemExit, match="no place for 'other'"):
         run.write({}, {"other": "text"})
+
+
+def test_limits_of_a_rule_are_not_headed_as_published():
+    row = reporting.limited("advance", "L", "at most 4.5", 2.4, "MSC.137(76)")
+    head, _, line = reporting.comparison([row]).splitlines()
+    assert head == "|  | limit | obtained | unit |  |"
+    assert line == "| advance | at most 4.5 | 2.4 | L | MSC.137(76) |"
+    with pytest.raises(ValueError):
+        reporting.comparison([row, reporting.compared("advance", "L", 2.5, 2.4)])
+    for path in HERE.glob("*/results.json"):
+        record = json.loads(path.read_text())
+        rows = record.get("comparison", []) if isinstance(record, dict) else []
+        told = [str(one["published"]) for one in rows if "published" in one]
+        assert not [words for words in told if words.startswith("at most")], path

@@ -51,7 +51,7 @@ def otter(quick):
 def test_results_have_the_limits_and_what_goes_beyond(quick, otter):
     assert quick["experiment"] == "overshoot_sensitivity" and quick["quick"]
     rows = quick["comparison"]
-    assert [row["published"] for row in rows] == ["at most 10", "at most 25", "at most 25"]
+    assert [row["limit"] for row in rows] == ["at most 10", "at most 25", "at most 25"]
     assert set(otter) == {"exact", "differences", "global", "at_the_sample"}
     names = set(otter["exact"]["zigzag 20/20 overshoot_1"]["elasticity"])
     assert {"mass", "N_r", "Y_vdot", "thrusters.y", "crossflow-drag.cd"} <= names

@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
-from diffsea import Environment
+from diffsea import Environment, State
 from diffsea.simulation.integrate import advance, begin, history_lengths
 
 
@@ -41,7 +41,7 @@ def results(tmp_path_factory):
     found = quick_run("unberthing", out)
     panels = {"exp_1", "exp_2", "exp_3"}
     drawn = {p.stem for p in (out / "figures").glob("*.png")}
-    assert drawn == {"unberthing", "leaving", "seeds"} | panels
+    assert drawn == {"route", "unberthing", "leaving", "seeds"} | panels
     return found
 
 
@@ -228,6 +228,25 @@ def test_the_route_has_no_jumps_and_counts_starboard_positive(parts):
         for metres, number in ((-1.0, step), (1.0, step + 1)):
             there = at(step, x + metres * np.cos(psi), y + metres * np.sin(psi), psi)
             assert float(route.next_step(jnp.asarray(float(step)), there, 0.0)) == number
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 4, 5])
+def test_the_route_as_drawn_is_the_one_that_is_kept(parts, step):
+    """On its line a ship is off neither track nor course, and at its end the next step begins."""
+    route, line = parts.harbour_route, parts.harbour_route.line(step)
+    course = 0.0 if step == 1 else np.arctan2(*(line[1] - line[0])[::-1])
+    at = jax.vmap(lambda x, y: route.place(jnp.asarray(float(step)), State(x, y, course, 0, 0, 0)))
+    along = at(*line.T)
+    np.testing.assert_allclose(along.cross, 0.0, atol=1e-3)
+    bend = step == 4
+    np.testing.assert_allclose(along.psi_d[0], 0.0, atol=0.02 if bend else 1e-6)
+    assert np.all(np.diff(along.along) > 0)
+    begins = np.asarray(jax.vmap(lambda one: route.next_step(float(step), one, 0.0))(along))
+    assert begins[len(line) // 2] == step
+    past = at(*(line[-1] + 1e-3 * (line[-1] - line[-2]))[:, None])
+    assert float(route.next_step(float(step), jax.tree.map(lambda leaf: leaf[0], past), 0.0)) > step
+    if step > 1:
+        np.testing.assert_allclose(line[0], route.line(step - 1)[-1], atol=1e-9)
 
 
 # -- scores ----------------------------------------------------------------------------------

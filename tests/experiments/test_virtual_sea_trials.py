@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from tests.experiment_runs import modules, quick_run
 from tests.paths import ROOT
 
-from diffsea import Trajectory
+from diffsea import Trajectory, read_vessel
 
 
 pytestmark = pytest.mark.experiment
@@ -46,6 +46,18 @@ def test_every_cell_of_the_tables_stands_beside_what_was_obtained(results, parts
             assert row["published"] == value and row["obtained"] is not None
     assert len(rows) == len(results["comparison"])
     assert rows["circle to port: IMO MSC.137(76)"]["obtained"] == "pass"
+
+
+def test_the_rating_gives_the_published_speed_at_85_per_cent(results):
+    """Steady speed of a drag of first and second power, by its quadratic's root."""
+    rows = {row["quantity"]: row for row in results["comparison"]}
+    rating = rows["largest continuous thrust, both thrusters"]
+    hull = read_vessel("marus_usv").document["hull"]
+    speed = np.roots([-hull["X_uu"], -hull["X_u"], -0.85 * rating["obtained"]]).max()
+    assert speed == pytest.approx(0.9235, abs=1e-6)
+    assert rating["published"] is None and rating["note"].startswith("assumed: ")
+    start = rows["start of the trials"]
+    assert start["obtained"] == pytest.approx(121, abs=0.5) and start["note"].startswith("set: ")
 
 
 def test_trials_repeat_and_are_reversed_as_often_port_first_as_starboard_first(results):
