@@ -146,7 +146,7 @@ def _audit_or_propose(
     Raises:
         UserError: none of the recordings can be read, one is named twice, or the mapping is wrong.
     """
-    from diffsea.recordings import Finding
+    from diffsea.recordings import Finding, read_mapping
     from diffsea.recordings.mapping_proposal import foreign_layouts
     from diffsea.workflows.audits import audit_readable, read_readable
 
@@ -155,16 +155,20 @@ def _audit_or_propose(
         raise UserError("a recording is named twice; name each only once")
     tell(f"reading {len(paths)} recordings")
     layouts = foreign_layouts(paths) if args.mapping is None else []
+    mappings = {} if args.mapping is None else dict.fromkeys(paths, read_mapping(args.mapping))
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
     for group in layouts:
-        found, text = _read_through_proposal(group, out, args)
+        found, text, written = _read_through_proposal(group, out, args)
         read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
+        if written is not None:
+            mappings |= dict.fromkeys(group, read_mapping(written))
         texts.append(text)
     runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
     options.tell_mappings(list(runs.values()))
     tell("looking for faults")
-    return audit_readable(list(read.values())), runs, "".join(texts)
+    through = [mappings.get(path) for path in read]
+    return audit_readable(list(read.values()), through), runs, "".join(texts)
 
 
 def _under_the_same_name(
@@ -181,10 +185,11 @@ def _under_the_same_name(
 
 def _read_through_proposal(
     paths: "Sequence[pathlib.Path]", out: Outputs, args: argparse.Namespace
-) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str]":
+) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str, pathlib.Path | None]":
     """Files of one foreign layout through the mapping that is proposed, and what was proposed.
 
-    Where none can be, or without a time, each file has a finding instead, and the text is empty.
+    With them the file of that mapping. Where none can be, or without a time, each file has a
+    finding instead, and the text is empty.
     """
     from diffsea.recordings import Finding, unreadable
     from diffsea.recordings.mapping_proposal import propose_mapping
@@ -194,11 +199,15 @@ def _read_through_proposal(
         proposal = propose_mapping(paths)
     except UserError as error:
         refused = zip(paths, read_readable(paths), strict=True)
-        return {
-            path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
-            for path, one in refused
-            if isinstance(one, Finding)
-        }, ""
+        return (
+            {
+                path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
+                for path, one in refused
+                if isinstance(one, Finding)
+            },
+            "",
+            None,
+        )
     name = f"{paths[0].stem}.mapping.toml"
     if out.folder / name in out.files:
         name = f"{paths[0].stem}.{len(out.files) + 1}.mapping.toml"
@@ -223,13 +232,14 @@ def _read_through_proposal(
         repair = "put the interval (s) into [file] time_step of the proposed mapping"
         untimed = Finding("time-step", math.nan, math.nan, "", why, repair, ("t",))
         found = {path: untimed for path in paths}
-    return found, "\n".join(lines) + "\n\n"
+    return found, "\n".join(lines) + "\n\n", written
 
 
 def _repair(args: argparse.Namespace) -> None:
     """Write recordings, and mappings where they can say it, in which what is certain is right."""
     from diffsea.recordings import read_mapping, write_recording
-    from diffsea.recordings.auditing.repair import mapping_text, repair
+    from diffsea.recordings.auditing.mapping_rows import mapping_text
+    from diffsea.recordings.auditing.repair import repair
 
     stems = [path.stem for path in args.recordings]
     inputs = {path.resolve() for path in args.recordings}

@@ -5,9 +5,7 @@ one stage are made together, judged by another audit, and undone if that is no b
 """
 
 import dataclasses
-import json
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -192,41 +190,3 @@ def _is_better(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
         return False
     changed = [fault for fault in old if old[fault] != new[fault]]
     return bool(changed) and all(new[fault] < _MUCH_SMALLER * old[fault] for fault in changed)
-
-
-def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
-    """The mapping as TOML, under comments; only what is not as usual is written.
-
-    Text, numbers and lists of them are written alike in TOML and JSON.
-    """
-    lines = [f"# {line}" for note in notes for line in note.splitlines()]
-    lines += ["format = 1", "", "[file]"]
-    for name, value in _unusual_fields(mapping, Mapping(mapping.channels, mapping.name)):
-        if name == "origin":
-            value = [float(np.degrees(angle)) for angle in value]
-        if name == "times":
-            lines.append(f"times = {{ {', '.join(_column_lines(mapping.times))} }}")
-        else:
-            lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
-    lines += ["", "[columns]", *_column_lines(mapping.channels)]
-    return "\n".join(lines) + "\n"
-
-
-def _column_lines(columns: dict[str, Column]) -> list[str]:
-    """Columns by name, as a mapping has them."""
-    lines = []
-    for name, column in columns.items():
-        plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
-        pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
-        entry = ", ".join(
-            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs
-        )
-        quoted = name if plain else json.dumps(name, ensure_ascii=False)
-        lines.append(f"{quoted} = {{ {entry} }}")
-    return lines
-
-
-def _unusual_fields(record: Mapping | Column, usual: Mapping | Column) -> list[tuple[str, Any]]:
-    """Names and values of the fields in which two records of a kind differ."""
-    pairs = [(f.name, getattr(record, f.name)) for f in dataclasses.fields(record)]
-    return [(name, value) for name, value in pairs if value != getattr(usual, name)]

@@ -10,7 +10,7 @@ from typing import Any
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
-from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 from diffsea.recordings.known.autopilot_parameters import read_parameters
 from diffsea.recordings.known.outputs import Output, assigned_outputs
 from diffsea.recordings.mappings import Column, Mapping, mapping_from
