@@ -103,7 +103,7 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
     done = Repair(run, mapping, (), before, before)
     refused: dict[_Fault, str] = {}
     for _ in range(_MOST_TRIALS):
-        waiting = [f for f in done.left if not _hindrance(f, done.left)]
+        waiting = [f for f in done.left if not hindrance(f, done.left)]
         waiting = [f for f in waiting if _fault(f) not in refused]
         if not waiting:
             break
@@ -121,8 +121,8 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
             refused |= {_fault(f): why for f in together}
     steps = list(done.steps)
     for finding in done.left:
-        if hindrance := _hindrance(finding, done.left):
-            steps.append(RepairStep(finding, "left", hindrance))
+        if why := hindrance(finding, done.left):
+            steps.append(RepairStep(finding, "left", why))
         else:
             why = refused.get(_fault(finding), "too many trials were needed")
             steps.append(RepairStep(finding, "undone", why))
@@ -154,7 +154,7 @@ def _size(finding: Finding) -> float:
     return abs(finding.value - (finding.kind == "scale"))
 
 
-def _hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
+def hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
     """Why a finding cannot be repaired as things are; empty if it can."""
     if not finding.edits:
         return finding.repair or "nothing can be done about it here"
