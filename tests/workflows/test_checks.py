@@ -331,6 +331,14 @@ def test_a_log_that_is_broken_is_a_row_and_all_broken_an_error(logs, tmp_path, c
     assert "cannot be read" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
+def test_a_log_that_is_not_there_is_told_once(tmp_path, capsys):
+    for name in ("boat.bin", "boat.csv"):
+        assert main(["check", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 1
+        said = capsys.readouterr().err
+        assert said.count(name) == 1 and "there is no recording" in said
+        assert "native columns" not in said
+
+
 def test_the_page_fits_a_phone_and_asks_for_nothing(checked, tmp_path):
     if chromium.installed() is None:
         pytest.skip("no Chromium")

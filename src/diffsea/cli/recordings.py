@@ -14,7 +14,7 @@ from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
 from diffsea.cli.trial import metrics_text
 from diffsea.errors import UserError
-from diffsea.progress import PartialProgress
+from diffsea.progress import PartialProgress, counted
 
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def metrics_command(args: argparse.Namespace) -> None:
     length = args.length if vessel is None else float(vessel.rigid_body.length)
     stages = {"reading": 1.0, "measuring": 2.0}
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
-        tell(f"reading {len(args.recordings)} recordings")
+        tell(f"reading {counted(len(args.recordings), 'recording')}")
         runs = options.read_recordings(args.recordings, args)
         tell("measuring the trials")
         made = {} if vessel is None else vessel.thrusts_at_rest
@@ -153,7 +153,7 @@ def _audit_or_propose(
     paths: Sequence[pathlib.Path] = args.recordings
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
-    tell(f"reading {len(paths)} recordings")
+    tell(f"reading {counted(len(paths), 'recording')}")
     layouts = foreign_layouts(paths) if args.mapping is None else []
     mappings = {} if args.mapping is None else dict.fromkeys(paths, read_mapping(args.mapping))
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
@@ -255,7 +255,8 @@ def _repair(args: argparse.Namespace) -> None:
         runs = options.read_recordings(args.recordings, args)
         repairs = []
         for number, run in enumerate(runs):
-            tell(PartialProgress(run.name, number / len(runs), f"repairing {len(runs)} recordings"))
+            stage = f"repairing {counted(len(runs), 'recording')}"
+            tell(PartialProgress(run.name, number / len(runs), stage))
             repairs.append(repair(run, mapping))
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
         records, texts = [], []

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from diffsea.checks import LogCheck, check_run
 from diffsea.checks.shares import PORT_WORDS, STARBOARD_WORDS
-from diffsea.errors import UserError
+from diffsea.errors import UserError, nearest
 from diffsea.recordings import (
     Finding,
     Mapping,
@@ -65,6 +65,11 @@ def choose_mappings(
         return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
     chosen: dict[Path, ChosenMapping | Finding] = {}
     for path in paths:
+        if not path.exists():
+            siblings = [item.name for item in path.parent.glob("*")]
+            why = f"there is no recording {path}{nearest(path.name, siblings)}"
+            chosen[path] = unreadable(path.name, why)
+            continue
         try:
             known = recognise(path)
         except UserError as error:

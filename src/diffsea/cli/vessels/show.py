@@ -70,6 +70,7 @@ def show_command(args: argparse.Namespace) -> None:
       diffsea show kvlcc2
       diffsea show boat.toml
     """
+    from diffsea.parameters import file_parameters, named
     from diffsea.studies.handling import handling
     from diffsea.studies.unusual import unusual_figures
 
@@ -79,7 +80,9 @@ def show_command(args: argparse.Namespace) -> None:
         found = handling(vessel)
     unusual = unusual_figures(vessel, found)
     if args.json:
-        record = {"handling": found.as_dict(), "unusual": unusual}
+        values = named(vessel)
+        numbers = {name: float(values[p[0]]) for name, p in file_parameters(vessel).items()}
+        record = {"handling": found.as_dict(), "unusual": unusual, "parameters": numbers}
         print(json_text(_particulars(vessel) | record))
         return
     lines = [f"unusual: {line}" for line in unusual]

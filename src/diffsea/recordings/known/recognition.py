@@ -121,6 +121,13 @@ def recognise(path: str | Path) -> Recognised | None:
     )
 
 
+def column_of_output(path: Path, number: int) -> str:
+    """The column in which a log has the pulse widths of an output of the autopilot."""
+    form = logs.format_of(path)
+    layout = {} if form is None else _layouts().get(form.name, {})
+    return layout.get("outputs", "SERVO{number}").format(number=number).removeprefix("*")
+
+
 def _exported(log: str, found: Contents, path: Path) -> Recognised:
     """A recording that was exported: its own channels under their own names.
 
