@@ -1,7 +1,7 @@
 """Benchmarks: measured in turns with their references, kept in results.json and the README.
 
     python -m benchmarks.run [engine] [jacobian] [fit] [diagnosis] [sweep] [startup]
-                             [closed-loop] [growth] [commands] [scale] [gpu]
+                             [closed-loop] [envs] [growth] [commands] [scale] [gpu]
 
 Without a part, all of them, each below ten minutes. A part replaces only its own figures.
 """
@@ -16,8 +16,8 @@ from benchmarks.record import keep
 
 PARTS = {
     "engine": "engine", "jacobian": "derivatives", "fit": "fits", "diagnosis": "diagnoses",
-    "sweep": "sweeps", "closed-loop": "closed_loops", "startup": "startup", "growth": "growth", "commands": "commands",
-    "scale": "scale", "gpu": "gpu",
+    "sweep": "sweeps", "closed-loop": "closed_loops", "envs": "envs", "startup": "startup",
+    "growth": "growth", "commands": "commands", "scale": "scale", "gpu": "gpu",
 }  # fmt: skip
 
 

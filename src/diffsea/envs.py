@@ -10,6 +10,11 @@ the channel at the ends.
 import dataclasses
 from typing import Any, ClassVar
 
+from diffsea.runtime import prepare_library
+
+
+prepare_library()  # before JAX is imported below: this module is imported by its own name
+
 import equinox as eqx
 import gymnasium
 import jax

@@ -16,12 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffsea.errors import UserError, nearest
+from diffsea.errors import UserError, nearest, nearest_of
 from diffsea.outside.documents import read_toml
 from diffsea.types import Scalar
 
 
 Model = TypeVar("Model")
+
+PARAMETERS_LISTED = "`diffsea show VESSEL --json`"  # what lists the numbers of a vessel
 
 # Containers whose names say nothing that the parameter's own name does not.
 _SILENT = {"rigid_body", "added_mass", "forces", "actuators", "servos", "derivatives", "damping"}
@@ -88,8 +90,7 @@ def check_names(model: object, names: Iterable[str]) -> None:
     for name in names:
         if name not in known:
             raise UserError(
-                f"the vessel has no parameter {name!r}{nearest(name, known)}; "
-                f"it has: {', '.join(known)}"
+                f"the vessel has no parameter {name!r}{nearest_of(name, known, PARAMETERS_LISTED)}"
             )
 
 

@@ -6,6 +6,11 @@ from collections.abc import Callable
 Progress = Callable[[str], None]
 
 
+def counted(number: int, thing: str) -> str:
+    """How many there are, in words: `1 recording`, `3 recordings`."""
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
 class PartialProgress(str):
     """A progress message that tells how far a stage has come; a plain one begins a stage.
 

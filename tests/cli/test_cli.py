@@ -465,5 +465,5 @@ def test_fit_writes_a_vessel_a_report_and_what_the_data_leave_open(boat, zigzag,
     assert row["unit"] == "N / (m/s)" and row["meaning"] == "linear damping in surge"
     assert record["path"][-1] <= record["path"][0] and record["objective"] == "innovation"
     assert "anchored by mass" in record["anchor"]
-    assert "] fitting 1 recordings, 0 held out" in printed.err
+    assert "] fitting 1 recording, 0 held out" in printed.err
     assert (out / "vessel.toml").exists() and "Fit of" in (out / "report.html").read_text()

@@ -12,6 +12,8 @@ from tests.boats import BOAT
 from tests.paths import ROOT
 
 from diffsea.cli import main
+from diffsea.errors import nearest_of
+from diffsea.progress import counted
 
 
 TRIAL = ["--manoeuvre", "zigzag"]
@@ -300,6 +302,27 @@ def test_unknown_parameters_are_told_with_the_nearest(command, ends):
     option = {"sensitivity": "--parameters", "fit": "--free"}[command]
     status, told = ends(command, None, None, option, "X_u,N_rrr_")
     assert status == 1 and "no parameter 'N_rrr_'" in told and "did you mean 'N_rr'" in told
+
+
+def test_of_many_parameters_the_nearest_are_listed_and_what_lists_all(capsys):
+    assert main(["sensitivity", "otter", *TRIAL, "--parameters", "mas"]) == 1
+    said = capsys.readouterr().err
+    assert "did you mean 'mass'? Nearest are mass, " in said
+    assert len(said.partition("Nearest are ")[2].partition(";")[0].split(", ")) == 8
+    assert said.endswith("; `diffsea show VESSEL --json` lists all\n")
+
+
+def test_of_few_names_all_are_told():
+    assert (
+        nearest_of("mas", ["mass", "beam"], "a page")
+        == "; did you mean 'mass'? There is mass, beam"
+    )
+    assert nearest_of("q", ["mass", "beam"], "a page") == "; there is mass, beam"
+
+
+@pytest.mark.parametrize(("number", "words"), [(0, "0 logs"), (1, "1 log"), (2, "2 logs")])
+def test_one_is_counted_as_one(number, words):
+    assert counted(number, "log") == words
 
 
 def test_an_unknown_swept_parameter_is_told_with_the_nearest(ends):

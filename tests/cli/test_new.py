@@ -7,6 +7,8 @@ import tomllib
 
 import pytest
 from tests.paths import EXPERIMENTS, ROOT
+from tests.recordings import driven_boat
+from tests.recordings.driven_boat import drive, noisy
 from tests.recordings.test_autopilot_parameters import TWIN, log  # noqa: F401
 
 from diffsea import read_vessel
@@ -196,6 +198,45 @@ def test_alone_in_a_terminal_it_asks(made, monkeypatch, answers, units):
     assert read_vessel(path).vessel.units == units
     assert "length of the waterline, m" in said.err
     assert ("'long' is not a number" in said.err) == ("long" in answers)
+
+
+def test_where_a_file_is_there_it_asks_for_another_name(made, monkeypatch, tmp_path):
+    (tmp_path / "boat.toml").write_text("mine")
+    (tmp_path / "ours.toml").write_text("ours")
+    answers = "boat.toml\nours.toml\n\n\n1.4\n0.93\n22\n\n\n0.66\n\n"
+    monkeypatch.setattr(sys, "stdin", Terminal(answers))
+    path, said = made()
+    assert said.err.count("is there already; choose another name") == 2
+    assert "file to write [boat-2.toml]: " in said.err
+    assert "file to write [ours-2.toml]: " in said.err
+    assert path.read_text() == "mine" and (tmp_path / "ours.toml").read_text() == "ours"
+    assert read_vessel(tmp_path / "ours-2.toml").vessel.units == {"port": "us", "starboard": "us"}
+
+
+def test_a_name_that_was_given_is_asked_for_anew_in_a_terminal(made, monkeypatch, tmp_path):
+    (tmp_path / "boat.toml").write_text("mine")
+    monkeypatch.setattr(sys, "stdin", Terminal("\n\n1.4\n0.93\n22\n\n\n0.66\n\n"))
+    made("boat.toml")
+    assert (tmp_path / "boat-2.toml").exists() and (tmp_path / "boat.toml").read_text() == "mine"
+
+
+def test_outputs_are_named_as_the_log_has_them(made, tmp_path):
+    pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+    pytest.importorskip("mcap", reason="needs diffsea[ros]")
+    boat = noisy(drive(dock=0.0, after=0.0))
+    (tmp_path / "log.bin").write_bytes(driven_boat.ardupilot_log(boat))
+    driven_boat.telemetry_log(boat, tmp_path / "log.tlog")
+    driven_boat.json_log(boat, tmp_path / "log.mcap")
+    raw = "SERVO1 (SERVO_OUTPUT_RAW:servo1_raw) is throttle right"
+    for kind, told in (("bin", "SERVO1 (RCOU:C1)"), ("tlog", raw), ("mcap", raw)):
+        words = ("boat.toml", *SIZE, "--thrusters", "0.66", "--force", "--log", f"log.{kind}")
+        assert told in made(*words)[1].out, kind
+
+
+def test_a_log_that_is_not_there_is_told_once(made):
+    words = ("boat.toml", *SIZE, "--thrusters", "0.66", "--log", "nowhere/log.bin")
+    path, said = made(*words, status=1)
+    assert said.err.count("nowhere") == 1 and "there is no log" in said.err and not path.exists()
 
 
 def test_an_input_that_ends_leaves_nothing(made, monkeypatch):

@@ -1,5 +1,8 @@
 """Gymnasium environments: its own checker, and boats that move as diffsea's do."""
 
+import os
+import subprocess
+import sys
 import tomllib
 
 import numpy as np
@@ -29,6 +32,23 @@ def boat():
 @pytest.mark.parametrize("name", ["otter", "pytheas"])
 def test_gymnasium_s_checker_finds_no_fault(name):
     check_env(BoatEnv(read_vessel(name).vessel, SHORT), skip_render_check=True)
+
+
+def test_imported_by_its_own_name_it_sets_jax_up():
+    """As the page on Python shows it: 64 bits, and no warning."""
+    program = (
+        "from diffsea.envs import BoatVectorEnv\n"
+        "import diffsea, jax\n"
+        "boats = BoatVectorEnv(diffsea.read_vessel('otter').vessel, num_envs=2)\n"
+        "boats.reset(seed=0)\n"
+        "print(boats._boats.motion.state.x.dtype)\n"
+    )
+    command = [sys.executable, "-W", "error::UserWarning", "-c", program]
+    own = ("JAX_ENABLE_X64", "XLA_FLAGS", "DIFFSEA_SETUP")  # what another test may have set
+    clean = {name: value for name, value in os.environ.items() if name not in own}
+    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "float64\n"
 
 
 def test_a_boat_moves_as_diffsea_s(boat):

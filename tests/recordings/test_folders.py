@@ -8,7 +8,7 @@ import pytest
 from tests.paths import DATA
 
 from diffsea import UserError, read_mapping, read_recording
-from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 
 
 OWN_CLOCKS = """
@@ -113,6 +113,26 @@ def test_what_is_wrong_with_a_folder_is_said(folder, mapped):
     (folder / "motors.csv").write_bytes(b"")
     with pytest.raises(UserError, match="motors.csv is empty"):
         mapped(folder, OWN_CLOCKS)
+
+
+@pytest.mark.parametrize(
+    "fields, row",
+    [
+        (["azimuth_deg"], 'psi = { column = "topic:field", unit = "rad" }'),
+        (["azimuth_deg", "yaw_deg"], 'psi = { column = "imu:yaw_deg", unit = "deg" }'),
+        (["heading"], 'psi = { column = "imu:heading", unit = "rad" }  # or its unit in the log'),
+        (["angle_deg", "yaw_rate_deg_s"], 'r = { column = "imu:yaw_rate_deg_s", unit = "deg/s" }'),
+    ],
+)
+def test_the_example_of_a_mapping_is_of_a_field_that_is_called_so(folder, fields, row):
+    """An azimuth thruster's angle is no heading, and what is called deg is not in radians."""
+    (folder / "imu.parquet").unlink()
+    (folder / "gps.csv").unlink()
+    table = pd.DataFrame({"t": [0.0, 1.0]} | dict.fromkeys(fields, [1.0, 2.0]))
+    table.to_csv(folder / "imu.csv", index=False)
+    with pytest.raises(UserError) as told:
+        read_recording(folder)
+    assert f"\n  {row}\n" in str(told.value)
 
 
 def test_a_mapping_of_a_folder_is_written_and_read_back(tmp_path):

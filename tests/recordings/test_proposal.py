@@ -13,6 +13,7 @@ from tests.paths import DATA, EXPERIMENTS, ORACLE
 from diffsea import UserError, propose_mapping, read_mapping, read_recording
 from diffsea.cli import main
 from diffsea.recordings.mapping_proposal import is_foreign, suggest_labels
+from diffsea.recordings.mapping_proposal import proposal as proposal_module
 from diffsea.recordings.mapping_proposal.proposal import SURE
 
 
@@ -129,6 +130,46 @@ def test_contradicting_names_give_way_to_kinematics(runs, tmp_path):
     assert mapping.channels["psi"].column == "r" and mapping.channels["r"].column == "psi"
     right = judged(native, tmp_path / "a.csv", mapping)
     assert all(right[channel] for channel in MOTION)
+
+
+def test_what_is_called_another_quantity_gives_way_to_what_is_called_this_one(runs, tmp_path):
+    """Of two columns that heading follows, the better is called the derivative of sway."""
+    native, rng = runs["zigzag-fast"], np.random.default_rng(2)
+    scale = native["r"].std()
+    table = native.rename(columns={"t": "time", "psi": "yaw", "u": "surge", "v": "sway"})
+    worse = native["r"].ewm(span=6).mean() + 0.5 * scale * rng.normal(size=len(native))
+    table = table.assign(sway_dot=3.67 * native["r"], yaw_rate=worse).drop(columns="r")
+    table.to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
+    assert read_mapping(tmp_path / "a.toml").channels["r"].column == "yaw_rate"
+
+
+def test_what_is_improbable_is_written_as_a_comment(runs, tmp_path):
+    """Heading follows a column whose numbers are none of a yaw rate; that called one is stuck."""
+    native = runs["zigzag-fast"]
+    table = native.rename(columns={"t": "time", "psi": "yaw", "u": "surge", "v": "sway"})
+    table = table.assign(sway_dot=3.67 * native["r"], yaw_rate=0.0).drop(columns="r")
+    table.to_csv(tmp_path / "a.csv", index=False)
+    proposal = propose_mapping(tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text(proposal.text)
+    assert "r" not in read_mapping(tmp_path / "a.toml").channels and "r" not in proposal.sure
+    assert '\n# r = "yaw_rate"\n' in proposal.text
+    said = proposal.text.replace("\n# ", " ")
+    assert (
+        'r is not written: "sway_dot" is it with a probability of 0.00, below 0.1; the name' in said
+    )
+    assert any(check.startswith("r is not written") for check in proposal.checks)
+
+
+def test_a_position_is_written_whole_or_not_at_all(runs, tmp_path, monkeypatch):
+    table = runs["zigzag-fast"].rename(columns={"t": "time"})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    sure = propose_mapping(tmp_path / "a.csv").sure
+    between = 0.5 * (sure["x"] + sure["y"])
+    assert sure["x"] != sure["y"]
+    monkeypatch.setattr(proposal_module, "WRITTEN", between)
+    (tmp_path / "a.toml").write_text(propose_mapping(tmp_path / "a.csv").text)
+    assert not {"x", "y"} & set(read_mapping(tmp_path / "a.toml").channels)
 
 
 def test_orders_are_told_from_what_was_realised(runs, tmp_path):
@@ -282,6 +323,9 @@ def test_names_of_logs_are_understood():
     found = {
         "imu:angular_velocity.z": "r",
         "/odom:twist.linear.x": "vx",
+        "imu:angular_velocity_x": "p",
+        "angular_velocity_y": "other",
+        "azimuth_1:azimuth_deg": "other",
         "T_port": "port",
         "Sway velocity": "v",
         "delta_rudder [rad]": "rudder",

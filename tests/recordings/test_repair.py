@@ -9,14 +9,16 @@ import json
 import tomllib
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_audit import earth_axes, edited, motion, recording, sampled
 
+import diffsea
 from diffsea import Mapping, read_mapping, read_recording, repair, write_recording
 from diffsea.cli import main
 from diffsea.recordings import audit
 from diffsea.recordings.auditing.edits import Affine
-from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 from diffsea.recordings.mappings import Column
 
 
@@ -194,6 +196,27 @@ def test_several_faults_are_put_right_in_turn():
     assert kinds.index("unit") < kinds.index("sensor-latency") < kinds.index("heading-offset")
     sound = recording("random", 1, noise=0.3, commanded={})
     assert np.sqrt(np.nanmean((done.run.psi - sound.psi) ** 2)) < 0.01
+
+
+def test_a_repair_is_said_in_the_units_and_signs_of_the_mapping(tmp_path):
+    """The row that the audit prints, put into the mapping, leaves nothing to find."""
+    run = recording("random", 1, lambda true: {"r": true["r"] + 0.02, "psi": true["psi"] + 0.2})
+    table = pd.DataFrame({name: getattr(run, name) for name in ("t", *CHANNELS)})
+    table["psi"], table["r"] = np.degrees(table["psi"]), -60 * np.degrees(table["r"])
+    table.to_csv(tmp_path / "run.csv", index=False)
+    rows = {name: f'{name} = "{name}"' for name in ("t", *CHANNELS)}
+    rows["psi"] = 'psi = { column = "psi", unit = "deg", offset = 3.0 }'
+    rows["r"] = 'r = { column = "r", unit = "deg/min", sign = -1 }'
+    mapping = tmp_path / "boat.toml"
+    mapping.write_text("\n".join(["[columns]", *rows.values()]))
+    for _ in range(2):
+        for finding in diffsea.audit(tmp_path / "run.csv", mapping):
+            row = finding.repair.removesuffix(" in the mapping")
+            rows[row.partition(" = ")[0]] = row
+        mapping.write_text("\n".join(["[columns]", *rows.values()]))
+    assert 'unit = "deg", offset = ' in rows["psi"]
+    assert 'unit = "deg/min", sign = -1.0, offset = ' in rows["r"]
+    assert list(diffsea.audit(tmp_path / "run.csv", mapping)) == []
 
 
 def test_sound_recordings_stay_as_they_are():

@@ -64,6 +64,7 @@ def test_vessels_are_shown_in_words_and_as_json(capsys):
     assert main(["show", "otter", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["handling"]["course_times"][0] is None  # neutral: no linear damping of sway
+    assert shown["parameters"]["mass"] == 80.0 and "crossflow-drag.cd" in shown["parameters"]
     assert main(["show", "oter"]) == 1
     assert "did you mean 'otter'" in capsys.readouterr().err
     assert main(["show", "otter", "-o", "there"]) == 2  # it writes nothing

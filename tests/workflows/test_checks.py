@@ -11,10 +11,13 @@ from tests.recordings import driven_boat
 from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
 
 from diffsea.checks import check_run, check_together
-from diffsea.checks.answers import answers_of
+from diffsea.checks.answers import Answers, IntervalEstimate, LagOfAnswer, answers_of
 from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
+from diffsea.recordings import audit, write_recording
+from diffsea.report.pages.check import headlines
 from diffsea.trajectory import Trajectory
+from diffsea.workflows.checks import craft_of
 
 
 DELAY, WEAKER = 0.4, 0.06
@@ -203,6 +206,71 @@ def test_equal_sides_are_not_told_apart_and_no_answer_is_none():
     assert answers(boat, orders=guess).lag_of_turning is None
 
 
+def test_a_certain_bias_of_the_gyro_is_no_difference_of_the_sides():
+    """Of equal sides: the answers are those without the bias, and it is said that it is off."""
+    boat = noisy(drive(DELAY, dock=0.0, after=0.0))
+    found = {}
+    for bias in (0.0, 0.1):
+        run = recorded(dataclasses.replace(boat, r=boat.r + bias))
+        found[bias] = check_run(run, audit(run), ("csv", "a table", "vessel"), {})
+    sound, biased = (found[bias].answers for bias in (0.0, 0.1))
+    assert sound.asymmetry is not None and biased.asymmetry is not None
+    assert biased.asymmetry.value == pytest.approx(sound.asymmetry.value, abs=2e-4)
+    for clean, taken_off in zip(sound.turning, biased.turning, strict=True):
+        assert taken_off.answer.value == pytest.approx(clean.answer.value, abs=1e-3)
+    (note,) = found[0.1].notes
+    assert note.startswith("taken off before anything is told") and "0.1 rad/s" in note
+    assert [one.kind for one in found[0.1].audit] == ["gyro-bias"] and found[0.0].notes == ()
+    np.testing.assert_array_equal(found[0.1].run.r, boat.every(0.1).r + 0.1)
+
+
+def test_a_bias_that_is_not_certain_stays_and_is_said():
+    boat = noisy(drive(DELAY, dock=0.0, after=0.0))
+    run = recorded(dataclasses.replace(boat, r=boat.r + 0.1))
+    (finding,) = audit(run)
+    doubted = dataclasses.replace(finding, std=0.5 * finding.value)
+    check = check_run(run, [doubted], ("csv", "a table", "vessel"), {})
+    assert max(point.answer.value for point in check.answers.turning) > 0.5  # of 0.46
+    assert check.notes[0].startswith("what is told of the answer to orders rests on r, and that")
+
+
+def test_headlines_say_only_what_is_told_from_nothing():
+    estimate = lambda value, low, high: IntervalEstimate(value, low, high, "s")
+    constant = estimate(1.0, 0.9, 1.1)
+    told = headlines(Answers(lag_of_turning=LagOfAnswer(estimate(0, 0, 2), constant, 0.9)), True)
+    assert told == []
+    seen = LagOfAnswer(estimate(0.4, 0.3, 0.5), constant, 0.9)
+    told = headlines(Answers(lag_of_turning=seen, asymmetry=estimate(0.01, -0.2, 0.2)), True)
+    assert told == ["It begins to turn 0.40 s after the order (0.30 to 0.50 s)."]
+    told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02)), True)
+    assert told == ["Port and starboard differ by less than 4 %."]
+    told = headlines(Answers(asymmetry=estimate(-0.03, -0.04, -0.02)), True)
+    assert told == ["Starboard does 6 % less than port for the same order."]
+
+
+@pytest.mark.parametrize(
+    ("actuators", "craft"),
+    [
+        (("port", "starboard"), "two thrusters, port and starboard"),
+        (("rudder", "propeller"), "a propeller and a rudder"),
+        (("rudder.port", "rudder.starboard", "propeller"), "a propeller and two rudders"),
+        (("pod.angle", "pod.thrust", "bow"), "an azimuth thruster and an actuator (bow)"),
+        (("rudder",), "a rudder"),
+    ],
+)
+def test_a_craft_is_called_what_its_channels_say(actuators, craft):
+    assert craft_of(actuators) == f"vessel with {craft}"
+    assert craft_of([]) == "vessel whose actuators were not recorded"
+
+
+def test_a_table_with_native_columns_is_called_what_its_channels_say(tmp_path):
+    boat = noisy(drive(DELAY, dock=0.0, after=0.0))
+    write_recording(recorded(boat), tmp_path / "run.csv")
+    assert main(["check", str(tmp_path / "run.csv"), "-o", str(tmp_path / "out")]) == 0
+    craft = json.loads((tmp_path / "out" / "check.json").read_text())["craft"]
+    assert craft == "vessel with two thrusters, port and starboard"
+
+
 @pytest.mark.parametrize(
     ("scaled", "unit"),
     [
@@ -261,6 +329,14 @@ def test_a_log_that_is_broken_is_a_row_and_all_broken_an_error(logs, tmp_path, c
     assert "could not be read" in (tmp_path / "check.html").read_text()
     assert main(["check", both[0], "-o", str(tmp_path / "none")]) == 1
     assert "cannot be read" in capsys.readouterr().err and not (tmp_path / "none").exists()
+
+
+def test_a_log_that_is_not_there_is_told_once(tmp_path, capsys):
+    for name in ("boat.bin", "boat.csv"):
+        assert main(["check", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 1
+        said = capsys.readouterr().err
+        assert said.count(name) == 1 and "there is no recording" in said
+        assert "native columns" not in said
 
 
 def test_the_page_fits_a_phone_and_asks_for_nothing(checked, tmp_path):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diffsea.checks.answers import Answers, answers_of
+from diffsea.checks.corrections import correct_motion
 from diffsea.checks.open_questions import MINUTES, OpenQuestion, next_minutes, open_questions
 from diffsea.checks.shares import OrderScale, in_shares, order_scales, orders_of
 from diffsea.errors import UserError
@@ -48,6 +49,8 @@ class LogCheck:
         log: the name of its format.
         title: the format for people.
         run: the recording, orders as they stand.
+        corrected: the same without what is certain to be wrong in its motion, as `answers` and
+            `trials` take it.
         scales: of its orders.
         idle, used: stretches that are left out, and spans that count.
         trials: what was run in these.
@@ -60,6 +63,7 @@ class LogCheck:
     title: str
     craft: str
     run: Trajectory
+    corrected: Trajectory
     channels: dict[str, ChannelContent]
     scales: dict[str, OrderScale]
     audit: tuple[Finding, ...]
@@ -115,10 +119,11 @@ def check_run(
     """
     run = run.counted()
     scales = order_scales(run, outputs)
-    shares = in_shares(run, scales)
+    corrected, notes = correct_motion(run, findings)
+    shares = in_shares(corrected, scales)
     idle = idle_stretches(run)
     used = used_spans(run, idle)
-    notes: list[str] = []
+    notes = list(notes)
     parts = [cut(shares, *span) for span in used]
     trials: list[Segment] = []
     for part in parts:
@@ -139,6 +144,7 @@ def check_run(
         title=title,
         craft=craft,
         run=run,
+        corrected=corrected,
         channels=_channels(run, sources),
         scales=scales,
         audit=tuple(findings),

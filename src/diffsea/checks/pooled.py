@@ -54,7 +54,7 @@ def check_together(checks: Sequence[LogCheck]) -> PooledCheck | None:
     common = Counter(orders).most_common(1)[0][0]
     alike = [one for one, own in zip(ordered, orders, strict=True) if own == common]
     scales = joint_scales([one.scales for one in alike])
-    shares = [in_shares(one.run, own) for one, own in zip(alike, scales, strict=True)]
+    shares = [in_shares(one.corrected, own) for one, own in zip(alike, scales, strict=True)]
     if len(alike) < 2 or any(orders_of(run) is None for run in shares):
         return None
     spans = [one.used for one in alike]

@@ -18,7 +18,7 @@ _NEAR_NEUTRAL = 60.0  # us: a pulse that stands for a twentieth of the time ther
 _COMMON = 0.05
 _ROUNDING = 1.05  # of full order, that normalised orders may exceed
 _LARGEST = 0.995  # quantile of sizes that stands for the largest order
-_PORT, _STARBOARD = ("port", "left"), ("starboard", "stbd", "right")
+PORT_WORDS, STARBOARD_WORDS = ("port", "left"), ("starboard", "stbd", "right")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +136,7 @@ def orders_of(run: Trajectory) -> OrderShares | None:
     driving = {name: series for name, series in group.items() if not steers(name)}
     sides = [
         next((driving[n] for n in driving if any(word in n.lower() for word in side)), None)
-        for side in (_PORT, _STARBOARD)
+        for side in (PORT_WORDS, STARBOARD_WORDS)
     ]
     if not group:
         return None

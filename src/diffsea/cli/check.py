@@ -56,8 +56,9 @@ def check_command(args: argparse.Namespace) -> None:
         chosen = choose_mappings(paths, args.mapping)
         hows = [chosen[path] for path in paths]
         told = [how.message if isinstance(how, Finding) else how.told for how in hows]
-        for path, sentence in zip(paths, told, strict=True):
-            options.progress(f"{path.name}: {sentence}")
+        for path, how in zip(paths, hows, strict=True):
+            if not isinstance(how, Finding):  # what cannot be read is told with the results
+                options.progress(f"{path.name}: {how.told}")
         tell("checking the log" if len(paths) == 1 else f"checking {len(paths)} logs")
         checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
         for path, how in chosen.items():

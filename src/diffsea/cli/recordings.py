@@ -14,7 +14,7 @@ from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
 from diffsea.cli.trial import metrics_text
 from diffsea.errors import UserError
-from diffsea.progress import PartialProgress
+from diffsea.progress import PartialProgress, counted
 
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def metrics_command(args: argparse.Namespace) -> None:
     length = args.length if vessel is None else float(vessel.rigid_body.length)
     stages = {"reading": 1.0, "measuring": 2.0}
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
-        tell(f"reading {len(args.recordings)} recordings")
+        tell(f"reading {counted(len(args.recordings), 'recording')}")
         runs = options.read_recordings(args.recordings, args)
         tell("measuring the trials")
         made = {} if vessel is None else vessel.thrusts_at_rest
@@ -146,25 +146,29 @@ def _audit_or_propose(
     Raises:
         UserError: none of the recordings can be read, one is named twice, or the mapping is wrong.
     """
-    from diffsea.recordings import Finding
+    from diffsea.recordings import Finding, read_mapping
     from diffsea.recordings.mapping_proposal import foreign_layouts
     from diffsea.workflows.audits import audit_readable, read_readable
 
     paths: Sequence[pathlib.Path] = args.recordings
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
-    tell(f"reading {len(paths)} recordings")
+    tell(f"reading {counted(len(paths), 'recording')}")
     layouts = foreign_layouts(paths) if args.mapping is None else []
+    mappings = {} if args.mapping is None else dict.fromkeys(paths, read_mapping(args.mapping))
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
     for group in layouts:
-        found, text = _read_through_proposal(group, out, args)
+        found, text, written = _read_through_proposal(group, out, args)
         read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
+        if written is not None:
+            mappings |= dict.fromkeys(group, read_mapping(written))
         texts.append(text)
     runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
     options.tell_mappings(list(runs.values()))
     tell("looking for faults")
-    return audit_readable(list(read.values())), runs, "".join(texts)
+    through = [mappings.get(path) for path in read]
+    return audit_readable(list(read.values()), through), runs, "".join(texts)
 
 
 def _under_the_same_name(
@@ -181,10 +185,11 @@ def _under_the_same_name(
 
 def _read_through_proposal(
     paths: "Sequence[pathlib.Path]", out: Outputs, args: argparse.Namespace
-) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str]":
+) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str, pathlib.Path | None]":
     """Files of one foreign layout through the mapping that is proposed, and what was proposed.
 
-    Where none can be, or without a time, each file has a finding instead, and the text is empty.
+    With them the file of that mapping. Where none can be, or without a time, each file has a
+    finding instead, and the text is empty.
     """
     from diffsea.recordings import Finding, unreadable
     from diffsea.recordings.mapping_proposal import propose_mapping
@@ -194,11 +199,15 @@ def _read_through_proposal(
         proposal = propose_mapping(paths)
     except UserError as error:
         refused = zip(paths, read_readable(paths), strict=True)
-        return {
-            path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
-            for path, one in refused
-            if isinstance(one, Finding)
-        }, ""
+        return (
+            {
+                path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
+                for path, one in refused
+                if isinstance(one, Finding)
+            },
+            "",
+            None,
+        )
     name = f"{paths[0].stem}.mapping.toml"
     if out.folder / name in out.files:
         name = f"{paths[0].stem}.{len(out.files) + 1}.mapping.toml"
@@ -223,13 +232,14 @@ def _read_through_proposal(
         repair = "put the interval (s) into [file] time_step of the proposed mapping"
         untimed = Finding("time-step", math.nan, math.nan, "", why, repair, ("t",))
         found = {path: untimed for path in paths}
-    return found, "\n".join(lines) + "\n\n"
+    return found, "\n".join(lines) + "\n\n", written
 
 
 def _repair(args: argparse.Namespace) -> None:
     """Write recordings, and mappings where they can say it, in which what is certain is right."""
     from diffsea.recordings import read_mapping, write_recording
-    from diffsea.recordings.auditing.repair import mapping_text, repair
+    from diffsea.recordings.auditing.mapping_rows import mapping_text
+    from diffsea.recordings.auditing.repair import repair
 
     stems = [path.stem for path in args.recordings]
     inputs = {path.resolve() for path in args.recordings}
@@ -245,7 +255,8 @@ def _repair(args: argparse.Namespace) -> None:
         runs = options.read_recordings(args.recordings, args)
         repairs = []
         for number, run in enumerate(runs):
-            tell(PartialProgress(run.name, number / len(runs), f"repairing {len(runs)} recordings"))
+            stage = f"repairing {counted(len(runs), 'recording')}"
+            tell(PartialProgress(run.name, number / len(runs), stage))
             repairs.append(repair(run, mapping))
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
         records, texts = [], []

@@ -11,7 +11,7 @@ from diffsea.cli.options import add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
 from diffsea.errors import UserError
-from diffsea.progress import PartialProgress
+from diffsea.progress import PartialProgress, counted
 
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def segment_command(args: argparse.Namespace) -> None:
     settings, suffix = SegmentSettings(window=args.window), f".{args.format}"
     stages = {"reading": 3.0, "looking": 3.0, "writing": 3.0}
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
-        tell(f"reading {len(args.recordings)} recordings")
+        tell(f"reading {counted(len(args.recordings), 'recording')}")
         runs = options.read_recordings(args.recordings, args)
         stems = _different_stems(runs)
         tell("looking for trials")

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
-from diffsea.errors import UserError, nearest
+from diffsea.errors import UserError, nearest_of
 
 
 Goals = Mapping[str, Literal["least", "most"]]  # by number
@@ -44,8 +44,7 @@ def require_numbers(names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             raise UserError(
-                f"there is no number {name!r}{nearest(name, known)}; this sweep has "
-                f"{', '.join(known)}"
+                f"there is no number {name!r}{nearest_of(name, known, 'sweep.parquet')}"
             )
 
 

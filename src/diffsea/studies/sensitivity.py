@@ -13,8 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffsea.errors import UserError, nearest
-from diffsea.parameters import file_parameters, named, replace, spread_over_places
+from diffsea.errors import UserError, nearest_of
+from diffsea.parameters import (
+    PARAMETERS_LISTED,
+    file_parameters,
+    named,
+    replace,
+    spread_over_places,
+)
 from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.types import as_inputs
@@ -89,8 +95,7 @@ def parameter_names(vessel: Vessel, wanted: Iterable[str] | None) -> tuple[str, 
     for name in names:
         if name not in places:
             raise UserError(
-                f"the vessel has no parameter {name!r}{nearest(name, places)}; "
-                f"it has: {', '.join(places)}"
+                f"the vessel has no parameter {name!r}{nearest_of(name, places, PARAMETERS_LISTED)}"
             )
     return names
 

@@ -15,8 +15,13 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Bool, Float, Int
 
-from diffsea.errors import UserError, nearest
-from diffsea.parameters import file_parameters, replace, spread_over_places
+from diffsea.errors import UserError, nearest_of
+from diffsea.parameters import (
+    PARAMETERS_LISTED,
+    file_parameters,
+    replace,
+    spread_over_places,
+)
 from diffsea.simulation import planning
 from diffsea.simulation.batches import batch_size, in_batches
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
@@ -57,8 +62,7 @@ def check_names(vessel: Vessel, names: Sequence[str]) -> None:
     for name in names:
         if name not in every:
             raise UserError(
-                f"there is no parameter {name!r}{nearest(name, every)}; "
-                f"choose among {', '.join(every)}"
+                f"there is no parameter {name!r}{nearest_of(name, every, PARAMETERS_LISTED)}"
             )
     if set(OF_THE_TRIAL) <= set(names):
         raise UserError("sweep the approach speed or the thrust, not both")

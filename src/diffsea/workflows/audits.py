@@ -5,6 +5,7 @@ import dataclasses
 import html
 import pathlib
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import pandas as pd
@@ -12,6 +13,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
+from diffsea.recordings.auditing.mapping_rows import with_rows_of_mapping
 from diffsea.recordings.idle import used_parts
 from diffsea.trajectory import Trajectory
 
@@ -175,8 +177,12 @@ def _renamed(one: Trajectory | Finding, name: str) -> Trajectory | Finding:
     return dataclasses.replace(one, **{field: name})
 
 
-def audit_readable(read: Sequence[Trajectory | Finding]) -> list[tuple[str, list[Finding]]]:
+def audit_readable(
+    read: Sequence[Trajectory | Finding], mappings: Sequence[Mapping | None] = ()
+) -> list[tuple[str, list[Finding]]]:
     """Name and findings of every recording of a set, in its order; see `read_readable`.
+
+    `mappings` are those that they were read through, in whose units repairs are then said.
 
     Raises:
         UserError: none could be read.
@@ -187,7 +193,13 @@ def audit_readable(read: Sequence[Trajectory | Finding]) -> list[tuple[str, list
         several = f"none of the {len(refused)} recordings can be read:\n  "
         raise UserError((several if len(refused) > 1 else "") + "\n  ".join(refused))
     judged = iter(audit_set(runs))
-    return [(_name(one), [one] if isinstance(one, Finding) else next(judged)) for one in read]
+    found = []
+    for one, mapping in zip_longest(read, mappings):
+        findings = [one] if isinstance(one, Finding) else next(judged)
+        if mapping is not None:
+            findings = [with_rows_of_mapping(finding, mapping) for finding in findings]
+        found.append((_name(one), findings))
+    return found
 
 
 def audit(
@@ -206,7 +218,10 @@ def audit(
     Raises:
         UserError: no recording can be read, or the mapping cannot.
     """
-    several = [recordings] if isinstance(recordings, Recording) else recordings
-    judged = audit_readable(read_readable(several, mapping))
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if isinstance(mapping, str | pathlib.Path):
+        mapping = read_mapping(mapping)
+    through = [None if isinstance(one, Trajectory) else mapping for one in several]
+    judged = audit_readable(read_readable(several, mapping), through)
     found = [finding for _, findings in judged for finding in findings]
     return Findings(found, [name for name, _ in judged])

@@ -3,11 +3,12 @@
 import dataclasses
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from diffsea.checks import LogCheck, check_run
-from diffsea.errors import UserError
+from diffsea.checks.shares import PORT_WORDS, STARBOARD_WORDS
+from diffsea.errors import UserError, nearest
 from diffsea.recordings import (
     Finding,
     Mapping,
@@ -64,6 +65,11 @@ def choose_mappings(
         return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
     chosen: dict[Path, ChosenMapping | Finding] = {}
     for path in paths:
+        if not path.exists():
+            siblings = [item.name for item in path.parent.glob("*")]
+            why = f"there is no recording {path}{nearest(path.name, siblings)}"
+            chosen[path] = unreadable(path.name, why)
+            continue
         try:
             known = recognise(path)
         except UserError as error:
@@ -133,7 +139,7 @@ def check_logs(
         run, how = one
         outputs = how.known.outputs if how.known else ()
         missing = how.known.missing if how.known else _unmapped_orders(run)
-        named = _format_of(path, how)
+        named = _format_of(path, how, run)
         checks.append(check_run(run, next(judged), named, _sources(run, how), outputs, missing))
     return checks
 
@@ -166,25 +172,51 @@ def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
     return (f"{why}; {unused[0]}; {how}",)
 
 
-def _format_of(path: Path, how: ChosenMapping) -> tuple[str, str, str]:
+def _format_of(path: Path, how: ChosenMapping, run: Trajectory) -> tuple[str, str, str]:
     """The name of a log's format, the same for people, and the craft."""
     if how.known is not None:
         return how.known.log, how.known.title, how.known.craft
     form = logs.format_of(path)
     name = form.name if form else path.suffix.lower().removeprefix(".") or "table"
-    channels = {} if how.mapping is None else how.mapping.channels
     title = "a table with native columns" if how.mapping is None else "a table through a mapping"
-    return name, f"{title} ({name})" if form is None else name, craft_of(tuple(channels))
+    return (
+        name,
+        f"{title} ({name})" if form is None else name,
+        craft_of([*run.commanded, *run.executed]),
+    )
 
 
-def craft_of(channels: Sequence[str]) -> str:
-    """The kind of vessel by the names of its channels."""
-    names = {name.partition("_")[2] for name in channels if name.startswith(("cmd_", "exec_"))}
-    if {"port", "starboard"} <= names:
-        return "vessel with two thrusters, port and starboard"
-    if any("rudder" in name for name in names):
-        return "vessel with a rudder"
-    return f"vessel with actuators {', '.join(sorted(names))}" if names else "vessel"
+def craft_of(actuators: Iterable[str]) -> str:
+    """The kind of vessel by the names of its actuators."""
+    names = {name.lower() for name in actuators}
+    has = lambda *words: {name for name in names if any(word in name for word in words)}
+    rudders = has("rudder")
+    shafts = has("propeller", "shaft") - rudders
+    sides = [has(*words) - rudders - shafts for words in (PORT_WORDS, STARBOARD_WORDS)]
+    azimuths = {name.removesuffix(".angle") for name in names if name.endswith(".angle")}
+    others = {n for n in names if n.partition(".")[0] not in azimuths} - rudders - shafts
+    parts = []
+    if all(len(side) == 1 for side in sides):
+        parts.append("two thrusters, port and starboard")
+        others -= sides[0] | sides[1]
+    parts.append(_counted(len(azimuths), "azimuth thruster"))
+    parts.append(_counted(len(shafts), "propeller"))
+    parts.append(_counted(len(rudders), "rudder"))
+    if others:
+        parts.append(f"{_counted(len(others), 'actuator')} ({', '.join(sorted(others))})")
+    parts = [part for part in parts if part]
+    if not parts:
+        return "vessel whose actuators were not recorded"
+    first, last = ", ".join(parts[:-1]), parts[-1]
+    return f"vessel with {f'{first} and ' if first else ''}{last}"
+
+
+def _counted(number: int, word: str) -> str:
+    numbers = ("", "a" if word[0] not in "aeiou" else "an", "two", "three", "four")
+    if number == 0:
+        return ""
+    counted = numbers[number] if number < len(numbers) else str(number)
+    return f"{counted} {word}{'s' * (number > 1)}"
 
 
 def _sources(run: Trajectory, how: ChosenMapping) -> dict[str, tuple[str, str]]:

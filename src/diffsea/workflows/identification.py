@@ -32,7 +32,7 @@ from diffsea.identification.study import (
 )
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.parameters import Parameter
-from diffsea.progress import Progress, no_progress
+from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.recordings.auditing.actuators import stale_feedback
 from diffsea.report.diagnosis import diagnosis_report
@@ -250,8 +250,9 @@ def fit(
             proposes=not quick,
         )
         require_writable(file.document, [p.name for p in free_parameters(file.vessel, settings)])
-        numbers = (len(given.recordings), "recordings"), (len(given.trials), "trials of sheets")
-        told = " and ".join(f"{number} {what}" for number, what in numbers if number)
+        sheets = f"{counted(len(given.trials), 'trial')} of sheets" if given.trials else ""
+        runs = counted(len(given.recordings), "recording") if given.recordings else ""
+        told = " and ".join(filter(None, (runs, sheets)))
         same = _with_same_feedback(file.vessel, given.recordings, given.test, progress)
         given = given._replace(recordings=same[0], test=same[1])
         progress(f"fitting {told}, {len(given.test)} held out")
@@ -380,7 +381,7 @@ def diagnose(
             as_used_recordings(some, mapping, keep_idle, progress) for some in (recordings, test)
         )
         require_order_units(file.vessel, [*runs, *held_out])
-        progress(f"checking {len(runs) + len(held_out)} recordings for faults")
+        progress(f"checking {counted(len(runs) + len(held_out), 'recording')} for faults")
         audited = list(audit([*runs, *held_out]))
         audited += [one for run in (*runs, *held_out) for one in unit_findings(file.vessel, run)]
         findings = [finding.as_dict() for finding in audited]

@@ -21,7 +21,7 @@ from diffsea.metamodels.validation import (
     predict_trials,
 )
 from diffsea.metrics.repeats import mean_and_half_width
-from diffsea.progress import Progress, no_progress
+from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.metamodel import metamodel_report
 from diffsea.series import integrate
@@ -262,7 +262,7 @@ def metamodel(
     if most < FEWEST:
         raise UserError(f"a metamodel needs {FEWEST} trials or more, not {most}")
     runs = as_recordings(logs, mapping)
-    progress(f"looking for trials in {len(runs)} logs")
+    progress(f"looking for trials in {counted(len(runs), 'log')}")
     boat = None if vessel is None else as_vessel(vessel)
     found = search_logs(runs, boat, window)
     enough = {name: trials for name, trials in found.groups.items() if len(trials) >= FEWEST}

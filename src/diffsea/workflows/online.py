@@ -29,7 +29,7 @@ from diffsea.identification.online.guarded import (
     run_online,
 )
 from diffsea.parameters import Parameter, named, parameter_meaning, parameter_unit
-from diffsea.progress import Progress, no_progress
+from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
 from diffsea.report.pages.online import online_report
 from diffsea.simulation.order_units import require_order_units
@@ -174,7 +174,7 @@ def online(
         raise UserError("noise does not belong to the estimator 'least-squares'; leave it out")
     limits = None
     if known:
-        progress(f"calibrating trust by {len(known)} sound recordings")
+        progress(f"calibrating trust by {counted(len(known), 'sound recording')}")
         limits = calibrate_limits([follow(one) for one in known])
     progress(f"estimating along {len(given.t)} rows")
     run = follow(given, limits=limits)

@@ -141,6 +141,7 @@ def _parameters(args: argparse.Namespace, told: list[str]) -> "AutopilotParamete
         UserError: the log names no motor, or its orders are not in the unit that is asked for.
     """
     from diffsea.recordings.known.autopilot_parameters import FUNCTIONS, THROTTLE, read_parameters
+    from diffsea.recordings.known.recognition import column_of_output
 
     found = read_parameters(args.log)
     if not found.values:
@@ -149,8 +150,9 @@ def _parameters(args: argparse.Namespace, told: list[str]) -> "AutopilotParamete
         raise UserError(f"{args.log} has orders as pulse widths; leave --unit {args.unit} out")
     for one in found.outputs:
         sense = "reversed" if one.is_reversed else "not reversed"
+        column = column_of_output(args.log, one.channel)
         told.append(
-            f"SERVO{one.channel} (RCOU:C{one.channel}) is {FUNCTIONS[one.function]}: "
+            f"SERVO{one.channel} ({column}) is {FUNCTIONS[one.function]}: "
             f"{one.minimum:g} to {one.maximum:g} us, neutral {one.trim:g} us, {sense}"
         )
     sides = _sides(found)

@@ -1,6 +1,7 @@
 """Questions of `diffsea new` in a terminal, for what no option says."""
 
 import argparse
+import itertools
 import pathlib
 import sys
 from collections.abc import Callable
@@ -20,14 +21,12 @@ def ask_what_is_missing(
     """Ask in the terminal for what was not given; an empty answer takes the default in brackets.
 
     Arguments:
-        check_target: refuses a file that is there, before anything else is asked.
+        check_target: refuses a file that is there or cannot be written: another one is asked for.
 
     Raises:
-        UserError: the input ends, or the file cannot be written.
+        UserError: the input ends.
     """
-    if args.file is None:
-        args.file = _ask("file to write", pathlib.Path("boat.toml"), pathlib.Path)
-    check_target(args.file, args.force)
+    _ask_for_the_file(args, check_target)
     if args.hull is None:
         known = options.OneOf(HULLS, "hull form")
         args.hull = _ask(f"hull form ({', '.join(HULLS)})", "catamaran", known)
@@ -48,6 +47,27 @@ def ask_what_is_missing(
     if args.unit is None and args.log is None and args.hull != "ship":
         unit = options.OneOf(UNITS, "unit")
         args.unit = _ask(f"motors are ordered in ({', '.join(UNITS)})", "us", unit)
+
+
+def _ask_for_the_file(
+    args: argparse.Namespace, check_target: Callable[[pathlib.Path, bool], None]
+) -> None:
+    """Ask for the file to write, again where it is refused, before anything else is asked."""
+    usual = pathlib.Path("boat.toml")
+    while True:
+        if args.file is None:
+            args.file = _ask("file to write", _free_name(usual), pathlib.Path)
+        try:
+            return check_target(args.file, args.force)
+        except UserError as error:
+            print(f"  {error}", file=sys.stderr)
+            usual, args.file = args.file, None
+
+
+def _free_name(file: pathlib.Path) -> pathlib.Path:
+    """The file, or where it is there already the first numbered one that is not."""
+    numbered = (file.with_stem(f"{file.stem}-{number}") for number in itertools.count(2))
+    return file if not file.exists() else next(one for one in numbered if not one.exists())
 
 
 def _or_unknown(text: str) -> float | None:

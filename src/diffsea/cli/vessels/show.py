@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from diffsea.cli import options
 from diffsea.cli.outputs import json_text, table
 from diffsea.cli.progress.staged import StagedProgress
+from diffsea.cli.vessels.outline import outline
 from diffsea.outside.printable import printable
 
 
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 def register(commands: options.Commands) -> None:
     """Add the commands."""
     add = lambda name, run, text: options.add_command(commands, name, run, text, writes=False)
-    add("vessels", vessels_command, "list the vessels that ship")
+    vessels = add("vessels", vessels_command, "list and draw the vessels that ship")
+    text = "draw each from above, or this vessel alone (one that ships, or a file)"
+    vessels.add_argument("--draw", metavar="VESSEL", nargs="?", const="", help=text)
     show = add("show", show_command, "a vessel in words: speed, stability, turning, lags")
     options.add_vessel(show)
 
@@ -26,15 +29,23 @@ def register(commands: options.Commands) -> None:
 def vessels_command(args: argparse.Namespace) -> None:
     """List the vessels that come with diffsea, each of which any command takes by its name.
 
+    With --draw they are drawn from above as text, with thrusters, propellers and rudders where they
+    sit; so is any vessel file.
+
     examples:
       diffsea vessels
+      diffsea vessels --draw otter
       diffsea show otter
     """
     from diffsea.vessel.files import read_vessel, shipped_vessels
 
-    found = {name: read_vessel(name).vessel for name in shipped_vessels()}
+    names = [args.draw] if args.draw else shipped_vessels()
+    found = {name: read_vessel(name).vessel for name in names}
     if args.json:
         print(json_text({name: _particulars(vessel) for name, vessel in found.items()}))
+        return
+    if args.draw is not None:
+        print(printable("\n\n".join(outline(vessel) for vessel in found.values())))
         return
     rows = [
         (
@@ -49,24 +60,34 @@ def vessels_command(args: argparse.Namespace) -> None:
 
 
 def show_command(args: argparse.Namespace) -> None:
-    """Say what a vessel is like: size, actuators, top speed, stability, turning, time constants.
+    """Say what a vessel is like: size, actuators, top speed, stability, turning, time constants,
+    and what of it is unusual.
 
-    Everything is in still water, at the speed of the vessel's standard trials.
+    Everything is in still water, at the speed of the vessel's standard trials. Unusual is what lies
+    outside of the range of the vessels that ship, in numbers that are free of size.
 
     examples:
       diffsea show kvlcc2
       diffsea show boat.toml
     """
+    from diffsea.parameters import file_parameters, named
     from diffsea.studies.handling import handling
+    from diffsea.studies.unusual import unusual_figures
 
     vessel = options.read_vessel(args).vessel
     with StagedProgress({"running": 5.0}) as tell:
         tell("running a turning circle")
         found = handling(vessel)
+    unusual = unusual_figures(vessel, found)
     if args.json:
-        print(json_text(_particulars(vessel) | {"handling": found.as_dict()}))
-    else:
-        print(printable("\n".join(_sentences(vessel, found))))
+        values = named(vessel)
+        numbers = {name: float(values[p[0]]) for name, p in file_parameters(vessel).items()}
+        record = {"handling": found.as_dict(), "unusual": unusual, "parameters": numbers}
+        print(json_text(_particulars(vessel) | record))
+        return
+    lines = [f"unusual: {line}" for line in unusual]
+    lines = lines or ["nothing unusual beside the vessels that ship"]
+    print(printable("\n".join([*_sentences(vessel, found), *lines])))
 
 
 def _particulars(vessel: "Vessel") -> dict[str, Any]:

@@ -5,9 +5,7 @@ one stage are made together, judged by another audit, and undone if that is no b
 """
 
 import dataclasses
-import json
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -105,7 +103,7 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
     done = Repair(run, mapping, (), before, before)
     refused: dict[_Fault, str] = {}
     for _ in range(_MOST_TRIALS):
-        waiting = [f for f in done.left if not _hindrance(f, done.left)]
+        waiting = [f for f in done.left if not hindrance(f, done.left)]
         waiting = [f for f in waiting if _fault(f) not in refused]
         if not waiting:
             break
@@ -123,8 +121,8 @@ def repair(run: Trajectory, mapping: Mapping | None = None) -> Repair:
             refused |= {_fault(f): why for f in together}
     steps = list(done.steps)
     for finding in done.left:
-        if hindrance := _hindrance(finding, done.left):
-            steps.append(RepairStep(finding, "left", hindrance))
+        if why := hindrance(finding, done.left):
+            steps.append(RepairStep(finding, "left", why))
         else:
             why = refused.get(_fault(finding), "too many trials were needed")
             steps.append(RepairStep(finding, "undone", why))
@@ -156,7 +154,7 @@ def _size(finding: Finding) -> float:
     return abs(finding.value - (finding.kind == "scale"))
 
 
-def _hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
+def hindrance(finding: Finding, findings: Sequence[Finding]) -> str:
     """Why a finding cannot be repaired as things are; empty if it can."""
     if not finding.edits:
         return finding.repair or "nothing can be done about it here"
@@ -192,41 +190,3 @@ def _is_better(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
         return False
     changed = [fault for fault in old if old[fault] != new[fault]]
     return bool(changed) and all(new[fault] < _MUCH_SMALLER * old[fault] for fault in changed)
-
-
-def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
-    """The mapping as TOML, under comments; only what is not as usual is written.
-
-    Text, numbers and lists of them are written alike in TOML and JSON.
-    """
-    lines = [f"# {line}" for note in notes for line in note.splitlines()]
-    lines += ["format = 1", "", "[file]"]
-    for name, value in _unusual_fields(mapping, Mapping(mapping.channels, mapping.name)):
-        if name == "origin":
-            value = [float(np.degrees(angle)) for angle in value]
-        if name == "times":
-            lines.append(f"times = {{ {', '.join(_column_lines(mapping.times))} }}")
-        else:
-            lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
-    lines += ["", "[columns]", *_column_lines(mapping.channels)]
-    return "\n".join(lines) + "\n"
-
-
-def _column_lines(columns: dict[str, Column]) -> list[str]:
-    """Columns by name, as a mapping has them."""
-    lines = []
-    for name, column in columns.items():
-        plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
-        pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
-        entry = ", ".join(
-            f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs
-        )
-        quoted = name if plain else json.dumps(name, ensure_ascii=False)
-        lines.append(f"{quoted} = {{ {entry} }}")
-    return lines
-
-
-def _unusual_fields(record: Mapping | Column, usual: Mapping | Column) -> list[tuple[str, Any]]:
-    """Names and values of the fields in which two records of a kind differ."""
-    pairs = [(f.name, getattr(record, f.name)) for f in dataclasses.fields(record)]
-    return [(name, value) for name, value in pairs if value != getattr(usual, name)]

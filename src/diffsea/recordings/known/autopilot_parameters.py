@@ -1,14 +1,14 @@
 """Parameters in a log of ArduPilot: which output is which motor, its zero, its ends, its sense.
 
 The autopilot tells its parameters when logging starts, and again what is changed later.
-`SERVOn_FUNCTION` says what output n (RCOU:Cn) drives, by numbers of ArduPilot's list.
+`SERVOn_FUNCTION` says what output n drives, by numbers of ArduPilot's list.
 """
 
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
-from diffsea.errors import UserError
+from diffsea.errors import UserError, nearest
 from diffsea.recordings.logs.reading import format_of
 
 
@@ -30,7 +30,7 @@ class ServoOutput:
     `trim` is neutral; `is_reversed` where longer pulses are astern (or to port).
     """
 
-    channel: int  # n of SERVOn, whose pulse width is RCOU:Cn
+    channel: int  # n of SERVOn
     function: int
     minimum: float
     maximum: float
@@ -86,8 +86,11 @@ def read_parameters(path: Path) -> AutopilotParameters:
     """What the parameters in a log say of a boat's actuators: none of a format that has none.
 
     Raises:
-        UserError: the log cannot be read, or the package that reads it is absent.
+        UserError: the log is not there or cannot be read, or the package that reads it is absent.
     """
+    if not path.exists():
+        siblings = [item.name for item in path.parent.glob("*")]
+        raise UserError(f"there is no log {path}{nearest(path.name, siblings)}")
     form, told = format_of(path), list[tuple[str, float]]()
     if form is not None and form.parameters is not None:
         with form.packages(path):

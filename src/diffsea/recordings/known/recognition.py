@@ -10,7 +10,7 @@ from typing import Any
 
 from diffsea.errors import UserError
 from diffsea.recordings import logs
-from diffsea.recordings.auditing.repair import mapping_text
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 from diffsea.recordings.known.autopilot_parameters import read_parameters
 from diffsea.recordings.known.outputs import Output, assigned_outputs
 from diffsea.recordings.mappings import Column, Mapping, mapping_from
@@ -119,6 +119,13 @@ def recognise(path: str | Path) -> Recognised | None:
         tuple(missing),
         tuple(others),
     )
+
+
+def column_of_output(path: Path, number: int) -> str:
+    """The column in which a log has the pulse widths of an output of the autopilot."""
+    form = logs.format_of(path)
+    layout = {} if form is None else _layouts().get(form.name, {})
+    return layout.get("outputs", "SERVO{number}").format(number=number).removeprefix("*")
 
 
 def _exported(log: str, found: Contents, path: Path) -> Recognised:

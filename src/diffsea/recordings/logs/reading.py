@@ -66,7 +66,15 @@ FORMATS = (
         told="a folder of tables (name the tables where each is a run of its own); as one run it",
     ),
 )
-_HEADINGS = ("yaw", "heading", "psi")  # what a field for the example may be called
+# What a field for the example may be called, by the channel; the first that a log has is shown.
+_EXAMPLES = {
+    "psi": ("yaw", "heading", "psi"),
+    "latitude": ("latitude", "lat"),
+    "r": ("yaw_rate", "yawrate", "angular_velocity_z", "angular_velocity.z"),
+    "x": ("x", "north"),
+}
+_EXAMPLE_UNITS = {"psi": "rad", "latitude": "deg", "r": "rad/s", "x": "m"}
+_ENDINGS = {"_deg": "deg", "_rad": "rad", "_deg_s": "deg/s", "_rad_s": "rad/s", "_m": "m"}
 _ANGLES = ("psi", "phi", "wind_direction")
 _BRIDGED_INTERVALS = 3.0  # of a channel's own: a straight line says little across more
 
@@ -208,17 +216,32 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
     fields = [(topic, field) for topic, names in found.items() for field in names]
     first, *others = found.values() if found else [[]]
     shared = [name for name in first if others and all(name in names for names in others)]
-    headings = [pair for pair in fields if pair[1].lower().split(".")[-1] in _HEADINGS]
-    own = [pair for pair in fields if pair[1] not in shared]
-    column = ":".join((headings or own or [("topic", "field")])[0]).removeprefix(":")
+    example = next(filter(None, (_example_row(channel, fields) for channel in _EXAMPLES)), None)
+    row = example or 'psi = { column = "topic:field", unit = "rad" }'
     clock = shared[0] if shared else "..."
     time = f'  t = {{ column = "{clock}", unit = "s" }}\n' if form.time_is_mapped else ""
     return (
         f"{path} is {form.told} needs a mapping that says which fields are which channels. "
         f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in boat.toml,\n"
-        f'  [columns]\n{time}  psi = {{ column = "{column}", unit = "rad" }}\n'
+        f"  [columns]\n{time}  {row}\n"
         "with a line per channel and its unit in the log, and name it with --mapping boat.toml"
     )
+
+
+def _example_row(channel: str, fields: list[tuple[str, str]]) -> str | None:
+    """The row of a mapping for a channel that a field is called; None where none is."""
+    for topic, field in fields:
+        name, unit = field.lower(), ""
+        ending = next((end for end in _ENDINGS if name.endswith(end)), "")
+        if ending:
+            name, unit = name.removesuffix(ending), _ENDINGS[ending]
+        if not {name, name.rpartition(".")[2]} & set(_EXAMPLES[channel]):
+            continue
+        column = f"{topic}:{field}".removeprefix(":")
+        asked = "" if unit else "  # or its unit in the log"
+        unit = unit or _EXAMPLE_UNITS[channel]
+        return f'{channel} = {{ column = "{column}", unit = "{unit}" }}{asked}'
+    return None
 
 
 def _mapped_streams(

@@ -205,7 +205,8 @@ def _read_source(paths: Sequence[Path]) -> _Source:
         in_range = np.min(values) >= 0 and 300 < np.max(values) <= 360.5
         if in_range and np.any(np.abs(np.diff(values)) > 300):
             wrapped.add(name)
-    prior, windows = HypothesisPrior(suggestions, frozenset(wrapped)), windows_of(records)
+    prior = HypothesisPrior(suggestions, frozenset(wrapped), frozenset(records[0].columns))
+    windows = windows_of(records)
     fixed = frozenset(tables[0]) - varying
     return _Source(
         tuple(kept), layout, tables[0], fixed, clock, place, origin, cosines, windows, prior

@@ -10,7 +10,9 @@ runs of a simulated vessel and on published data sets.
 """
 
 import dataclasses
+import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -121,6 +123,16 @@ _WRAPPED_COMPASS = 1.5  # the same for a column that wraps from 360 to 0
 _GEOGRAPHIC = 20.0
 _DEGREES = 1.0  # against positions in degrees beside others in metres, which are easier to check
 _NEGATED_NORTH = 4.0  # against the negative of what is called north or east
+# Against a column that is called another quantity while one that is called this is unused: more
+# than any relation between columns counts.
+_OTHER_QUANTITY = 1e3
+# The labels of columns that are of the quantity of a channel, in whatever axes.
+QUANTITIES = {
+    **dict.fromkeys(("x", "y"), ("x", "y", "north", "east", "lat", "lon")),
+    "psi": ("psi",),
+    **dict.fromkeys(("u", "v"), ("u", "v", "vx", "vy", "vn", "ve")),
+    "r": ("r",),
+}
 _MOST_AGAINST_RATIO = 14.0  # log odds: a ratio of no two units may still have another reason
 _SCALE_ERROR = 0.04  # standard deviation of the scale errors of sensors
 STATED_UNIT = 0.97  # probability that a stated unit is right
@@ -139,10 +151,12 @@ class HypothesisPrior:
     Attributes:
         suggestions: what the names of columns suggest.
         wrapped: the columns that look like a compass by their range.
+        varying: the columns that may be read as motion, as they change in some file.
     """
 
     suggestions: dict[str, Suggestion]
     wrapped: frozenset[str] = frozenset()
+    varying: frozenset[str] = frozenset()
     _known: dict[tuple, list[float]] = dataclasses.field(default_factory=dict, repr=False)
 
     def label(self, column: str | None, *labels: str) -> float:
@@ -154,6 +168,35 @@ class HypothesisPrior:
             return 0.0
         weights = self.suggestions[column].weights
         return math.log(max(weights[label] for label in labels) / weights["other"])
+
+    def named_for(self, channel: str) -> frozenset[str]:
+        """The varying columns whose names say the quantity of a motion channel, orders left out."""
+        return self._quantities[channel][0]
+
+    def passes_over(self, columns: Sequence[str | None], others: frozenset[str]) -> float:
+        """Log odds against columns, of x, y, psi, u, v and r, that are called something else.
+
+        They count where a column that is called what the channel is is neither among them nor the
+        `others`.
+        """
+        cost = 0.0
+        for channel, column in zip(MOTION_CHANNELS, columns, strict=False):
+            named, strangers = self._quantities[channel]
+            if column in strangers:
+                cost += _OTHER_QUANTITY * (not named <= others.union(columns))
+        return cost
+
+    @functools.cached_property
+    def _quantities(self) -> dict[str, tuple[frozenset[str], frozenset[str]]]:
+        """The columns called what a channel is, and those called something else, by channel."""
+        found = {}
+        for channel, labels in QUANTITIES.items():
+            weights = {name: self.suggestions[name].weights for name in self.varying}
+            says = {n for n, each in weights.items() if max(each[x] for x in labels) > NAMED}
+            named = frozenset(name for name in says if not self.suggestions[name].ordered)
+            strangers = {n for n, each in weights.items() if max(each.values()) > NAMED} - says
+            found[channel] = named, frozenset(strangers if named else ())
+        return found
 
     def unit_probabilities(self, channel: str, column: str | None) -> dict[str, float]:
         """Probability of every unit of a column read as x, u or r, from what its header says.
@@ -213,7 +256,7 @@ class HypothesisPrior:
 
     def _contradictions(self, h: ColumnHypothesis) -> float:
         """Log odds against hypotheses that deny what is fixed by definition."""
-        cost, fixes = 0.0, []
+        cost, fixes = self.passes_over((h.x, h.y, h.psi, h.u, h.v, h.r), frozenset()), []
         for column, sign, label, absolute in (
             (h.x, h.signs[0], "lat", "north"),
             (h.y, h.signs[1], "lon", "east"),

@@ -13,13 +13,14 @@ from pathlib import Path
 from diffsea.errors import UserError
 from diffsea.recordings import logs
 from diffsea.recordings.mapping_proposal.actuators import ROLES
+from diffsea.recordings.mapping_proposal.columns import NO_CLOCK
 from diffsea.recordings.mapping_proposal.evidence import (
     ChannelGuess,
     ProposalEvidence,
     gather_evidence,
 )
-from diffsea.recordings.mapping_proposal.hypotheses import NED
-from diffsea.recordings.mapping_proposal.names import LABELS
+from diffsea.recordings.mapping_proposal.hypotheses import NED, QUANTITIES
+from diffsea.recordings.mapping_proposal.names import LABELS, NAMED
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
 from diffsea.recordings.mappings import Column, is_channel
 from diffsea.runtime import one_blas_thread
@@ -27,6 +28,8 @@ from diffsea.trajectory import MOTION_CHANNELS
 
 
 SURE, LIKELY = 0.95, 0.7  # probabilities from which on a guess is called so
+WRITTEN = 0.1  # probability below which a guess is no row of the mapping, but a comment
+_TOGETHER = {"x": "y", "y": "x", "latitude": "longitude", "longitude": "latitude"}
 _SUREST_WITHOUT_ANSWER = 0.9  # of an actuator to which no motion was seen to answer
 _MENTIONED_MIRROR = 0.02  # probability of a mirrored record from which on it is mentioned
 _MENTIONED_LABEL = 0.2  # weight from which on an unused column is said to be one perhaps
@@ -85,6 +88,12 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     evidence = gather_evidence(files)
     guesses = [*evidence.guesses, *_actuator_guesses(evidence)]
+    guesses, doubted = _without_the_doubtful(evidence, guesses)
+    written = {guess.channel for guess in guesses}
+    if "t" not in written and evidence.clock.column is not None:
+        evidence = dataclasses.replace(evidence, clock=NO_CLOCK)
+    if "latitude" not in written:
+        evidence = dataclasses.replace(evidence, origin=None)
     summary, checks = [], []
     timed = evidence.clock.column is not None or math.isfinite(evidence.clock.step)
     if evidence.clock.column is None:
@@ -95,8 +104,11 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         summary.append(f"  {guess.channel:15s} {_level(sure):6s} {sure:5.2f}  {name}")
         if _level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
+    for guess in doubted:
+        summary.append(f"  {guess.channel:15s} none   {guess.sure:5.2f}  {guess.column.column}")
+        checks.append(_why_not_written(evidence, guess, guesses))
     return Proposal(
-        text=_mapping_text(evidence, guesses, files[0].name),
+        text=_mapping_text(evidence, guesses, doubted, files[0].name),
         sure={guess.channel: guess.sure for guess in guesses},
         summary="\n".join(summary),
         checks=tuple(checks),
@@ -171,7 +183,62 @@ def _actuator_guesses(evidence: ProposalEvidence) -> list[ChannelGuess]:
     return found
 
 
-def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], source: str) -> str:
+def _without_the_doubtful(
+    evidence: ProposalEvidence, guesses: list[ChannelGuess]
+) -> tuple[list[ChannelGuess], list[ChannelGuess]]:
+    """The guesses that are probable enough to be written, and the others.
+
+    Of a pair of coordinates neither is written without the other, and no velocities along earth
+    axes without the heading that turns them.
+    """
+    doubtful = {guess.channel for guess in guesses if guess.sure < WRITTEN}
+    doubtful |= {_TOGETHER[channel] for channel in doubtful if channel in _TOGETHER}
+    if "psi" in doubtful and evidence.motion.earth:
+        doubtful |= {"u", "v"}
+    return (
+        [guess for guess in guesses if guess.channel not in doubtful],
+        [guess for guess in guesses if guess.channel in doubtful],
+    )
+
+
+def _why_not_written(
+    evidence: ProposalEvidence, guess: ChannelGuess, written: list[ChannelGuess]
+) -> str:
+    """Why a guess is no row of the mapping, with the column that is called what it is, if any."""
+    channel, column = guess.channel, _quoted(guess.column.column)
+    text = f"{channel} is not written: {column} is it with a probability of {guess.sure:.2f}"
+    text += f", below {WRITTEN}" if guess.sure < WRITTEN else f", and goes with {_partner(channel)}"
+    better = _better_named(evidence, guess, written)
+    return text + (f"; the name of {_quoted(better)} says that it is" if better else "")
+
+
+def _partner(channel: str) -> str:
+    return _TOGETHER.get(channel, "psi")
+
+
+def _better_named(
+    evidence: ProposalEvidence, guess: ChannelGuess, written: list[ChannelGuess]
+) -> str | None:
+    """The unused column whose name says the channel of a guess most clearly; None if none does."""
+    used = {name for each in [*written, guess] for name in each.column.names}
+    channel = {"latitude": "x", "longitude": "y"}.get(guess.channel, guess.channel)
+    label = channel.removeprefix("cmd_").removeprefix("exec_")
+    labels = [each for each in QUANTITIES.get(channel, (label,)) if each in LABELS]
+    weights = {
+        name: max((told.weights[each] for each in labels), default=0.0)
+        for name, told in evidence.suggestions.items()
+        if name not in used
+    }
+    best = max(weights, key=lambda name: weights[name], default=None)
+    return best if best is not None and weights[best] > NAMED else None
+
+
+def _mapping_text(
+    evidence: ProposalEvidence,
+    guesses: list[ChannelGuess],
+    doubted: list[ChannelGuess],
+    source: str,
+) -> str:
     """The mapping as TOML with comments; `source` is the file it was proposed for."""
     motion, frames = evidence.motion, ""
     if motion.psi is not None or motion.x is not None:
@@ -188,10 +255,11 @@ def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], sourc
         f"# Proposed for {source} from the names of its columns and from kinematics.",
         "# sure, likely and guess are probabilities above 0.95, above 0.7, and below: check the",
         "# last two kinds, and delete what is wrong.",
+        *([f"# What is less probable than {WRITTEN} stands in a comment."] if doubted else []),
         "format = 1",
         "",
         "[file]",
-        *_file_lines(evidence),
+        *_file_lines(evidence, guesses),
         "",
         *_comment(frames),
         "[columns]",
@@ -199,6 +267,11 @@ def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], sourc
     for guess in guesses:
         lines += _comment(f"{_level(guess.sure)} ({guess.sure:.2f}): {guess.why}.")
         lines.append(f"{guess.channel} = {_column_value(guess.column)}")
+    for guess in doubted:
+        better = _better_named(evidence, guess, guesses)
+        lines += _comment(f"{_why_not_written(evidence, guess, guesses)}.")
+        column = guess.column if better is None else Column(better)
+        lines.append(f"# {guess.channel} = {_column_value(column)}")
     used = {name for guess in guesses for name in guess.column.names} | {evidence.clock.column}
     unused = [name for name in evidence.layout.names if name and name not in used]
     if unused:
@@ -215,7 +288,7 @@ def _mapping_text(evidence: ProposalEvidence, guesses: list[ChannelGuess], sourc
     return "\n".join(lines) + "\n"
 
 
-def _file_lines(evidence: ProposalEvidence) -> list[str]:
+def _file_lines(evidence: ProposalEvidence, guesses: list[ChannelGuess]) -> list[str]:
     """What stands under [file]: how the table is read, its time step, origin and axes."""
     layout, clock, how, lines = evidence.layout, evidence.clock, evidence.layout.mapping, []
     if layout.text:
@@ -242,7 +315,7 @@ def _file_lines(evidence: ProposalEvidence) -> list[str]:
     if evidence.origin is not None:
         lines += _comment("The first fix, from where positions count.")
         lines.append(f"origin = [{evidence.origin[0]!r}, {evidence.origin[1]!r}]")
-    if evidence.motion.earth and evidence.motion.psi:
+    if evidence.motion.earth and {"psi", "u"} <= {guess.channel for guess in guesses}:
         lines += _comment("u and v are the derivatives of x and y: velocities along earth axes.")
         lines.append('velocity_axes = "earth"')
     return lines

@@ -103,7 +103,9 @@ class ColumnScreening:
                 best = max(rate + self.prior.label(r, "r") for r, _, rate in rates)
                 total = odds + self.prior.label(name, "psi") + best
                 found.append((total, HeadingCandidate(name, period, odds, rates)))
-        found = heapq.nlargest(_MOST_HEADINGS, found, key=lambda item: item[0])
+        likely = heapq.nlargest(_MOST_HEADINGS, found, key=lambda item: item[0])
+        kept = self.prior.named_for("psi")
+        found = likely + [i for i in found if i[1].column in kept and i not in likely]
         named = heapq.nlargest(1, self.names, key=lambda name: self.prior.label(name, "r"))
         rates = ((None, None, 0.0), *((name, None, 0.0) for name in named))
         return [*(heading for _, heading in found), HeadingCandidate(None, 2 * math.pi, 0.0, rates)]
@@ -134,10 +136,12 @@ class ColumnScreening:
             (name, relation, saturated_evidence(evidence, best))
             for name, (relation, evidence) in relations.items()
         ]
-        options = heapq.nlargest(
+        likely = heapq.nlargest(
             _MOST_RATES, options, key=lambda option: option[2] + self.prior.label(option[0], "r")
         )
-        return (*options, (None, None, 0.0))
+        kept = self.prior.named_for("r")
+        named = [option for option in options if option[0] in kept and option not in likely]
+        return (*likely, *named, (None, None, 0.0))
 
     def _rate_penalty(self, relation: IntegralRelation, column: str, period: float) -> float:
         """Log odds against the ratio of heading to yaw rate under the best choice of units."""
@@ -163,10 +167,12 @@ class ColumnScreening:
         for heading, tables in fits.items():
             base = heading.log_odds + self.prior.label(heading.column, "psi")
             base += max(odds + self.prior.label(r, "r") for r, _, odds in heading.rates)
+            rates = frozenset(r for r, _, _ in heading.rates if r is not None)
             for (u, v, earth), explained in tables.items():
                 speed = base + self._velocity_names(u, v, earth)
                 gains = {n: saturated_evidence(e, best[n]) for n, e in explained.items()}
                 for a, b, odds in self._position_pairs(gains):
+                    odds -= self.prior.passes_over((a, b, heading.column, u, v), rates)
                     sets.append(ColumnSet(heading, a, b, u, v, earth, speed + odds))
         return heapq.nlargest(_MOST_COLUMN_SETS, sets, key=lambda item: item.log_odds)
 

@@ -30,6 +30,7 @@ from diffsea.report.words import Record, capital, enumeration
 DRAWN_ROWS = 1500  # of a run: more cannot be told apart
 DRAWN_SAMPLES = 800  # behind the points of a curve
 LEAST_RATIO = 0.005  # of sides, one per cent between them
+MOST_ALIKE = 5.0  # per cent within which sides that are not told apart are said to be alike
 LEAST_AHEAD = 0.05  # of full order, from which on a speed is worth a sentence
 ROW_HEIGHT = 26  # pixels, of a channel in the picture of quality
 COLOURS = {  # of trials, told apart with any kind of colour vision
@@ -143,22 +144,27 @@ def headlines(answers: Answers, commanded: bool) -> list[str]:
         delay = answers.lag_of_turning.delay
         span = f"{significant(delay.low, 2)} to {significant(delay.high, 2)} s"
         after = "the order" if commanded else "what was executed"
-        told.append(f"It begins to turn {significant(delay.value, 2)} s after {after} ({span}).")
+        if delay.low > 0:
+            begins = f"It begins to turn {significant(delay.value, 2)} s after {after} ({span})."
+            told.append(begins)
         if answers.lag_of_turning.opposite:
             told.append("A positive order turns it to port: the sign, or the sides, are exchanged.")
     if answers.asymmetry is not None:
-        told.append(_asymmetry_sentence(answers.asymmetry))
+        told += _asymmetry_sentences(answers.asymmetry)
     return told
 
 
-def _asymmetry_sentence(asymmetry: IntervalEstimate) -> str:
-    """Which side is stronger, and how surely."""
+def _asymmetry_sentences(asymmetry: IntervalEstimate) -> list[str]:
+    """Which side is stronger, or that none is by much; nothing where that cannot be told."""
+    largest = max(abs(asymmetry.low), abs(asymmetry.high))
+    less = lambda ratio: 100 * 2 * abs(ratio) / (1 + abs(ratio))  # per cent of the stronger side
     if asymmetry.low <= 0 <= asymmetry.high or abs(asymmetry.value) < LEAST_RATIO:
-        return "No difference between port and starboard is seen beyond chance and one per cent."
-    ratio = asymmetry.value
-    stronger, weaker = ("starboard", "port") if ratio > 0 else ("port", "starboard")
-    less = 100 * (1 - (1 - abs(ratio)) / (1 + abs(ratio)))
-    return f"{capital(weaker)} does {less:.0f} % less than {stronger} for the same order."
+        if less(largest) > MOST_ALIKE:
+            return []
+        return [f"Port and starboard differ by less than {math.ceil(less(largest))} %."]
+    stronger, weaker = ("starboard", "port") if asymmetry.value > 0 else ("port", "starboard")
+    share = f"{less(asymmetry.value):.0f} % less"
+    return [f"{capital(weaker)} does {share} than {stronger} for the same order."]
 
 
 def _quality_plot(one: LogCheck) -> Plot | None:

@@ -4,7 +4,7 @@ An entry is an `Effect`, in the module of what it acts on; files state it, fits 
 diagnoses look for it. May import the rest of `vessel`, `kinematics` and `types`.
 """
 
-from diffsea.errors import UserError, nearest
+from diffsea.errors import UserError, nearest_of
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import ACTUATORS
 from diffsea.vessel.effects.coordinates import Coefficient as Coefficient
@@ -38,9 +38,7 @@ def find_effects(name: str) -> tuple[Effect, ...]:
     found = tuple(e for e in EFFECTS.values() if name in (e.name, catalogue_name(e.name)))
     if not found:
         known = sorted({catalogue_name(effect) for effect in EFFECTS})
-        raise UserError(
-            f"unknown effect {name!r}{nearest(name, known)}; the catalogue has: {', '.join(known)}"
-        )
+        raise UserError(f"unknown effect {name!r}{nearest_of(name, known, 'the page on effects')}")
     return found
 
 
