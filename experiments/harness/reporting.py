@@ -54,22 +54,36 @@ class Experiment:
         plain_colours.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
     def write(self, results: dict, tables: dict[str, str] | None = None) -> None:
-        """Write results.json; in a full run fill in the README's tables, see `fill`.
+        """Write results.json, tables included; a full run fills in the README's, see `fill`.
 
         A README with a place for `SECONDS` is told there how long the run took.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         seconds = round(time.perf_counter() - self.began, 1)
         record = {"experiment": self.home.name, "quick": self.quick, "seconds": seconds} | results
+        record |= {"tables": tables or {}}
         _replace(self.folder / "results.json", json.dumps(plain(record), indent=1) + "\n")
+        readme = self.home / "README.md"
         for key, text in (tables or {}).items():
             print(f"\n{text}")
             if self.folder == self.home:
-                fill(self.home / "README.md", key, text)
-        readme = self.home / "README.md"
+                fill(readme, key, text)
         if self.folder == self.home and "<!-- begin SECONDS -->" in readme.read_text():
-            fill(readme, "SECONDS", f"The full run of these figures took {seconds:.0f} s.")
+            fill(readme, "SECONDS", how_long(seconds))
         print(f"\nwritten to {self.folder} after {seconds:.0f} s")
+
+
+def how_long(seconds: float) -> str:
+    """What a README says of a full run's time."""
+    return f"The full run of these figures took {seconds:.0f} s."
+
+
+def filled(readme: Path) -> dict[str, str]:
+    """What stands in each place of a README, by its key."""
+    places = re.findall(
+        r"<!-- begin (\S+) -->\n(.*?)\n<!-- end \1 -->", readme.read_text(), re.DOTALL
+    )
+    return dict(places)
 
 
 def experiment(script: str, description: str | None) -> Experiment:

@@ -15,6 +15,7 @@ from tests.paths import EXPERIMENTS, ROOT
 HERE = EXPERIMENTS
 
 FOLDERS = sorted(path.name for path in HERE.iterdir() if (path / "README.md").exists())
+WITH_TABLES = [name for name in FOLDERS if reporting.filled(HERE / name / "README.md")]
 
 
 def test_every_experiment_has_a_script_and_is_in_the_list():
@@ -26,6 +27,30 @@ def test_every_experiment_has_a_script_and_is_in_the_list():
     for name, commands in every.COMMANDS.items():
         for module, *_ in commands:
             assert importlib.util.find_spec(module), (name, module)
+
+
+@pytest.mark.parametrize("name", WITH_TABLES)
+def test_tables_of_a_readme_are_those_of_its_results(name):
+    """They are written by one run, and nobody has changed either since."""
+    record = json.loads((HERE / name / "results.json").read_text())
+    shown = reporting.filled(HERE / name / "README.md")
+    if "SECONDS" in shown:
+        assert shown.pop("SECONDS") == reporting.how_long(record["seconds"])
+    assert shown == record["tables"] and not record["quick"]
+
+
+@pytest.mark.parametrize("name", WITH_TABLES)
+def test_a_comparison_shows_the_numbers_of_its_rows(name):
+    record = json.loads((HERE / name / "results.json").read_text())
+    keys = [key for key in record["tables"] if key.lower() in ("comparison", "published")]
+    assert len(keys) == ("comparison" in record)
+    for key in keys:
+        lines = record["tables"][key].splitlines()[2:]
+        for row, line in zip(record["comparison"], lines, strict=True):
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+            stated = row["published"] if "published" in row else row["limit"]
+            assert cells[0].strip() == row["quantity"]
+            assert {reporting.shown(stated), reporting.shown(row["obtained"])} <= set(cells)
 
 
 def test_a_misspelt_experiment_is_told():
