@@ -29,9 +29,22 @@ def python(code: str, **environment: str) -> str:
 
 def test_documented_names_are_the_public_names():
     page = (ROOT / "docs" / "python.md").read_text()
-    table = page[page.index("## Names") : page.index("## JAX's set-up")]
+    table = page[page.index("## Names") : page.index("## Commands and their calls")]
     assert sorted(re.findall(r"`(\w+)`", table)) == sorted(PUBLIC.__all__)
     assert 30 <= len(PUBLIC.__all__) <= 70
+
+
+def test_calls_of_commands_are_there():
+    page = (ROOT / "docs" / "python.md").read_text()
+    text = page[page.index("## Commands and their calls") : page.index("## JAX's set-up")]
+    rows = [line.split(" | ")[1] for line in text.splitlines() if line.startswith("| `")]
+    assert len(rows) == 9
+    imported = [re.search(r"from (\S+) import (\w+)", row) for row in rows]
+    for row, found in zip(rows, imported, strict=True):
+        if found:
+            assert callable(getattr(importlib.import_module(found[1]), found[2]))
+        else:
+            assert set(re.findall(r"`(\w+)`", row)) <= set(PUBLIC.__all__)
 
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
