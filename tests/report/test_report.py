@@ -755,6 +755,7 @@ def test_commands_in_messages_are_code_and_nothing_else_becomes_markup():
 def test_typesetting():
     assert typeset("69.0 +- 0.8 deg") == "69.0 ± 0.8°"
     assert typeset("p = 1e-9; N s^2/m^2") == "p = 1×10⁻⁹; N s²/m²"
+    assert typeset("9.24e-05 deg/s") == "9.24×10⁻⁵°/s" and typeset("2e12") == "2×10¹²"
     assert typeset("-3.2 -> 0.1 deg/s") == "−3.2 → 0.1°/s"
     assert typeset("zigzag-20 and run3e5") == "zigzag-20 and run3e5"
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from tests.boats import BOAT
 import diffsea
 from diffsea.cli import main
 from diffsea.metrics.ittc import approach_verdict
+from diffsea.report.pages.campaign import campaign_page
 from diffsea.scales import HARD_OVER
 from diffsea.workflows.campaigns import CampaignResult, CampaignTrial
 
@@ -109,6 +111,18 @@ def test_approaches_are_judged_by_the_ittcs_limits(found):
         assert ittc["speed"] == pytest.approx(u[-20:].mean(), rel=2e-3)
         assert ittc["least_speed"] == pytest.approx(0.9 * 1.2)
     assert all(row["ITTC"] == "pass" for row in found.rows())
+
+
+def test_a_table_of_criteria_has_the_sides_that_were_run(found):
+    row = {"trial": "zigzag-20-20", "criterion": "5.3.3.3", "number": "overshoot_1"}
+    row |= {"limit": 0.4, "unit": "rad", "verdict": "pass"}
+    for sides in (("starboard",), ("port",), ("starboard", "port"), ("ahead",)):
+        rows = [row | {"values": dict.fromkeys(sides, 1.0)}]
+        page = campaign_page(found.record | {"criteria": rows}, [], {})
+        table = page[page.index("Criteria of IMO") :]
+        head = re.findall(r"<th[^>]*>([^<]+)</th>", table[: table.index("</thead>")])
+        assert head[3 : 3 + len(sides)] == list(sides) and head[3 + len(sides)] == "limit"
+        assert table[: table.index("</table>")].count("57.3") == len(sides)
 
 
 @pytest.mark.parametrize(

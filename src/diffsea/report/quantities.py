@@ -134,6 +134,6 @@ def duration(seconds: float) -> str:
 def typeset(text: str) -> str:
     """The same text with the signs of print: plus-minus, minus, powers of ten, degrees."""
     out = text.replace("+-", "±").replace("->", "→").replace("^2", "²").replace("^3", "³")
-    out = _EXPONENT.sub(lambda m: f"{m[1]}×10{m[2].translate(_SUPERSCRIPTS)}", out)
+    out = _EXPONENT.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(_SUPERSCRIPTS)}", out)
     out = _MINUS.sub("−", out)
     return out.replace(" deg/s", "°/s").replace(" deg", "°")

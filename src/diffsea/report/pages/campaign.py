@@ -104,7 +104,9 @@ def number_words(number: str) -> str:
 
 
 def _criteria_table(criteria: Sequence[Record]) -> Table:
-    columns = ["trial", "criterion", "number", "starboard", "port", "limit", "unit", "verdict"]
+    run = {side for row in criteria for side in row["values"]}
+    sides = [side for side in SIDE_COLOURS if side in run] or ["ahead"]
+    columns = ["trial", "criterion", "number", *sides, "limit", "unit", "verdict"]
     rows = []
     for row in criteria:
         limit, unit = for_people(row["limit"], row["unit"])
@@ -112,13 +114,18 @@ def _criteria_table(criteria: Sequence[Record]) -> Table:
             significant(for_people(row["values"][side], row["unit"])[0], 3)
             if side in row["values"]
             else ""
-            for side in SIDE_COLOURS
+            for side in sides
         ]
         if not any(values):  # of a trial that turns to no side
             values[0] = significant(for_people(*_only(row))[0], 3)
         cells = [Verbatim(row["trial"]), Verbatim(row["criterion"]), number_words(row["number"])]
         rows.append([*cells, *values, significant(limit, 3), unit, row["verdict"]])
-    return Table(columns, rows, "Criteria of IMO MSC.137(76); L is the ship's length", (3, 4, 5))
+    return Table(
+        columns,
+        rows,
+        "Criteria of IMO MSC.137(76); L is the ship's length",
+        range(3, 4 + len(sides)),
+    )
 
 
 def _only(row: Record) -> tuple[float, str]:
