@@ -57,7 +57,6 @@ def _in_turns(
 def _rate(vessel: dict[str, Any], mission: dict[str, Any]) -> float:
     """Vessel-steps/s of a mission with as many masses as the engine has boats."""
     import diffsea
-
     from diffsea.simulation.designs import LatinHypercube
 
     mass = vessel["hull"]["mass"]
