@@ -62,7 +62,9 @@ def test_every_published_figure_has_its_row(quick):
 
 
 def test_rows_of_table_three_say_what_was_taken(quick):
-    rows = [r for r in quick["comparison"] if r["quantity"].startswith(("time to", "distance"))]
+    rows = [
+        r for r in quick["comparison"] if r["quantity"].startswith(("time to", "distance covered"))
+    ]
     taken = "to 99 % of 1.429 m/s; D 0.047 m, thruster ahead"
     assert len(rows) == 10 and all(row["note"].startswith(taken) for row in rows)
     assert [row["note"] != taken for row in rows] == [True] + [False] * 9
