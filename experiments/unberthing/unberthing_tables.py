@@ -74,12 +74,13 @@ def leaving_rows(
     found: dict[str, Sequence[Log]], variants: dict[str, dict[str, Sequence[Score]]]
 ) -> list[dict]:
     """The leaving phase beside Table 3; medians with their signs."""
-    rows = []
+    rows, chosen = [], f"median; weather and learning rate, {RATES[1]:g}, chosen"
     for name, runs in found.items():
         judged = [score(log) for log in runs]
         for k, published in zip((3, 4, 5), TABLE_3[name], strict=True):
             worst = np.median([one.worst[k] for one in judged])
-            rows.append(compared(f"{name}, Step {k}: largest deviation", "m", published, worst))
+            words = f"{name}, Step {k}: largest deviation"
+            rows.append(compared(words, "m", published, worst, chosen))
         bias = np.mean([np.median(log.model[log.step == 5][:, 0, 5]) for log in runs])
         rows.append(compared(f"{name}: c_v in Step 5", "m/s", "negative", bias))
         grown, ended = np.median([_growth(log) for log in runs], axis=0)
@@ -87,8 +88,8 @@ def leaving_rows(
         rows.append(compared(f"{name}: gamma_r_delta, Step 5 over start", "1", "above 1", grown,
                              note))  # fmt: skip
         turned = np.array([log.model[log.step <= 5][-1, 0, 2] > 0 for log in runs])
-        rows.append(compared(f"{name}: gamma_v_delta above zero at the end", "", "grows in size",
-                             _share(turned), "it begins below zero"))  # fmt: skip
+        rows.append(compared(f"{name}: gamma_v_delta has another sign at the end", "", "increased",
+                             _share(turned)))  # fmt: skip
     for way, by_name in variants.items():
         for name, judged in by_name.items():
             worst = np.median([max(abs(v) for v in one.worst.values()) for one in judged])

@@ -61,6 +61,27 @@ def test_every_published_figure_has_its_row(quick):
     assert [name for name in quantities if name[0] == "D"] == [f"D{k}" for k in range(1, 10)]
 
 
+def test_rows_of_table_three_say_what_was_taken(quick):
+    rows = [
+        r for r in quick["comparison"] if r["quantity"].startswith(("time to", "distance covered"))
+    ]
+    taken = "to 99 % of 1.429 m/s; D 0.047 m, thruster ahead"
+    assert len(rows) == 10 and all(row["note"].startswith(taken) for row in rows)
+    assert [row["note"] != taken for row in rows] == [True] + [False] * 9
+
+
+def test_the_added_mass_of_the_wam_vs_paper_is_that_of_its_draught():
+    """The same formula; its paper prints 229 kg for 180 kg, a draught of 0.089 m and 4 m."""
+
+    def sway(mass, draught, length):
+        return mass + 1000 * np.pi * draught**2 * length / 2
+
+    hull = read_vessel("pytheas").document["hull"]
+    own = sway(hull["mass"], hull["draught"], hull["length"])
+    assert own - hull["mass"] == pytest.approx(-hull["Y_vdot"], rel=1e-3)
+    assert int(sway(180.0, 0.089, 4.0)) == 229
+
+
 def test_the_top_speed_is_thrust_by_drag(quick):
     assert row(quick, "top speed") == pytest.approx(20 / 14, rel=1e-3)
     literal = quick["still_water"]["literal_1.4_m_s"]
