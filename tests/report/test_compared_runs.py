@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from diffsea.report.tracks import Flow, compared_tracks
 from diffsea.trajectory import Trajectory
 
 
-LINE = {"color": "#000000"}
+LINE: dict[str, object] = {"color": "#000000"}
 
 
 @pytest.fixture
@@ -30,13 +31,21 @@ def predicted(run, north):
     return dataclasses.replace(run, x=np.asarray(run.t) * north, y=np.zeros(601))
 
 
+def traces(drawn) -> list[Any]:
+    return list(drawn["data"])
+
+
+def layout(drawn) -> Any:
+    return drawn["layout"]
+
+
 def lines(drawn, axis):
-    return [one for one in drawn.data if one.yaxis == axis]
+    return [one for one in traces(drawn) if one.yaxis == axis]
 
 
 def test_a_seldom_sampled_position_is_drawn_through_its_gaps(run):
     curves = [("measured", run, LINE), ("model", predicted(run, 1.1), LINE)]
-    measured, model = compared_tracks(curves, "run", 40).data
+    measured, model = traces(compared_tracks(curves, "run", 40))
     assert None not in measured.y and len(measured.y) == 31  # of 61 fixes, every second one
     assert measured.customdata[1] == pytest.approx(2.0) and measured.y[1] == pytest.approx(2.0)
     assert len(model.y) > 20
@@ -55,7 +64,7 @@ def test_histories_have_orders_by_unit_and_the_error_of_position(run):
     (port,), (rudder,) = lines(drawn, f"y{count - 1}"), lines(drawn, f"y{count}")
     assert port.name == "orders, port" and port.y[0] == 1.0 and port.y[-1] == 2.0
     assert rudder.y[0] == pytest.approx(math.degrees(0.1), abs=0.01)
-    titles = [note.text for note in drawn.layout.annotations]
+    titles = [note.text for note in layout(drawn).annotations]
     assert titles[-2].startswith("orders (N): ") and titles[-1].startswith("orders (deg): ")
     alone, names = compared_histories(curves[:1], "run", 1000)
     assert "error of position" not in names
@@ -64,13 +73,13 @@ def test_histories_have_orders_by_unit_and_the_error_of_position(run):
 def test_names_of_channels_are_no_markup(run):
     named = dataclasses.replace(run, commanded={"<img src=x>": np.ones(601)})
     drawn, _ = compared_histories([("measured", named, LINE)], "run", 100)
-    assert "&lt;img src=x&gt;" in drawn.layout.annotations[-1].text
+    assert "&lt;img src=x&gt;" in layout(drawn).annotations[-1].text
 
 
 def test_north_and_flows_are_arrows(run):
     curves = [("measured", run, LINE)]
     notes = compared_tracks(curves, "run", 100, [Flow("current 0.3 m/s", math.pi / 2)])
-    north, arrow, text = notes.layout.annotations
+    north, arrow, text = layout(notes).annotations
     assert north.text == "N" and north.ax == 0 and north.ay > 0  # from below to the top
     assert arrow.ax < -30 and abs(arrow.ay) < 1e-9  # from the left: it flows to the east
     assert text.text == "current 0.3 m/s"
@@ -85,11 +94,11 @@ def test_overshoots_are_marked_at_their_peaks_with_their_limits():
     }  # fmt: skip
     drawn = figure()
     mark_overshoots(drawn, {"t": t, "psi_relative": change}, metrics, "#000000")
-    first, second = drawn.layout.annotations
+    first, second = layout(drawn).annotations
     assert first.text == "overshoot 3.0° (at most 10.0°)" and second.text == "overshoot 3.1°"
     assert (first.x, first.y) == (pytest.approx(5.0), pytest.approx(13.0))
     assert (second.x, second.y) == (pytest.approx(15.0), pytest.approx(-13.0))
-    assert sorted(shape.y0 for shape in drawn.layout.shapes) == pytest.approx([-10.0, 10.0])
+    assert sorted(shape.y0 for shape in layout(drawn).shapes) == pytest.approx([-10.0, 10.0])
 
 
 def test_a_turns_numbers_are_marked_where_the_heading_has_changed_so_far():
@@ -99,7 +108,7 @@ def test_a_turns_numbers_are_marked_where_the_heading_has_changed_so_far():
     metrics = {"advance": 1.0, "transfer": 1.0, "tactical_diameter": 2.0}
     drawn = figure()
     mark_crossings(drawn, {"t": t, "psi_relative": change}, metrics, track, "#000000")
-    first, second = drawn.layout.annotations
+    first, second = layout(drawn).annotations
     assert first.text == "advance 1.00 m, transfer 1.00 m"
     assert (first.x, first.y) == (pytest.approx(1.0, abs=0.02), pytest.approx(1.0, abs=0.02))
     assert second.text == "tactical diameter 2.00 m" and second.x == pytest.approx(2.0, abs=0.02)

@@ -458,7 +458,9 @@ def test_a_page_says_each_number_of_an_accepted_effect_once():
     alone = {"speed": {"value": 9.87, "std": 0.01, "unit": "m/s"}}
     accepted |= {"parameters": alone, "log10_odds": 5.4, "p_value": 0.02}
     (effect,) = words.named_effects(result)
-    row = next(row for row in candidate_ranking(result).best.rows if row[1] == "accepted")
+    ranking = candidate_ranking(result)
+    assert ranking is not None
+    row = next(row for row in ranking.best.rows if row[1] == "accepted")
     speed = effect["parameters"]["speed"]
     assert interval_of(speed) in row[5] and "9.8" not in row[5]
     assert "certain" in row[2] and "1.3e-9" not in row[3] and "0.02" not in row[3]
@@ -470,7 +472,9 @@ def test_detection_limits_say_of_what():
         {"name": "sensor-latency", "channels": [c], "parameter": "delay", "limit": 0.1, "unit": "s"}
         for c in ("psi", "u")
     ]
-    names = [row[0] for row in unseen_table(result).rows]
+    unseen = unseen_table(result)
+    assert unseen is not None
+    names = [row[0] for row in unseen.rows]
     assert names == ["sensor latency of psi", "sensor latency of u"]
 
 

@@ -243,7 +243,7 @@ def test_a_step_of_a_servo_has_the_moments_of_its_response(stages):
             ):  # short: the response itself at the nodes
                 nodes = response.start, response.middle, response.end
                 there = [thruster.segment(t + s * dt)(t + s * dt) for s in (0.0, 0.5, 1.0)]
-                np.testing.assert_allclose(nodes, there, rtol=1e-14, atol=1e-14)
+                np.testing.assert_allclose(np.stack(nodes), there, rtol=1e-14, atol=1e-14)
             else:
                 np.testing.assert_allclose(moments(response), exact, rtol=1e-10, atol=1e-10)
             assert float(response.final) == pytest.approx(end, abs=1e-11)
