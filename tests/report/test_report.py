@@ -113,6 +113,7 @@ CURRENT = {
     },
     "evidence": {
         "score": 812.4, "p_value": 1.3e-9, "cost_drop": 0.62, "held_out_gain": 1540.0,
+        "constancy": {"p_value": 0.4, "share": 0.01, "holds": True, "scatter": 1.0},
         "held_out_gain_std": 130.0, "log10_odds": 142.3, "log10_odds_next": 3.25,
     },
     "alternatives": [],

@@ -53,6 +53,7 @@ STATUS = {
 }
 SHOWN_CANDIDATES = 10  # the others are folded away
 DECISIVE = 2 * math.log(1000.0)  # twice the log of odds of 1000 to 1
+_OF_EVIDENCE = ("log10_odds", "p_value", "held_out_gain", "held_out_gain_std")
 NORMAL_90 = 1.6449  # standard errors to either side that hold 90 % of a normal distribution
 ODDS_TICKS = (-100, -10, -3, 0, 3, 10, 30, 100, 300, 1000)  # decimal logarithms
 BAR_ROOM = 1.05  # of the axis over the longest bar
@@ -306,7 +307,8 @@ def _as_found(candidate: Record, summary: Record) -> Record:
     ]
     if len(same) != 1:
         return candidate
-    known = {key: value for key, value in same[0]["evidence"].items() if is_known(value)}
+    evidence = same[0]["evidence"]
+    known = {key: evidence[key] for key in _OF_EVIDENCE if is_known(evidence.get(key))}
     return candidate | known | {"parameters": same[0]["parameters"]}
 
 
