@@ -15,8 +15,6 @@ SPEED_85 = 0.9235  # m/s, ... and the steady speed there
 TARGET_SHARE = 0.9  # of that speed, about, is the target
 STARTS = "121 to 124"  # s, of the trials
 LARGEST_ANGLE = 35.0  # deg, rudder-equivalent of all thrust on one side
-YAW_RATE_LIMIT = 0.18  # deg/s, of an accepted approach
-SPEED_LIMIT = 0.9  # of the target, least mean speed of an accepted approach
 WINDOW = 10.0  # s, of the approach that is judged
 YAW_CORRELATION, YAW_RMS = 0.98, 0.30  # logged against reconstructed; deg/s
 

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea import Trajectory, TrialPlan, Vessel, find_segments, recording_metrics, resample
+from diffsea.metrics.ittc import approach_verdict
 from diffsea.scales import HARD_OVER
 from diffsea.segments import Segment, traceability
 from diffsea.simulation import planning
@@ -177,18 +178,16 @@ def realisation(log: Trajectory, start: float) -> dict[str, float]:
 
 
 def approach_window(log: Trajectory, start: float, seconds: float = published.WINDOW) -> dict:
-    """Eq. 13 and table 2 over the last seconds before the onset."""
+    """Eq. 13 and table 2 over the last seconds before the onset, m/s and deg/s."""
     t = np.asarray(log.t)
     # The onset is known to a few samples only: the last ones may have seen the order.
     rows = (t >= start - seconds) & (t < start - GUARD)
     speed = np.hypot(np.asarray(log.u)[rows], np.asarray(log.v)[rows])
-    fastest = math.degrees(float(np.max(np.abs(np.asarray(log.r)[rows]))))
-    mean = float(np.mean(speed))
-    accepted = mean >= published.SPEED_LIMIT * published.TARGET_SPEED
-    accepted = accepted and fastest <= published.YAW_RATE_LIMIT
+    fastest, mean = float(np.max(np.abs(np.asarray(log.r)[rows]))), float(np.mean(speed))
+    judged = approach_verdict(mean, fastest, published.TARGET_SPEED)
     return {
-        "speed": mean, "speed_std": float(np.std(speed)), "yaw_rate": fastest,
-        "verdict": "pass" if accepted else "fail",
+        "speed": mean, "speed_std": float(np.std(speed)), "yaw_rate": math.degrees(fastest),
+        "verdict": judged["verdict"],
     }  # fmt: skip
 
 

@@ -226,6 +226,7 @@ def test_turning_on_a_circle(side, drift):
 
 
 @pytest.mark.slow
+@pytest.mark.proof
 def test_turning_derivatives_are_those_of_the_closed_form():
     t = jnp.array(with_event(np.arange(0, 200, 0.25), 7.3))
 

@@ -47,6 +47,7 @@ def test_the_drag_is_learnt_and_passes_the_gate(learnt):
     assert len(learnt.estimates.t) == len(learnt.true.t)
 
 
+@pytest.mark.proof
 def test_the_controller_works_with_what_passed_and_with_nothing_else(learnt):
     alone = run(mission_of(document()))
     watched = run(mission_of(document(ESTIMATED | {"adapt": False})))

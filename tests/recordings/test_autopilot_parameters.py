@@ -85,5 +85,7 @@ def test_without_the_package_its_extra_is_named(tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "pymavlink"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pymavlink", None)
+    boat = tmp_path / "boat.bin"
+    boat.write_bytes(b"\xa3\x95")
     with pytest.raises(UserError, match=r"needs the package pymavlink: pip install 'diffsea\[ard"):
-        read_parameters(tmp_path / "boat.bin")
+        read_parameters(boat)

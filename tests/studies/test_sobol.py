@@ -46,6 +46,7 @@ def test_indices_of_a_known_function_are_its_closed_form(monkeypatch):
     assert found.designs == 4096 * 5
 
 
+@pytest.mark.proof
 def test_the_command_ranks_what_a_zigzag_depends_on(tmp_path, capsys):
     words = ["sensitivity", "otter", "--manoeuvre", "zigzag", "--sobol", "16"]
     ranges = ["mass=60:90", "N_r=-60:-20"]

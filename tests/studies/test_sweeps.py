@@ -82,6 +82,7 @@ def test_a_design_that_fails_spoils_only_its_row(swept):
     assert summary["metrics"]["overshoot_1"]["designs"] == 8
 
 
+@pytest.mark.proof
 def test_designs_of_a_vessel_that_cannot_do_the_trial_are_run_for_its_time_only_where_they_must():
     """Its own yaw is unstable: nothing tells beforehand how long the others take."""
     document = tomllib.loads(BOAT)
@@ -156,6 +157,7 @@ def test_bad_usage_of_designs_is_told(tmp_path, capsys, words, message):
 LOOKED_FOR = ["--sample", "16", "mass=150:230", "N_r=-400:-200", "--speed", "1.2"]
 
 
+@pytest.mark.proof
 def test_a_sweep_finds_what_it_is_to_look_for(tmp_path, capsys):
     (tmp_path / "boat.toml").write_text(BOAT)
     words = ["sweep", str(tmp_path / "boat.toml"), *ORDERED, *LOOKED_FOR, "--front", "overshoot_1"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from jaxtyping import Float
 
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
@@ -269,7 +270,7 @@ def _histories(runs: Sequence[TrialRun], group: str) -> go.Figure:
     return plots.add_time_cursor(drawn, group)
 
 
-def _rows_of(log: Mapping[str, Samples], rows: slice) -> dict[str, Samples]:
+def _rows_of(log: Mapping[str, Samples], rows: slice) -> dict[str, Float[np.ndarray, "_"]]:
     return {name: np.asarray(series)[rows] for name, series in log.items()}
 
 
