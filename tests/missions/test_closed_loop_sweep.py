@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.paths import ROOT
 
 import diffsea
 from diffsea.missions import mission_of, run, scores
+from diffsea.missions.document import read_mission
 from diffsea.missions.numbers import (
     full_names,
     mission_numbers,
@@ -124,6 +126,12 @@ def test_a_speed_beyond_reach_is_told():
         closed_loop_sweep(mission_of(document()), Grid({"controller.speed": (1.0, 9.0, 3)}))
     with pytest.raises(diffsea.UserError, match="above zero"):
         closed_loop_sweep(mission_of(document()), Grid({"controller.speed": (0.0, 1.0, 3)}))
+
+
+def test_a_grid_with_an_estimator_is_refused():
+    mission = read_mission(ROOT / "examples" / "missions" / "survey_that_learns.toml")
+    with pytest.raises(UserError, match="cannot be run as a grid: leave that table out"):
+        closed_loop_sweep(mission, Grid({"controller.lookahead": (3.0, 9.0, 3)}))
 
 
 def test_distances_from_a_path_have_derivatives_on_it_and_beyond_its_ends():

@@ -57,10 +57,15 @@ def closed_loop_sweep(
 
     Raises:
         UserError: a name of no number, a speed beyond the vessel's reach at either end of its
-            range, or a mission that cannot be run.
+            range, a mission with an estimator, or one that cannot be run.
     """
     if space.count > MOST:
         raise UserError(f"{space.count} designs are too many; at most {MOST} are run at once")
+    if mission.estimator is not None:
+        raise UserError(
+            "a mission with an [estimator] cannot be run as a grid: leave that table out, or run "
+            "a --battery of the mission"
+        )
     names = full_names(mission, space.names)
     mission = settled(mission, names)
     designs = Designs(tuple(names), space.rows(0, space.count).values)
