@@ -130,7 +130,7 @@ def test_a_speed_beyond_reach_is_told():
 
 def test_a_grid_with_an_estimator_is_refused():
     mission = read_mission(ROOT / "examples" / "missions" / "survey_that_learns.toml")
-    with pytest.raises(UserError, match="cannot be run as a grid: leave that table out"):
+    with pytest.raises(diffsea.UserError, match="cannot be run as a grid: leave that table out"):
         closed_loop_sweep(mission, Grid({"controller.lookahead": (3.0, 9.0, 3)}))
 
 
