@@ -1,8 +1,12 @@
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false
 """Missions of poses: what they are judged by, many at once, mirrored, and what is refused."""
 
+import subprocess
+import sys
+
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 import tomli_w
 from tests.boats import square_boat_document
@@ -54,6 +58,16 @@ def test_a_mission_of_poses_begins_in_the_first_and_is_judged_by_place_and_headi
     assert told["position_error"]["rms"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-6)
     assert told["heading_error"]["largest"] == pytest.approx(np.abs(turned_off).max(), rel=1e-6)
     assert off[-1] < 0.1 and "speed_error" not in told
+
+
+def test_batches_beside_one_another_come_to_their_end(folder):
+    """In a process of its own, whose batches may wait for each other for ever."""
+    square = {"file": str(folder / "square.toml")}
+    path = folder / "poses.toml"
+    path.write_text(tomli_w.dumps(document(vessel=square, seconds=6.0)))
+    words = ["run", path, "--grid", "controller.position=0.2:0.6:260", "-o", folder / "grid"]
+    done = subprocess.run([sys.executable, "-m", "diffsea", *map(str, words)], timeout=200)
+    assert done.returncode == 0 and len(pd.read_csv(folder / "grid" / "grid.csv")) == 260
 
 
 def test_many_numbers_at_once_are_the_mission_with_each(folder):

@@ -53,11 +53,14 @@ def in_batches(
     size: int,
     progress: Progress,
     steps: Callable[[Tree], int],
+    threads: int | None = None,
 ) -> Batched[Tree]:
     """Run a compiled function of `size` rows over all rows; the last batch is filled up.
 
     Arguments:
         steps: how many vessel-steps a batch was, for its speed.
+        threads: batches that run at the same time; one on every core by default. More than one
+            must not call LAPACK: jaxlib 0.10's calls then wait for one another for ever.
     """
     batches = [rows[k : k + size] for k in range(0, len(rows), size)]
 
@@ -70,7 +73,7 @@ def in_batches(
     first, compiling = run_batch(batches[0])
     results, done, began = [first], 0, time.perf_counter()
     reported = began
-    workers = os.cpu_count() if _on_processors() else 2
+    workers = threads or (os.cpu_count() if _on_processors() else 2)
     with concurrent.futures.ThreadPoolExecutor(workers) as pool:
         for found, _ in pool.map(run_batch, batches[1:]):
             results.append(found)
