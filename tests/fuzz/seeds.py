@@ -74,6 +74,7 @@ SUFFIXES = {
     "rosmcap": ".mcap",
     "mcap": ".mcap",
     "bin": ".bin",
+    "log": ".log",
     "tlog": ".tlog",
     "ulg": ".ulg",
     "fit": ".json",
@@ -159,6 +160,10 @@ def seed(kind):
 
         if kind == "bin":
             return driven_boat.ardupilot_log(_boat())
+        if kind == "log":
+            from tests.recordings.test_logs import text_log
+
+            return driven_boat.ardupilot_log(_boat(), write=text_log)
         if kind == "ulg":
             return driven_boat.px4_log(_boat())
         write = driven_boat.telemetry_log if kind == "tlog" else driven_boat.json_log

@@ -133,7 +133,7 @@ ARDUPILOT = {
 }
 
 
-def ardupilot_log(boat, without=(), parameters=None):
+def ardupilot_log(boat, without=(), parameters=None, write=bin_log):
     """Bytes of a dataflash log: starboard on output 1, port on output 3."""
     rows, named = [], PARAMETERS if parameters is None else parameters
     us = lambda t: round((BOOT + t) * 1e6)
@@ -159,7 +159,7 @@ def ardupilot_log(boat, without=(), parameters=None):
         rows.append((boat.t[k], "ARM", (us(boat.t[k]), int(boat.armed[k]))))
     rows = [row for row in sorted(rows, key=lambda row: row[0]) if row[1] not in without]
     kinds = {name: entry for name, entry in ARDUPILOT.items() if name not in without}
-    return bin_log(kinds, [(name, values) for _, name, values in rows])
+    return write(kinds, [(name, values) for _, name, values in rows])
 
 
 def telemetry_log(boat, path):

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from tests.recordings import driven_boat
 from tests.recordings.driven_boat import BOOT, PARAMETERS, drive
-from tests.recordings.test_logs import bag  # noqa: F401  a fixture
+from tests.recordings.test_logs import (
+    bag,  # noqa: F401  a fixture
+    text_log,
+)
 
 from diffsea import UserError, read_mapping, read_recording
 from diffsea.cli import main
@@ -31,6 +34,9 @@ def log(tmp_path, boat, request):
         if kind == "bin":
             pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
             path.write_bytes(driven_boat.ardupilot_log(boat, **options))
+        elif kind == "log":
+            pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+            path.write_bytes(driven_boat.ardupilot_log(boat, write=text_log))
         elif kind == "tlog":
             pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
             driven_boat.telemetry_log(boat, path)
@@ -55,10 +61,16 @@ def recognised(path):
     return known
 
 
-NAMES = {"bin": "ardupilot-bin", "tlog": "mavlink-tlog", "mcap": "mcap-json", "ulg": "px4-ulg"}
+NAMES = {
+    "bin": "ardupilot-bin",
+    "log": "ardupilot-log",
+    "tlog": "mavlink-tlog",
+    "mcap": "mcap-json",
+    "ulg": "px4-ulg",
+}
 
 
-@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap", "ulg", "ros1", "db3"])
+@pytest.mark.parametrize("kind", [*NAMES, "ros1", "db3"])
 def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, kind):
     path = log(kind)
     run = read_recording(path)
@@ -80,7 +92,7 @@ def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, ki
             getattr(run, name)[known], truth(name)[known], atol=tolerance, err_msg=name
         )
     held = np.searchsorted(boat.t, run.t - zero + 1e-6) - 1
-    scale, neutral = (1.0, 0.0) if kind in ("bin", "tlog", "mcap") else (400.0, 1500.0)
+    scale, neutral = (1.0, 0.0) if kind in ("bin", "log", "tlog", "mcap") else (400.0, 1500.0)
     for side in ("port", "starboard"):
         orders = run.commanded[side] * scale + neutral
         same = np.isclose(orders, getattr(boat, side)[held], atol=0.5)

@@ -319,6 +319,23 @@ def bin_log(definitions, rows, start=b""):
     return b"".join(log)
 
 
+def text_log(definitions, rows):
+    """The same as text, a line each, in the units that fields are told in."""
+    lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
+    for i, (name, (kinds, fields)) in enumerate(definitions.items()):
+        lines.append(f"FMT, {130 + i}, 89, {name}, {kinds}, {fields}")
+    scales = {**dict.fromkeys("cCeE", 100), "L": 10_000_000}
+    for name, values in rows:
+        told = [
+            value.decode()
+            if isinstance(value, bytes)
+            else str(value / scales[kind] if kind in scales else value)
+            for kind, value in zip(definitions[name][0], values, strict=True)
+        ]
+        lines.append(", ".join([name, *told]))
+    return "\n".join([*lines, ""]).encode()
+
+
 def _definition(number, length, name, kinds, fields):
     texts = [text.encode() for text in (name, kinds, fields)]
     return bytes([0xA3, 0x95, 128]) + struct.pack("<BB4s16s64s", number, length, *texts)
@@ -326,7 +343,7 @@ def _definition(number, length, name, kinds, fields):
 
 ARDUPILOT = {
     "ATT": ("QccC", "TimeUS,Roll,Pitch,Yaw"),
-    "GPS": ("QBLLf", "TimeUS,Status,Lat,Lng,Spd"),
+    "GPS": ("QBIHLLf", "TimeUS,Status,GMS,GWk,Lat,Lng,Spd"),
     "IMU": ("QBf", "TimeUS,I,GyrZ"),
     "RCOU": ("QHH", "TimeUS,C1,C3"),
     # Units by message: the character # marks the field that numbers instances.
@@ -354,7 +371,8 @@ def ardupilot_rows():
         rows += [("IMU", (t, 0, 9.0)), ("IMU", (t, 1, 0.5))]
         if i % 10 == 0:
             status = 1 if i == 0 else 3
-            rows.append(("GPS", (t + 4000, status, 634400000 + 100 * i, 103900000, 1.5)))
+            place = 634400000 + 100 * i, 103900000
+            rows.append(("GPS", (t + 4000, status, 20 * i, 2300, *place, 1.5)))
         if i in (30, 60):
             rows.append(("RCOU", (t, 1500 + i, 1500)))
     return rows
@@ -390,11 +408,46 @@ def test_ardupilot_logs_are_read_by_message_and_instance(dataflash, mapped):
     assert any("by the autopilot's time since boot; psi from Yaw" in n for n in run.provenance)
 
 
+@pytest.mark.parametrize("header", [b"", b"42\nLog of a boat\n"])
+def test_ardupilot_logs_as_text_are_read_as_binary_ones(dataflash, mapped, tmp_path, header):
+    modes = {"MODE": ("QMB", "TimeUS,Mode,Rsn")}
+    rows = [*ardupilot_rows(), ("MODE", (6_000_000, b"MANUAL", 1))]
+    path = tmp_path / "00000042.log"
+    path.write_bytes(header + text_log(ARDUPILOT | modes, rows))
+    binary = dataflash(bin_log(ARDUPILOT, ardupilot_rows()))
+    assert contents(path) == contents(binary) | {"MODE": ["Rsn"]}
+    one, other = mapped(path, BOAT), mapped(binary, BOAT)
+    np.testing.assert_array_equal(one.t, other.t)
+    for name, series in other.motion.items():
+        np.testing.assert_allclose(one.motion[name], series, rtol=1e-12, err_msg=name)
+    np.testing.assert_allclose(one.commanded["port"], other.commanded["port"])
+
+
+def test_the_last_line_of_a_text_log_counts_where_it_has_an_end(tmp_path, mapped):
+    pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
+    whole = text_log(ARDUPILOT, [row for row in ardupilot_rows() if row[0] != "RCOU"])
+    lines = whole.splitlines(keepends=True)
+    last = max(k for k, line in enumerate(lines) if line.startswith(b"ATT"))
+    path, text = tmp_path / "boat.log", '[columns]\npsi = { column = "ATT:Yaw", unit = "deg" }\n'
+    path.write_bytes(b"".join(lines[:last]) + lines[last].rstrip()[:-1])
+    run = mapped(path, text)
+    assert run.t.size == 99
+    assert "boat.log ends within a message; what is before it is used" in run.provenance
+    path.write_bytes(b"".join(lines[: last + 1]))
+    assert mapped(path, text).t.size == 100
+
+
+def test_a_file_of_that_ending_that_is_no_ardupilot_log_is_a_table(tmp_path):
+    path = tmp_path / "run.log"
+    path.write_text("t,psi,r\n" + "".join(f"{k},{0.1 * k},0.1\n" for k in range(9)))
+    assert read_recording(path).t.size == 9
+
+
 def test_ardupilot_contents_and_first_instance(dataflash, mapped):
     path = dataflash(bin_log(ARDUPILOT, ardupilot_rows()))
     found = contents(path)
     assert set(found) >= {"ATT", "GPS", "IMU[0]", "IMU[1]", "RCOU"} and "NOTE" not in found
-    assert found["GPS"] == ["Status", "Lat", "Lng", "Spd"]
+    assert found["GPS"] == ["Status", "GMS", "GWk", "Lat", "Lng", "Spd"]
     np.testing.assert_allclose(mapped(path, '[columns]\nr = "IMU:GyrZ"\n').r, 9.0)
 
 

@@ -30,6 +30,15 @@ FORMATS = (
         parameters=ardupilot.parameters,
     ),
     LogFormat(
+        "ardupilot-log",
+        (".log",),
+        ardupilot.contents,
+        ardupilot.streams,
+        "ardupilot",
+        holds=ardupilot.is_log,
+        parameters=ardupilot.parameters,
+    ),
+    LogFormat(
         "mavlink-tlog",
         (".tlog",),
         tlog.contents,
