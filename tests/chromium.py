@@ -63,8 +63,16 @@ class Page:
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.send(f"{domain}.enable")
         self.resize(width, 900)
-        self.send("Page.navigate", url=file.resolve().as_uri())
-        self.until("document.documentElement?.dataset.plots === 'drawn'")
+        self.show(file)
+
+    def show(self, file: pathlib.Path) -> None:
+        """Go to a report, and wait for its plots."""
+        address = file.resolve().as_uri()
+        self.send("Page.navigate", url=address)
+        self.until(
+            f"location.href === {json.dumps(address)} && "
+            "document.documentElement?.dataset.plots === 'drawn'"
+        )
 
     def close(self) -> None:
         """End the browser."""
@@ -133,6 +141,17 @@ class Page:
         self.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
         for kind in ("mousePressed", "mouseReleased") if click else ():
             self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def press(self, key: str) -> None:
+        """Press a key, where the focus is."""
+        text = {"text": "\r"} if key == "Enter" else {"text": key} if len(key) == 1 else {}
+        for kind in ("keyDown", "keyUp"):
+            self.send("Input.dispatchKeyEvent", type=kind, key=key, **text)
+
+    def prefer(self, scheme: str) -> None:
+        """The reader's colours, `light` or `dark`."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.send("Emulation.setEmulatedMedia", features=features)
 
     def picture(self, file: pathlib.Path) -> None:
         """The whole page as PNG."""

@@ -1,8 +1,18 @@
 """The diagnosis report in a browser: it works offline, its cursor moves, a phone shows it all."""
 
+import json
+
 import pytest
 from tests.chromium import NAMES, Page, installed, opened
+from tests.report.test_command_pages import SOURCE, designs, run
 from tests.report.test_report import page_of
+
+from diffsea.recordings import Finding
+from diffsea.report.pages.recordings import audit_page, segments_page
+from diffsea.report.pages.sensitivity import sensitivity_page
+from diffsea.report.pages.sweep import sweep_page
+from diffsea.segments.segments import segments_of
+from diffsea.segments.signals import signals_of
 
 
 pytestmark = [
@@ -95,8 +105,7 @@ def test_plots_follow_the_readers_colours_and_paper_is_light(page):
 
     light = colours()
     assert light[0] in ("#fff", "rgb(255, 255, 255)")
-    scheme = {"name": "prefers-color-scheme", "value": "dark"}
-    page.send("Emulation.setEmulatedMedia", features=[scheme])
+    page.prefer("dark")
     page.until(f"{plot('held-out', 1)}._fullLayout.paper_bgcolor === 'rgba(0,0,0,0)'")
     dark = colours()
     assert dark[1] != light[1] and dark[2] != light[2]
@@ -134,6 +143,44 @@ def test_a_legend_entry_hides_its_curves_in_all_plots_of_the_run(page):
         page.until(f"{shown}.every(v => v === {'true' if wanted is True else repr(wanted)})")
     others = f"[...{track}.data, ...{times}.data].map(t => t.visible ?? true)"
     assert page.run(f"{others}.every(v => v === true)")
+
+
+def test_keys_press_a_legend_entry_and_zoom_a_plot(page):
+    track, times = plot("verdict", 0), plot("held-out", 0)
+    entry = f"{track}.querySelectorAll('.legendtoggle')[1]"
+    name = page.run(f"{entry}.getAttribute('aria-label')")
+    shown = f"{times}.data.filter(t => t.name === '{name}').map(t => t.visible ?? true)"
+    page.run(f"{entry}.focus()")
+    for key, wanted in (("Enter", "legendonly"), (" ", True)):
+        page.press(key)
+        page.until(f"{shown}.every(v => v === {json.dumps(wanted)})")
+        focused = "document.activeElement.getAttribute('aria-label')"
+        page.until(f"{focused} === '{name}'")
+        checked = page.run("document.activeElement.getAttribute('aria-checked')")
+        assert checked == ("true" if wanted is True else "false")
+    spans = f"{times}._fullLayout.xaxis.range"
+    low, high = page.run(spans)
+    page.run(f"{times}.focus()")
+    for key, ends in {
+        "+": (0.15, 0.85),
+        "ArrowRight": (0.22, 0.92),
+        "-": (0.07, 1.07),
+        "0": (0.0, 1.0),
+    }.items():
+        page.press(key)
+        expected = [low + end * (high - low) for end in ends]
+        near = f"Math.abs({spans}[0] - {expected[0]}) + Math.abs({spans}[1] - {expected[1]})"
+        page.until(f"{near} < 0.01")
+    assert page.complaints == []
+
+
+def test_the_first_key_leads_past_the_contents(page):
+    page.run("document.activeElement.blur(); scrollTo(0, 0)")
+    assert page.run("document.querySelector('a, button, input').className") == "skip"
+    page.run("document.querySelector('.skip').focus()")
+    assert page.run("document.querySelector('.skip').getBoundingClientRect().left") >= 0
+    page.press("Enter")
+    page.until("location.hash === '#content' && document.activeElement.id === 'content'")
 
 
 def test_tracks_take_the_chosen_colour(page):
@@ -175,3 +222,56 @@ def test_a_fold_draws_its_plots_when_it_opens(page):
     page.run("document.querySelectorAll('details').forEach(d => d.open = true)")
     page.until("[...document.querySelectorAll('.plot')].every(p => p.dataset.drawn)")
     assert page.complaints == []
+
+
+def _segments() -> str:
+    circle = run("circle.csv")
+    return segments_page([(circle, segments_of(signals_of(circle, None)), [])], SOURCE)
+
+
+PAGES = {
+    "audit": lambda: audit_page(
+        [("run.csv", [Finding("gyro-bias", 0.02, 0.001, "rad/s", "off", "subtract it", ("r",))])],
+        {"run.csv": run("run.csv")},
+        [],
+        SOURCE,
+    ),
+    "segment": _segments,
+    "map": lambda: sweep_page(*designs(3, 4), SOURCE),
+    "line": lambda: sweep_page(*designs(5), SOURCE),
+    "sensitivity": lambda: sensitivity_page(
+        {"overshoot_1": {"mass": 0.4, "N_r": -1.5}}, {"overshoot_1": 0.1}, ("b", "zigzag"), SOURCE
+    ),
+}
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "phone"), [(1280, False), (400, True)])
+def test_pages_of_other_commands_are_whole_at_every_width_and_in_all_colours(
+    page, tmp_path, width, phone, scheme
+):
+    page.resize(width, 900, phone)
+    page.prefer(scheme)
+    for name, make in PAGES.items():
+        file = tmp_path / f"{name}.html"
+        file.write_text(make(), encoding="utf-8")
+        page.show(file)
+        drawn = page.run(
+            "[...document.querySelectorAll('.plot')].map(p => !!p.querySelector('svg'))"
+        )
+        assert drawn and all(drawn), name
+        ground = page.run("document.querySelector('.plot')._fullLayout.paper_bgcolor")
+        assert (ground == "rgba(0,0,0,0)") == (scheme == "dark"), name
+        over = page.run(
+            "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        )
+        assert over <= 0, name
+        page.run("document.querySelector('.plot').focus()")
+        page.press("+")
+        if page.run("!!document.querySelector('.legendtoggle')"):
+            page.run("document.querySelector('.legendtoggle').focus()")
+            page.press("Enter")
+            page.until(
+                "document.querySelector('.legendtoggle').getAttribute('aria-checked') === 'false'"
+            )
+        assert page.complaints == [], name

@@ -56,12 +56,64 @@
     });
     await Plotly.newPlot(holder, data, layout, config);
     templates.set(holder, template);
+    holder.on("plotly_afterplot", () => reachable(holder));
+    reachable(holder);
+    holder.tabIndex = 0;
+    holder.addEventListener("keydown", (event) => zoom(holder, event));
     const meta = layout.meta || {};
     if (!meta.group) return;
     (groups[meta.group] ||= []).push(holder);
     if (meta.cursor === "track" && !sliders[meta.group]) slide(holder, meta);
     holder.on("plotly_hover", (event) => point(meta, event));
-    holder.on("plotly_legendclick", (event) => toggle(meta.group, event));
+    holder.on("plotly_legendclick", (event) => {
+      toggle(groups[meta.group], event.data[event.curveNumber]);
+      return false;
+    });
+  }
+
+  // Every entry of a legend can be reached and pressed by keys; Plotly draws them anew at will.
+  function reachable(holder) {
+    for (const entry of holder.querySelectorAll(".legendtoggle")) {
+      const { trace } = entry.__data__[0];
+      entry.setAttribute("tabindex", "0");
+      entry.setAttribute("role", "switch");
+      entry.setAttribute("aria-label", trace.name);
+      entry.setAttribute("aria-checked", String(trace.visible !== "legendonly"));
+      entry.onkeydown = (event) => {
+        if (event.key !== "Enter" && event.key !== " ") return;
+        event.preventDefault();
+        const { group } = holder.layout.meta || {};
+        toggle(group ? groups[group] : [holder], trace).then(() => {
+          const again = [...holder.querySelectorAll(".legendtoggle")];
+          again.find((one) => one.getAttribute("aria-label") === trace.name)?.focus();
+        });
+      };
+    }
+  }
+
+  // Keys of a plot: + and - zoom, arrows move by a tenth, 0 shows all.
+  const zooms = { "+": 0.7, "=": 0.7, "-": 1 / 0.7 };
+  const moves = { ArrowLeft: ["x", -1], ArrowRight: ["x", 1], ArrowDown: ["y", -1], ArrowUp: ["y", 1] };
+
+  function zoom(holder, event) {
+    if (event.target !== holder || event.ctrlKey || event.metaKey || event.altKey) return;
+    const axes = Object.keys(holder._fullLayout).filter((key) => /^[xy]axis\d*$/.test(key));
+    const change = {};
+    for (const axis of axes) {
+      const [low, high] = holder._fullLayout[axis].range.map(Number);
+      if (event.key === "0") {
+        change[`${axis}.autorange`] = true;
+      } else if (event.key in zooms && Number.isFinite(low + high)) {
+        const half = (zooms[event.key] * (high - low)) / 2;
+        change[`${axis}.range`] = [(low + high) / 2 - half, (low + high) / 2 + half];
+      } else if (event.key in moves && moves[event.key][0] === axis[0] && Number.isFinite(low + high)) {
+        const step = (moves[event.key][1] * (high - low)) / 10;
+        change[`${axis}.range`] = [low + step, high + step];
+      }
+    }
+    if (!Object.keys(change).length) return;
+    event.preventDefault();
+    Plotly.relayout(holder, change);
   }
 
   function point(meta, event) {
@@ -144,14 +196,14 @@
   }
 
   // One legend entry shows or hides its curves in all plots of the run.
-  function toggle(group, event) {
-    const clicked = event.data[event.curveNumber];
+  function toggle(holders, clicked) {
     const visible = clicked.visible === "legendonly" ? true : "legendonly";
-    for (const holder of groups[group]) {
-      const same = holder.data.flatMap((trace, k) => (trace.name === clicked.name ? [k] : []));
-      if (same.length) Plotly.restyle(holder, { visible }, same);
-    }
-    return false;
+    return Promise.all(
+      holders.map((holder) => {
+        const same = holder.data.flatMap((trace, k) => (trace.name === clicked.name ? [k] : []));
+        return same.length && Plotly.restyle(holder, { visible }, same);
+      }),
+    );
   }
 
   // The chooser says by which force the tracks are coloured.
