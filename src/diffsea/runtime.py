@@ -35,6 +35,9 @@ XLA_FLAGS = (
     "--xla_cpu_fast_math_honor_division=true --xla_cpu_fast_math_honor_functions=true"
 )
 
+# Compiler options of programs that run once or twice: compiled in two thirds of the time.
+SELDOM_RUN = {"xla_backend_optimization_level": 0}
+
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """The function with one thread for BLAS while it runs.

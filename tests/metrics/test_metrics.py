@@ -2,6 +2,7 @@
 """Numbers of the trials against closed forms, another integrator and hand counts."""
 
 import dataclasses
+import functools
 import json
 import math
 
@@ -31,10 +32,15 @@ from diffsea.metrics import (
 )
 from diffsea.metrics.crossings import value_or_nan
 from diffsea.metrics.orders import as_thrust, steering_angle
+from diffsea.runtime import SELDOM_RUN
 
 
 ORDER = math.radians(20)
-TURNING, ZIGZAG = eqx.filter_jit(turning_metrics), eqx.filter_jit(zigzag_metrics)
+compiled = functools.partial(jax.jit, compiler_options=SELDOM_RUN)
+TURNING, ZIGZAG, STOPPING = (
+    eqx.filter_jit(metrics, compiler_options=SELDOM_RUN)
+    for metrics in (turning_metrics, zigzag_metrics, stopping_metrics)
+)
 
 
 def trajectory(t, x, y, psi, u, v, r, valid=None, **channels):
@@ -106,7 +112,7 @@ def test_crossing_time_has_the_implicit_derivative(jacobian):
     slope = jnp.sqrt(amplitude**2 - level**2) * rate
     expected = [-level / amplitude / slope, -exact / rate, 1 / slope]
     np.testing.assert_allclose(time(p), exact, rtol=1e-7)
-    np.testing.assert_allclose(jax.jit(jacobian(time))(p), expected, rtol=1e-5)
+    np.testing.assert_allclose(compiled(jacobian(time))(p), expected, rtol=1e-5)
 
 
 def test_crossing_on_a_sample_at_an_event_or_in_the_window_only():
@@ -235,7 +241,7 @@ def test_turning_derivatives_are_those_of_the_closed_form():
 
     radius, rate = p = jnp.array([50.0, 0.05])
     for jacobian in (jax.jacfwd, jax.jacrev):
-        got = jax.jit(jacobian(metrics))(p)
+        got = compiled(jacobian(metrics))(p)
         for name, expected in {
             "advance": (1, 0),
             "transfer": (1, 0),
@@ -258,7 +264,7 @@ def test_a_short_turn_gives_only_the_numbers_it_contains():
         got = turning_metrics(replaced(turning(t, radius, drift=0.0), valid=valid), 7.3, 1)
         return jnp.stack([got[name] for name in named])
 
-    jitted = [jax.jit(f) for f in (numbers, jax.jacfwd(numbers), jax.jacrev(numbers))]
+    jitted = [compiled(f) for f in (numbers, jax.jacfwd(numbers), jax.jacrev(numbers))]
     for turned, there in ((80, 0), (100, 1), (200, 2), (280, 3)):
         valid = t < 7.3 + math.radians(turned) / 0.05
         value, *derivatives = (f(50.0, valid) for f in jitted)
@@ -415,10 +421,10 @@ def test_zigzag_overshoot_has_the_derivative_of_the_closed_form():
         )
 
     p = np.array([0.25, 4.0])
-    np.testing.assert_allclose(metrics(jnp.array(p)), oracle(p), rtol=1e-7)
+    np.testing.assert_allclose(compiled(metrics)(jnp.array(p)), oracle(p), rtol=1e-7)
     expected = np.stack([(oracle(p + d) - oracle(p - d)) / 2e-5 for d in 1e-5 * np.eye(2)], 1)
     for jacobian in (jax.jacfwd, jax.jacrev):
-        got = jax.jit(jacobian(metrics))(jnp.array(p))
+        got = compiled(jacobian(metrics))(jnp.array(p))
         np.testing.assert_allclose(got, expected, rtol=1e-6)
 
 
@@ -440,13 +446,13 @@ def braking(t, speed=5.0, decay=0.1, psi0=0.7, execute=4.0):
 
 def test_stopping_at_a_constant_rate():
     t = jnp.array(with_event(np.arange(0.1, 80, 0.5), 4.0))
-    got = jax.jit(lambda: stopping_metrics(braking(t), 4.0))()
+    got = compiled(lambda: stopping_metrics(braking(t), 4.0))()
     assert got["track_reach"] == pytest.approx(5.0**2 / (2 * 0.1), rel=1e-9)
     assert got["head_reach"] == pytest.approx(5.0**2 / (2 * 0.1), rel=1e-9)
     assert got["lateral_deviation"] == pytest.approx(0, abs=1e-9)
     assert got["stopping_time"] == pytest.approx(50.0, rel=1e-9)
     assert got["approach_speed"] == pytest.approx(5.0, rel=1e-9)
-    gradient = jax.jit(jax.jacrev(lambda p: stopping_metrics(braking(t, *p), 4.0)))
+    gradient = compiled(jax.jacrev(lambda p: stopping_metrics(braking(t, *p), 4.0)))
     np.testing.assert_allclose(
         gradient(jnp.array([5.0, 0.1]))["track_reach"], [5 / 0.1, -(5**2) / 2 / 0.1**2], rtol=1e-9
     )
@@ -455,8 +461,8 @@ def test_stopping_at_a_constant_rate():
 def test_metrics_of_a_batch_are_those_of_its_members():
     t = jnp.arange(0, 160, 0.5)
     radii = jnp.array([30.0, 50.0])
-    one = jax.jit(lambda radius: turning_metrics(turning(t, radius), 7.3, 1))
-    batch = jax.jit(jax.vmap(lambda radius: turning_metrics(turning(t, radius), 7.3, 1)))(radii)
+    one = compiled(lambda radius: turning_metrics(turning(t, radius), 7.3, 1))
+    batch = compiled(jax.vmap(lambda radius: turning_metrics(turning(t, radius), 7.3, 1)))(radii)
     for i, radius in enumerate(radii):
         for name, value in one(radius).items():
             assert batch[name][i] == pytest.approx(float(value), rel=1e-12), name
@@ -801,7 +807,7 @@ def test_approach_speed_is_the_mean_over_the_last_seconds_before_the_order():
     run = trajectory(t, t + 0.002 / 3 * t**3, zero, zero, speed, zero, zero)
     for order, begin in ((30.0, 20.0), (4.0, 0.0)):
         mean = 1 + 0.002 / 3 * (order**3 - begin**3) / (order - begin)
-        got = stopping_metrics(run, order)["approach_speed"]
+        got = STOPPING(run, jnp.array(order))["approach_speed"]
         assert got == pytest.approx(mean, rel=2e-5)
 
 
@@ -814,7 +820,7 @@ def test_the_distance_of_uneven_samples_is_that_of_their_speed():
     run = trajectory(t, t + 0.01 / 3 * t**3, zero, zero, speed, zero, zero)
     mean = 1 + 0.01 / 3 * (30.0**3 - 20.0**3) / 10.0
     trapezoids = 0.01 / 6 * float(np.mean(gaps**2))  # that much too fast without a correction
-    got = stopping_metrics(run, 30.0)["approach_speed"]
+    got = STOPPING(run, jnp.array(30.0))["approach_speed"]
     assert got == pytest.approx(mean, abs=0.2 * trapezoids)
 
 

@@ -37,6 +37,7 @@ from diffsea.metrics.orders import (
     stop_order,
 )
 from diffsea.metrics.preparation import prepare_recording
+from diffsea.runtime import SELDOM_RUN
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
@@ -223,9 +224,9 @@ def _is_stopping(run: Trajectory, orders: Orders) -> bool:
 
 # Reading its numbers
 
-_turning_numbers = eqx.filter_jit(turning_metrics)
-_zigzag_numbers = eqx.filter_jit(zigzag_metrics)
-_stopping_numbers = eqx.filter_jit(stopping_metrics)
+_turning_numbers = eqx.filter_jit(turning_metrics, compiler_options=SELDOM_RUN)
+_zigzag_numbers = eqx.filter_jit(zigzag_metrics, compiler_options=SELDOM_RUN)
+_stopping_numbers = eqx.filter_jit(stopping_metrics, compiler_options=SELDOM_RUN)
 
 
 def _read_turning(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str, Any]:
