@@ -366,7 +366,7 @@ def assert_sound(page: str) -> Reader:
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_has_every_section(verdict):
     reader = assert_sound(page_of(verdict))
-    assert tuple(reader.ids) == SECTIONS
+    assert tuple(reader.ids) == ("content", *SECTIONS)
     assert all(reader.text(section) for section in SECTIONS)
     assert verdict in reader.text("verdict")
     # Maps of regimes, with an effect also after it; of each recording a map and a track.
@@ -409,7 +409,7 @@ def test_what_was_not_computed_is_said():
         effect["evidence"] = {}
     page = page_from(result, outcome_of("explained"))
     reader = assert_sound(page)
-    assert tuple(reader.ids) == SECTIONS
+    assert tuple(reader.ids) == ("content", *SECTIONS)
     for section in ("where", "what", "unseen"):
         assert "not computed" in reader.text(section)
     assert not reader.drawn("where") and len(reader.drawn("held-out")) == 3
@@ -611,7 +611,7 @@ def test_fit_page(held_out):
     )
     reader = assert_sound(page)
     sections = ("summary", "parameters", "open", "predictions", "convergence", "provenance")
-    assert tuple(reader.ids) == sections
+    assert tuple(reader.ids) == ("content", *sections)
     assert "N_rdot" in reader.text("summary") and "−52.0 ± 0.5" in reader.text("parameters")
     assert "Anchored by <mass>" in reader.text("parameters")
     assert "linear damping in surge" in reader.text("parameters")
@@ -826,3 +826,25 @@ def test_fit_page_of_recordings_and_trial_numbers_says_what_each_tells():
     assert "181 in 160 values" in told and "2.50 in 3 values" in told
     assert "by the trial numbers alone, not by the recordings: N_rdot" in told
     assert "Nothing is missing as far as these data tell" in Reader(page).text("summary")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("time_constant", "time constant"),
+        ("Y_ur", "Y_ur (sway force from u r)"),
+        ("C_N", "C_N (wind coefficient in yaw)"),
+        ("gamma_R", "gamma_R (straightening of the rudder's inflow)"),
+        ("x_G", "x_G (centre of gravity forward of amidships)"),
+    ],
+)
+def test_symbols_of_an_effect_are_told_with_their_meaning(name, told):
+    entry = {"value": 1.0, "std": 0.1, "unit": "1"}
+    lines = words.parameter_lines({"name": "current", "parameters": {name: entry}})
+    assert lines == [f"{told} 1.00 +- 0.10"]
+
+
+def test_every_parameter_of_the_catalogue_is_in_words():
+    names = {key for effect in EFFECTS.values() for key in effect.units}
+    symbols = {name for name in names if name[0].isupper() or name.endswith(("_H", "_R", "_G"))}
+    assert symbols and all("(" in words.parameter_words(name) for name in symbols)

@@ -26,7 +26,7 @@ from diffsea.identification.free_predictions import (
 from diffsea.identification.holdout import Split, exchanged_fit, held_out_gain
 from diffsea.identification.problem import Problem
 from diffsea.progress import PartialProgress, Progress
-from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name
+from diffsea.vessel.effects import EFFECTS, Effect, Size, catalogue_name, spoken_name
 
 
 TOLERANCE = 2.0  # standard errors by which a size may come out beyond its bounds, or zero in a run
@@ -71,7 +71,7 @@ def refit_candidates(
 
     def refit_first(name: str) -> Hypothesis:
         number, stage = names.index(name), f"trying {len(names)} causes"
-        message = f"trying cause {number + 1} of {len(names)}: {name}"
+        message = f"trying cause {number + 1} of {len(names)}: {spoken_name(name)}"
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 

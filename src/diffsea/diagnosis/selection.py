@@ -26,7 +26,7 @@ from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Split, has_own_environment
 from diffsea.identification.problem import Problem
 from diffsea.progress import Progress
-from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.effects import spoken_name
 
 
 ALPHA = 0.01  # family-wise level of significance
@@ -135,7 +135,9 @@ def forward_search(
             if resumed < MOST_RESUMPTIONS:
                 better = resume_stalled_fit(data.train, now.final, best)
             if better is not None:
-                progress(f"{best.effect} gained only what the fit without it still owed")
+                progress(
+                    f"{spoken_name(best.effect)} gained only what the fit without it still owed"
+                )
                 resumed += 1
                 now = replace(now, final=better, final_screening=screen(data.train, better))
                 if not now.effects:
@@ -147,7 +149,7 @@ def forward_search(
         if not added:
             break
         for one in added:
-            progress(f"found: {catalogue_name(one.name)}")
+            progress(f"found: {spoken_name(one.name)}")
         final = added[-1].hypothesis.estimate
         screening = screen(data.train, final)
         now = replace(now, final=final, final_screening=screening, effects=(*now.effects, *added))
@@ -163,7 +165,8 @@ def find_pair(
     Each must stand beside the other, and both together explain what the best `alone` does.
     """
     for one in alone.pair_candidates()[:PAIRS_TRIED]:
-        progress(f"no effect alone has one size in all the data; beside {one.effect} another?")
+        named = spoken_name(one.effect)
+        progress(f"no effect alone has one size in all the data; beside {named} another?")
         screening = screen(data.train, one.estimate)
         beside = refit_candidates(data, one.estimate, screening, progress)
         other = _decide(data, one.estimate, beside, progress)
@@ -204,11 +207,13 @@ def _decide(
     def exchange(one: Hypothesis) -> Hypothesis:
         if not insists or has_own_environment(data, one.estimate):
             return one
-        progress(f"{one.effect}: the test alone does not decide; test and recordings change places")
+        named = spoken_name(one.effect)
+        progress(f"runs held out leave {named} open; they and those fitted change places")
         return judge_exchanged(data, current, one)
 
     def compare(one: Hypothesis, other: Hypothesis) -> MotionChange:
-        progress(f"{one.effect} or {other.effect}: which predicts the motion better?")
+        named = f"{spoken_name(one.effect)} or {spoken_name(other.effect)}"
+        progress(f"{named}: which predicts the motion better?")
         return motion_change(data, one.estimate, other.estimate)
 
     return decide(tried, exchange, compare)
@@ -224,14 +229,14 @@ def ask_again(
     """
     current, effects, dropped, changed = found.final, list(found.effects), [], False
     for one in asked:
-        if current_budget().skips(f"asking again for {one.name}"):
+        if current_budget().skips(f"asking again for {spoken_name(one.name)}"):
             break
-        progress(f"is {one.name} needed beside the others?")
+        progress(f"is {spoken_name(one.name)} needed beside the others?")
         bare = refit_without(data.train, current, [one.name])
         again = _refit_with_rivals(data, bare, current, one)
         tried = ShortList.of(data.train, again)
         best = _decide(data, bare, tried, progress)
-        if current_budget().skips(f"asking again for {one.name}"):
+        if current_budget().skips(f"asking again for {spoken_name(one.name)}"):
             break  # fits were cut short
         if best is None:
             same = next((option for option in again if option.effect == one.name), None)

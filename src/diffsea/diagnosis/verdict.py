@@ -35,7 +35,7 @@ from diffsea.recordings import Finding
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import catalogue_name
+from diffsea.vessel.effects import spoken_name
 
 
 FIRST_ROUNDS = 20  # of the nominal fit, after which its noise is looked at
@@ -130,13 +130,13 @@ def believe_audit(
         if deadline.is_over:
             current_budget().note("what the audit found, beside the model")
             return replace(now, complete=False)
-        progress(f"the audit found {catalogue_name(one.effect)}: does the model agree?")
+        progress(f"the audit found {spoken_name(one.effect)}: does the model agree?")
         accepted = judge_audited(data, now.final, now.final_screening, one)
         if current_budget().skips("what the audit found, beside the model"):
             return replace(now, complete=False)  # its fits were cut short
         if accepted is None:
             continue
-        progress(f"found: {catalogue_name(one.effect)}")
+        progress(f"found: {spoken_name(one.effect)}")
         final = accepted.hypothesis.estimate
         now = replace(
             now,

@@ -209,7 +209,7 @@ def found_effects(summary: Record) -> list[FoundEffect]:
         rows: list[list[Cell]] = []
         for effect in group:
             for name, entry in effect["parameters"].items():
-                label = name.replace("_", " ") + words.direction_note(effect, name)
+                label = words.parameter_words(name) + words.direction_note(effect, name)
                 size = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
                 place = [Verbatim(effect["recording"])] if own else []
                 rows.append([*place, label, size, interval_of(entry)])
@@ -323,7 +323,7 @@ def _candidate_row(one: Record) -> list[str]:
     """A row of the ranking; what was not computed stays empty."""
     gain, size, p = one.get("held_out_gain"), one.get("log10_odds"), one.get("p_value")
     sizes = [
-        f"{name.replace('_', ' ')} {interval_of(entry)}"
+        f"{words.parameter_words(name)} {interval_of(entry)}"
         for name, entry in (one.get("parameters") or {}).items()
     ]
     return [
@@ -386,7 +386,7 @@ def unseen_table(summary: Record) -> Table | None:
         if is_known(limit):
             size = round_to_error(abs(limit), 0.1 * abs(limit), one.get("unit", ""))
         name = words.as_words(one["name"].replace(":", ", ").replace("_", " ")) + acted_on(one)
-        parameter = str(one.get("parameter") or "").replace("_", " ")
+        parameter = words.parameter_words(str(one.get("parameter") or ""))
         rows.append([name, parameter, size, one.get("note") or ""])
     return Table(["candidate", "parameter", "smallest size that would show", "note"], rows)
 

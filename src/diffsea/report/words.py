@@ -10,6 +10,7 @@ from typing import Any
 
 from diffsea.identification.holdout import HeldOut
 from diffsea.identification.sufficiency import Shortfall
+from diffsea.parameters import parameter_meaning
 from diffsea.report.quantities import (
     duration,
     is_known,
@@ -32,6 +33,21 @@ CHANNEL_WORDS = {
     ("u", "v"): "velocity",
     ("r",): "yaw rate",
 }
+# What symbols of effects mean that are no parameters of a vessel file.
+SYMBOLS = {
+    "C_X": "wind coefficient ahead",
+    "C_Y": "wind coefficient abeam",
+    "C_N": "wind coefficient in yaw",
+    "Y_phi": "sway force from heel",
+    "N_phi": "yaw moment from heel",
+    "Y_vdot - X_udot": "added mass, sway less surge",
+    "a_H": "hull's share of the rudder's force",
+    "x_H": "where that share acts",
+    "gamma_R": "straightening of the rudder's inflow",
+    "cd": "cross-flow drag coefficient",
+    **{f"{force}_{way}": f"{what} of a propeller {way}, in thrusts"
+       for force, what in (("Y", "side force"), ("N", "moment")) for way in ("ahead", "astern")},
+}  # fmt: skip
 PERCENT_SCALES = {"%": 100.0, "%/deg": math.radians(100.0)}
 MODELS = ("nominal", "diagnosed")
 HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
@@ -362,6 +378,13 @@ def single_step_sentence(summary: Record) -> str:
     )
 
 
+def parameter_words(name: str) -> str:
+    """A parameter of an effect: symbols with their meaning, `Y_ur (sway force from u r)`."""
+    meaning = SYMBOLS.get(name) or parameter_meaning(name)
+    words = name.replace("_", " ")
+    return words if meaning == words else f"{name} ({meaning})"
+
+
 def parameter_lines(effect: Record) -> list[str]:
     """`speed 0.301 +- 0.004 m/s` for each parameter of an effect.
 
@@ -372,7 +395,7 @@ def parameter_lines(effect: Record) -> list[str]:
         text = with_error(entry["value"], entry.get("std"), entry.get("unit", ""))
         if "beyond" in entry:
             text = f"above {round_to_error(entry['beyond'], None, entry['unit'])}, if any"
-        lines.append(f"{name.replace('_', ' ')} {text}{direction_note(effect, name)}")
+        lines.append(f"{parameter_words(name)} {text}{direction_note(effect, name)}")
     return lines
 
 

@@ -62,7 +62,7 @@ from diffsea.simulation import planning
 from diffsea.simulation.standard import Numbers, TrialPlan
 from diffsea.types import as_inputs
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects import Effect
+from diffsea.vessel.effects import Effect, spoken_name
 
 
 RELATIVE_STD = 0.03  # of a number that states none: a guess at the scatter of repeated trials
@@ -383,7 +383,7 @@ class TrialNumbers(AbstractObjective):
         for effect in self.effects:
             if left_out.skips(f"the odds of {effect.name}"):
                 continue
-            progress(f"fitting without {effect.name}")
+            progress(f"fitting without {spoken_name(effect.name)}")
             start = np.array(fitted.coordinates)
             start[self._places(effect)] = 0.0
             left = tuple(name for name in fitted.free if name != effect.name)

@@ -17,6 +17,7 @@ from diffsea.vessel.effects.entry import Effect as Effect
 from diffsea.vessel.effects.entry import Parametrisation as Parametrisation
 from diffsea.vessel.effects.entry import catalogue_name as catalogue_name
 from diffsea.vessel.effects.entry import read_table
+from diffsea.vessel.effects.entry import spoken_name as spoken_name
 from diffsea.vessel.effects.environment import ENVIRONMENT
 from diffsea.vessel.effects.hull import HULL
 from diffsea.vessel.effects.sensors import SENSORS

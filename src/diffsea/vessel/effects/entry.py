@@ -194,6 +194,12 @@ def catalogue_name(effect: str) -> str:
     return effect.split(":")[0]
 
 
+def spoken_name(effect: str) -> str:
+    """The name in a message, with its variant: `sensor-latency (heading)`."""
+    name, _, variant = effect.partition(":")
+    return f"{name} ({variant.replace('_', ' ')})" if variant else name
+
+
 def add_to(part: Part, where: Callable[[Part], Any], by: Scalar) -> Part:
     """A vessel, or a part of one, with something added to one of its numbers.
 
