@@ -12,6 +12,7 @@ The axes are those of the approach: distances are along the original heading and
 turn, towards the side that the vessel turns to. Angles are positive that way too.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -281,20 +282,20 @@ def _distance_between(run: _TrialFrame, begin: Scalar, end: Scalar) -> Float[Arr
     its start. Over evenly spaced samples only the first and the last growth are left of it.
     """
     t, speed = run.surge.t, run.speed
-    times = [jnp.clip(time, t[0], t[-1]) for time in (begin, end)]
-    first, last = (interval_at(t, time) for time in times)
+    # Both ends by one program: compiling is most of the time that a single trial takes.
+    times = jnp.clip(jnp.stack([jnp.asarray(begin), jnp.asarray(end)]), t[0], t[-1])
+    rows = jax.vmap(functools.partial(interval_at, t))(times)
+    first, last = rows
     row = jnp.arange(t.shape[0])
     step, pair = t[1:] - t[:-1], speed[1:] + speed[:-1]
     whole = jnp.where((row[:-1] >= first) & (row[:-1] < last), step * pair, 0.0)
     within = (row[1:-1] > first) & (row[1:-1] < last)
     uneven = jnp.where(within, (speed[2:] - speed[:-2]) * (step[1:] - step[:-1]), 0.0)
     before = step[jnp.maximum(last - 1, 0)]
-    growth = step[first] ** 2 * _growth(run, first) - before**2 * _growth(run, last)
-    growth = jnp.where(last > first, growth, 0.0)
-    lead, rest = (
-        (time - t[i]) * (speed[i] + _speed_at(run, time)) / 2
-        for i, time in zip((first, last), times, strict=True)
-    )
+    at_first, at_last = jax.vmap(functools.partial(_growth, run))(rows)
+    growth = jnp.where(last > first, step[first] ** 2 * at_first - before**2 * at_last, 0.0)
+    speeds = jax.vmap(functools.partial(_speed_at, run))(times)
+    lead, rest = (times - t[rows]) * (speed[rows] + speeds) / 2
     return jnp.sum(whole) / 2 + (jnp.sum(uneven) + growth) / 12 + rest - lead
 
 

@@ -224,9 +224,16 @@ def _is_stopping(run: Trajectory, orders: Orders) -> bool:
 
 # Reading its numbers
 
-_turning_numbers = eqx.filter_jit(turning_metrics, compiler_options=SELDOM_RUN)
-_zigzag_numbers = eqx.filter_jit(zigzag_metrics, compiler_options=SELDOM_RUN)
-_stopping_numbers = eqx.filter_jit(stopping_metrics, compiler_options=SELDOM_RUN)
+
+def _compiled(numbers: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
+    """The function compiled quickly: Equinox's annotations leave out that options go on to JAX."""
+    options: dict[str, Any] = {"compiler_options": SELDOM_RUN}
+    return eqx.filter_jit(numbers, **options)
+
+
+_turning_numbers = _compiled(turning_metrics)
+_zigzag_numbers = _compiled(zigzag_metrics)
+_stopping_numbers = _compiled(stopping_metrics)
 
 
 def _read_turning(run: Trajectory, orders: Orders, notes: list[str]) -> dict[str, Any]:
