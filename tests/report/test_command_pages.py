@@ -112,4 +112,6 @@ def test_segments_are_shaded_from_their_onsets():
     shapes = figures(page)[1]["layout"]["shapes"]
     spans = [(s["x0"], s["x1"]) for s in shapes if s["type"] == "rect"]
     assert spans == [(s.onset, s.end) for s in found] and found
+    key = [s["name"] for s in shapes if s.get("showlegend")]
+    assert sorted(key) == sorted({s.kind for s in found})
     assert "Orders count." in page and found[0].kind in page

@@ -189,10 +189,15 @@ def segments_page(
 
 
 def _shade(plot: Plot, segments: Sequence[Segment]) -> None:
+    """Shade the segments, with a key of their kinds."""
     place = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "line": {"width": 0}}
-    for one in segments:
+    for number, one in enumerate(segments):
         fill = {"fillcolor": SEGMENT_COLOURS[one.kind], "opacity": 0.18, "layer": "below"}
-        plot.figure.add_shape(x0=one.onset, x1=one.end, **place, **fill)
+        first = all(before.kind != one.kind for before in segments[:number])
+        key = {"name": one.kind, "showlegend": first}
+        plot.figure.add_shape(x0=one.onset, x1=one.end, **place, **fill, **key)
+    plot.figure.update_layout(showlegend=True)
+    plot.figure.update_traces(showlegend=False)
 
 
 def _segment_table(segments: Sequence[Segment]) -> Table:
