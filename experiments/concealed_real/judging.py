@@ -184,12 +184,27 @@ def compare(line: Line, unchanged: Line) -> Comparison:
     retelling = RETELLINGS[line["id"].partition(":")[2]]
     document: Document = unchanged["frozen"]["document"]
     expected = [retelling.translate(effect, document) for effect in unchanged["effects"]]
+    return _beside(line, unchanged, expected, (retelling.tolerance, retelling.misfit))
+
+
+def compare_again(line: Line, unchanged: Line) -> Comparison:
+    """The same runs by another revision, held to what the strictest retelling is held to."""
+    strictest = tuple(
+        min(getattr(one, limit) for one in RETELLINGS.values()) for limit in ("tolerance", "misfit")
+    )
+    return _beside(line, unchanged, unchanged["effects"], strictest)
+
+
+def _beside(
+    line: Line, unchanged: Line, expected: list[dict[str, Any]], limits: tuple[float, ...]
+) -> Comparison:
+    """A line beside the original: effects as expected, sizes and misfit within limits."""
     apart = max((_nearest(effect, line["effects"]) for effect in expected), default=0.0)
     was, now = set(names(unchanged)), set(names(line))
     misfit = _misfit(line, unchanged)
     failed = line["verdict"] == "failed"
     same = was == now and not failed
-    holds = same and apart <= retelling.tolerance and misfit <= retelling.misfit
+    holds = same and apart <= limits[0] and misfit <= limits[1]
     return Comparison(line["id"], same, tuple(sorted(was - now)), tuple(sorted(now - was)), apart,
                       misfit, holds, line["seconds"])  # fmt: skip
 

@@ -1,12 +1,13 @@
 """The proof on real recordings: unchanged, told otherwise, known facts, injected; resumable.
 
-    python -m experiments.concealed_real.run [--told] [--facts] [--injected] [--subset N]
+    python -m experiments.concealed_real.run [--told] [--facts] [--injected] [--again] [--subset N]
         [--sets NAME ...] [--develop] [--workers N] [--redo] [--out DIR]
 
-Without a part, all of them. Appends a line to `results/PART.jsonl` for every case that has none of
-this revision of the tool; a stopped run goes on where it was. The unchanged runs come first: their
-detection limits are frozen in `results/limits.json`, and the cases drawn from them, before anything
-that is injected.
+Without a part, all of them but `--again`: the unchanged runs by another revision of the tool,
+beside those that limits and cases are drawn from. Appends a line to `results/PART.jsonl` for every
+case that has none of this revision; a stopped run goes on where it was. The unchanged runs come
+first: their detection limits are frozen in `results/limits.json`, and the cases drawn from them,
+before anything that is injected.
 """
 
 import argparse
@@ -149,6 +150,16 @@ def unchanged_jobs(names: list[str]) -> list[Job]:
     return [(name, name, lambda name=name: unchanged_line(name) | {"set": name}) for name in names]
 
 
+def again_jobs(names: list[str]) -> list[Job]:
+    """The sets as they are, without what is frozen."""
+
+    def line(name: str) -> Line:
+        material = sets.SETS[name].load()
+        return diagnosed(material, WORK / "again" / name)[0] | {"set": name}
+
+    return [(name, name, lambda name=name: line(name)) for name in names]
+
+
 def injected_jobs(
     names: list[str], subset: int | None, folder: Path, first: int | None = None
 ) -> list[Job]:
@@ -241,7 +252,7 @@ def main() -> None:
     names = args.sets or [n for n, one in sets.SETS.items() if one.develop or not args.develop]
     if args.workers > 1:
         sys.exit(work_together(args.workers))
-    everything = not (args.told or args.facts or args.injected)
+    everything = not (args.told or args.facts or args.injected or args.again)
     revision = source_digest(ROOT / "src" / "diffsea")
     diffsea.prepare_jax()
     frozen = (args.out / cases.CASES).exists()
@@ -250,6 +261,8 @@ def main() -> None:
         first = list(sets.SETS) if args.out == results.FOLDER and not frozen else names
         work("unchanged", unchanged_jobs(first), args, revision)
         freeze(first, args.out)
+    if args.again:
+        work("again", again_jobs(names), args, revision)
     if everything or args.told:
         work("told", told_jobs(names), args, revision)
     if everything or args.facts:
@@ -261,7 +274,7 @@ def main() -> None:
 def options() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    for part in ("told", "facts", "injected"):
+    for part in ("told", "facts", "injected", "again"):
         parser.add_argument(f"--{part}", action="store_true", help="this part, not all")
     few = "so many injected cases that are quick (20 with --workers 2: a quarter of an hour)"
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="so many processes")

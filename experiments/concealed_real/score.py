@@ -15,7 +15,14 @@ from typing import Any
 from experiments.concealed.score import BINS, share
 from experiments.concealed_real import facts, results, sets
 from experiments.concealed_real.checks import Line
-from experiments.concealed_real.judging import HORIZONS, Comparison, Outcome, compare, judge
+from experiments.concealed_real.judging import (
+    HORIZONS,
+    Comparison,
+    Outcome,
+    compare,
+    compare_again,
+    judge,
+)
 
 import numpy as np
 
@@ -197,6 +204,8 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
                 if line["case"]["set"] in unchanged]  # fmt: skip
     told = [compare(line, unchanged[line["set"]]) for line in lines["told"].values()
             if line["set"] in unchanged]  # fmt: skip
+    again = [compare_again(line, unchanged[name]) for name, line in lines["again"].items()
+             if name in unchanged]  # fmt: skip
     checks = fact_rows(lines["facts"])
     scored = {
         "cases": len(outcomes),
@@ -210,12 +219,15 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
         "facts": checks,
         "facts that hold": share(row["holds"] for row in checks if row["holds"] is not None),
         "told otherwise, the same": share(one.holds for one in told),
+        "by another revision, the same": share(one.holds for one in again),
         "revisions": sorted({line["revision"] for some in lines.values() for line in
                              some.values()}),
     }  # fmt: skip
     verdict = {True: HOLDS, False: FAILS, None: WELCOME}
     pages = [
         "## Unchanged", unchanged_table(lines["unchanged"]),
+        f"## By another revision, the same: {shown(scored['by another revision, the same'])}",
+        told_table(again),
         f"## Facts: {shown(scored['facts that hold'])}",
         table(("fact", "check", "holds"),
               [(row["fact"], row["check"], verdict[row["holds"]]) for row in checks]),

@@ -63,6 +63,33 @@ def test_what_the_page_says_of_real_sets_is_what_was_found(part, columns):
         assert ahead == " -> ".join(dict.fromkeys(errors)), line["id"]
 
 
+def test_what_the_page_says_of_another_revision_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    unchanged = results.read("unchanged", FOLDER / "results")
+    again = results.read("again", FOLDER / "results")
+    found = [judging.compare_again(line, unchanged[name]) for name, line in again.items()]
+    assert set(again) == set(unchanged)
+    assert {one["revision"] for one in again.values()}.isdisjoint(
+        one["revision"] for one in unchanged.values()
+    )
+    same, apart = sum(one.same_names for one in found), max(one.apart for one in found)
+    told = (
+        f"the same names in {same} of {len(found)} sets, sizes within {apart:.1g} standard errors"
+    )
+    assert told in " ".join(text.split())
+
+
+def test_another_revision_that_says_otherwise_is_not_the_same():
+    unchanged = results.read("unchanged", FOLDER / "results")["kcs"]
+    other = copy.deepcopy(unchanged)
+    assert judging.compare_again(other, unchanged).holds
+    delay = other["effects"][0]["parameters"]["delay"]
+    delay["value"] += 0.2 * delay["std"]
+    assert not judging.compare_again(other, unchanged).holds
+    other["effects"] = unchanged["effects"][1:]
+    assert not judging.compare_again(other, unchanged).holds
+
+
 @real
 def test_what_the_page_says_of_facts_is_what_was_found():
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
