@@ -6,11 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.paths import ROOT
 
 import diffsea
 from diffsea.missions import mission_of, run, scores
-from diffsea.missions.document import read_mission
 from diffsea.missions.numbers import (
     full_names,
     mission_numbers,
@@ -128,10 +126,22 @@ def test_a_speed_beyond_reach_is_told():
         closed_loop_sweep(mission_of(document()), Grid({"controller.speed": (0.0, 1.0, 3)}))
 
 
-def test_a_grid_with_an_estimator_is_refused():
-    mission = read_mission(ROOT / "examples" / "missions" / "survey_that_learns.toml")
-    with pytest.raises(diffsea.UserError, match="cannot be run as a grid: leave that table out"):
-        closed_loop_sweep(mission, Grid({"controller.lookahead": (3.0, 9.0, 3)}))
+def test_a_grid_of_a_mission_that_learns_is_its_runs():
+    """Gains and the plant change; what is learnt begins at the model that the file states."""
+    plain = document() | {
+        "vessel": {"name": "otter"},
+        "model": {"name": "otter", "parameters": {"X_u": -62.0}},
+        "sensors": {"position": 0.05, "heading": 0.005, "velocity": 0.01, "yaw_rate": 0.001},
+    }
+    mission = mission_of(plain | {"estimator": {"kind": "kalman", "free": ["X_u", "N_r"]}})
+    space = Grid({"controller.lookahead": (3.0, 4.0, 2), "vessel.X_u": (-95.0, -90.0, 2)})
+    rows = closed_loop_sweep(mission, space).table.to_dict("records")
+    without = closed_loop_sweep(mission_of(plain), space).table["path_rms"]
+    for row, unlearnt in zip(rows, without, strict=True):
+        alone = run(with_numbers(mission, {name: row[name] for name in space.names}))
+        # Its own trial trip has sensor noise of another size, in the fifth digit.
+        assert row["path_rms"] == pytest.approx(scores(alone)["path_error"]["rms"], rel=1e-5)
+        assert abs(row["path_rms"] / unlearnt - 1) > 1e-3
 
 
 def test_distances_from_a_path_have_derivatives_on_it_and_beyond_its_ends():

@@ -83,14 +83,13 @@ class AdaptiveController(AbstractController[Learning]):
         }
 
 
-def adaptive_controller(
-    mission: Mission, period: float, start: State, noise: Noise | None
-) -> AdaptiveController:
-    """The controller of a mission with its `[estimator]`.
+def estimator_beside(mission: Mission, period: float, noise: Noise | None) -> GuardedEstimator:
+    """The mission's `[estimator]` with its gate, which begins at the mission's own model.
+
+    Made outside of compiled programs: what is estimated, and how, is settled by plain numbers.
 
     Arguments:
         period: s.
-        start: rough guess of the first state.
         noise: gusts and sensor noise, which the Kalman filter needs.
 
     Raises:
@@ -102,17 +101,29 @@ def adaptive_controller(
     if asked.kind == "kalman":
         assert noise is not None
         drift = DRIFT if asked.drift is None else asked.drift
-        estimator = kalman_filter(model, free, noise, drift=drift, interval=period)
-    else:
-        memory = math.inf if asked.memory is None else asked.memory
-        estimator = recursive_least_squares(model, free, memory=memory, interval=period)
+        return guard_estimator(kalman_filter(model, free, noise, drift=drift, interval=period))
+    memory = math.inf if asked.memory is None else asked.memory
+    return guard_estimator(recursive_least_squares(model, free, memory=memory, interval=period))
+
+
+def adaptive_controller(
+    mission: Mission, period: float, start: State, guard: GuardedEstimator
+) -> AdaptiveController:
+    """The controller of a mission with an estimator beside it. Pure in the mission's numbers.
+
+    Arguments:
+        period: s.
+        start: rough guess of the first state.
+    """
+    asked = mission.estimator
+    assert asked is not None
 
     def made_for(values: Mapping[str, Scalar]) -> AbstractController:
-        believed = dataclasses.replace(mission, model=replace(model, values))
+        believed = dataclasses.replace(mission, model=replace(mission.model, values))
         return controller_of(believed, period)
 
     return AdaptiveController(
-        guard_estimator(estimator),
+        guard,
         controller_of(mission, period),
         made_for if asked.adapt else None,
         dict(mission.controller.limits),

@@ -14,9 +14,13 @@ from diffsea.errors import UserError
 from diffsea.identification.data.dataset import make_dataset
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import noise_prior
-from diffsea.identification.online.guarded import OnlineRun, online_run
+from diffsea.identification.online.guarded import GuardedEstimator, OnlineRun, online_run
 from diffsea.kinematics import speed_and_direction
-from diffsea.missions.adaptation import AdaptiveController, adaptive_controller
+from diffsea.missions.adaptation import (
+    AdaptiveController,
+    adaptive_controller,
+    estimator_beside,
+)
 from diffsea.missions.controllers import controller_of, require_controllable, speed_of
 from diffsea.missions.record import Mission, SensorErrors
 from diffsea.missions.surroundings import (
@@ -142,22 +146,24 @@ def _longest(mission: Mission) -> float:
     return planning.round_up(SLOWNESS * (path + room) / float(speed_of(mission)))
 
 
-def assemble(mission: Mission, times: Timing, noise: Noise | None = None) -> MissionSetup:
+def assemble(
+    mission: Mission, times: Timing, guard: GuardedEstimator | None = None
+) -> MissionSetup:
     """Everything that the closed loop of a mission needs; pure in the mission's numbers.
 
     Arguments:
-        noise: gusts and sensor noise, for a Kalman filter beside the controller (`noise_for`).
+        guard: the estimator beside the controller, where the mission has one (`estimator_of`).
 
     Raises:
-        UserError: a controller for other thrusters than the vessel has, or an estimator of what
-            cannot be estimated.
+        UserError: a controller for other thrusters than the vessel has.
     """
     vessel, start = in_weather(mission.vessel, mission.weather), _start(mission)
     errors, limits = mission.sensors or SensorErrors(), dict(mission.controller.limits)
     if mission.estimator is None:
         controller = controller_of(mission, times.period)
     else:
-        controller = adaptive_controller(mission, times.period, start, noise)
+        assert guard is not None
+        controller = adaptive_controller(mission, times.period, start, guard)
     drawn = times.rows, times.period, mission.seed
     return MissionSetup(
         vessel,
@@ -168,16 +174,22 @@ def assemble(mission: Mission, times: Timing, noise: Noise | None = None) -> Mis
     )
 
 
-def noise_for(mission: Mission) -> Noise | None:
-    """Noise for a mission's Kalman filter: gusts that suit the vessel, sensors as they show it.
+def estimator_of(mission: Mission, times: Timing) -> GuardedEstimator | None:
+    """The estimator of a mission, with its gate; None where it has none.
 
-    The sensors' noise is read off the mission run without estimator, as a trial trip would tell
-    it. None where there is no such filter.
+    The noise of a Kalman filter is that of gusts which suit the vessel and of sensors as the
+    mission run without estimator shows them, as a trial trip would.
+
+    Raises:
+        UserError: parameters that cannot be estimated so.
     """
-    if mission.estimator is None or mission.estimator.kind != "kalman":
+    if mission.estimator is None:
         return None
-    trip = run(dataclasses.replace(mission, estimator=None)).recorded
-    return Noise.of(noise_prior(mission.model, make_dataset(mission.model, [trip])).mean)
+    noise = None
+    if mission.estimator.kind == "kalman":
+        trip = run(dataclasses.replace(mission, estimator=None)).recorded
+        noise = Noise.of(noise_prior(mission.model, make_dataset(mission.model, [trip])).mean)
+    return estimator_beside(mission, times.period, noise)
 
 
 def _start(mission: Mission) -> State:
@@ -205,7 +217,8 @@ def setup(mission: Mission) -> MissionSetup:
         UserError: a controller that the vessel cannot have, or a run that is too long.
     """
     require_controllable(mission)
-    return assemble(mission, timing(mission), noise_for(mission))
+    times = timing(mission)
+    return assemble(mission, times, estimator_of(mission, times))
 
 
 def closed_loop(made: MissionSetup) -> ClosedLoop:

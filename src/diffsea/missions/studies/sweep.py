@@ -20,7 +20,7 @@ from diffsea.missions.running import (
     Timing,
     assemble,
     closed_loop,
-    noise_for,
+    estimator_of,
     require_controllable,
     run,
     timing,
@@ -55,17 +55,14 @@ def closed_loop_sweep(
 ) -> ClosedLoopSweep:
     """Run a mission with every design of a space, whose names are numbers of the mission.
 
+    An estimator begins at the mission's own model, whatever the design.
+
     Raises:
         UserError: a name of no number, a speed beyond the vessel's reach at either end of its
-            range, a mission with an estimator, or one that cannot be run.
+            range, or a mission that cannot be run.
     """
     if space.count > MOST:
         raise UserError(f"{space.count} designs are too many; at most {MOST} are run at once")
-    if mission.estimator is not None:
-        raise UserError(
-            "a mission with an [estimator] cannot be run as a grid: leave that table out, or run "
-            "a --battery of the mission"
-        )
     names = full_names(mission, space.names)
     mission = settled(mission, names)
     designs = Designs(tuple(names), space.rows(0, space.count).values)
@@ -126,11 +123,11 @@ def _run_designs(
 ) -> tuple[Performance, int, float]:
     """What every design did; of those that were timed the vessel-steps, and the seconds."""
     parts = math.ceil(times.period / times.time_step - 1e-9)  # steps of a period
-    noise = noise_for(mission)
+    guard = estimator_of(mission, times)
 
     def run_one(row: Float[Array, "name"]) -> Performance:
         changed = with_numbers(mission, dict(zip(designs.names, row, strict=True)))
-        return performance(changed, closed_loop(assemble(changed, times, noise)))
+        return performance(changed, closed_loop(assemble(changed, times, guard)))
 
     run_batch = eqx.filter_jit(lambda rows: jax.vmap(run_one)(rows))
     done = in_batches(

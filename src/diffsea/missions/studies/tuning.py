@@ -20,7 +20,7 @@ from diffsea.identification.least_squares import iterate_least_squares, value_an
 from diffsea.missions.numbers import full_names, mission_numbers, settled, with_numbers
 from diffsea.missions.performance import NUMBERS, cost_residuals, performance
 from diffsea.missions.record import Mission, TimedStep
-from diffsea.missions.running import Timing, assemble, closed_loop, noise_for
+from diffsea.missions.running import Timing, assemble, closed_loop, estimator_of
 from diffsea.missions.studies.sweep import (
     common_timing,
     quicker,
@@ -155,14 +155,15 @@ def _descend(
         Parameter(name, middles[name], lower=low, upper=high)
         for name, (low, high) in ranges.items()
     ]
-    noise = noise_for(missions[0])
+    guards = [estimator_of(one, times) for one in missions]
 
     def decoded(at: Coordinates) -> dict[str, Scalar]:
         return {one.name: one.decode(at[k]) for k, one in enumerate(parameters)}
 
     def residuals(at: Coordinates) -> Float[Array, "residual"]:
         changed = [with_numbers(one, decoded(at)) for one in missions]
-        loops = [closed_loop(assemble(one, times, noise)) for one in changed]
+        with_guards = zip(changed, guards, strict=True)
+        loops = [closed_loop(assemble(one, times, guard)) for one, guard in with_guards]
         each = zip(changed, loops, strict=True)
         parts = [cost_residuals(one, loop, effort) for one, loop in each]
         return jnp.concatenate(parts) / math.sqrt(len(missions))
@@ -189,11 +190,11 @@ def _judge(mission: Mission, values: Mapping[str, float], effort: float) -> dict
     changed = with_numbers(mission, values)
     names = [name for name in values if name == "controller.speed"]
     times = common_timing(changed, Designs(tuple(names), np.array([[values[n] for n in names]])))
-    noise = noise_for(changed)
+    guard = estimator_of(changed, times)
 
     @eqx.filter_jit
     def judged() -> tuple[Scalar, dict[str, Scalar]]:
-        loop = closed_loop(assemble(changed, times, noise))
+        loop = closed_loop(assemble(changed, times, guard))
         residuals = cost_residuals(changed, loop, effort)
         return jnp.sum(residuals**2), performance(changed, loop).numbers
 
