@@ -433,8 +433,12 @@ def test_the_last_line_of_a_text_log_counts_where_it_has_an_end(tmp_path, mapped
     run = mapped(path, text)
     assert run.t.size == 99
     assert "boat.log ends within a message; what is before it is used" in run.provenance
+    path.write_bytes(b"".join([*lines[:9], b"XX, 3, 4, a damaged line\n", *lines[9 : last + 1]]))
+    run = mapped(path, text)
+    assert run.t.size == 100 and "boat.log: 1 line belongs to no message" in run.provenance
     path.write_bytes(b"".join(lines[: last + 1]))
-    assert mapped(path, text).t.size == 100
+    run = mapped(path, text)
+    assert run.t.size == 100 and not any("belong" in note for note in run.provenance)
 
 
 def test_a_file_of_that_ending_that_is_no_ardupilot_log_is_a_table(tmp_path):

@@ -92,11 +92,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, tuple[str, ...], str]]:
         with unreadable(path, "an ArduPilot log"):
             if not any(form.type == _FORMATS_ID for form in _recorded(log)):
                 raise ValueError("it defines no messages")
-            ended = log.data_map[-1:] == b"\n"
-        if is_text:  # a line without an end is none
-            yield log, (), "" if ended else ends_within_a_message(path)
-        else:
-            yield log, *_damage(path, log)
+            damage = _damage_of_text(path, log) if is_text else _damage(path, log)
+        yield log, *damage
 
 
 def _is_text(start: bytes) -> bool:
@@ -139,6 +136,14 @@ def _damage(path: Path, log: Any) -> tuple[tuple[str, ...], str]:
     if covered > size or _begins_a_message(path.read_bytes()[covered:]):
         return (), ends_within_a_message(path)
     return (f"{path.name}: {size - covered} of {size} bytes belong to no message",), ""
+
+
+def _damage_of_text(path: Path, log: Any) -> tuple[tuple[str, ...], str]:
+    """The same of a text log, by lines; one without an end is no line."""
+    strange = sum(count for name, count in log.counts.items() if name not in log.formats)
+    lines = "1 line belongs" if strange == 1 else f"{strange} lines belong"
+    notes = (f"{path.name}: {lines} to no message",) if strange else ()
+    return notes, "" if log.data_map[-1:] == b"\n" else ends_within_a_message(path)
 
 
 def _begins_a_message(rest: bytes) -> bool:
