@@ -40,7 +40,10 @@ def designs(*axes: int) -> tuple[pd.DataFrame, dict]:
     extent = {"least": 0.1, "median": 0.15, "most": 0.2, "designs": len(table)}
     summary = {
         "vessel": "boat <1>", "manoeuvre": "zigzag", "designs": len(table),
-        "parameters": {name: {"from": 100.0, "to": 200.0} for name in names},
+        "parameters": {
+            name: {"from": 100.0, "to": 200.0, "unit": unit}
+            for name, unit in zip(names, ("kg", "N / (m/s)"), strict=False)
+        },
         "outcomes": {"completed": len(table)}, "metrics": {"overshoot_1": extent},
         "imo": {"overshoot_1": {"pass": len(table) - fails, "fail": fails}},
     }  # fmt: skip
@@ -55,6 +58,8 @@ def test_a_grid_over_two_parameters_is_a_map_in_degrees():
     assert heat["type"] == "heatmap" and heat["x"] == [100.0, 150.0, 200.0]
     np.testing.assert_allclose(heat["z"], [np.degrees([0.1, 0.15, 0.2])] * 4, rtol=1e-3)
     assert crosses["x"] == [200.0] * 4
+    titles = [drawn["layout"][axis]["title"]["text"] for axis in ("xaxis", "yaxis")]
+    assert titles == ["mass (kg)", "X_u (N / (m/s))"]
     assert "8 of 12 meet the criterion" in page and "boat &lt;1&gt;" in page
 
 
@@ -69,7 +74,7 @@ def test_one_parameter_is_a_line_of_designs():
 def test_a_number_is_drawn_over_the_parameter_that_orders_it():
     table, summary = designs(3, 4)
     (drawn,) = figures(sweep_page(table.iloc[:-1], summary, SOURCE))
-    assert drawn["layout"]["xaxis"]["title"]["text"].startswith("mass")
+    assert drawn["layout"]["xaxis"]["title"]["text"] == "mass (kg)"
 
 
 def test_the_strongest_influence_leads_and_stands_on_top():

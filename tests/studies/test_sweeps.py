@@ -54,6 +54,8 @@ def test_a_grid_has_every_combination_once(swept):
     assert len(table) == summary["designs"] == 24
     assert not table[AXES].duplicated().any()
     assert sorted(set(table["mass"])) == [-190.0, 20.0, 230.0]
+    units = {name: axis["unit"] for name, axis in summary["parameters"].items()}
+    assert units == {"speed": "m/s", "mass": "kg", "N_r": "N m / (rad/s)", "I_z": "kg m^2"}
 
 
 def test_every_design_has_the_numbers_of_its_own_trial(swept):

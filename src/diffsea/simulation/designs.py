@@ -17,7 +17,8 @@ from scipy.stats import qmc
 from diffsea.errors import UserError
 
 
-OF_THE_TRIAL = ("speed", "thrust")  # m/s, N: swept like parameters, though they are no part of it
+# Swept like parameters of the vessel, though they are no part of it, and their units.
+OF_THE_TRIAL = {"speed": "m/s", "thrust": "N"}
 AT_ONCE = 1_000_000  # designs that are held together at most
 MOST = 1_000_000_000_000  # designs of a sweep
 _ROUNDS = 6  # of mixing; with four a permutation cannot be told from a random one

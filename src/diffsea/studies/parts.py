@@ -25,10 +25,11 @@ from diffsea.outside.documents import read_json
 from diffsea.outside.durable import written_beside
 from diffsea.outside.unfinished import clear_abandoned
 from diffsea.progress import PartialProgress, Progress, no_progress
-from diffsea.simulation.designs import DesignSpace, check_count
+from diffsea.simulation.designs import OF_THE_TRIAL, DesignSpace, check_count
 from diffsea.simulation.standard import TrialPlan
 from diffsea.studies.sweep import Sweeper, SweepResult, check_names
 from diffsea.vessel.base import Vessel
+from diffsea.vessel.files import default_priors
 
 
 if TYPE_CHECKING:
@@ -103,6 +104,12 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
     return pa.table(columns)
 
 
+def _units(vessel: Vessel, names: Sequence[str]) -> dict[str, str]:
+    """Units of what is swept, empty where there is none."""
+    known = {name: prior.unit for name, prior in default_priors(vessel).items()} | OF_THE_TRIAL
+    return {name: known.get(name, "") for name in names}
+
+
 def parts_of(
     folder: Path,
     vessel: Vessel,
@@ -130,6 +137,7 @@ def parts_of(
         "part": part,
         "parts": -(-space.count // part),
         "parameters": list(space.names),
+        "units": _units(vessel, space.names),
         "space": space.as_dict(),
         "versions": {name: importlib.metadata.version(name) for name in ("diffsea", "jaxlib")},
     }

@@ -31,6 +31,7 @@ def closed_loop_page(table: pd.DataFrame, best: pd.DataFrame, record: Record) ->
         record: the content of run.json.
     """
     names = list(record["parameters"])
+    units = dict.fromkeys(names, "SI units")
     outcomes = [f"{count} {name}" for name, count in record["outcomes"].items()]
     return render(
         "sections.html.j2",
@@ -45,7 +46,7 @@ def closed_loop_page(table: pd.DataFrame, best: pd.DataFrame, record: Record) ->
             Section(
                 "Numbers over parameters",
                 how_drawn(table, names),
-                [number_plot(table, names, one) for one in drawn_numbers(table, names)],
+                [number_plot(table, units, one) for one in drawn_numbers(table, names)],
             ),
             Section("Best runs", ["Those with the smallest error."], tables=[_best_table(best)]),
             Section("What was varied", tables=[axis_table(record["parameters"])]),

@@ -36,7 +36,8 @@ def sweep_page(
     """
     names = list(summary["parameters"])
     shown = drawn_numbers(table, names)
-    drawn = [number_plot(table, names, number) for number in shown]
+    units = {name: axis.get("unit", "") for name, axis in summary["parameters"].items()}
+    drawn = [number_plot(table, units, number) for number in shown]
     outcomes = [f"{count} {name}" for name, count in summary["outcomes"].items()]
     how = "a grid" if _is_grid(table, names) else "a sample"
     return render(
@@ -163,15 +164,22 @@ def _criterion_sentence(name: str, found: Mapping[str, int]) -> str:
     )
 
 
-def number_plot(table: pd.DataFrame, names: Sequence[str], number: str) -> Plot:
-    """One number over the parameters, in the units of people."""
+def _labelled(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit not in ("", "1") else name
+
+
+def number_plot(table: pd.DataFrame, units: Mapping[str, str], number: str) -> Plot:
+    """One number over the parameters, in the units of people; `units` are those of parameters."""
+    names = list(units)
     unit = for_people(0.0, number_unit(number))[1]
     label = f"{number_words(number)}{f' ({unit})' if unit else ''}"
     if len(names) == 2 and _is_grid(table, names):
-        drawn = _map(table, names, number)
+        drawn = _map(table, units, number)
     else:
         ranks = {name: _rank_correlation(table, name, number) for name in names}
-        drawn = _cloud(table, max(ranks, key=lambda name: ranks[name]), number)
+        strongest = max(ranks, key=lambda name: ranks[name])
+        drawn = _cloud(table, strongest, number)
+        drawn.update_layout(xaxis={"title": {"text": _labelled(strongest, units[strongest])}})
     drawn.add_annotation(plots.heading(label, 1.0))
     return Plot(drawn, f"{label} over {enumeration(list(names))}", 330)
 
@@ -188,8 +196,9 @@ def _scaled(values: Iterable[float], number: str) -> np.ndarray:
     return for_people(1.0, number_unit(number))[0] * np.asarray(list(values), float)
 
 
-def _map(table: pd.DataFrame, names: Sequence[str], number: str) -> go.Figure:
+def _map(table: pd.DataFrame, units: Mapping[str, str], number: str) -> go.Figure:
     """A heat map over a grid of two parameters; crosses fail the criterion."""
+    names, labels = list(units), [_labelled(name, unit) for name, unit in units.items()]
     surface = table.pivot(index=names[1], columns=names[0], values=number)
     z = [plots.numbers(_scaled(row, number)) for _, row in surface.iterrows()]
     x, y = (plots.numbers(axis.to_numpy(float)) for axis in (surface.columns, surface.index))
@@ -200,7 +209,7 @@ def _map(table: pd.DataFrame, names: Sequence[str], number: str) -> go.Figure:
         marker = {"symbol": "x", "color": plots.NOMINAL, "size": 6}
         points = [plots.numbers(failing[name].to_numpy(float)) for name in names]
         drawn.add_scatter(x=points[0], y=points[1], mode="markers", marker=marker, name=FAILS)
-    return drawn.update_layout(xaxis={"title": {"text": names[0]}}, yaxis_title_text=names[1])
+    return drawn.update_layout(xaxis={"title": {"text": labels[0]}}, yaxis_title_text=labels[1])
 
 
 def _cloud(table: pd.DataFrame, parameter: str, number: str) -> go.Figure:
@@ -218,7 +227,7 @@ def _cloud(table: pd.DataFrame, parameter: str, number: str) -> go.Figure:
         )
         marker = {"color": colour, "size": 5, "opacity": 0.6}
         drawn.add_scatter(x=points[0], y=points[1], mode="markers", marker=marker, name=name)
-    return drawn.update_layout(xaxis={"title": {"text": f"{parameter} (SI units)"}})
+    return drawn
 
 
 def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
@@ -228,10 +237,14 @@ def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
 
 def axis_table(axes: Mapping[str, Record]) -> Table:
     rows = [
-        [Verbatim(name), significant(axis["from"], 4), significant(axis["to"], 4)]
+        [
+            Verbatim(name),
+            *(significant(axis[end], 4) for end in ("from", "to")),
+            axis.get("unit", ""),
+        ]
         for name, axis in axes.items()
     ]
-    return Table(["parameter", "from", "to"], rows, "SI units", (1, 2))
+    return Table(["parameter", "from", "to", "unit"], rows, "SI units", (1, 2))
 
 
 def extent_table(metrics: Mapping[str, Record]) -> Table:
