@@ -94,6 +94,7 @@ def words(line: str) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.proof
 def test_the_tutorial_shows_what_its_commands_print(tmp_path):
     prepare(tmp_path)
     page = PAGE.read_text(encoding="utf-8")

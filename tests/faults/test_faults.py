@@ -18,7 +18,10 @@ from diffsea.outside.unfinished import PREFIX, unfinished_folder
 
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
-LONG = ("trial", "fit", "sweep", "sensitivity", "predict", "diagnose", "segment --format parquet")
+LONG = (
+    *("trial", "fit", "sweep", "sensitivity", "predict", "diagnose", "segment --format parquet"),
+    *("online", "campaign", "show"),
+)
 NAMES = [
     pytest.param(name, marks=[pytest.mark.proof] if name in LONG else [])
     for name in commands(pathlib.Path("in"), pathlib.Path("out"))

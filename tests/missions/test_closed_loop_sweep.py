@@ -40,7 +40,9 @@ def document(**changes):
 @pytest.mark.parametrize(
     "axes",
     [
-        {"lookahead": (3.0, 9.0, 2), "heading.gain": (1.0, 2.5, 2)},
+        pytest.param(
+            {"lookahead": (3.0, 9.0, 2), "heading.gain": (1.0, 2.5, 2)}, marks=pytest.mark.proof
+        ),
         pytest.param(
             {"controller.speed": (0.4, 1.2, 2), "radius": (2.0, 3.0, 2)}, marks=pytest.mark.proof
         ),
@@ -126,6 +128,7 @@ def test_a_speed_beyond_reach_is_told():
         closed_loop_sweep(mission_of(document()), Grid({"controller.speed": (0.0, 1.0, 3)}))
 
 
+@pytest.mark.proof
 def test_a_grid_of_a_mission_that_learns_is_its_runs():
     """Gains and the plant change; what is learnt begins at the model that the file states."""
     plain = document() | {

@@ -60,6 +60,7 @@ def test_a_mission_of_poses_begins_in_the_first_and_is_judged_by_place_and_headi
     assert off[-1] < 0.1 and "speed_error" not in told
 
 
+@pytest.mark.proof
 def test_batches_beside_one_another_come_to_their_end(folder):
     """In a process of its own, whose batches may wait for each other for ever."""
     square = {"file": str(folder / "square.toml")}

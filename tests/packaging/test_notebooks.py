@@ -7,7 +7,7 @@ from tests.paths import ROOT
 
 
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-QUICKEST = ("fit", "sweep")  # the others run by `make proof`
+QUICKEST = ("fit",)  # the others run by `make proof`
 RUN = [
     pytest.param(path, id=path.stem, marks=[] if path.stem in QUICKEST else pytest.mark.proof)
     for path in NOTEBOOKS

@@ -65,8 +65,8 @@ def test_stopping_under_reversed_thrust(boat):
     ("manoeuvre", "measure", "side"),
     [
         ("zigzag", zigzag_metrics, {"side": -1.0}),
-        ("turning-circle", turning_metrics, {"side": -1.0}),
-        ("stopping", stopping_metrics, {}),
+        pytest.param("turning-circle", turning_metrics, {"side": -1.0}, marks=pytest.mark.proof),
+        pytest.param("stopping", stopping_metrics, {}, marks=pytest.mark.proof),
     ],
 )
 def test_spare_rows_change_no_number(boat, manoeuvre, measure, side):

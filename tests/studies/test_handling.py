@@ -22,6 +22,7 @@ def usv():
     return load(str(ORACLE / "usv.toml"))
 
 
+@pytest.mark.proof
 def test_the_mariner_has_the_time_constants_that_are_published():
     """T1 = 118 s and T2 = 7.8 s of the second-order Nomoto model (Chislett and Stroem-Tejsen
     1965; Fossen 2021, section 7.2)."""

@@ -46,7 +46,7 @@ def done(job, data, out, *words, boat="boat"):
     return status, json.loads((out / name).read_text()), (out / "report.html").read_text()
 
 
-@pytest.mark.parametrize("job", ["fit", "diagnose"])
+@pytest.mark.parametrize("job", ["fit", pytest.param("diagnose", marks=pytest.mark.proof)])
 def test_a_budget_that_is_spent_at_once_ends_with_what_was_left_out(job, data, tmp_path, capsys):
     status, record, report = done(job, data, tmp_path, "--budget", "0.001")
     assert status == 0 and record["complete"] is False
