@@ -75,6 +75,13 @@ def test_format_craft_channels_and_what_is_used_are_told(checked):
     assert record["audit"] == [] and record["missing"] == []
 
 
+def test_the_picture_of_quality_says_channels_in_words(checked):
+    page = (checked[1] / "check.html").read_text()
+    for words in ("heading", "turning rate", "order port", "speed to starboard"):
+        assert f'"{words}"' in page
+    assert '"psi"' not in page and '"cmd_port"' not in page
+
+
 def test_dead_time_and_sides_of_the_log_hold_the_truth(checked):
     shows = checked[0]["shows"]
     low, high = shows["lag"]["turning"]["delay"]["interval"]

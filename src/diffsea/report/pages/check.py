@@ -39,6 +39,16 @@ COLOURS = {  # of trials, told apart with any kind of colour vision
     "coasting": "#cc79a7",
     "straight": "#56b4e9",
 }
+# Of channels in the picture of quality; others stand there by their name.
+CHANNELS = {
+    "x": "north",
+    "y": "east",
+    "psi": "heading",
+    "u": "speed ahead",
+    "v": "speed to starboard",
+    "r": "turning rate",
+    "phi": "heel",
+}
 _SOUND, _DOUBTFUL, _IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
 _QUALITY_KEY = {"known": _SOUND, "a finding concerns it": _DOUBTFUL, "idle, left out": _IDLE}
 
@@ -181,11 +191,11 @@ def _quality_plot(one: LogCheck) -> Plot | None:
         colour = _DOUBTFUL if name in doubtful else _SOUND
         line = go.Scatter(x=x, y=[row] * len(x), mode="lines", showlegend=False)
         line.update(line={"width": 10, "color": colour})
-        line.update(hovertemplate=f"{name}: %{{x:.1f}} s<extra></extra>")
+        line.update(hovertemplate=f"{_channel_words(name)}: %{{x:.1f}} s<extra></extra>")
         traces.append(line)
     axis = {
         "tickvals": list(range(len(names))),
-        "ticktext": names,
+        "ticktext": [_channel_words(name) for name in names],
         "range": [-0.6, len(names) - 0.4],
     }
     drawn = figure(*traces, xaxis={"title": {"text": "time (s)"}}, yaxis=axis)
@@ -196,6 +206,12 @@ def _quality_plot(one: LogCheck) -> Plot | None:
     caption = f"{gaps} gap{'s' * (gaps != 1)} in {len(names)} channels" if gaps else "No gaps"
     height = 70 + ROW_HEIGHT * len(names)
     return Plot(drawn, "Where each channel is known, over time", height, caption + ".")
+
+
+def _channel_words(name: str) -> str:
+    """A channel in the picture of quality: `heading`, `order port`, `done rudder`."""
+    words = name.replace("cmd_", "order ", 1).replace("exec_", "done ", 1)
+    return CHANNELS.get(name, words).replace("_", " ")
 
 
 def _shade(drawn: go.Figure, span: tuple[float, float], fill: str, opacity: float = 1.0) -> None:
