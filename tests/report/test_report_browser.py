@@ -275,3 +275,26 @@ def test_pages_of_other_commands_are_whole_at_every_width_and_in_all_colours(
                 "document.querySelector('.legendtoggle').getAttribute('aria-checked') === 'false'"
             )
         assert page.complaints == [], name
+
+
+def test_the_key_of_shaded_segments_hides_and_shows_them(page, tmp_path):
+    page.resize(1280, 900)
+    page.prefer("light")
+    file = tmp_path / "segments.html"
+    file.write_text(_segments(), encoding="utf-8")
+    page.show(file)
+    drawn = "document.querySelectorAll('.plot')[1]"
+    shaded = f"{drawn}.layout.shapes.filter(s => s.name === 'turning').map(s => s.visible ?? true)"
+    entry = f"{drawn}.querySelectorAll('.legendtoggle')[1]"
+    assert page.run(f"{entry}.getAttribute('aria-label')") == "turning"
+    page.run(f"{entry}.scrollIntoView({{block: 'center'}})")
+    at = page.run(
+        f"(b => [b.x + b.width / 2, b.y + b.height / 2])({entry}.getBoundingClientRect())"
+    )
+    page.mouse(*at, click=True)
+    page.until(f"{shaded}.length && {shaded}.every(v => v === 'legendonly')")
+    page.until(f"{entry}.getAttribute('aria-checked') === 'false'")
+    page.run(f"{entry}.focus()")
+    page.press(" ")
+    page.until(f"{shaded}.every(v => v === true)")
+    assert page.complaints == []

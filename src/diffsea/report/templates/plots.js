@@ -66,7 +66,8 @@
     if (meta.cursor === "track" && !sliders[meta.group]) slide(holder, meta);
     holder.on("plotly_hover", (event) => point(meta, event));
     holder.on("plotly_legendclick", (event) => {
-      toggle(groups[meta.group], event.data[event.curveNumber]);
+      const curve = event.data[event.curveNumber];
+      if (curve) toggle(groups[meta.group], curve);
       return false;
     });
   }
@@ -79,15 +80,19 @@
       entry.setAttribute("role", "switch");
       entry.setAttribute("aria-label", trace.name);
       entry.setAttribute("aria-checked", String(trace.visible !== "legendonly"));
+      const press = async () => {
+        const { group } = holder.layout.meta || {};
+        await toggle(group ? groups[group] : [holder], trace);
+        const again = [...holder.querySelectorAll(".legendtoggle")];
+        again.find((one) => one.getAttribute("aria-label") === trace.name)?.focus();
+      };
       entry.onkeydown = (event) => {
         if (event.key !== "Enter" && event.key !== " ") return;
         event.preventDefault();
-        const { group } = holder.layout.meta || {};
-        toggle(group ? groups[group] : [holder], trace).then(() => {
-          const again = [...holder.querySelectorAll(".legendtoggle")];
-          again.find((one) => one.getAttribute("aria-label") === trace.name)?.focus();
-        });
+        press();
       };
+      // Plotly tells of clicks on curves alone.
+      if (!holder.data.some((curve) => curve.name === trace.name)) entry.onclick = press;
     }
   }
 
@@ -195,13 +200,19 @@
     return time - times[low] < times[high] - time ? low : high;
   }
 
-  // One legend entry shows or hides its curves in all plots of the run.
+  // One legend entry shows or hides its curves, or what is shaded, in all plots of the run.
   function toggle(holders, clicked) {
     const visible = clicked.visible === "legendonly" ? true : "legendonly";
+    const named = (one, k) => (one.name === clicked.name ? [k] : []);
     return Promise.all(
-      holders.map((holder) => {
-        const same = holder.data.flatMap((trace, k) => (trace.name === clicked.name ? [k] : []));
-        return same.length && Plotly.restyle(holder, { visible }, same);
+      holders.flatMap((holder) => {
+        const curves = holder.data.flatMap(named);
+        const shapes = (holder.layout.shapes || []).flatMap(named);
+        const change = Object.fromEntries(shapes.map((k) => [`shapes[${k}].visible`, visible]));
+        return [
+          curves.length && Plotly.restyle(holder, { visible }, curves),
+          shapes.length && Plotly.relayout(holder, change),
+        ];
       }),
     );
   }
