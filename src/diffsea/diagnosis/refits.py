@@ -70,7 +70,7 @@ def refit_candidates(
     ]
 
     def refit_first(name: str) -> Hypothesis:
-        number, stage = names.index(name), f"trying {len(names)} causes"
+        number, stage = names.index(name), f"trying {len(names)} cause{'s' * (len(names) != 1)}"
         message = f"trying cause {number + 1} of {len(names)}: {spoken_name(name)}"
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
