@@ -35,7 +35,8 @@ XLA_FLAGS = (
     "--xla_cpu_fast_math_honor_division=true --xla_cpu_fast_math_honor_functions=true"
 )
 
-# Compiler options of programs that run once or twice: compiled in two thirds of the time.
+# Compiler options of programs that run once or twice: compiled in two thirds of the time. Like the
+# flags, of the jaxlib named above.
 SELDOM_RUN = {"xla_backend_optimization_level": 0}
 
 

@@ -37,7 +37,7 @@ from diffsea.metrics.orders import (
     stop_order,
 )
 from diffsea.metrics.preparation import prepare_recording
-from diffsea.runtime import SELDOM_RUN
+from diffsea.runtime import SELDOM_RUN, are_flags_known
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
 
 
@@ -227,7 +227,7 @@ def _is_stopping(run: Trajectory, orders: Orders) -> bool:
 
 def _compiled(numbers: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
     """The function compiled quickly: Equinox's annotations leave out that options go on to JAX."""
-    options: dict[str, Any] = {"compiler_options": SELDOM_RUN}
+    options: dict[str, Any] = {"compiler_options": SELDOM_RUN} if are_flags_known() else {}
     return eqx.filter_jit(numbers, **options)
 
 
