@@ -458,6 +458,15 @@ def test_stopping_at_a_constant_rate():
     )
 
 
+def test_numbers_of_a_stop_keep_the_precision_of_its_rows():
+    t = jnp.arange(0.1, 80, 0.5, dtype=jnp.float32)
+    run = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), braking(t))
+    run = replaced(run, valid=jnp.ones(t.shape, bool), outcome=jnp.asarray(0))
+    found = compiled(lambda: stopping_metrics(run, 4.0))()
+    assert {value.dtype for value in found.values()} == {jnp.dtype("float32")}
+    assert found["stopping_time"] == pytest.approx(50.0, rel=1e-5)
+
+
 def test_metrics_of_a_batch_are_those_of_its_members():
     t = jnp.arange(0, 160, 0.5)
     radii = jnp.array([30.0, 50.0])

@@ -142,7 +142,7 @@ def test_a_grid_of_a_mission_that_learns_is_its_runs():
     without = closed_loop_sweep(mission_of(plain), space).table["path_rms"]
     for row, unlearnt in zip(rows, without, strict=True):
         alone = run(with_numbers(mission, {name: row[name] for name in space.names}))
-        # Its own trial trip has sensor noise of another size, in the fifth digit.
+        # Its own trial trip tells the filter of slightly other sensor noise.
         assert row["path_rms"] == pytest.approx(scores(alone)["path_error"]["rms"], rel=1e-5)
         assert abs(row["path_rms"] / unlearnt - 1) > 1e-3
 

@@ -11,6 +11,7 @@ from diffsea import UserError
 from diffsea.cli import main
 from diffsea.simulation.designs import AT_ONCE, Grid, LatinHypercube
 from diffsea.studies import merging
+from diffsea.studies.parts import read_parts
 from diffsea.studies.sweep import Sweeper
 
 
@@ -138,3 +139,10 @@ def test_a_shard_that_cannot_be_is_bad_usage(shard, tmp_path, capsys):
     assert main(["sweep", "otter", *ORDERED, *GRID, "--shard", shard, "-o", str(tmp_path)]) == 2
     assert "--shard" in capsys.readouterr().err
     assert main(["sweep", "merge"]) == 2 and main(["sweep", "otter"]) == 2
+
+
+@pytest.mark.parametrize(("units", "told"), [({"mass": "kg"}, "kg"), (None, ""), (["kg"], "")])
+def test_a_manifest_without_units_or_with_others_tells_none(tmp_path, units, told):
+    manifest = {"designs": 1, "part": 1, "parts": 1} | ({} if units is None else {"units": units})
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    assert read_parts(tmp_path).unit_of("mass") == told

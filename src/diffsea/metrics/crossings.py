@@ -155,7 +155,7 @@ def first_crossing(
     fixed, (first, last) = jax.lax.stop_gradient((curve, (after, before)))
     begin, end, excess = fixed.t[:-1], fixed.t[1:], fixed.value - jax.lax.stop_gradient(level)
     # Samples say which interval is crossed, but for the two that the window begins and ends in.
-    window = jnp.stack([jnp.asarray(first, float), jnp.asarray(last, float)])
+    window = jnp.stack([jnp.asarray(time, fixed.t.dtype) for time in (first, last)])
     at_first, at_last = jax.vmap(lambda time: _excess_at(fixed, time, level))(window)
     low = jnp.where(begin < first, at_first, excess[:-1])
     high = jnp.where(end > last, at_last, excess[1:])

@@ -283,7 +283,8 @@ def _distance_between(run: _TrialFrame, begin: Scalar, end: Scalar) -> Float[Arr
     """
     t, speed = run.surge.t, run.speed
     # Both ends by one program: compiling is most of the time that a single trial takes.
-    times = jnp.clip(jnp.stack([jnp.asarray(begin), jnp.asarray(end)]), t[0], t[-1])
+    times = jnp.stack([jnp.asarray(time, t.dtype) for time in (begin, end)])
+    times = jnp.clip(times, t[0], t[-1])
     rows = jax.vmap(functools.partial(interval_at, t))(times)
     first, last = rows
     row = jnp.arange(t.shape[0])

@@ -45,7 +45,7 @@ class Parts:
     """The parts of one sweep: where they are, and what they are of.
 
     `manifest` has `vessel` (name), `manoeuvre`, `designs`, `part` (designs of each), `parts` (how
-    many), `space` (what the designs follow from), `parameters` and `versions`.
+    many), `space` (what the designs follow from), `parameters`, their `units` and `versions`.
     """
 
     folder: Path
@@ -64,6 +64,11 @@ class Parts:
         """The first design of a part, and the one after its last."""
         size = self.manifest["part"]
         return number * size, min((number + 1) * size, self.manifest["designs"])
+
+    def unit_of(self, parameter: str) -> str:
+        """The unit of what is swept, empty where the manifest tells none."""
+        units = self.manifest.get("units")
+        return str(units.get(parameter, "")) if isinstance(units, dict) else ""
 
     def is_done(self, number: int) -> bool:
         """Whether a part is there as a whole."""

@@ -242,8 +242,8 @@ def _write_results(
     merge(parts, target)
     about = {key: manifest[key] for key in ("vessel", "manoeuvre")}
     summary = about | summarise(target, names)
-    for name, unit in manifest["units"].items():
-        summary["parameters"][name]["unit"] = unit
+    for name, ends in summary["parameters"].items():
+        ends["unit"] = parts.unit_of(name)
     shown = every_nth(target, -(-summary["designs"] // MAPPED))
     best = front(row_batches(target), goals) if goals else None
     if best is not None:

@@ -19,24 +19,19 @@ from diffsea.series import between_samples, hold_at, median_interval, unwrap
 from diffsea.trajectory import MOTION_CHANNELS, RowsLeftOut, Samples
 
 
+_DATAFLASH = LogFormat(
+    "ardupilot-bin",
+    (".bin",),
+    ardupilot.contents,
+    ardupilot.streams,
+    "ardupilot",
+    parameters=ardupilot.parameters,
+)
 # Every format of log there is.
 FORMATS = (
-    LogFormat(
-        "ardupilot-bin",
-        (".bin",),
-        ardupilot.contents,
-        ardupilot.streams,
-        "ardupilot",
-        parameters=ardupilot.parameters,
-    ),
-    LogFormat(
-        "ardupilot-log",
-        (".log",),
-        ardupilot.contents,
-        ardupilot.streams,
-        "ardupilot",
-        holds=ardupilot.is_log,
-        parameters=ardupilot.parameters,
+    _DATAFLASH,
+    dataclasses.replace(
+        _DATAFLASH, name="ardupilot-log", suffixes=(".log",), holds=ardupilot.is_log
     ),
     LogFormat(
         "mavlink-tlog",

@@ -236,15 +236,17 @@ def _failing(table: pd.DataFrame, number: str) -> pd.DataFrame:
 
 
 def axis_table(axes: Mapping[str, Record]) -> Table:
+    """Where each parameter went, with a column of units where any has one."""
+    told = ["unit"] if any(axis.get("unit") for axis in axes.values()) else []
     rows = [
         [
             Verbatim(name),
             *(significant(axis[end], 4) for end in ("from", "to")),
-            axis.get("unit", ""),
+            *(axis.get(column, "") for column in told),
         ]
         for name, axis in axes.items()
     ]
-    return Table(["parameter", "from", "to", "unit"], rows, "SI units", (1, 2))
+    return Table(["parameter", "from", "to", *told], rows, "SI units", (1, 2))
 
 
 def extent_table(metrics: Mapping[str, Record]) -> Table:
