@@ -69,7 +69,8 @@ def hypothesis(
     score = ScoreTest(statistic, 1.0, np.zeros(1), 1.0)
     seen = Candidate(ExpansionPoint(name, (0.0,), (0,)), score, np.ones((3, 1)), 0.0)
     fitted = linear_estimate((name,), 1000.0 - evidence)
-    return Hypothesis(name, fitted, evidence, 0.0, gain, seen, is_physical, constancy)
+    bare = linear_estimate((), 1000.0)
+    return Hypothesis(name, fitted, bare, evidence, 0.0, gain, seen, is_physical, constancy)
 
 
 def judged(

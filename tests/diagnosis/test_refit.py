@@ -2,6 +2,7 @@
 """Refits and the evidence for them: closed forms, and problems so small that none is fitted."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import numpy as np
@@ -19,6 +20,7 @@ from tests.diagnosis.small import (
 )
 
 from diffsea import EFFECTS
+from diffsea.diagnosis import refits
 from diffsea.diagnosis.decision import rank_hypotheses
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
@@ -26,10 +28,15 @@ from diffsea.diagnosis.refits import (
     is_physical,
     make_hypothesis,
     near_the_best,
+    refit_without,
+    start_as_part,
     start_beside,
+    start_with_effects_of,
 )
+from diffsea.identification import fit
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import Estimate, posterior_estimate
+from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem
 
@@ -64,7 +71,7 @@ def test_the_evidence_of_a_linear_model_is_its_marginal_likelihood():
     volume = np.linalg.slogdet(more.precision)[1] - np.linalg.slogdet(less.precision)[1]
     occam = float(volume + 2 * np.log(spreads[2:]).sum())
     seen = candidate("current", np.ones((3, 2)))
-    one = Hypothesis("current", more, less.deviance - more.deviance, occam, None, seen, True)
+    one = Hypothesis("current", more, less, less.deviance - more.deviance, occam, None, seen, True)
     assert one.evidence(1.0) == pytest.approx(exact, abs=1e-6)
     assert one.evidence(2.0) < one.evidence(1.0)
 
@@ -152,6 +159,67 @@ def test_a_refit_starts_without_what_is_not_in_the_model_any_more():
     np.testing.assert_array_equal(start_beside(problem, same, one), one.estimate.coordinates)
     better = dataclasses.replace(same, deviance=-1.0)
     np.testing.assert_array_equal(start_beside(problem, better, one), bare.coordinates)
+
+
+NOISE, OTHER_NOISE = (Noise.of(np.full(15, level)) for level in (-3.0, -2.0))
+
+
+def fitted_at(problem: Problem, noise: Noise, **values: float) -> Estimate:
+    """An estimate of `X_u`, `N_r` and effects by name (hyphens and colons as underscores)."""
+    known = {name: name.replace("-", "_").replace(":", "_") for name in problem.layout.slices}
+    chosen = {name: values[key] for name, key in known.items() if key in values}
+    free, out = ("X_u", "N_r", *chosen), np.zeros(problem.layout.size)
+    for name, value in (chosen | {"X_u": values["X_u"]}).items():
+        out[problem.layout.indices((name,))] = value
+    bare = linear_estimate(free, 0.0, problem.layout.size)
+    return dataclasses.replace(bare, coordinates=out, state=noise)
+
+
+def test_another_fit_is_a_start_with_the_effects_that_it_lacks_and_no_others():
+    problem = still_problem("wind", "deadband:propulsion", "rate-limit:propulsion")
+    known = fitted_at(problem, NOISE, X_u=1.0, deadband_propulsion=5.0)
+    other = fitted_at(problem, OTHER_NOISE, X_u=2.0, wind=4.0, rate_limit_propulsion=3.0)
+    free = ("X_u", "N_r", "wind")
+    start = start_with_effects_of(problem, known, other, free)
+    expected = fitted_at(problem, NOISE, X_u=1.0, wind=4.0).coordinates
+    np.testing.assert_array_equal(start.coordinates, expected)
+    assert start.noise is NOISE
+
+
+def test_a_model_without_an_effect_is_fitted_from_where_it_is_likeliest(monkeypatch):
+    """By the noise of the model with it, what is missing is thousands of standard deviations."""
+    problem = still_problem("wind", "deadband:propulsion")
+    current = fitted_at(problem, NOISE, X_u=2.0, wind=4.0, deadband_propulsion=5.0)
+    known = fitted_at(problem, OTHER_NOISE, X_u=1.0)
+    bare = fitted_at(problem, NOISE, X_u=2.0, wind=4.0).coordinates
+    there = fitted_at(problem, NOISE, X_u=1.0, wind=4.0).coordinates
+    starts = {"as it was": (bare, NOISE), "other noise": (bare, OTHER_NOISE),
+              "the other fit": (there, OTHER_NOISE)}  # fmt: skip
+    for likeliest, (at, noise) in starts.items():
+
+        def deviance(_, coordinates, scales, at=at, noise=noise) -> SimpleNamespace:
+            is_it = np.array_equal(coordinates, at) and scales is noise
+            return SimpleNamespace(deviance=-9.0 if is_it else np.nan)
+
+        monkeypatch.setattr(fit, "filter_at", deviance)
+        monkeypatch.setattr(refits, "estimate_surely", lambda *given: given[1:])
+        free, start, scales = refit_without(problem, current, ["deadband:propulsion"], known)
+        assert free == ("X_u", "N_r", "wind")
+        np.testing.assert_array_equal(start, at, err_msg=likeliest)
+        assert scales is noise
+
+
+def test_where_a_part_ended_is_a_start_of_the_whole():
+    names = ("thrust-delay:propulsion", "rate-limit:propulsion")
+    wholes = ("actuator-response:propulsion", "actuator-response:propulsion-slew")
+    problem = still_problem(*names, *wholes)
+    late = fitted_at(problem, NOISE, X_u=1.0, thrust_delay_propulsion=2.0)
+    for whole in wholes:
+        start = start_as_part(problem, late, names[0], whole)
+        at = start.coordinates[problem.layout.indices((whole,))]
+        np.testing.assert_allclose(at, [2.0, 0.0], atol=1e-12)
+        assert not start.coordinates[problem.layout.indices((names[0],))].any()
+        assert start.coordinates[0] == 1.0 and start.noise is NOISE
 
 
 def _shallow(amounts, stds, recorded: int) -> tuple[Problem, Estimate]:

@@ -240,7 +240,8 @@ def test_an_effect_that_others_make_needless_is_dropped(data, found):
     """A lever arm that was never there, accepted beside the two causes."""
     names = (*FREE, "lever-arm", *accepted_names(found))
     both = estimate(data.train, names, found.final.coordinates, found.final.noise)
-    lever = dataclasses.replace(hypothesis("lever-arm", 50.0, STEADY), estimate=both)
+    lever = hypothesis("lever-arm", 50.0, STEADY)
+    lever = dataclasses.replace(lever, estimate=both, without=found.nominal)
     needless = AcceptedEffect(lever, ShortList((lever,), 11.0))
     search = dataclasses.replace(found, effects=(needless, *found.effects), final=both)
     kept, changed = ask_again(data, search, (needless,), no_progress)

@@ -15,6 +15,7 @@ from diffsea.identification.descent import (
 )
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.filter.noise_fit import RefinedNoise
 from diffsea.identification.residual import linearise
 
 
@@ -131,9 +132,9 @@ def test_a_step_out_of_where_the_filter_diverges_is_taken(problem, monkeypatch):
 def test_noise_that_the_filter_refuses_is_tried_again_in_the_next_round(problem, monkeypatch):
     asked = []
 
-    def refused(run, times, noise, prior, steps):
+    def refused(run, times, noise, prior, steps, curvature):
         asked.append(steps)
-        return Noise.of(np.asarray(noise.scales) + 5.0)  # far worse
+        return RefinedNoise(Noise.of(np.asarray(noise.scales) + 5.0), curvature)  # far worse
 
     monkeypatch.setattr(fit, "refine_noise", refused)
     fit.estimate(problem, FREE, problem.start()[0], problem.start()[1], rounds=2)

@@ -220,7 +220,7 @@ def test_what_is_stronger_than_weather_is_no_gust(data, right, wrong):
     dataset = train.dataset
     times = RowTimes(dataset.dt, dataset.starts, dataset.run, first_variance(train.base))
     run = train.run_filter(wrong.coordinates, right.noise)
-    found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).scales)
+    found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).noise.scales)
     off = (found - prior.mean)[:9] / prior.spread[:9]
     assert off.max() == pytest.approx(2.0, abs=1e-6)
     assert np.isinf(prior.highest[9:]).all()

@@ -13,10 +13,11 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
-from diffsea.diagnosis.refits import refit_fully
+from diffsea.diagnosis.refits import Trial, refit_fully
 from diffsea.diagnosis.screening import Screening
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import Estimate
+from diffsea.identification.fit import Start
 from diffsea.identification.holdout import Split
 from diffsea.recordings import Finding
 from diffsea.vessel.base import Vessel
@@ -95,7 +96,8 @@ def judge_audited(
         return None
     start = np.array(current.coordinates, float)
     start[data.train.layout.indices((audited.effect,))] = audited.coordinates
-    one = refit_fully(data, current, candidate, start)
+    trial = Trial(candidate, [Start(start, current.noise)])
+    (one,) = refit_fully(data, current, [trial])
     listed = ShortList.of(data.train, [one])
     return AcceptedEffect(one, listed) if _is_believed(one, listed.needed) else None
 

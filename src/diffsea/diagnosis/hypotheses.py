@@ -21,6 +21,7 @@ class Hypothesis:
 
     effect: str
     estimate: Estimate
+    without: Estimate  # the model that has everything but the effect
     deviance_drop: float  # against the model without the effect, priors included
     occam: float  # what its room in the prior costs: -2 log of posterior over prior volume
     gain: Gain | None  # on held-out data; None where it was not fitted to its end
@@ -92,8 +93,7 @@ class Hypothesis:
 
     def is_part_of(self, other: "Hypothesis") -> bool:
         """Whether the other is this with something more, on the same channels."""
-        own, whole = EFFECTS[self.effect], EFFECTS[other.effect]
-        return catalogue_name(own.name) in whole.parts and own.place == whole.place
+        return EFFECTS[self.effect].is_part_of(EFFECTS[other.effect])
 
     def is_plainer_than(self, other: "Hypothesis") -> bool:
         """Whether it is to be believed of two that are supported nearly as well.

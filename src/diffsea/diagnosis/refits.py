@@ -6,7 +6,9 @@ then to their end, with noise of their own, and judged on held-out data.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -16,7 +18,13 @@ from diffsea.diagnosis.decision import EVIDENCE, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.screening import Candidate, Screening, short_list
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.fit import estimate, estimate_surely
+from diffsea.identification.fit import (
+    Start,
+    estimate,
+    estimate_surely,
+    likeliest_start,
+    settled,
+)
 from diffsea.identification.free_predictions import (
     MotionChange,
     motion_change,
@@ -36,6 +44,18 @@ FULL_REFITS = 4  # at most, and those that the evidence does not tell from the b
 STALLED_SHARE = 0.8  # of the gain that the linear model promises: less is a stalled refit
 SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begins again
 LARGEST_STEP = 3.0  # prior sizes that a one-step estimate may start a refit at
+
+
+class Trial(NamedTuple):
+    """An effect to be fitted beside a model, and where its fit may begin: the likeliest counts."""
+
+    candidate: Candidate
+    starts: Sequence[Start]
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+        return self.candidate.point.effect
 
 
 def with_mirrors(names: Sequence[str]) -> list[str]:
@@ -75,11 +95,10 @@ def refit_candidates(
         progress(PartialProgress(message, number / len(names), stage))
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
-    def refit_on(one: Hypothesis) -> Hypothesis:
-        return refit_fully(data, current, one.candidate, start_beside(problem, current, one))
-
     near, rest = near_the_best(on_every_core(refit_first, names))
-    full = on_every_core(refit_on, near)
+    starts = [Start(start_beside(problem, current, one), current.noise) for one in near]
+    trials = [Trial(one.candidate, [start]) for one, start in zip(near, starts, strict=True)]
+    full = refit_fully(data, current, trials)
     return ShortList.of(problem, [*full, *rest])
 
 
@@ -144,15 +163,31 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
     return make_hypothesis(problem, current, better, candidate)
 
 
-def refit_fully(
-    data: Split,
-    current: Estimate,
-    candidate: Candidate,
-    start: Float[np.ndarray, "coordinate"],
+def refit_fully(data: Split, current: Estimate, trials: Sequence[Trial]) -> list[Hypothesis]:
+    """Hypotheses fitted to their end, with noise of their own, and judged on held-out data."""
+    problem = data.train
+
+    def fit(one: Trial) -> Estimate:
+        start = likeliest_start(problem, one.starts)
+        return estimate(problem, (*current.free, one.effect), *start)
+
+    first = on_every_core(fit, trials)
+    ends = {one.effect: fitted for one, fitted in zip(trials, first, strict=True)}
+
+    def judge(one: Trial) -> Hypothesis:
+        parts = [name for name in ends if EFFECTS[name].is_part_of(EFFECTS[one.effect])]
+        plainer = [start_as_part(problem, ends[name], name, one.effect) for name in parts]
+        fitted = settled(problem, ends[one.effect], plainer)
+        return judge_fitted(data, current, fitted, one.candidate)
+
+    return on_every_core(judge, trials)
+
+
+def judge_fitted(
+    data: Split, current: Estimate, fitted: Estimate, candidate: Candidate
 ) -> Hypothesis:
-    """A hypothesis fitted to its end, with noise of its own, and judged on held-out data."""
+    """The hypothesis that a model is, with an effect more than the current one."""
     problem, effect = data.train, candidate.point.effect
-    fitted = estimate_surely(problem, (*current.free, effect), start, current.noise)
     full = make_hypothesis(problem, current, fitted, candidate)
     full = dataclasses.replace(full, gain=held_out_gain(data, current, fitted))
     if not np.isfinite(full.deviance_drop):
@@ -162,12 +197,46 @@ def refit_fully(
     return dataclasses.replace(full, constancy=test, motion=motion)
 
 
-def refit_without(problem: Problem, current: Estimate, names: list[str]) -> Estimate:
-    """The estimate without some of its effects, fitted from where it was with noise of its own."""
+def refit_without(
+    problem: Problem, current: Estimate, names: Sequence[str], known: Estimate
+) -> Estimate:
+    """The estimate without some of its effects, fitted with noise of its own.
+
+    From where it was, by the noise there or by that of another fit without them, `known`; or from
+    where that one ended, with the effects that it lacked: whichever is likeliest. What is missing
+    makes noise of the model that has it, thousands of standard deviations off, hard to leave.
+    """
     free = tuple(name for name in current.free if name not in names)
-    start = np.array(current.coordinates, float)
-    start[problem.layout.indices(tuple(names))] = 0.0
-    return estimate_surely(problem, free, start, current.noise)
+    bare = np.array(current.coordinates, float)
+    bare[problem.layout.indices(tuple(names))] = 0.0
+    starts = (
+        Start(bare, current.noise),
+        Start(bare, known.noise),
+        start_with_effects_of(problem, known, current, free),
+    )
+    return estimate_surely(problem, free, *likeliest_start(problem, starts))
+
+
+def start_as_part(problem: Problem, fitted: Estimate, part: str, whole: str) -> Start:
+    """Where a model with a part of an effect ended, as one with the whole effect says it."""
+    layout, out = problem.layout, np.array(fitted.coordinates, float)
+    own = out[layout.indices((part,))] * np.array(EFFECTS[part].sizes(problem.base))
+    numbers = {k: float(v) for k, v in EFFECTS[part].decode(problem.base, jnp.asarray(own)).items()}
+    out[layout.indices((part,))] = 0.0
+    sizes = np.array(EFFECTS[whole].sizes(problem.base))
+    out[layout.indices((whole,))] = np.array(EFFECTS[whole].encode(problem.base, numbers)) / sizes
+    return Start(out, fitted.noise)
+
+
+def start_with_effects_of(
+    problem: Problem, known: Estimate, other: Estimate, free: tuple[str, ...]
+) -> Start:
+    """Where one fit ended, with what is `free` and it lacked from another, and nothing else."""
+    out = np.array(known.coordinates, float)
+    lacking = problem.layout.indices(tuple(name for name in free if name not in known.free))
+    needless = problem.layout.indices(tuple(name for name in known.free if name not in free))
+    out[needless], out[lacking] = 0.0, other.coordinates[lacking]
+    return Start(out, known.noise)
 
 
 def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
@@ -236,6 +305,7 @@ def make_hypothesis(
     return Hypothesis(
         effect=effect.name,
         estimate=fitted,
+        without=current,
         deviance_drop=current.deviance - fitted.deviance,
         occam=float(volume + room),
         gain=None,

@@ -9,19 +9,22 @@ import math
 import time
 from dataclasses import dataclass, field, replace
 
-from diffsea.budget import current_budget, on_every_core
+from diffsea.budget import current_budget
 from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
+    Trial,
     judge_exchanged,
     refit_candidates,
     refit_fully,
     refit_without,
     start_beside,
+    start_with_effects_of,
 )
 from diffsea.diagnosis.screening import Screening, screen
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate
+from diffsea.identification.fit import Start
 from diffsea.identification.free_predictions import MotionChange, motion_change
 from diffsea.identification.holdout import Split, has_own_environment
 from diffsea.identification.problem import Problem
@@ -172,8 +175,9 @@ def find_pair(
         other = _decide(data, one.estimate, beside, progress)
         if other is None:
             continue
-        bare = refit_without(data.train, other.estimate, [one.effect])
-        again = refit_fully(data, bare, one.candidate, other.estimate.coordinates)
+        bare = refit_without(data.train, other.estimate, [one.effect], one.without)
+        trial = Trial(one.candidate, [Start.at(other.estimate)])
+        (again,) = refit_fully(data, bare, [trial])
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
         gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
         if gained > -EVIDENCE and again.still_stands(alone.needed) and left > ALPHA:
@@ -190,7 +194,7 @@ def resume_stalled_fit(problem: Problem, current: Estimate, best: Hypothesis) ->
     score = best.candidate.score
     if best.deviance_drop < SELDOM_GAINED * score.statistic * score.inflation:
         return None
-    again = refit_without(problem, best.estimate, [best.effect])
+    again = refit_without(problem, best.estimate, [best.effect], current)
     gained = current.deviance - again.deviance
     return again if gained > OWED_TO_THE_FIT * best.deviance_drop else None
 
@@ -232,7 +236,7 @@ def ask_again(
         if current_budget().skips(f"asking again for {spoken_name(one.name)}"):
             break
         progress(f"is {spoken_name(one.name)} needed beside the others?")
-        bare = refit_without(data.train, current, [one.name])
+        bare = refit_without(data.train, current, [one.name], one.hypothesis.without)
         again = _refit_with_rivals(data, bare, current, one)
         tried = ShortList.of(data.train, again)
         best = _decide(data, bare, tried, progress)
@@ -267,12 +271,15 @@ def _refit_with_rivals(
     rivals = [accepted.hypothesis, *accepted.short_list.judged]
     options = {one.effect: one for one in rivals if one.effect not in bare.free}
 
-    def refit(one: Hypothesis) -> Hypothesis:
-        own = one.effect == accepted.name
-        start = current.coordinates if own else start_beside(data.train, bare, one)
-        return refit_fully(data, bare, one.candidate, start)
+    def trial(one: Hypothesis) -> Trial:
+        if one.effect == accepted.name:
+            return Trial(one.candidate, [Start.at(current)])
+        beside = Start(start_beside(data.train, bare, one), bare.noise)
+        free = (*bare.free, one.effect)
+        as_it_was = start_with_effects_of(data.train, one.estimate, bare, free)
+        return Trial(one.candidate, [beside, as_it_was])
 
-    return on_every_core(refit, options.values())
+    return refit_fully(data, bare, [trial(one) for one in options.values()])
 
 
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
@@ -296,7 +303,8 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
     if current_budget().skips("whether names stand out more than what is left"):
         return kept
     others = tuple(one for one in kept.effects if one.name not in outdone)
-    bare = refit_without(data.train, kept.final, outdone)
+    known = next(one.hypothesis.without for one in kept.effects if one.name in outdone)
+    bare = refit_without(data.train, kept.final, outdone, known)
     rest = replace(kept, final=bare, effects=others)
     rest, _ = ask_again(data, rest, rest.searched, progress)
     screening = screen(data.train, rest.final)

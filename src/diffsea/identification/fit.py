@@ -7,6 +7,7 @@ the parameters. A few rounds converge.
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,8 +37,20 @@ SETTLED_NOISE = 1.0  # of -2 log posterior by noise, from which on a step is not
 LEAST_GAIN = 0.02  # of -2 log posterior, below which a round is the last: no error shows it
 RELATIVE_GAIN = 2e-7  # likewise, of its value: rounding of a long recording's sum
 RESTARTS = 2  # of a fit that stalled
-RESTART_DISTANCE = 2.0  # standard errors that it starts from its end
+RESTART_DISTANCE = 2.0  # standard errors along each principal axis, that it starts from its end
 STALLED_GAIN = 1.0  # a step that promised so much and was refused: one standard error away
+
+
+class Start(NamedTuple):
+    """Where a fit may begin."""
+
+    coordinates: Coordinates
+    noise: Noise
+
+    @classmethod
+    def at(cls, fitted: Estimate) -> "Start":
+        """Where another fit ended."""
+        return cls(fitted.coordinates, fitted.noise)
 
 
 def compile_programs(problem: Problem, screened: bool = False) -> None:
@@ -72,9 +85,11 @@ def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = N
     data = problem.dataset
     noise = problem.start()[1] if noise is None else noise
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
-    now = filter_at(problem, coordinates, noise)
+    now, curvature = filter_at(problem, coordinates, noise), None
     for _ in range(NOISE_ROUNDS):
-        better = refine_noise(now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS)
+        better, curvature = refine_noise(
+            now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS, curvature
+        )
         there = filter_at(problem, coordinates, better)
         if not now.deviance - there.deviance > LEAST_GAIN:
             break
@@ -127,7 +142,7 @@ def _search(
     data = problem.dataset
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
-    path, outcome = [now.deviance], FitOutcome.STEP_LIMIT
+    path, outcome, curvature = [now.deviance], FitOutcome.STEP_LIMIT, None
     step = Descent(now, Slopes.none(len(index)))
     for number in range(rounds):
         if current_budget().skips("rounds of a fit"):
@@ -136,7 +151,9 @@ def _search(
         last, taken = now.deviance, steps
         least = LEAST_GAIN + RELATIVE_GAIN * abs(last)
         if steps and not fixed_noise:
-            better = refine_noise(now.run, times, now.noise, problem.prior, steps)
+            better, curvature = refine_noise(
+                now.run, times, now.noise, problem.prior, steps, curvature
+            )
             there = filter_at(problem, now.coordinates, better)
             now = there if there.better_than(now) else now
         by_noise = last - now.deviance
@@ -166,6 +183,15 @@ def _search(
     return _with_covariance(problem, free, now, step, index, path, outcome)
 
 
+def likeliest_start(problem: Problem, starts: Sequence[Start]) -> Start:
+    """The one that is most likely, by the filter's run there."""
+    if len(starts) == 1:
+        return starts[0]
+    points = [filter_at(problem, *one) for one in starts]
+    found = np.nan_to_num([one.deviance for one in points], nan=np.inf)
+    return starts[int(np.argmin(found))]
+
+
 def estimate_surely(
     problem: Problem,
     free: tuple[str, ...],
@@ -173,11 +199,35 @@ def estimate_surely(
     noise: Noise | None = None,
     progress: Progress = no_progress,
 ) -> Estimate:
-    """`estimate`; where the optimiser stalled, again from elsewhere until two fits end alike.
+    """`estimate`, `settled`."""
+    return settled(problem, estimate(problem, free, start, noise, progress=progress), (), progress)
 
-    What is compared with other fits must have ended, or the odds count how far the search came.
+
+def settled(
+    problem: Problem,
+    best: Estimate,
+    plainer: Sequence[Start] = (),
+    progress: Progress = no_progress,
+) -> Estimate:
+    """A fit whose optimiser stalled, again from elsewhere until two fits end alike; else itself.
+
+    Elsewhere is as likely, by its covariance, as every principal axis being two standard errors
+    off: were coordinates that depend on one another moved each by itself, it would be far from
+    anything the data allow. What is compared with other fits must have ended, or the odds count
+    how far the search came.
+
+    Arguments:
+        plainer: where models ended that this one contains. Begun there first, if that is likelier
+            than where it got stuck; where nothing is gained from there, two fits end alike.
     """
-    best, rng = estimate(problem, free, start, noise, progress=progress), np.random.default_rng(0)
+    free, rng = best.free, np.random.default_rng(0)
+    stuck = Start.at(best)
+    if plainer and best.outcome is FitOutcome.STALLED:
+        start = likeliest_start(problem, (stuck, *plainer))
+        if start is not stuck:
+            best = estimate(problem, free, *start, progress=progress)
+            if best.path[0] - best.deviance < STALLED_GAIN:
+                return dataclasses.replace(best, outcome=FitOutcome.CONVERGED)
     for _ in range(RESTARTS):
         if best.outcome in (FitOutcome.CONVERGED, FitOutcome.BOUNDED):
             break
@@ -185,7 +235,8 @@ def estimate_surely(
             break
         progress("the fit got stuck; once more from another start")
         elsewhere = best.coordinates.copy()
-        elsewhere[best.index] += RESTART_DISTANCE * best.stds * rng.standard_normal(len(best.index))
+        root = np.linalg.cholesky(best.covariance)
+        elsewhere[best.index] += RESTART_DISTANCE * root @ rng.standard_normal(len(best.index))
         other = estimate(problem, free, elsewhere, best.noise, progress=progress)
         is_same = abs(other.deviance - best.deviance) < STALLED_GAIN
         best = min(best, other, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))

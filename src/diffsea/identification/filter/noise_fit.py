@@ -273,15 +273,31 @@ def search_programs(
     return [functools.partial(program, *given) for program in (_score, _slope, _deviance)]
 
 
+class RefinedNoise(NamedTuple):
+    """Noise after some steps of its search, and what another one near by may borrow."""
+
+    noise: Noise
+    curvature: Float[np.ndarray, "14 14"] | None  # of the deviance; None where the run diverges
+
+
 def refine_noise(
-    run: FilterRun, times: RowTimes, noise: Noise, prior: NoisePrior, steps: int
-) -> Noise:
+    run: FilterRun,
+    times: RowTimes,
+    noise: Noise,
+    prior: NoisePrior,
+    steps: int,
+    borrowed: Float[np.ndarray, "14 14"] | None = None,
+) -> RefinedNoise:
     """The scales after so many steps from `noise`, fewer where nothing is gained any more.
 
     From an excerpt of the run; as they are where the run diverges. The first step is one of Fisher
     scoring. Its expected curvature is right where innovations are white; where the model lacks
     something they are not, and steps would be too long in some directions and too short in others:
     how the gradient changes corrects it (BFGS; Nocedal and Wright 2006, chapter 6).
+
+    Arguments:
+        borrowed: curvature of a search near by. It is as good as the expected one, which is six
+            times as dear as a gradient, as long as steps gain what they promise.
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
@@ -292,29 +308,52 @@ def refine_noise(
     def deviance_at(log: Float[np.ndarray, "14"]) -> float:
         return float(_deviance(*at(log)))
 
-    value, gradient, curvature = map(np.asarray, _score(*at(log)))
-    gradient, curvature = ISOTROPIC.T @ gradient, ISOTROPIC.T @ curvature @ ISOTROPIC
-    if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
-        return noise
-    curvature = 0.5 * (curvature + curvature.T)
-    learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
-    learnt.initialize(len(log), "hess")
-    for left in reversed(range(steps)):
+    def slope_at(log: Float[np.ndarray, "14"]) -> tuple[float, Float[np.ndarray, "14"]]:
+        value, gradient = map(np.asarray, _slope(*at(log)))
+        return float(value), ISOTROPIC.T @ gradient
+
+    if borrowed is None:
+        value, gradient, curvature = _scored(*at(log))
+    else:
+        (value, gradient), curvature = slope_at(log), borrowed
+    learnt, left = _learning(curvature), steps
+    while left and np.isfinite(gradient).all() and np.isfinite(curvature).all():
         step = _bounded_step(log, gradient, curvature, prior)
         promised = -float(gradient @ step + 0.5 * step @ curvature @ step)
-        share, there = _share_of_step(deviance_at, log, step, float(value), promised)
-        gained, step = float(value) - there, share * step
+        share, there = _share_of_step(deviance_at, log, step, value, promised)
+        gained, step = value - there, share * step
+        misleads = promised > ENOUGH_GAIN and not gained > ENOUGH_OF_PROMISE * promised
+        if borrowed is not None and misleads:
+            value, gradient, curvature = _scored(*at(log))
+            borrowed, learnt = None, _learning(curvature)
+            continue
         if not gained > 0:
             break
-        log = log + step
+        log, left = log + step, left - 1
         if gained < ENOUGH_GAIN or not left:
             break
-        value, slope = map(np.asarray, _slope(*at(log)))
-        if not np.isfinite(slope).all():
-            break
-        learnt.update(step, ISOTROPIC.T @ slope - gradient)
-        gradient, curvature = ISOTROPIC.T @ slope, learnt.get_matrix()
-    return Noise.of(ISOTROPIC @ log)
+        before, (value, gradient) = gradient, slope_at(log)
+        if np.isfinite(gradient).all():
+            learnt.update(step, gradient - before)
+            curvature = learnt.get_matrix()
+    is_known = bool(np.isfinite(curvature).all())
+    return RefinedNoise(Noise.of(ISOTROPIC @ log), curvature if is_known else None)
+
+
+def _scored(
+    run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
+) -> tuple[float, Float[np.ndarray, "14"], Float[np.ndarray, "14 14"]]:
+    """Deviance, gradient and expected curvature by the scales that move."""
+    value, gradient, curvature = map(np.asarray, _score(run, times, log, prior))
+    curvature = ISOTROPIC.T @ curvature @ ISOTROPIC
+    return float(value), ISOTROPIC.T @ gradient, 0.5 * (curvature + curvature.T)
+
+
+def _learning(curvature: Float[np.ndarray, "14 14"]) -> BFGS:
+    """A curvature that changes of the gradient correct."""
+    learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
+    learnt.initialize(len(curvature), "hess")
+    return learnt
 
 
 def _share_of_step(

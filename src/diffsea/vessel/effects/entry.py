@@ -148,6 +148,11 @@ class Effect:
                 return k, one
         return None
 
+    def is_part_of(self, other: "Effect") -> bool:
+        """Whether the other is this with something more, on the same channels."""
+        is_named = catalogue_name(self.name) in other.parts and self.place == other.place
+        return is_named and self.name != other.name
+
     def sizes(self, vessel: Vessel) -> tuple[float, ...]:
         """Size of each coordinate that would be noticeable on this vessel, in SI units.
 
