@@ -135,8 +135,8 @@ def near_the_best(tried: list[Hypothesis]) -> tuple[list[Hypothesis], list[Hypot
 def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candidate) -> Hypothesis:
     """Refit from the current estimate at its noise; where that stalls, from elsewhere.
 
-    Elsewhere is the prior of the vessel's parameters, and a small size of the effect, from which
-    it and the parameters can move together. Effects accepted before start from their estimate.
+    Elsewhere is a small size of the effect, from which it and the parameters can move together,
+    and then the prior of the vessel's parameters. Effects accepted before start from their estimate.
     """
     name = candidate.point.effect
     place = problem.layout.indices((name,))
@@ -156,7 +156,7 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     better, promised = refit(warm), candidate.score.statistic * candidate.score.inflation
     # Also where it diverged: its deviance is no number then.
-    for start in (prior, small):
+    for start in (small, prior):
         if current.deviance - better.deviance >= STALLED_SHARE * promised:
             break
         better = min(better, refit(start), key=cost)
