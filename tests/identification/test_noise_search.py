@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from diffsea.identification.filter import noise_fit
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import first_variance
 from diffsea.identification.filter.noise_fit import RowTimes, refine_noise, rerun_linearised
@@ -70,3 +71,33 @@ def test_each_step_gains(problem, search):
     ]
     assert np.all(np.diff([float(deviance(free_of(noise))), *ends]) <= 0)
     assert ends[1] < ends[0] - 1.0
+
+
+def test_a_borrowed_curvature_serves_as_the_expected_one_does(problem, search, monkeypatch):
+    """From near by, and nothing is scored anew."""
+    run, times, noise, deviance = search
+    end, curvature = refine_noise(run, times, noise, problem.prior, 15)
+    near = Noise.of(np.asarray(end.scales) + 0.1)
+    fresh = refine_noise(run, times, near, problem.prior, 15)
+    assert float(deviance(free_of(near))) - float(deviance(free_of(fresh.noise))) > 5
+
+    def scored(*given: object) -> None:
+        raise AssertionError("scored anew")
+
+    monkeypatch.setattr(noise_fit, "_score", scored)
+    same = refine_noise(run, times, near, problem.prior, 15, curvature)
+    assert same.curvature is not None
+    ends = [float(deviance(free_of(one.noise))) for one in (fresh, same)]
+    assert ends[1] == pytest.approx(ends[0], abs=0.2)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_a_borrowed_curvature_that_misleads_is_found_anew(problem, search, factor):
+    """Its steps are too long or too short by far, and gain nothing of what they promise."""
+    run, times, noise, deviance = search
+    fresh = refine_noise(run, times, noise, problem.prior, 1)
+    assert fresh.curvature is not None
+    wrong = refine_noise(run, times, noise, problem.prior, 1, factor * fresh.curvature)
+    ends = [float(deviance(free_of(one.noise))) for one in (fresh, wrong)]
+    assert ends[1] == pytest.approx(ends[0], rel=1e-9)
+    np.testing.assert_allclose(wrong.curvature, fresh.curvature)

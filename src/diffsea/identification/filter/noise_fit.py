@@ -297,7 +297,7 @@ def refine_noise(
 
     Arguments:
         borrowed: curvature of a search near by. It is as good as the expected one, which is six
-            times as dear as a gradient, as long as steps gain what they promise.
+            times as dear as a gradient, as long as steps gain what they promise, no less and no more.
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
@@ -322,8 +322,8 @@ def refine_noise(
         promised = -float(gradient @ step + 0.5 * step @ curvature @ step)
         share, there = _share_of_step(deviance_at, log, step, value, promised)
         gained, step = value - there, share * step
-        misleads = promised > ENOUGH_GAIN and not gained > ENOUGH_OF_PROMISE * promised
-        if borrowed is not None and misleads:
+        kept = abs(gained - promised) < ENOUGH_OF_PROMISE * promised
+        if borrowed is not None and promised > ENOUGH_GAIN and not kept:
             value, gradient, curvature = _scored(*at(log))
             borrowed, learnt = None, _learning(curvature)
             continue
