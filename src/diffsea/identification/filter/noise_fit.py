@@ -297,7 +297,7 @@ def refine_noise(
 
     Arguments:
         borrowed: curvature of a search near by. It is as good as the expected one, which is six
-            times as dear as a gradient, as long as steps gain what they promise, no less and no more.
+            times as dear as a gradient, if the first step gains what it promises, no less and no more.
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
@@ -329,7 +329,7 @@ def refine_noise(
             continue
         if not gained > 0:
             break
-        log, left = log + step, left - 1
+        log, left, borrowed = log + step, left - 1, None
         if gained < ENOUGH_GAIN or not left:
             break
         before, (value, gradient) = gradient, slope_at(log)
