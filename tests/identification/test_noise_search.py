@@ -100,4 +100,5 @@ def test_a_borrowed_curvature_that_misleads_is_found_anew(problem, search, facto
     wrong = refine_noise(run, times, noise, problem.prior, 1, factor * fresh.curvature)
     ends = [float(deviance(free_of(one.noise))) for one in (fresh, wrong)]
     assert ends[1] == pytest.approx(ends[0], rel=1e-9)
+    assert wrong.curvature is not None
     np.testing.assert_allclose(wrong.curvature, fresh.curvature)

@@ -1,3 +1,4 @@
+# pyright: reportArgumentType=false
 """A fit that stalled is begun again: where, and when two fits count as one. Fits are made up."""
 
 import dataclasses
