@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup warm demo test quick lint experiments proof bench docs fuzz faults clean
+.PHONY: setup warm demo test quick style lint experiments proof bench docs fuzz faults clean
 
 setup: $(BIN)/.installed
 
@@ -25,19 +25,21 @@ demo: setup
 	$(BIN)/diffsea diagnose examples/demo/usv.toml examples/demo/recordings/*.csv \
 	  --test examples/demo/held_out/*.csv -o out/demo
 
-lint: setup
+style: setup
 	$(BIN)/ruff check src tests experiments benchmarks docs/site docs/notebooks
 	$(BIN)/ruff format --check src tests experiments benchmarks docs/site docs/notebooks
-	$(BIN)/pyright --threads 2
 	$(BIN)/lint-imports
 
-test: lint
+lint: style
+	$(BIN)/pyright --threads 2
+
+# Types of what is not run here: tests tell of their own mistakes.
+test: style
+	$(BIN)/pyright --threads 2 src experiments benchmarks
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30 \
 	  -m "not proof and not experiment"
 
-quick: setup
-	$(BIN)/ruff check src tests experiments benchmarks docs/site docs/notebooks
-	$(BIN)/lint-imports
+quick: style
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not experiment and not proof"
 
 experiments: setup
@@ -45,7 +47,7 @@ experiments: setup
 
 # The longest tests and those of experiments; then the proof on real recordings, which lie where
 # experiments/DATA.md says: hours; goes on where it was stopped.
-proof: setup
+proof: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "proof or experiment"
 	$(BIN)/python -m experiments.concealed_real.run
 	$(BIN)/python -m experiments.concealed_real.score

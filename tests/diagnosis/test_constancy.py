@@ -80,7 +80,9 @@ SEVERAL_NUMBERS = {  # effect, its table, coordinates to start from
 
 
 @pytest.mark.parametrize("where", ["in both runs", "in one of them"])
-@pytest.mark.parametrize("name", SEVERAL_NUMBERS)
+@pytest.mark.parametrize(
+    "name", ["sway-yaw-coupling", pytest.param("thrust-curve:law", marks=pytest.mark.proof)]
+)
 def test_a_law_of_several_numbers_has_one_size_where_their_proportion_is_the_same(name, where):
     """One multiple of all of them in each half or eighth of two runs, less that of the whole."""
     table, begin = SEVERAL_NUMBERS[name]
