@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
-from diffsea.diagnosis.refits import Trial, refit_fully
+from diffsea.diagnosis.refits import Refit, refit_fully
 from diffsea.diagnosis.screening import Screening
 from diffsea.identification.coordinates import CoordinateLayout
 from diffsea.identification.estimates import Estimate
@@ -96,8 +96,8 @@ def judge_audited(
         return None
     start = np.array(current.coordinates, float)
     start[data.train.layout.indices((audited.effect,))] = audited.coordinates
-    trial = Trial(candidate, [Start(start, current.noise)])
-    (one,) = refit_fully(data, current, [trial])
+    asked = Refit(candidate, [Start(start, current.noise)])
+    (one,) = refit_fully(data, current, [asked])
     listed = ShortList.of(data.train, [one])
     return AcceptedEffect(one, listed) if _is_believed(one, listed.needed) else None
 

@@ -17,7 +17,7 @@ from diffsea.diagnosis.constancy import constancy_test
 from diffsea.diagnosis.decision import EVIDENCE, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.screening import Candidate, Screening, short_list
-from diffsea.identification.estimates import Estimate
+from diffsea.identification.estimates import Estimate, FitOutcome
 from diffsea.identification.fit import (
     Start,
     estimate,
@@ -46,7 +46,7 @@ SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begi
 LARGEST_STEP = 3.0  # prior sizes that a one-step estimate may start a refit at
 
 
-class Trial(NamedTuple):
+class Refit(NamedTuple):
     """An effect to be fitted beside a model, and where its fit may begin: the likeliest counts."""
 
     candidate: Candidate
@@ -97,8 +97,8 @@ def refit_candidates(
 
     near, rest = near_the_best(on_every_core(refit_first, names))
     starts = [Start(start_beside(problem, current, one), current.noise) for one in near]
-    trials = [Trial(one.candidate, [start]) for one, start in zip(near, starts, strict=True)]
-    full = refit_fully(data, current, trials)
+    asked = [Refit(one.candidate, [start]) for one, start in zip(near, starts, strict=True)]
+    full = refit_fully(data, current, asked)
     return ShortList.of(problem, [*full, *rest])
 
 
@@ -136,7 +136,8 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
     """Refit from the current estimate at its noise; where that stalls, from elsewhere.
 
     Elsewhere is a small size of the effect, from which it and the parameters can move together,
-    and then the prior of the vessel's parameters. Effects accepted before start from their estimate.
+    and then the prior of the vessel's parameters. Effects accepted before start from their
+    estimate.
     """
     name = candidate.point.effect
     place = problem.layout.indices((name,))
@@ -163,24 +164,28 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
     return make_hypothesis(problem, current, better, candidate)
 
 
-def refit_fully(data: Split, current: Estimate, trials: Sequence[Trial]) -> list[Hypothesis]:
+def refit_fully(data: Split, current: Estimate, asked: Sequence[Refit]) -> list[Hypothesis]:
     """Hypotheses fitted to their end, with noise of their own, and judged on held-out data."""
     problem = data.train
 
-    def fit(one: Trial) -> Estimate:
+    def fit(one: Refit) -> Estimate:
         start = likeliest_start(problem, one.starts)
         return estimate(problem, (*current.free, one.effect), *start)
 
-    first = on_every_core(fit, trials)
-    ends = {one.effect: fitted for one, fitted in zip(trials, first, strict=True)}
+    first = on_every_core(fit, asked)
+    ends = {one.effect: fitted for one, fitted in zip(asked, first, strict=True)}
 
-    def judge(one: Trial) -> Hypothesis:
-        parts = [name for name in ends if EFFECTS[name].is_part_of(EFFECTS[one.effect])]
-        plainer = [start_as_part(problem, ends[name], name, one.effect) for name in parts]
+    def judge(one: Refit) -> Hypothesis:
+        plainer = [
+            start_as_part(problem, end, name, one.effect)
+            for name, end in ends.items()
+            if EFFECTS[name].is_part_of(EFFECTS[one.effect])
+            and end.outcome is FitOutcome.CONVERGED
+        ]
         fitted = settled(problem, ends[one.effect], plainer)
         return judge_fitted(data, current, fitted, one.candidate)
 
-    return on_every_core(judge, trials)
+    return on_every_core(judge, asked)
 
 
 def judge_fitted(
@@ -203,8 +208,8 @@ def refit_without(
     """The estimate without some of its effects, fitted with noise of its own.
 
     From where it was, by the noise there or by that of another fit without them, `known`; or from
-    where that one ended, with the effects that it lacked: whichever is likeliest. What is missing
-    makes noise of the model that has it, thousands of standard deviations off, hard to leave.
+    where that one ended, with the effects that it lacked: whichever is likeliest. By the noise of
+    the model that has it, what is missing may be thousands of standard deviations off.
     """
     free = tuple(name for name in current.free if name not in names)
     bare = np.array(current.coordinates, float)

@@ -14,7 +14,7 @@ from diffsea.diagnosis.bootstrap import Bootstrap
 from diffsea.diagnosis.decision import EVIDENCE, AcceptedEffect, ShortList, decide
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
-    Trial,
+    Refit,
     judge_exchanged,
     refit_candidates,
     refit_fully,
@@ -176,8 +176,8 @@ def find_pair(
         if other is None:
             continue
         bare = refit_without(data.train, other.estimate, [one.effect], one.without)
-        trial = Trial(one.candidate, [Start.at(other.estimate)])
-        (again,) = refit_fully(data, bare, [trial])
+        asked = Refit(one.candidate, [Start.at(other.estimate)])
+        (again,) = refit_fully(data, bare, [asked])
         left = null.of_located(screen(data.train, other.estimate).located_p_value)
         gained = alone.hypotheses[0].estimate.deviance - other.estimate.deviance
         if gained > -EVIDENCE and again.still_stands(alone.needed) and left > ALPHA:
@@ -271,15 +271,15 @@ def _refit_with_rivals(
     rivals = [accepted.hypothesis, *accepted.short_list.judged]
     options = {one.effect: one for one in rivals if one.effect not in bare.free}
 
-    def trial(one: Hypothesis) -> Trial:
+    def refit(one: Hypothesis) -> Refit:
         if one.effect == accepted.name:
-            return Trial(one.candidate, [Start.at(current)])
+            return Refit(one.candidate, [Start.at(current)])
         beside = Start(start_beside(data.train, bare, one), bare.noise)
         free = (*bare.free, one.effect)
         as_it_was = start_with_effects_of(data.train, one.estimate, bare, free)
-        return Trial(one.candidate, [beside, as_it_was])
+        return Refit(one.candidate, [beside, as_it_was])
 
-    return refit_fully(data, bare, [trial(one) for one in options.values()])
+    return refit_fully(data, bare, [refit(one) for one in options.values()])
 
 
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:

@@ -297,7 +297,8 @@ def refine_noise(
 
     Arguments:
         borrowed: curvature of a search near by. It is as good as the expected one, which is six
-            times as dear as a gradient, if the first step gains what it promises, no less and no more.
+            times as dear as a gradient, if the first step gains what it promises, neither less
+            nor more.
     """
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
