@@ -24,6 +24,7 @@ from diffsea.diagnosis import refits
 from diffsea.diagnosis.decision import rank_hypotheses
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
+    Refit,
     first_guess,
     is_physical,
     make_hypothesis,
@@ -35,8 +36,9 @@ from diffsea.diagnosis.refits import (
 )
 from diffsea.identification import fit
 from diffsea.identification.coordinates import CoordinateLayout
-from diffsea.identification.estimates import Estimate, posterior_estimate
+from diffsea.identification.estimates import Estimate, FitOutcome, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
+from diffsea.identification.fit import Start
 from diffsea.identification.holdout import Gain
 from diffsea.identification.problem import Problem
 
@@ -222,6 +224,32 @@ def test_where_a_part_ended_is_a_start_of_the_whole():
         np.testing.assert_allclose(at, [2.0, 0.0], atol=1e-12)
         assert not start.coordinates[problem.layout.indices((names[0],))].any()
         assert start.coordinates[0] == 1.0 and start.noise is NOISE
+
+
+@pytest.mark.parametrize("outcome", [FitOutcome.CONVERGED, FitOutcome.STALLED])
+def test_a_part_that_converged_is_a_start_for_the_whole_and_for_nothing_else(monkeypatch, outcome):
+    part, whole = "thrust-delay:propulsion", "actuator-response:propulsion"
+    problem = still_problem(part, whole, "wind")
+    current = fitted_at(problem, NOISE, X_u=1.0)
+    late = fitted_at(problem, NOISE, X_u=1.0, thrust_delay_propulsion=2.0)
+    late = dataclasses.replace(late, outcome=outcome)
+    ends, given = {part: late, whole: current, "wind": current}, {}
+
+    def settle(problem, fitted, plainer):
+        given[len(given)] = [start.coordinates for start in plainer]
+        return fitted
+
+    monkeypatch.setattr(refits, "estimate", lambda _, free, *start: ends[free[-1]])
+    monkeypatch.setattr(refits, "settled", settle)
+    monkeypatch.setattr(refits, "judge_fitted", lambda data, current, fitted, seen: seen)
+    monkeypatch.setattr(refits, "on_every_core", lambda function, items: list(map(function, items)))
+    asked = [Refit(candidate(name, np.ones((3, 1))), [Start.at(current)]) for name in ends]
+    refits.refit_fully(SimpleNamespace(train=problem), current, asked)
+    assert [len(starts) for starts in given.values()] == [0, outcome is FitOutcome.CONVERGED, 0]
+    for start in given[1]:
+        expected = fitted_at(problem, NOISE, X_u=1.0).coordinates
+        expected[problem.layout.indices((whole,))[0]] = 2.0
+        np.testing.assert_allclose(start, expected)
 
 
 def _shallow(amounts, stds, recorded: int) -> tuple[Problem, Estimate]:

@@ -179,8 +179,7 @@ def refit_fully(data: Split, current: Estimate, asked: Sequence[Refit]) -> list[
         plainer = [
             start_as_part(problem, end, name, one.effect)
             for name, end in ends.items()
-            if EFFECTS[name].is_part_of(EFFECTS[one.effect])
-            and end.outcome is FitOutcome.CONVERGED
+            if EFFECTS[name].is_part_of(EFFECTS[one.effect]) and end.outcome is FitOutcome.CONVERGED
         ]
         fitted = settled(problem, ends[one.effect], plainer)
         return judge_fitted(data, current, fitted, one.candidate)
