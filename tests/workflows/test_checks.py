@@ -14,8 +14,9 @@ from diffsea.checks import check_run, check_together
 from diffsea.checks.answers import Answers, IntervalEstimate, LagOfAnswer, answers_of
 from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
-from diffsea.recordings import audit, write_recording
-from diffsea.report.pages.check import headlines
+from diffsea.recordings import Finding, audit, write_recording
+from diffsea.recordings.auditing.edits import Affine, Blank, Edit, Step
+from diffsea.report.pages.check import DOUBTFUL, headlines, quality_plot
 from diffsea.trajectory import Trajectory
 from diffsea.workflows.checks import craft_of
 
@@ -80,6 +81,36 @@ def test_the_picture_of_quality_says_channels_in_words(checked):
     for words in ("heading", "turning rate", "order port", "speed to starboard"):
         assert f'"{words}"' in page
     assert '"psi"' not in page and '"cmd_port"' not in page
+
+
+def test_faults_are_drawn_at_their_times():
+    """A heading that stands still, wild yaw rates, a compass step; a bias is all the time."""
+    run = recorded(noisy(drive(DELAY, dock=0.0, after=0.0)))
+    first, last = round(float(run.t[0]), 2), round(float(run.t[-1]), 2)
+
+    def fault(kind: str, channel: str, *edits: Edit) -> Finding:
+        return Finding(kind, 1.0, 0.1, "1", kind, channels=(channel,), edits=edits)
+
+    findings = [
+        fault("stuck", "psi", Blank(("psi",), ((10.0, 12.0),))),
+        fault("outliers", "r", Blank(("r",), ((20.0, 20.0), (30.0, 30.0)))),
+        fault("heading-offset", "psi", Step("psi", 0.1, 50.0)),
+        fault("scale", "u", Affine(("u",), 1.1)),
+        fault("gap", "v"),
+    ]
+    plot = quality_plot(check_run(run, findings, ("csv", "a table", "vessel"), {}))
+    assert plot is not None
+    axis = plot.figure.layout.yaxis.ticktext, plot.figure.layout.yaxis.tickvals
+    rows = dict(zip(*axis, strict=True))
+    drawn = {}
+    for trace in plot.figure.data:
+        row = next(name for name, place in rows.items() if place == trace.y[0])
+        drawn.setdefault((row, trace.line.color == DOUBTFUL), []).append(list(trace.x))
+    assert drawn["heading", True] == [[10.0, 12.0, None], [50.0, last, None]]
+    assert drawn["turning rate", True] == [[20.0, 20.0, None, 30.0, 30.0, None]]
+    assert drawn["speed ahead", True] == [[first, last, None]]
+    assert ("speed to starboard", True) not in drawn
+    assert {("heading", False), ("turning rate", False)} <= set(drawn)
 
 
 def test_dead_time_and_sides_of_the_log_hold_the_truth(checked):

@@ -17,6 +17,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 
 Channels = dict[str, Samples]  # by native name, SI units
+Spans = tuple[tuple[float, float], ...]  # s, both ends included
 
 
 class Edit(abc.ABC):
@@ -29,6 +30,11 @@ class Edit(abc.ABC):
     def amend_mapping(self, mapping: Mapping) -> Mapping | None:
         """The mapping that reads the change from the file; None where no mapping can say it."""
         return None
+
+    @property
+    def changed_spans(self) -> Spans:
+        """Where it changes anything; empty for the whole recording."""
+        return ()
 
 
 class ChannelEdit(Edit):
@@ -168,14 +174,18 @@ class Blank(ChannelEdit):
     """Samples of channels within spans of time (s, both ends included) become NaN."""
 
     channels: tuple[str, ...]
-    spans: tuple[tuple[float, float], ...]
+    spans: Spans
+
+    @property
+    def changed_spans(self) -> Spans:
+        return self.spans
 
     def new_series(self, old: Channels) -> Channels:
         inside = within_spans(old["t"], self.spans)
         return {name: np.where(inside, np.nan, old[name]) for name in self.channels}
 
 
-def within_spans(t: Samples, spans: tuple[tuple[float, float], ...]) -> Bool[np.ndarray, "time"]:
+def within_spans(t: Samples, spans: Spans) -> Bool[np.ndarray, "time"]:
     """Which instants (s) lie in one of the spans, both ends included."""
     starts, ends = np.array(spans, dtype=float).reshape(-1, 2).T
     edges = np.zeros(t.size + 1, dtype=int)
@@ -192,7 +202,11 @@ class Rewrap(ChannelEdit):
     """
 
     channel: str
-    spans: tuple[tuple[float, float], ...]
+    spans: Spans
+
+    @property
+    def changed_spans(self) -> Spans:
+        return self.spans
 
     def new_series(self, old: Channels) -> Channels:
         turn = 2 * np.pi
@@ -230,6 +244,10 @@ class Step(ChannelEdit):
     channel: str
     size: float
     time: float
+
+    @property
+    def changed_spans(self) -> Spans:
+        return ((self.time, np.inf),)
 
     def new_series(self, old: Channels) -> Channels:
         return {self.channel: old[self.channel] - self.size * (old["t"] > self.time)}

@@ -6,7 +6,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 
-from diffsea.recordings.auditing.edits import Affine, Edit, Swap
+from diffsea.recordings.auditing.edits import Affine, Edit, Spans, Swap
 
 
 # In the order in which they are reported: sensors, labels, clocks and samples, what a channel is.
@@ -43,6 +43,11 @@ class Finding:
     edits: tuple[Edit, ...] = ()
     doubt: str = ""
     axis: str = ""
+
+    @property
+    def spans(self) -> Spans:
+        """When its channels have it (s); empty where that is always, or is not said."""
+        return tuple(span for edit in self.edits for span in edit.changed_spans)
 
     def as_dict(self) -> dict[str, object]:
         """The finding as it stands in audit.json; a size or error that is unknown is null."""

@@ -49,8 +49,8 @@ CHANNELS = {
     "r": "turning rate",
     "phi": "heel",
 }
-_SOUND, _DOUBTFUL, _IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
-_QUALITY_KEY = {"known": _SOUND, "a finding concerns it": _DOUBTFUL, "idle, left out": _IDLE}
+SOUND, DOUBTFUL, IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
+_QUALITY_KEY = {"known": SOUND, "a finding concerns it": DOUBTFUL, "idle, left out": IDLE}
 
 
 def check_report(
@@ -131,7 +131,7 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
         "lead": f"{capital(one.craft)}. {duration:.0f} s recorded, {used:.0f} s of it used.",
         "sentences": headlines(one.answers, bool(one.run.commanded)),
         "warnings": [*one.missing, *one.notes],
-        "quality": _quality_plot(one),
+        "quality": quality_plot(one),
         "quality_key": _QUALITY_KEY,
         "faults": _fault_table(one.audit),
         "idle": _idle_table(one),
@@ -177,22 +177,31 @@ def _asymmetry_sentences(asymmetry: IntervalEstimate) -> list[str]:
     return [f"{capital(weaker)} does {share} than {stronger} for the same order."]
 
 
-def _quality_plot(one: LogCheck) -> Plot | None:
-    """A row for each channel, drawn where it is known, and idle stretches across all."""
+def quality_plot(one: LogCheck) -> Plot | None:
+    """A row for each channel, drawn where it is known, and idle stretches across all.
+
+    What concerns a channel at certain times is drawn there; a gap shows by itself.
+    """
     if not one.channels:
         return None
-    doubtful = {name for finding in one.audit for name in finding.channels}
+    always = [finding for finding in one.audit if not finding.spans and finding.kind != "gap"]
+    doubtful = {name for finding in always for name in finding.channels}
     names = list(one.channels)[::-1]
     traces = []
     for row, name in enumerate(names):
         x: list[float | None] = []
         for start, end in one.channels[name].spans:
             x += [round(start, 2), round(end, 2), None]
-        colour = _DOUBTFUL if name in doubtful else _SOUND
+        colour = DOUBTFUL if name in doubtful else SOUND
         line = go.Scatter(x=x, y=[row] * len(x), mode="lines", showlegend=False)
         line.update(line={"width": 10, "color": colour})
         line.update(hovertemplate=f"{_channel_words(name)}: %{{x:.1f}} s<extra></extra>")
         traces.append(line)
+        last = max((end for _, end in one.channels[name].spans), default=0.0)
+        concerning = [
+            finding for finding in one.audit if finding.spans and name in finding.channels
+        ]
+        traces += [_fault_marks(finding, name, row, last) for finding in concerning]
     axis = {
         "tickvals": list(range(len(names))),
         "ticktext": [_channel_words(name) for name in names],
@@ -201,11 +210,23 @@ def _quality_plot(one: LogCheck) -> Plot | None:
     drawn = figure(*traces, xaxis={"title": {"text": "time (s)"}}, yaxis=axis)
     drawn.update_layout(hovermode="closest", margin={"t": 10})
     for stretch in one.idle:
-        _shade(drawn, (stretch.start, stretch.end), _IDLE)
+        _shade(drawn, (stretch.start, stretch.end), IDLE)
     gaps = sum(len(channel.spans) - 1 for channel in one.channels.values())
     caption = f"{gaps} gap{'s' * (gaps != 1)} in {len(names)} channels" if gaps else "No gaps"
     height = 70 + ROW_HEIGHT * len(names)
     return Plot(drawn, "Where each channel is known, over time", height, caption + ".")
+
+
+def _fault_marks(finding: Finding, name: str, row: int, last: float) -> go.Scatter:
+    """A channel's row where a finding says that it has a fault; marked where that is an instant."""
+    x: list[float | None] = []
+    for start, end in finding.spans:
+        x += [round(start, 2), round(min(end, last), 2), None]
+    drawn = go.Scatter(x=x, y=[row] * len(x), mode="lines+markers", showlegend=False)
+    drawn.update(line={"width": 10, "color": DOUBTFUL})
+    drawn.update(marker={"symbol": "line-ns", "size": 12, "line": {"width": 2, "color": DOUBTFUL}})
+    told = f"{_channel_words(name)}: {finding.kind}, %{{x:.1f}} s<extra></extra>"
+    return drawn.update(hovertemplate=told)
 
 
 def _channel_words(name: str) -> str:
@@ -225,7 +246,7 @@ def _fault_table(audit: Sequence[Finding]) -> Table:
     rows = []
     for finding in audit:
         size = round_to_error(finding.value, finding.std, finding.unit)
-        what = [finding.kind, ", ".join(finding.channels)]
+        what = [finding.kind, ", ".join(map(_channel_words, finding.channels))]
         rows.append([what, size if math.isfinite(finding.value) else "", finding.message])
     return Table(["finding", "size", "what it is"], rows, "Faults that the log shows by itself")
 
