@@ -188,28 +188,37 @@ def test_another_fit_is_a_start_with_the_effects_that_it_lacks_and_no_others():
     assert start.noise is NOISE
 
 
-def test_a_model_without_an_effect_is_fitted_from_where_it_is_likeliest(monkeypatch):
-    """By the noise of the model with it, what is missing is thousands of standard deviations."""
+@pytest.mark.parametrize("other", ["other noise", "the other fit"])
+@pytest.mark.parametrize("better", [0, 1])
+def test_a_model_without_an_effect_is_the_better_of_two_fits(monkeypatch, other, better):
+    """From where it was, and from the likeliest start by the noise of another fit without it."""
     problem = still_problem("wind", "deadband:propulsion")
     current = fitted_at(problem, NOISE, X_u=2.0, wind=4.0, deadband_propulsion=5.0)
     known = fitted_at(problem, OTHER_NOISE, X_u=1.0)
     bare = fitted_at(problem, NOISE, X_u=2.0, wind=4.0).coordinates
     there = fitted_at(problem, NOISE, X_u=1.0, wind=4.0).coordinates
-    starts = {"as it was": (bare, NOISE), "other noise": (bare, OTHER_NOISE),
-              "the other fit": (there, OTHER_NOISE)}  # fmt: skip
-    for likeliest, (at, noise) in starts.items():
+    likeliest = bare if other == "other noise" else there
+    ends = [dataclasses.replace(known, deviance=-1.0 * (place == better)) for place in (0, 1)]
+    asked = []
 
-        def deviance(_, coordinates, scales, at=at, noise=noise) -> SimpleNamespace:
-            is_it = np.array_equal(coordinates, at) and scales is noise
-            return SimpleNamespace(deviance=-9.0 if is_it else np.nan)
+    def deviance(_, coordinates, scales) -> SimpleNamespace:
+        assert scales is OTHER_NOISE
+        return SimpleNamespace(deviance=-9.0 if np.array_equal(coordinates, likeliest) else np.nan)
 
-        monkeypatch.setattr(fit, "filter_at", deviance)
-        asked = []
-        monkeypatch.setattr(refits, "estimate_surely", lambda *given, to=asked: to.append(given))
-        refit_without(problem, current, ["deadband:propulsion"], known)
-        ((_, free, start, scales),) = asked
+    def estimated(_, free, start, scales) -> Estimate:
         assert free == ("X_u", "N_r", "wind")
-        np.testing.assert_array_equal(start, at, err_msg=likeliest)
+        asked.append((start, scales))
+        return ends[len(asked) - 1]
+
+    monkeypatch.setattr(fit, "filter_at", deviance)
+    monkeypatch.setattr(refits, "estimate_surely", estimated)
+    monkeypatch.setattr(refits, "on_every_core", lambda function, items: list(map(function, items)))
+    found = refit_without(problem, current, ["deadband:propulsion"], known)
+    assert found is ends[better]
+    for (start, scales), at, noise in zip(
+        asked, (bare, likeliest), (NOISE, OTHER_NOISE), strict=True
+    ):
+        np.testing.assert_array_equal(start, at)
         assert scales is noise
 
 

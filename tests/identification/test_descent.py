@@ -15,7 +15,7 @@ from diffsea.identification.descent import (
 )
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.filter.noise_fit import RefinedNoise
+from diffsea.identification.filter.noise_fit import RefinedNoise, refine_noise
 from diffsea.identification.residual import linearise
 
 
@@ -139,3 +139,18 @@ def test_noise_that_the_filter_refuses_is_tried_again_in_the_next_round(problem,
     monkeypatch.setattr(fit, "refine_noise", refused)
     fit.estimate(problem, FREE, problem.start()[0], problem.start()[1], rounds=2)
     assert len(asked) == 2
+
+
+def test_a_round_that_may_be_the_last_borrows_no_curvature(problem, monkeypatch):
+    asked = []
+
+    def refine(run, times, noise, prior, steps, curvature):
+        asked.append((steps, curvature is not None))
+        return refine_noise(run, times, noise, prior, steps, curvature)
+
+    monkeypatch.setattr(fit, "refine_noise", refine)
+    found = fit.estimate(problem, FREE, problem.start()[0], problem.start()[1])
+    assert found.outcome is fit.FitOutcome.CONVERGED
+    borrowed = {steps: {one for count, one in asked if count == steps} for steps, _ in asked}
+    assert borrowed.pop(fit.FIRST_NOISE_STEPS) == {False}
+    assert any(True in rounds for rounds in borrowed.values())

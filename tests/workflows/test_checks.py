@@ -100,12 +100,14 @@ def test_faults_are_drawn_at_their_times():
     ]
     plot = quality_plot(check_run(run, findings, ("csv", "a table", "vessel"), {}))
     assert plot is not None
-    axis = plot.figure.layout.yaxis.ticktext, plot.figure.layout.yaxis.tickvals
-    rows = dict(zip(*axis, strict=True))
+    drawing = plot.figure.to_dict()
+    axis = drawing["layout"]["yaxis"]
+    rows = dict(zip(axis["ticktext"], axis["tickvals"], strict=True))
     drawn = {}
-    for trace in plot.figure.data:
-        row = next(name for name, place in rows.items() if place == trace.y[0])
-        drawn.setdefault((row, trace.line.color == DOUBTFUL), []).append(list(trace.x))
+    for trace in drawing["data"]:
+        row = next(name for name, place in rows.items() if place == trace["y"][0])
+        doubtful = trace["line"]["color"] == DOUBTFUL
+        drawn.setdefault((row, doubtful), []).append(list(trace["x"]))
     assert drawn["heading", True] == [[10.0, 12.0, None], [50.0, last, None]]
     assert drawn["turning rate", True] == [[20.0, 20.0, None, 30.0, 30.0, None]]
     assert drawn["speed ahead", True] == [[first, last, None]]

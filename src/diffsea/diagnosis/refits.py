@@ -206,19 +206,17 @@ def refit_without(
 ) -> Estimate:
     """The estimate without some of its effects, fitted with noise of its own.
 
-    From where it was, by the noise there or by that of another fit without them, `known`; or from
-    where that one ended, with the effects that it lacked: whichever is likeliest. By the noise of
-    the model that has it, what is missing may be thousands of standard deviations off.
+    The better of two: from where it was, and with the noise of another fit without them, `known`,
+    from there or from where that one ended, with the effects that it lacked. Gusts have several
+    optima, and an effect must not gain by the worse of them.
     """
     free = tuple(name for name in current.free if name not in names)
     bare = np.array(current.coordinates, float)
     bare[problem.layout.indices(tuple(names))] = 0.0
-    starts = (
-        Start(bare, current.noise),
-        Start(bare, known.noise),
-        start_with_effects_of(problem, known, current, free),
-    )
-    return estimate_surely(problem, free, *likeliest_start(problem, starts))
+    others = Start(bare, known.noise), start_with_effects_of(problem, known, current, free)
+    starts = Start(bare, current.noise), likeliest_start(problem, others)
+    fits = on_every_core(lambda start: estimate_surely(problem, free, *start), starts)
+    return min(fits, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
 
 
 def start_as_part(problem: Problem, fitted: Estimate, part: str, whole: str) -> Start:

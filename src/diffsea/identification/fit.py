@@ -85,11 +85,9 @@ def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = N
     data = problem.dataset
     noise = problem.start()[1] if noise is None else noise
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
-    now, curvature = filter_at(problem, coordinates, noise), None
+    now = filter_at(problem, coordinates, noise)
     for _ in range(NOISE_ROUNDS):
-        better, curvature = refine_noise(
-            now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS, curvature
-        )
+        better, _ = refine_noise(now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS)
         there = filter_at(problem, coordinates, better)
         if not now.deviance - there.deviance > LEAST_GAIN:
             break
@@ -151,8 +149,10 @@ def _search(
         last, taken = now.deviance, steps
         least = LEAST_GAIN + RELATIVE_GAIN * abs(last)
         if steps and not fixed_noise:
+            # By a curvature that is too large a fit would seem to be at its end.
+            borrowed = curvature if steps < FIRST_NOISE_STEPS else None
             better, curvature = refine_noise(
-                now.run, times, now.noise, problem.prior, steps, curvature
+                now.run, times, now.noise, problem.prior, steps, borrowed
             )
             there = filter_at(problem, now.coordinates, better)
             now = there if there.better_than(now) else now
