@@ -1,4 +1,7 @@
-"""A warm process that forks one child for each hostile input, so that an input takes milliseconds.
+"""A warm process whose children read hostile inputs, so that an input takes milliseconds.
+
+A child reads some inputs, one after the other, because a fork takes as long as a refusal; the one
+that ends it, or leaves it large, is its last.
 
 Reads lines of JSON from standard input: `kind`, `file` and a folder `out`. Answers each by a line:
 `status` (of the exit; negative for a signal), `said` (all that the child printed), `megabytes`
@@ -25,6 +28,7 @@ from tests.fuzz.seeds import SUPPORT, write_support
 
 SECONDS = 20.0
 MEGABYTES = 2000.0
+INPUTS_OF_A_CHILD = 50
 ADDRESSES = 6_000_000_000  # bytes: a bound so that a bomb does not take the machine along
 # What children would else import anew for each input; the rest comes with a first command.
 LOADED = (
@@ -139,39 +143,94 @@ def _run(kind, file, out):
     return 0
 
 
-def judge(kind, file, out):
-    """Fork, run, wait, and say how it ended."""
-    with tempfile.TemporaryFile() as printed:
-        child = os.fork()
-        if child == 0:
-            status = 99
-            try:
-                os.dup2(printed.fileno(), 1)
-                os.dup2(printed.fileno(), 2)
-                resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
-                resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-                signal.signal(signal.SIGALRM, signal.SIG_DFL)
-                signal.setitimer(signal.ITIMER_REAL, SECONDS)
-                warnings.simplefilter("ignore")
-                status = _run(kind, file, out)
-                sys.stdout.flush()
-                sys.stderr.flush()
-            finally:
-                os._exit(status)
+class Reader:
+    """A child that is forked anew once it ended, grew large or has read enough."""
+
+    def __init__(self, printed):
+        self._printed = printed  # file that takes what children print
+        self._child = 0
+
+    def judge(self, kind, file, out):
+        """Have an input read, wait, and say how it ended."""
+        if not self._child:
+            self._fork()
+        self._printed.seek(0)
+        self._printed.truncate()
         began = time.monotonic()
-        _, ended, used = os.wait4(child, 0)
-        printed.seek(0)
-        said = printed.read().decode(errors="surrogateescape")
-    status = os.waitstatus_to_exitcode(ended)
-    left = sorted(str(item.name) for item in out.rglob("*")) if out.exists() else []
-    shutil.rmtree(out, ignore_errors=True)
-    return {
-        "status": status,
-        "said": said if len(said) < 8000 else said[:4000] + said[-4000:],
-        "megabytes": used.ru_maxrss / 1e3,
-        "seconds": time.monotonic() - began,
-        "left": left if status != 0 else [],
-    }
+        self._asked.write(json.dumps([kind, str(file), str(out)]) + "\n")
+        self._asked.flush()
+        answer = self._answers.readline()
+        if answer:
+            status, megabytes = json.loads(answer)
+        else:
+            _, ended, used = os.wait4(self._child, 0)
+            status, megabytes = os.waitstatus_to_exitcode(ended), used.ru_maxrss / 1e3
+        self._printed.seek(0)
+        said = self._printed.read().decode(errors="surrogateescape")
+        left = sorted(str(item.name) for item in out.rglob("*")) if out.exists() else []
+        shutil.rmtree(out, ignore_errors=True)
+        self._inputs += 1
+        if not answer:
+            self._forget()
+        elif self._inputs == INPUTS_OF_A_CHILD or megabytes > MEGABYTES / 2:
+            self.close()
+        return {
+            "status": status,
+            "said": said if len(said) < 8000 else said[:4000] + said[-4000:],
+            "megabytes": megabytes,
+            "seconds": time.monotonic() - began,
+            "left": left if status != 0 else [],
+        }
+
+    def _fork(self):
+        asked, answers = os.pipe(), os.pipe()
+        self._child, self._inputs = os.fork(), 0
+        if self._child == 0:
+            os.close(asked[1])
+            os.close(answers[0])
+            try:
+                _serve(os.fdopen(asked[0]), os.fdopen(answers[1], "w"), self._printed.fileno())
+            finally:
+                os._exit(99)
+        os.close(asked[0])
+        os.close(answers[1])
+        self._asked, self._answers = os.fdopen(asked[1], "w"), os.fdopen(answers[0])
+
+    def _forget(self):
+        self._asked.close()
+        self._answers.close()
+        self._child = 0
+
+    def close(self):
+        """End the child, which has nothing under way."""
+        if self._child:
+            child = self._child
+            self._forget()
+            os.waitpid(child, 0)
+
+
+def _serve(asked, answers, printed):
+    """What a child does until nothing more is asked."""
+    for number in (1, 2):
+        os.dup2(printed, number)
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    warnings.simplefilter("ignore")
+    own = pathlib.Path("/proc/self")
+    for line in asked:
+        kind, file, out = json.loads(line)
+        (own / "clear_refs").write_text("5")  # the largest memory counts anew
+        signal.setitimer(signal.ITIMER_REAL, SECONDS)
+        status = _run(kind, pathlib.Path(file), pathlib.Path(out))
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        words = (own / "status").read_text().split()
+        megabytes = int(words[words.index("VmHWM:") + 1]) * 1.024e-3
+        answers.write(json.dumps([status, megabytes]) + "\n")
+        answers.flush()
+    os._exit(0)
 
 
 def main():
@@ -182,10 +241,13 @@ def main():
     BOAT[:] = _boat()
     _warm(folder)
     print(json.dumps("ready"), flush=True)
-    for line in sys.stdin:
-        asked = json.loads(line)
-        found = judge(asked["kind"], pathlib.Path(asked["file"]), pathlib.Path(asked["out"]))
-        print(json.dumps(found), flush=True)
+    with tempfile.TemporaryFile() as printed:
+        reader = Reader(printed)
+        for line in sys.stdin:
+            asked = json.loads(line)
+            file, out = pathlib.Path(asked["file"]), pathlib.Path(asked["out"])
+            print(json.dumps(reader.judge(asked["kind"], file, out)), flush=True)
+        reader.close()
     shutil.rmtree(folder)
 
 

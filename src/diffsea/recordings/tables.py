@@ -212,19 +212,23 @@ def _check_file(path: Path) -> None:
         raise UserError(f"cannot read {path}: {error.strerror}") from error
     check_size(path, size)
     if size == 0:
-        raise UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
+        raise _empty_error(path)
     if path.suffix.lower() not in PARQUET_SUFFIXES and b"\x00" in start:
         raise UserError(
             f"{path} is not text, so it cannot be read as CSV; export it as CSV (UTF-8) or Parquet"
         )
 
 
+def _empty_error(path: Path) -> UserError:
+    return UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
+
+
 def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     """Column names, and how many lines stand before the first row of numbers.
 
-    Raises `UserError` for text in another encoding and for a wanted name that stands twice. Where
-    the file names its columns, the line that holds most of the wanted names is taken: units often
-    stand on a line of their own, before or after.
+    Raises `UserError` for text in another encoding, for no text at all (a byte order mark is none)
+    and for a wanted name that stands twice. Where the file names its columns, the line that holds
+    most of the wanted names is taken: units often stand on a line of their own, before or after.
     """
     if mapping.columns is not None:
         return list(mapping.columns), mapping.header_lines or 0
@@ -235,6 +239,8 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
             first = [line.split(separator) for line in itertools.islice(file, count + 1)]
     except UnicodeError as error:
         raise _encoding_error(path, mapping, error) from error
+    if not first:
+        raise _empty_error(path)
     lines = [[cell.strip().strip('"').strip() for cell in cells] for cells in first]
     mapped = (column.names for column in mapping.channels.values())
     wanted = set(itertools.chain(*mapped)) or CHANNEL_DIMENSIONS
