@@ -25,11 +25,13 @@ from diffsea.diagnosis.decision import rank_hypotheses
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.refits import (
     Refit,
-    first_guess,
     is_physical,
     make_hypothesis,
     near_the_best,
     refit_without,
+)
+from diffsea.diagnosis.starts import (
+    first_guess,
     start_as_part,
     start_beside,
     start_with_effects_of,

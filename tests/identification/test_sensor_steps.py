@@ -13,8 +13,8 @@ from tests.paths import ORACLE
 from tests.runs import random_steps
 
 from diffsea import EFFECTS
-from diffsea.diagnosis.refits import first_guess
 from diffsea.diagnosis.screening import screen
+from diffsea.diagnosis.starts import first_guess
 from diffsea.identification.fit import estimate
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build

@@ -8,15 +8,19 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from diffsea.budget import on_every_core
 from diffsea.diagnosis.constancy import constancy_test
 from diffsea.diagnosis.decision import EVIDENCE, ShortList
 from diffsea.diagnosis.hypotheses import Hypothesis
 from diffsea.diagnosis.screening import Candidate, Screening, short_list
+from diffsea.diagnosis.starts import (
+    first_guess,
+    start_as_part,
+    start_beside,
+    start_with_effects_of,
+)
 from diffsea.identification.estimates import Estimate, FitOutcome
 from diffsea.identification.fit import (
     Start,
@@ -43,7 +47,6 @@ NEAR_BEST_SHARE = 0.6  # of the best evidence, where that is more
 FULL_REFITS = 4  # at most, and those that the evidence does not tell from the best
 STALLED_SHARE = 0.8  # of the gain that the linear model promises: less is a stalled refit
 SMALL_SHARE = 0.1  # of an effect's first guess, from which a stalled refit begins again
-LARGEST_STEP = 3.0  # prior sizes that a one-step estimate may start a refit at
 
 
 class Refit(NamedTuple):
@@ -219,28 +222,6 @@ def refit_without(
     return min(fits, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
 
 
-def start_as_part(problem: Problem, fitted: Estimate, part: str, whole: str) -> Start:
-    """Where a model with a part of an effect ended, as one with the whole effect says it."""
-    layout, out = problem.layout, np.array(fitted.coordinates, float)
-    own = out[layout.indices((part,))] * np.array(EFFECTS[part].sizes(problem.base))
-    numbers = {k: float(v) for k, v in EFFECTS[part].decode(problem.base, jnp.asarray(own)).items()}
-    out[layout.indices((part,))] = 0.0
-    sizes = np.array(EFFECTS[whole].sizes(problem.base))
-    out[layout.indices((whole,))] = np.array(EFFECTS[whole].encode(problem.base, numbers)) / sizes
-    return Start(out, fitted.noise)
-
-
-def start_with_effects_of(
-    problem: Problem, known: Estimate, other: Estimate, free: tuple[str, ...]
-) -> Start:
-    """Where one fit ended, with what is `free` and it lacked from another, and nothing else."""
-    out = np.array(known.coordinates, float)
-    lacking = problem.layout.indices(tuple(name for name in free if name not in known.free))
-    needless = problem.layout.indices(tuple(name for name in known.free if name not in free))
-    out[needless], out[lacking] = 0.0, other.coordinates[lacking]
-    return Start(out, known.noise)
-
-
 def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothesis:
     """The hypothesis judged on the training data, too, fitted to the held-out ones."""
     other = data.exchanged
@@ -251,40 +232,6 @@ def judge_exchanged(data: Split, current: Estimate, one: Hypothesis) -> Hypothes
     return dataclasses.replace(
         one, exchanged=gain, motion=MotionChange.of(both), held_out_motion=one.motion
     )
-
-
-def start_beside(
-    problem: Problem, current: Estimate, one: Hypothesis
-) -> Float[np.ndarray, "coordinate"]:
-    """Coordinates of a current estimate with one effect more, where its own fit may start.
-
-    As it was refitted, if that was on top of these very effects; else its coordinates alone, for
-    what it was fitted together with may not be in the model any more.
-    """
-    if set(one.estimate.free) == {*current.free, one.effect}:
-        return min(current, one.estimate, key=lambda fitted: fitted.deviance).coordinates
-    out = np.array(current.coordinates, float)
-    place = problem.layout.indices((one.effect,))
-    out[place] = one.estimate.coordinates[place]
-    return out
-
-
-def first_guess(candidate: Candidate) -> Float[np.ndarray, "coordinate"]:
-    """Coordinates of the effect, in every instance, from its one-step estimate.
-
-    At most three prior sizes; those of a secant at its size, positive ones above zero.
-    """
-    point = candidate.point
-    step = np.clip(candidate.score.step, -LARGEST_STEP, LARGEST_STEP)
-    step = step.reshape(-1, len(point.directions))
-    out = np.tile(np.array(point.at, float), (len(step), 1))
-    out[:, list(point.directions)] = step
-    if point.secant:
-        out[:] = point.at
-    for place, one in enumerate(EFFECTS[point.effect].coordinates):
-        if isinstance(one, Size) and one.positive:
-            out[:, place] = np.maximum(out[:, place], 0.1)
-    return out.ravel()
 
 
 def make_hypothesis(

@@ -19,10 +19,9 @@ from diffsea.diagnosis.refits import (
     refit_candidates,
     refit_fully,
     refit_without,
-    start_beside,
-    start_with_effects_of,
 )
 from diffsea.diagnosis.screening import Screening, screen
+from diffsea.diagnosis.starts import start_beside, start_with_effects_of
 from diffsea.identification.estimates import ONE_SIDED_95, Estimate
 from diffsea.identification.fit import Start
 from diffsea.identification.free_predictions import MotionChange, motion_change
