@@ -10,7 +10,7 @@ from tests.fuzz.seeds import KINDS, seed
 
 
 CORPUS = pathlib.Path(__file__).parents[1] / "corpus"
-INPUTS = 20  # of each reader, in two minutes; `make fuzz` tries as many as wished
+INPUTS = 50  # of each reader, in a minute; `make fuzz` tries as many as wished
 WHY = dict(line.split("\t") for line in (CORPUS / "why.tsv").read_text().splitlines())
 
 

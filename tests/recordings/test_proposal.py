@@ -435,3 +435,13 @@ def described(mapping):
         )
         for channel, column in mapping.channels.items()
     }
+
+
+def test_a_number_too_large_to_calculate_with_is_none(tmp_path):
+    t = np.arange(0.0, 40.0, 0.5)
+    psi = np.sin(0.2 * t)
+    x, y = np.cumsum(np.cos(psi)), np.cumsum(np.sin(psi))
+    y[20] = -1e308
+    file = tmp_path / "log.csv"
+    pd.DataFrame({"time": t, "east": y, "north": x, "yaw": psi}).to_csv(file, index=False)
+    assert propose_mapping(file).sure.keys() >= {"x", "y", "psi"}

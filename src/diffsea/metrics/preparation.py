@@ -44,7 +44,8 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
     local parabolas. Positions that were not measured stay NaN.
 
     Raises:
-        UserError: there is neither heading nor yaw rate, or hardly a row.
+        UserError: there is neither heading nor yaw rate, or hardly a row, or a heading has to come
+            from positions too large to calculate with.
     """
     run = _measured_rows(trajectory)
     t, motion = run.t, dict(run.motion)
@@ -66,6 +67,11 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
             else:
                 note("its start is the course: drift is neglected")
             start = np.angle(np.sum(over_ground * np.conj(body * np.exp(1j * turned))))
+            if not np.isfinite(start):
+                raise UserError(
+                    f"{trajectory.name} has positions or velocities too large to calculate with; "
+                    "leave these rows out"
+                )
             motion["psi"] = turned + float(start)
     steps += _smooth_noise(t, motion)
     if not _has_values(motion["r"]):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsea.errors import UserError
 from diffsea.recordings.logs.streams import (
     Stream,
     ends_within_a_message,
@@ -43,7 +44,7 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     north-east-down. Fields that a flag of their message calls invalid are NaN.
 
     Raises:
-        UserError: the file is no ULog, or has no data.
+        UserError: the file is no ULog, or has no data, or a message without its time.
     """
     del mapping
     wanted = {}
@@ -55,6 +56,8 @@ def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream
     streams = {}
     for topic, instance in wanted.items():
         if instance in data:
+            if "timestamp" not in data[instance].data:
+                raise UserError(f"{path}: its message {topic} has no timestamp; it is damaged")
             t = data[instance].data["timestamp"] * 1e-6
             fields, clock = _fields(data[instance]), "the autopilot's time since boot"
             streams[topic] = Stream(topic, t, fields, clock, notes, cut_off=cut_off)

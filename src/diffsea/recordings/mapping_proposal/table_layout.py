@@ -25,6 +25,7 @@ _DELIMITERS = (",", ";", "\t", "|", "whitespace")
 _MISSING = {"", "nan", "na", "n/a", "null", "none"}
 _JUDGED_LINES = 400  # of the body: enough to tell a delimiter, and read at once
 _LONGEST_HEADER = 100  # lines; towing tanks write some dozens
+_LARGEST = 1e100  # of a quantity in any unit; sums of larger squares are no numbers
 _NUMBER = {
     ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"),
     ",": re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?"),
@@ -75,7 +76,8 @@ def sniff_layout(path: Path) -> TableLayout:
 def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
     """Every named column as floats, rows as in the file; cells that are no numbers are NaN.
 
-    Stamps of text are in seconds. Columns without any number are left out.
+    So are those that are too large to calculate with. Stamps of text are in seconds. Columns
+    without any number are left out.
     """
     table = read_table(path, layout.mapping).table
     found = {}
@@ -85,7 +87,7 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
             continue
         stamps = stamp_seconds(column)
         values = np.array(_numbers(column) if stamps is None else stamps, dtype=float)
-        values[np.isinf(values)] = np.nan
+        values[np.abs(values) > _LARGEST] = np.nan
         if np.any(np.isfinite(values)):
             found[name] = values
     return found
