@@ -29,7 +29,7 @@ def _does(kind, file, out):
 def _main(kinds):
     from tests.fuzz import server
 
-    server._run, server.SECONDS, server.INPUTS_OF_A_CHILD = _does, 0.3, 3
+    server._run, server.SECONDS, server.INPUTS_OF_A_CHILD = _does, 3.0, 3
     with tempfile.TemporaryFile() as printed, tempfile.TemporaryDirectory() as folder:
         reader = server.Reader(printed)
         for kind in kinds:
