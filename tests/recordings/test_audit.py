@@ -542,7 +542,10 @@ def test_coarsely_rounded_channels():
     assert finding.channels == ("psi",) and finding.value == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("channel, size", [("x", 4000.0), ("psi", 1.0), ("u", -1.5), ("r", 0.3)])
+@pytest.mark.parametrize(
+    "channel, size",
+    [("x", 4000.0), ("x", 1e30), ("y", -1e12), ("psi", 1.0), ("u", -1.5), ("u", 1e15), ("r", 0.3)],
+)
 def test_wild_values_are_counted(channel, size):
     run = recording("random", 6)
     wild = getattr(run, channel).copy()

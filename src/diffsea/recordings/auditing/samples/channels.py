@@ -254,8 +254,8 @@ def _wild_samples(series: Samples, known: Bool[np.ndarray, "time"]) -> Bool[np.n
     # The mean keeps a coarsely rounded channel, whose median change is zero, from looking calm.
     calm = np.sort(departure[known])[: int(0.97 * np.sum(known))]
     usual = max(robust_scale(calm), 1.5 * np.mean(calm))
-    rounding = np.min(changes[changes > 1e-9 * np.ptp(series)], initial=np.ptp(series))
-    low, high = np.percentile(series[known], [1, 99])
+    low, high = np.percentile(series[known], [1, 99])  # a wild value must not say what is small
+    rounding = np.min(changes[changes > 1e-9 * (high - low)], initial=np.ptp(series))
     floor = max(_WILD * usual, 5 * rounding, 0.02 * float(high - low))
     limit = np.maximum(_WILD * lively, floor)
     wild = known & (departure > limit) & (limit > 0)
