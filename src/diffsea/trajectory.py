@@ -9,6 +9,7 @@ makes the record known to JAX.
 
 import dataclasses
 import enum
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,23 @@ CHANNEL_UNITS = {  # of all native channels but orders and what was executed
     "p": "rad/s",
 }
 
+_CHANNEL_WORDS = {  # longer groups first
+    ("x", "y"): "position",
+    ("u", "v"): "velocity",
+    ("t",): "time",
+    ("x",): "position north",
+    ("y",): "position east",
+    ("psi",): "heading",
+    ("u",): "speed ahead",
+    ("v",): "speed to starboard",
+    ("r",): "yaw rate",
+    ("phi",): "heel",
+    ("p",): "roll rate",
+    ("wind_speed",): "wind speed",
+    ("wind_direction",): "wind direction",
+}
+_ACTUATION_WORDS = {"cmd_": "order", "exec_": "executed"}  # by prefix
+
 
 class Outcome(enum.IntEnum):
     """How a run ended. `sentence` says it in words."""
@@ -53,6 +71,23 @@ _SENTENCES = {
     Outcome.DIVERGED: "the run diverged: speed, yaw rate or position left every plausible range",
     Outcome.APPROACH_UNSTEADY: "the approach never became steady, so nothing was executed",
 }
+
+
+def in_words(channels: Sequence[str]) -> list[str]:
+    """What people call native channels: `position` for x and y, `order port` for cmd_port."""
+    left, words = list(channels), []
+    while left:
+        group = next((g for g in _CHANNEL_WORDS if set(g) <= set(left) and left[0] in g), None)
+        words.append(_CHANNEL_WORDS[group] if group else _actuation_in_words(left[0]))
+        left = [name for name in left if name not in (group or left[:1])]
+    return words
+
+
+def _actuation_in_words(channel: str) -> str:
+    for prefix, word in _ACTUATION_WORDS.items():
+        if channel.startswith(prefix):
+            return f"{word} {channel.removeprefix(prefix).replace('_', ' ')}"
+    return channel.replace("_", " ")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,6 +20,7 @@ from diffsea.report.quantities import (
     significant,
     with_error,
 )
+from diffsea.trajectory import in_words
 from diffsea.vessel.effects import EFFECTS, Effect, catalogue_name
 from diffsea.vessel.effects.actuators import SIDES
 from diffsea.vessel.effects.sensors import MeasuredChannels
@@ -27,12 +28,6 @@ from diffsea.vessel.effects.sensors import MeasuredChannels
 
 Record = dict[str, Any]  # a part of diagnosis.json or fit.json
 
-CHANNEL_WORDS = {
-    ("x", "y"): "position",
-    ("psi",): "heading",
-    ("u", "v"): "velocity",
-    ("r",): "yaw rate",
-}
 # What symbols of effects mean that are no parameters of a vessel file.
 SYMBOLS = {
     "C_X": "wind coefficient ahead",
@@ -114,7 +109,7 @@ def phrase(effect: Record) -> str:
     entry = catalogue_entry(effect)
     parts: dict[str, object] = {k: PhrasedParameter(e) for k, e in effect["parameters"].items()}
     parts["actuators"] = f"the {enumeration(_actuator_words(effect.get('actuators', ())))}"
-    parts["channels"] = CHANNEL_WORDS.get(tuple(sorted(effect.get("channels", ()))), "signal")
+    parts["channels"] = enumeration(in_words(effect.get("channels", ())) or ["signal"])
     try:
         text = entry.phrase.format(**parts) if entry and entry.phrase else ""
     except KeyError:  # a record without a parameter that the phrase names

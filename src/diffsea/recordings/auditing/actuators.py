@@ -8,7 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from diffsea.recordings.auditing.edits import ExecutedToCommanded
-from diffsea.recordings.auditing.finding import Finding, finding_of, in_degrees
+from diffsea.recordings.auditing.finding import (
+    Finding,
+    finding_of,
+    in_degrees,
+    words_and_names,
+)
 from diffsea.series import hold_at, median_interval
 from diffsea.trajectory import Samples, Trajectory
 
@@ -55,7 +60,8 @@ def actuation_findings(trajectory: Trajectory) -> list[Finding]:
                 continue
             largest = float(np.max(np.abs(angles)))
             if largest > np.pi:
-                text = f"{channel} is in degrees, not in radians: it reaches {largest:.3g}"
+                told = words_and_names(channel)
+                text = f"{told} is in degrees, not in radians: it reaches {largest:.3g}"
                 found.append(in_degrees(channel, text))
     accused = {name for finding in found for name in finding.channels}
     counted = trajectory.counted()
@@ -80,7 +86,7 @@ def _executed_against_ordered(
     channels = order, answer = f"cmd_{name}", f"exec_{name}"
     if np.ptp(executed) < _MOTIONLESS * np.ptp(ordered):
         size = float(t[-1] - t[0]), median_interval(t)
-        words = {"level": np.median(executed), "order": order, "travel": np.ptp(ordered)}
+        words = {"level": np.median(executed), "order": (order,), "travel": np.ptp(ordered)}
         fault = "dead-actuator" if np.ptp(executed) > 0 else "constant-actuator"
         return [finding_of(fault, (answer,), *size, words)]
     early = _early_execution(name, t, ordered, executed)
@@ -103,15 +109,16 @@ def _executed_against_ordered(
         if any(abs(np.log(abs(ratio) / value)) < _NEAR_UNIT for value in (known, 1 / known))
     ]
     if ratio > 0 and not units:
-        words = {"order": order, "answer": answer, "standing": _STANDING, "limit": limit}
+        words = {"order": (order,), "answer": (answer,), "standing": _STANDING, "limit": limit}
         by, fault = {"scale": ratio}, "feedback-scale"
         doubt = "an actuator that gives more or less than was ordered looks the same"
         size = ratio, error
         return [*early, finding_of(fault, channels, *size, words, parameters=by, doubt=doubt)]
+    told = [words_and_names(channel) for channel in (answer, order)]
     kind, what = "unit", f"is {ratio:.4g} times (one of them may be in {(*units, '')[0]})"
     if ratio < 0:
         kind, what = "sign", f"has the opposite sign of (ratio {ratio:.4g})"
-    text = f"where orders have stood for {_STANDING:g} s, {answer} {what} {order}{limit}"
+    text = f"where orders have stood for {_STANDING:g} s, {told[0]} {what} {told[1]}{limit}"
     repair = f"sign, unit or scale of {order} or of {answer} in the mapping"
     return [*early, Finding(kind, ratio, error, "1", text, repair, channels, doubt=doubt)]
 
@@ -163,7 +170,7 @@ def _settled_offset(name: str, ordered: _Settled, executed: _Settled) -> list[Fi
     std = float(np.hypot(np.std(off, ddof=1), 1e-3 * np.ptp(executed)) / np.sqrt(off.size))
     if abs(size) < max(_CERTAIN * std, _NOTABLE_OFFSET * np.ptp(ordered)):
         return []
-    words = {"order": order, "answer": answer, "standing": _STANDING, "back": -size}
+    words = {"order": (order,), "answer": (answer,), "standing": _STANDING, "back": -size}
     doubt = "an actuator whose neutral point is off looks the same"
     by, fault = {"offset": size}, "feedback-offset"
     return [finding_of(fault, channels, size, std, words, parameters=by, doubt=doubt)]
@@ -192,7 +199,7 @@ def _early_execution(name: str, t: Samples, ordered: Samples, executed: Samples)
         return []
     channels = order, answer = f"cmd_{name}", f"exec_{name}"
     std = max(0.5 * step, float(np.diff(shifts)[0]))
-    words, by = {"order": order, "answer": answer, "early": -shift}, {"delay": shift}
+    words, by = {"order": (order,), "answer": (answer,), "early": -shift}, {"delay": shift}
     doubt = "either of the two clocks may be off"
     fault = "feedback-early"
     return [finding_of(fault, channels, shift, std, words, parameters=by, doubt=doubt)]
@@ -233,7 +240,7 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
         ordered, channels = run.commanded.get(name), (f"exec_{name}",)
         edit = ExecutedToCommanded(name)
         if name in stale:
-            words = {"channel": channels[0], "order": f"cmd_{name}"}
+            words = {"order": (f"cmd_{name}",)}
             size = stale[name], median_interval(run.t)
             found.append(finding_of("stale-feedback", channels, *size, words, edit))
             continue

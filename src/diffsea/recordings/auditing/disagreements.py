@@ -13,6 +13,7 @@ from diffsea.recordings.auditing.causes import Explanation
 from diffsea.recordings.auditing.edits import Affine, Compass, Lever, OverGround, Shift, Step
 from diffsea.recordings.auditing.finding import CAUSES, Finding, finding_of
 from diffsea.recordings.auditing.kinematics import DELAYS
+from diffsea.trajectory import in_words
 
 
 Channels = tuple[str, ...]
@@ -119,14 +120,14 @@ def _latencies(heading: Explanation | None, velocity: Explanation | None) -> lis
 
 
 def _latency(late: Channels, others: Channels, delay: float, std: float, unsure: str) -> Finding:
-    rest, either, instead, doubt = ", ".join(others), "", "", unsure
+    rest, either, instead, doubt = ", ".join(in_words(others)), "", "", unsure
     # Where most sensors are late, it may be the rest that is stamped too early.
     if len(set(_SENSOR_OF) & set(late)) > len(set(_SENSOR_OF) & set(others)):
-        either = f", or {rest} are stamped that much too early"
-        instead = f" (or delay = {-delay:.3g} for {rest})"
+        either = f", or {rest} stamped that much too early"
+        instead = f" (or delay = {-delay:.3g} for {', '.join(others)})"
         doubt = f"{rest} may be stamped too early instead"
     either += f"; {unsure}" if unsure else ""
-    words = {"rest": rest, "either": either, "instead": instead}
+    words = {"rest": others, "either": either, "instead": instead}
     by, edit = {"delay": delay}, Shift(late, delay)
     return finding_of("sensor-latency", late, delay, std, words, edit, parameters=by, doubt=doubt)
 
@@ -135,7 +136,7 @@ def _clock_drift(late: Channels, others: Channels, rate: str, found: Explanation
     """A clock that falls behind by the parameter `rate`, and by the delay of the same sensor."""
     drift, std, delay = found.theta[rate], found.std[rate], found.theta[rate[:-4] + "delay"]
     by, edit = {"rate": drift, "offset": delay}, Shift(late, delay, drift, found.middle)
-    words = {"rest": ", ".join(others), "milli": 1e3 * drift, "delay": delay}
+    words = {"rest": others, "milli": 1e3 * drift, "delay": delay}
     return finding_of("clock-drift", late, drift, std, words, edit, parameters=by)
 
 
@@ -144,7 +145,7 @@ def _scale(channels: Channels, against: str, found: Explanation) -> Finding:
     ratio = 1.0 / (1.0 + found.theta["gain"])
     std = found.std["gain"] * ratio**2
     by, edit = {"factor": ratio}, Affine(channels, 1 / ratio)
-    words = {"names": " and ".join(channels), "against": against, "factor": 1 / ratio}
+    words = {"against": against, "factor": 1 / ratio}
     return finding_of("scale", channels, ratio, std, words, edit, parameters=by)
 
 

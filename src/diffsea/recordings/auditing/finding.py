@@ -4,9 +4,10 @@ import dataclasses
 import importlib.resources
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from diffsea.recordings.auditing.edits import Affine, Edit, Spans, Swap
+from diffsea.trajectory import in_words
 
 
 # In the order in which they are reported: sensors, labels, clocks and samples, what a channel is.
@@ -83,16 +84,30 @@ def finding_of(
     """The finding of a fault in the words of `findings.toml`, into which `words` are filled.
 
     `value` and `std` are its size and standard error in the unit that is said there; `edits` make
-    the repair. The other arguments are fields of the finding.
+    the repair. The other arguments are fields of the finding. A tuple among `words` names channels:
+    the message calls them by words and names, the repair by their names alone.
     """
     entry = _CATALOGUE[fault]
-    own = {"value": value, "std": std, "channel": channels[0], "channels": ", ".join(channels)}
+    own = {"value": value, "std": std, "channel": channels[:1], "channels": channels}
     filled = {**own, **words}
-    unit, message, repair = (entry[key].format(**filled) for key in ("unit", "message", "repair"))
+    message = entry["message"].format(**_spelled(filled, lambda names: words_and_names(*names)))
+    unit, repair = (entry[key].format(**_spelled(filled, ", ".join)) for key in ("unit", "repair"))
     kind = entry.get("kind", fault)
     return Finding(
         kind, value, std, unit, message, repair, channels, parameters or {}, "", edits, doubt, axis
     )
+
+
+def words_and_names(*channels: str) -> str:
+    """Channels for people who have to find them in a file: `heading (psi)`."""
+    return f"{', '.join(in_words(channels))} ({', '.join(channels)})"
+
+
+def _spelled(
+    words: Mapping[str, object], spelling: Callable[[tuple[str, ...]], str]
+) -> dict[str, object]:
+    """Words with the channels among them spelled out."""
+    return {k: spelling(one) if isinstance(one, tuple) else one for k, one in words.items()}
 
 
 def unreadable(recording: str, error: str) -> Finding:

@@ -23,6 +23,7 @@ from diffsea.recordings.auditing.finding import (
     Finding,
     exchanged_channels,
     in_degrees,
+    words_and_names,
     wrong_sign,
     wrong_unit,
 )
@@ -71,9 +72,9 @@ def _other_axes(message: str, repair: str, channels: tuple[str, ...], *edits: Ed
 # stands for how much of the displacement the labels leave unexplained.
 _POSITIONS = (
     (),
-    (exchanged_channels("x", "y", "x and y are swapped: x is east and y is north"),),
-    (wrong_sign(("y",), "y is positive to the west (to port), not to the east", kind="axes"),),
-    (wrong_sign(("x",), "x is positive to the south"),),
+    (exchanged_channels("x", "y", "the axes of the position are swapped: x is east and y north"),),
+    (wrong_sign(("y",), "position east (y) is positive to the west (to port)", kind="axes"),),
+    (wrong_sign(("x",), "position north (x) is positive to the south"),),
 )
 _ANTICLOCKWISE_FROM_EAST = _other_axes(
     "heading is counted counter-clockwise from east (ENU)",
@@ -89,13 +90,13 @@ _HEADINGS = (
 )
 _BODY_VELOCITIES = (
     (),
-    (wrong_sign(("v",), "v is positive to port, not to starboard", kind="axes"),),
-    (wrong_sign(("u",), "u is positive astern"),),
-    (wrong_sign(("u", "v"), "u and v have the wrong sign"),),
-    (exchanged_channels("u", "v", "u and v are swapped"),),
+    (wrong_sign(("v",), "speed to starboard (v) is positive to port", kind="axes"),),
+    (wrong_sign(("u",), "speed ahead (u) is positive astern"),),
+    (wrong_sign(("u", "v"), "velocity (u, v) has the wrong sign"),),
+    (exchanged_channels("u", "v", "speed ahead and speed to starboard (u, v) are swapped"),),
 )
 _IN_EARTH_AXES = (
-    "u and v are velocities {} (earth axes), not along the ship and to starboard",
+    "velocity (u, v) is that {} (earth axes), not along the ship and to starboard",
     'velocity_axes = "earth" under [file] of the mapping',
 )
 _EARTH_VELOCITIES = tuple(
@@ -331,7 +332,7 @@ def _speed_unit(
     # Velocities are what is rescaled either way: only the comparison matters from here on.
     motion = motion.with_channels(u=near * motion.values["u"], v=near * motion.values["v"])
     text = (
-        f"{' and '.join(channels)} are in {name}: displacement is {scale:.4g} times the "
+        f"{words_and_names(*channels)} is in {name}: displacement is {scale:.4g} times the "
         "integrated velocity"
     )
     return motion, [wrong_unit(channels, unit, gain, text, scale, error)]
@@ -363,8 +364,8 @@ def _yaw_rate_labels(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Findi
     if near is not None:
         channels, name, unit, gain = _RATE_UNITS[near]
         text = (
-            f"{channels[0]} is in {name}: heading changes {ratio:.4g} times as fast as the yaw "
-            "rate says"
+            f"{words_and_names(*channels)} is in {name}: heading changes {ratio:.4g} times as fast "
+            "as the yaw rate says"
         )
         found.append(wrong_unit(channels, unit, gain, text, ratio, error))
         motion = motion.with_channels(r=near * motion.values["r"])
@@ -390,5 +391,5 @@ def _clock_unit(
     scaled = [("r",)] * by_yaw + [("u", "v")] * any(f.channels == ("x", "y") for f in late)
     values = {name: 1e3 * motion.values[name] for names in scaled for name in names}
     channels, name, unit, gain = _RATE_UNITS[_MILLI]
-    fault = wrong_unit(channels, unit, gain, f"t is in {name}", _MILLI, late[0].std)
+    fault = wrong_unit(channels, unit, gain, f"time (t) is in {name}", _MILLI, late[0].std)
     return rescaled.with_channels(**values), [f for f in found if f not in late] + [fault]

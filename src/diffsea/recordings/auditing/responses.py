@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from diffsea.recordings.auditing.edits import Affine, Swap
-from diffsea.recordings.auditing.finding import Finding, finding_of, wrong_sign
+from diffsea.recordings.auditing.finding import Finding, finding_of, words_and_names, wrong_sign
 from diffsea.recordings.auditing.thrust_axes import thrust_axes_findings
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Samples, Trajectory
@@ -198,14 +198,16 @@ def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[
         elif _has(name, ("bow",)) or (stern and _has(name, ("tunnel", "thruster"))):
             response = _response_of_one(motion, "r", values)
             if response.sound and response.gains[0] * (-1 if stern else 1) <= 0:
-                text = _TURNS.format(channel=name, side="starboard" if stern else "port")
+                text = _TURNS.format(
+                    channel=words_and_names(name), side="starboard" if stern else "port"
+                )
                 found.append(_reversed_actuator(name, response, "yaw", text))
         elif _has(name, _PROPELLERS):
             if np.ptp(values) < _NOTABLE_SHARE * np.max(np.abs(values)):
                 continue
             response = _response_of_one(motion, "u", values)
             if response.sound and response.gains[0] <= 0:
-                text = _SLOWS.format(channel=name)
+                text = _SLOWS.format(channel=words_and_names(name))
                 found.append(_reversed_actuator(name, response, "surge", text))
     if len(port) == len(starboard) == 1:
         names = (port[0], starboard[0])
@@ -251,7 +253,11 @@ def _rudder(motion: MeasuredMotion, channel: str, angle: Samples, alone: bool) -
         return []
     response = response_to(motion, "r", angle[None])
     if response.sound and response.gains[0] < 0:
-        text = _TURNS.format(channel=channel, side="port") + _share_text(response) + _MIRRORED
+        text = (
+            _TURNS.format(channel=words_and_names(channel), side="port")
+            + _share_text(response)
+            + _MIRRORED
+        )
         return [_reversed_actuator(channel, response, "yaw", text)]
     if response.sound:
         return []
@@ -279,13 +285,14 @@ def _thruster_pair(
     found = []
     if surge.sound and surge.gains[0] < 0:
         found = [
-            _reversed_actuator(name, surge, "surge", _SLOWS.format(channel=name)) for name in names
+            _reversed_actuator(name, surge, "surge", _SLOWS.format(channel=words_and_names(name)))
+            for name in names
         ]
     # Thrusters that are both reversed turn the vessel the wrong way as well.
     if yaw.sound and (yaw.gains[0] >= 0 if found else yaw.gains[0] < 0):
         gain = float(yaw.gains[0])
         size = gain, abs(gain) / yaw.certainty
-        words = {"port": names[0], "starboard": names[1], "unit": _UNITS["yaw"]}
+        words = {"port": names[:1], "starboard": names[1:], "unit": _UNITS["yaw"]}
         words |= {"share": _share_text(yaw), "mirrored": _MIRRORED}
         fault = "swapped-actuators"
         found.append(finding_of(fault, names, *size, words, Swap(*names), axis="yaw"))
@@ -309,7 +316,7 @@ def _one_reversed_thruster(
     sound = turn.sound and surge.sound and turn.explained >= yaw.explained + 0.2
     if not sound or wrong is None:
         return []
-    text = _PUSHES_ASTERN.format(channel=names[wrong])
+    text = _PUSHES_ASTERN.format(channel=words_and_names(names[wrong]))
     return [_reversed_actuator(names[wrong], surge, "surge", text)]
 
 
@@ -332,7 +339,7 @@ def zigzag_findings(motion: MeasuredMotion, channel: str, angle: Samples) -> lis
         return []
     size = float(np.mean(reached))
     text = (
-        f"the {at.size} reversals of {channel} are those of a zig-zag of "
+        f"the {at.size} reversals of {words_and_names(channel)} are those of a zig-zag of "
         f"{np.degrees(size):.3g} deg, but go with the heading, not against it{_MIRRORED}"
     )
     return [wrong_sign((channel,), text, size, error, "rad")]
@@ -380,5 +387,5 @@ def _dead_thruster(
     error = float(response.errors[weak] / abs(response.gains[strong]))
     if abs(share) > 3 * error or abs(share) + 3 * error > _DEAD_THRUSTER:
         return []
-    words = {"partner": names[strong]}
+    words = {"partner": (names[strong],)}
     return [finding_of("dead-thruster", (names[weak],), share, error, words)]

@@ -25,6 +25,7 @@ from diffsea.report.plots import (
 )
 from diffsea.report.quantities import for_people, round_to_error, significant
 from diffsea.report.words import Record, capital, enumeration
+from diffsea.trajectory import in_words
 
 
 DRAWN_ROWS = 1500  # of a run: more cannot be told apart
@@ -38,16 +39,6 @@ COLOURS = {  # of trials, told apart with any kind of colour vision
     "zigzag": NOMINAL,
     "coasting": "#cc79a7",
     "straight": "#56b4e9",
-}
-# Of channels in the picture of quality; others stand there by their name.
-CHANNELS = {
-    "x": "north",
-    "y": "east",
-    "psi": "heading",
-    "u": "speed ahead",
-    "v": "speed to starboard",
-    "r": "turning rate",
-    "phi": "heel",
 }
 SOUND, DOUBTFUL, IDLE = DIAGNOSED, NOMINAL, "rgba(138,150,163,0.35)"
 _QUALITY_KEY = {"known": SOUND, "a finding concerns it": DOUBTFUL, "idle, left out": IDLE}
@@ -195,7 +186,7 @@ def quality_plot(one: LogCheck) -> Plot | None:
         colour = DOUBTFUL if name in doubtful else SOUND
         line = go.Scatter(x=x, y=[row] * len(x), mode="lines", showlegend=False)
         line.update(line={"width": 10, "color": colour})
-        line.update(hovertemplate=f"{_channel_words(name)}: %{{x:.1f}} s<extra></extra>")
+        line.update(hovertemplate=f"{in_words([name])[0]}: %{{x:.1f}} s<extra></extra>")
         traces.append(line)
         last = max((end for _, end in one.channels[name].spans), default=0.0)
         concerning = [
@@ -204,7 +195,7 @@ def quality_plot(one: LogCheck) -> Plot | None:
         traces += [_fault_marks(finding, name, row, last) for finding in concerning]
     axis = {
         "tickvals": list(range(len(names))),
-        "ticktext": [_channel_words(name) for name in names],
+        "ticktext": [in_words([name])[0] for name in names],
         "range": [-0.6, len(names) - 0.4],
     }
     drawn = figure(*traces, xaxis={"title": {"text": "time (s)"}}, yaxis=axis)
@@ -225,14 +216,8 @@ def _fault_marks(finding: Finding, name: str, row: int, last: float) -> go.Scatt
     drawn = go.Scatter(x=x, y=[row] * len(x), mode="lines+markers", showlegend=False)
     drawn.update(line={"width": 10, "color": DOUBTFUL})
     drawn.update(marker={"symbol": "line-ns", "size": 12, "line": {"width": 2, "color": DOUBTFUL}})
-    told = f"{_channel_words(name)}: {finding.kind}, %{{x:.1f}} s<extra></extra>"
+    told = f"{in_words([name])[0]}: {finding.kind}, %{{x:.1f}} s<extra></extra>"
     return drawn.update(hovertemplate=told)
-
-
-def _channel_words(name: str) -> str:
-    """A channel in the picture of quality: `heading`, `order port`, `done rudder`."""
-    words = name.replace("cmd_", "order ", 1).replace("exec_", "done ", 1)
-    return CHANNELS.get(name, words).replace("_", " ")
 
 
 def _shade(drawn: go.Figure, span: tuple[float, float], fill: str, opacity: float = 1.0) -> None:
@@ -246,7 +231,7 @@ def _fault_table(audit: Sequence[Finding]) -> Table:
     rows = []
     for finding in audit:
         size = round_to_error(finding.value, finding.std, finding.unit)
-        what = [finding.kind, ", ".join(map(_channel_words, finding.channels))]
+        what = [finding.kind, ", ".join(in_words(finding.channels))]
         rows.append([what, size if math.isfinite(finding.value) else "", finding.message])
     return Table(["finding", "size", "what it is"], rows, "Faults that the log shows by itself")
 

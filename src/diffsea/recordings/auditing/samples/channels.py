@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Inexact
 
 from diffsea.recordings.auditing.edits import Blank, Edit, MergeRows, UniformClock
-from diffsea.recordings.auditing.finding import Finding, finding_of
+from diffsea.recordings.auditing.finding import Finding, finding_of, words_and_names
 from diffsea.recordings.motion import MeasuredMotion
 from diffsea.series import integrate, median_interval, stretches
 from diffsea.statistics import robust_scale
@@ -172,10 +172,12 @@ def _channel_gaps(run: Trajectory, usual: float) -> list[Finding]:
     if longest:
         channel = max(longest, key=lambda name: longest[name][0])
         seconds, start = longest[channel]
-        channels, at = tuple(longest), {"longest": channel, "start": start}
+        channels, at = tuple(longest), {"longest": (channel,), "start": start}
         found.append(finding_of("channel-gap", channels, seconds, usual, at))
     if lost:
-        counts = ", ".join(f"{count} of {channel}" for channel, count in lost.items())
+        counts = ", ".join(
+            f"{count} of {words_and_names(channel)}" for channel, count in lost.items()
+        )
         size = usual * max(lost.values())
         found.append(finding_of("lost-samples", tuple(lost), size, usual, {"counts": counts}))
     return found
