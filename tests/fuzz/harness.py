@@ -31,12 +31,13 @@ class Harness:
         assert self._process.stdout is not None
         return self._process.stdout.readline()
 
-    def ended(self, kind, content, suffix=None):
-        """How reading these bytes as a file of a kind ended."""
+    def ended(self, kind, content, suffix=None, command="metrics"):
+        """How a command that reads these bytes as a file of a kind ended."""
         self.tried += 1
         file = self.folder / f"input{suffix or SUFFIXES[kind]}"
         file.write_bytes(content)
-        asked = {"kind": kind, "file": str(file), "out": str(self.folder / "out")}
+        asked = {"kind": kind, "command": command, "file": str(file)}
+        asked["out"] = str(self.folder / "out")
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()

@@ -1,6 +1,7 @@
 """The longer run of `make fuzz`: hostile inputs to every reader, counted in results.json.
 
     python -m tests.fuzz.run --inputs 100000 --only csv mat
+    python -m tests.fuzz.run --inputs 1000 --command audit
 
 Inputs come in blocks, each drawn by a seed of its own. A run that was stopped goes on after the
 last whole block of each reader; `--anew` begins again. What breaks is kept in a folder, to be made
@@ -21,13 +22,14 @@ from hypothesis import seed as with_seed
 from tests.fuzz.changes import hostile
 from tests.fuzz.harness import Harness, breach
 from tests.fuzz.seeds import KINDS, SUFFIXES
+from tests.fuzz.server import COMMANDS, DOCUMENTS
 
 
 BLOCK = 500  # inputs drawn by one seed
 RESULTS = pathlib.Path(__file__).with_name("results.json")
 
 
-def tried(kind, inputs, seed, harness, kept):
+def tried(kind, inputs, seed, harness, kept, command="metrics"):
     """Inputs tried and breaches found, by what is wrong; those that break are kept in a folder."""
     found, statuses = collections.Counter(), collections.Counter()
 
@@ -41,7 +43,7 @@ def tried(kind, inputs, seed, harness, kept):
     )
     @given(hostile(kind))
     def try_one(content):
-        ended = harness.ended(kind, content)
+        ended = harness.ended(kind, content, command=command)
         wrong = breach(ended)
         statuses["read" if ended["status"] == 0 else "refused"] += 1
         if wrong:
@@ -68,28 +70,32 @@ def with_block(results, kind, counts):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--inputs", type=int, default=1000, help="of each reader, in all runs")
-    parser.add_argument("--only", nargs="*", default=KINDS)
+    parser.add_argument("--only", nargs="*")
+    parser.add_argument("--command", choices=COMMANDS, default="metrics", help="that reads them")
     parser.add_argument("--anew", action="store_true", help="forget what was counted")
     parser.add_argument("--kept", type=pathlib.Path, default=pathlib.Path("out/fuzz"))
     parser.add_argument("--results", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
+    kinds = [one for one in args.only or KINDS if args.command == "metrics" or one not in DOCUMENTS]
+    named = lambda kind: kind if args.command == "metrics" else f"{args.command} {kind}"
     args.kept.mkdir(parents=True, exist_ok=True)
     results = json.loads(args.results.read_text()) if args.results.exists() else {}
     if args.anew:
-        results = {kind: own for kind, own in results.items() if kind not in args.only}
-    of = lambda kind, key: results.get(kind, {}).get(key, 0)
+        results = {kind: own for kind, own in results.items() if kind not in map(named, kinds)}
+    of = lambda kind, key: results.get(named(kind), {}).get(key, 0)
     with tempfile.TemporaryDirectory() as folder:
         harness = Harness(folder)
         # The reader with the fewest comes next, so that a run that is stopped has tried all alike.
-        while left := [kind for kind in args.only if of(kind, "inputs") < args.inputs]:
+        while left := [kind for kind in kinds if of(kind, "inputs") < args.inputs]:
             kind = min(left, key=lambda kind: of(kind, "inputs"))
             inputs = min(BLOCK, args.inputs - of(kind, "inputs"))
             began = time.monotonic()
-            counts = tried(kind, inputs, of(kind, "blocks") + 1, harness, args.kept)
-            results = with_block(results, kind, counts)
+            seed = of(kind, "blocks") + 1
+            counts = tried(kind, inputs, seed, harness, args.kept, args.command)
+            results = with_block(results, named(kind), counts)
             args.results.write_text(json.dumps(results, indent=1) + "\n")
             took = 1e3 * (time.monotonic() - began) / max(counts["inputs"], 1)
-            print(kind, results[kind], f"{took:.0f} ms an input", flush=True)
+            print(named(kind), results[named(kind)], f"{took:.0f} ms an input", flush=True)
         harness.close()
 
 

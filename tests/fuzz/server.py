@@ -3,9 +3,9 @@
 A child reads some inputs, one after the other, because a fork takes as long as a refusal; the one
 that ends it, or leaves it large, is its last.
 
-Reads lines of JSON from standard input: `kind`, `file` and a folder `out`. Answers each by a line:
-`status` (of the exit; negative for a signal), `said` (all that the child printed), `megabytes`
-(largest resident memory) and `left` (what it wrote although it failed).
+Reads lines of JSON from standard input: `kind`, `command`, `file` and a folder `out`. Answers
+each by a line: `status` (of the exit; negative for a signal), `said` (all that the child printed),
+`megabytes` (largest resident memory) and `left` (what it wrote although it failed).
 """
 
 import importlib
@@ -46,16 +46,17 @@ LOADED = (
     "scipy.io",
 )
 BOAT = []  # vessel and priors
+COMMANDS = ("metrics", "audit", "check")  # that read recordings
 # Read without a command.
 DOCUMENTS = ("vessel", "priors", "sheet", "fit", "mission", "battery", "manifest")
 SIZE = "200MB"  # to which files may expand here
 
 
-def _command(kind, file, out):
-    """Words of the command that reads a file of a kind."""
-    words = ["metrics", str(file), "-o", str(out), "--max-size", SIZE]
+def _command(kind, name, file, out):
+    """Words of the command of a name that reads a file of a kind."""
+    words = [name, str(file), "-o", str(out), "--max-size", SIZE]
     if kind == "mapping":
-        return ["metrics", str(SUPPORT["good.csv"]), "-o", str(out), "--mapping", str(file)]
+        return [name, str(SUPPORT["good.csv"]), "-o", str(out), "--mapping", str(file)]
     if kind == "mat":
         return [*words, "--mapping", str(SUPPORT["mat.toml"])]
     return words
@@ -111,26 +112,26 @@ def _read_document(kind, file):
 
 
 def _warm(folder):
-    """A command on a valid file, which imports what commands import while they run."""
+    """Each command on a valid file, which imports what commands import while they run."""
     said = [os.dup(number) for number in (1, 2)]
     with open(os.devnull, "wb") as nowhere:
         for number in (1, 2):
             os.dup2(nowhere.fileno(), number)
-        status = _run("csv", SUPPORT["good.csv"], folder / "warm")
+        statuses = [_run("csv", one, SUPPORT["good.csv"], folder / one) for one in COMMANDS]
     for number, own in zip((1, 2), said, strict=True):
         os.dup2(own, number)
         os.close(own)
-    assert status == 0, status
+    assert not any(statuses), statuses
 
 
-def _run(kind, file, out):
-    """The status with which reading a file ends, as the command line has it."""
+def _run(kind, command, file, out):
+    """The status with which a command that reads a file ends, as the command line has it."""
     from diffsea import cli
     from diffsea.errors import UserError
     from diffsea.outside.printable import printable
 
     if kind not in DOCUMENTS:
-        return cli.main(_command(kind, file, out))
+        return cli.main(_command(kind, command, file, out))
     try:
         _read_document(kind, file)
     except UserError as error:
@@ -150,14 +151,14 @@ class Reader:
         self._printed = printed  # file that takes what children print
         self._child = 0
 
-    def judge(self, kind, file, out):
+    def judge(self, kind, command, file, out):
         """Have an input read, wait, and say how it ended."""
         if not self._child:
             self._fork()
         self._printed.seek(0)
         self._printed.truncate()
         began = time.monotonic()
-        self._asked.write(json.dumps([kind, str(file), str(out)]) + "\n")
+        self._asked.write(json.dumps([kind, command, str(file), str(out)]) + "\n")
         self._asked.flush()
         answer = self._answers.readline()
         if answer:
@@ -219,10 +220,10 @@ def _serve(asked, answers, printed):
     warnings.simplefilter("ignore")
     own = pathlib.Path("/proc/self")
     for line in asked:
-        kind, file, out = json.loads(line)
+        kind, command, file, out = json.loads(line)
         (own / "clear_refs").write_text("5")  # the largest memory counts anew
         signal.setitimer(signal.ITIMER_REAL, SECONDS)
-        status = _run(kind, pathlib.Path(file), pathlib.Path(out))
+        status = _run(kind, command, pathlib.Path(file), pathlib.Path(out))
         signal.setitimer(signal.ITIMER_REAL, 0)
         sys.stdout.flush()
         sys.stderr.flush()
@@ -246,7 +247,8 @@ def main():
         for line in sys.stdin:
             asked = json.loads(line)
             file, out = pathlib.Path(asked["file"]), pathlib.Path(asked["out"])
-            print(json.dumps(reader.judge(asked["kind"], file, out)), flush=True)
+            answer = reader.judge(asked["kind"], asked["command"], file, out)
+            print(json.dumps(answer), flush=True)
         reader.close()
     shutil.rmtree(folder)
 

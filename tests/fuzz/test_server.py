@@ -9,7 +9,7 @@ import sys
 import tempfile
 
 
-def _does(kind, file, out):
+def _does(kind, command, file, out):
     if kind == "ends":
         os.kill(os.getpid(), signal.SIGSEGV)
     elif kind == "hangs":
@@ -33,7 +33,9 @@ def _main(kinds):
     with tempfile.TemporaryFile() as printed, tempfile.TemporaryDirectory() as folder:
         reader = server.Reader(printed)
         for kind in kinds:
-            found = reader.judge(kind, pathlib.Path(folder), pathlib.Path(folder) / "out")
+            found = reader.judge(
+                kind, "metrics", pathlib.Path(folder), pathlib.Path(folder) / "out"
+            )
             print(json.dumps(found))
         reader.close()
 

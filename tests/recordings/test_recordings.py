@@ -495,3 +495,22 @@ def test_resampling_refuses_senseless_intervals():
         resample(some_run(), 0.0)
     with pytest.raises(UserError, match="too short for an interval of 10 s"):
         resample(some_run(), 10.0)
+
+
+def test_numbers_that_no_quantity_has_are_missing_samples(tmp_path):
+    path = tmp_path / "sentinels.csv"
+    path.write_text("t,x,u,cmd_rudder\n0,0,1,0\n1,1e308,1,-1.7e308\n2,2,1e99,1\n3,3,1,1\n")
+    run = read_recording(path)
+    assert np.flatnonzero(np.isnan(run.x)).tolist() == [1] and run.u[2] == 1e99
+    assert run.commanded["rudder"].tolist() == [0, 0, 1, 1]
+    assert "x: 1 values beyond 1e+100 are missing samples" in run.provenance
+
+
+def test_names_of_columns_are_cut_in_messages(tmp_path):
+    path = tmp_path / "wide.csv"
+    names = ["a" * 5000, *(f"c{k}" for k in range(99))]
+    path.write_text(",".join(names) + "\n" + ",".join("0" for _ in names) + "\n")
+    with pytest.raises(UserError) as raised:
+        read_recording(path)
+    told = str(raised.value)
+    assert f"it has {'a' * 40}..., c0, " in told and " and 60 more" in told and len(told) < 600

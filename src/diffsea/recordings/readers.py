@@ -7,6 +7,7 @@ file's labels are right; whether they are is for the audit to find out.
 import dataclasses
 import hashlib
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from diffsea.recordings.mappings import (
     with_channels,
 )
 from diffsea.recordings.tables import (
+    LARGEST_QUANTITY,
     PARQUET_SUFFIXES,
     clock_column,
     numeric_column,
@@ -44,6 +46,8 @@ from diffsea.trajectory import MOTION_CHANNELS, ReadReport, RowsLeftOut, Samples
 
 
 _EPOCH = 1e8  # s: a clock that has run for three years counts from an epoch
+_LONGEST_NAME = 40  # letters, of a column in a message
+_MOST_NAMES = 40  # of columns in a message
 _FRAME = "<DataFrame>"  # the place that messages name for a table in memory
 
 
@@ -68,6 +72,8 @@ def read_recording(
     become NaN, and a command holds through empty cells. Rows without any value are dropped, and
     rows of one time stamp become one, of the last value of each channel: an order that changes at
     an instant counts from that instant on. The provenance says how many, and so does `read`.
+
+    Numbers beyond 1e100 are missing samples.
 
     Raises `UserError` naming file, line and column for anything that cannot be read as a
     recording: no time, no motion, cells that are no numbers, time that runs backwards.
@@ -184,12 +190,19 @@ def _from_table(
     return _with_mapped_repairs(_assemble(values, place, first_line, notes, name), mapping)
 
 
+def _listed(names: Iterable[object]) -> str:
+    """Names of columns for a message, long ones and long lists of them cut."""
+    short = [f"{n[:_LONGEST_NAME]}..." if len(n) > _LONGEST_NAME else n for n in map(str, names)]
+    more = len(short) - _MOST_NAMES
+    return ", ".join(short[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
 def _channel_columns(table: pd.DataFrame, mapping: Mapping | None, place: str) -> dict[str, Column]:
     """Which column every channel comes from, checked against what the table has.
 
     Raises `UserError` where there is no time, no motion, or a column that is mapped is missing.
     """
-    present = ", ".join(str(name) for name in table.columns)
+    present = _listed(table.columns)
     if mapping is None:
         channels = {name: Column(name) for name in table.columns if is_channel(name)}
         if "t" not in channels:
@@ -234,6 +247,7 @@ def _assemble(
     that are missing or run backwards, and where less than two rows or no motion are left.
     """
     time = values.pop("t")
+    values = _without_the_absurd(values, notes)
     lines = np.arange(time.size) + first_line
     # Rows that hold nothing but a counted time stamp are padding too, but a file's own time
     # stamp is a statement that a sample is missing, so such a row stays.
@@ -295,6 +309,18 @@ def _check_clock(time: Samples, lines: Int[np.ndarray, "time"], place: str) -> N
             f"{place}, line {lines[at + 1]}: time runs backwards, from {time[at]:.10g} s to "
             f"{time[at + 1]:.10g} s; sort the rows, or split the file if two runs were joined"
         )
+
+
+def _without_the_absurd(values: dict[str, Samples], notes: list[str]) -> dict[str, Samples]:
+    """Channels without numbers that no quantity has: programs write them where nothing is known."""
+    kept = {}
+    for channel, series in values.items():
+        absurd = np.abs(series) > LARGEST_QUANTITY
+        if np.any(absurd):
+            count = f"{np.sum(absurd)} values beyond {LARGEST_QUANTITY:g}"
+            notes.append(f"{channel}: {count} are missing samples")
+        kept[channel] = np.where(absurd, np.nan, series)
+    return kept
 
 
 def _held_actuation(

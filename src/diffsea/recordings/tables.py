@@ -19,6 +19,7 @@ from diffsea.trajectory import Samples
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
 MOST_COLUMNS = 20_000
+LARGEST_QUANTITY = 1e100  # in any unit; sums of larger squares are no numbers
 # pandas 2 ends the process on it: its parser of numbers counts the exponent in 32 bits.
 _LONG_EXPONENT = re.compile(rb"[0-9.][eE][+-]?[0-9]{9,}")
 _LAST_LINES = 1 << 20  # bytes that hold them

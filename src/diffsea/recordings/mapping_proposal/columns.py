@@ -155,7 +155,7 @@ def columns_over_time(
     Columns of latitude and longitude (deg), named by `place`, become metres north and east of
     the `origin` (deg). Without a time column, rows are counted.
     """
-    first = next(iter(columns.values()))
+    first = next(iter(columns.values()), np.empty(0))  # none in a table without a number
     t = np.arange(first.size, dtype=float) if clock.column is None else columns[clock.column]
     ahead = np.isfinite(t)
     ahead &= strictly_later(np.where(ahead, t, -np.inf))

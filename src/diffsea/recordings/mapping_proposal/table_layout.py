@@ -17,7 +17,13 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.recordings.mapping_proposal.names import UNIT_WORDS, unit_in
 from diffsea.recordings.mappings import Column, Mapping
-from diffsea.recordings.tables import PARQUET_SUFFIXES, read_table, stamp_seconds, to_numbers
+from diffsea.recordings.tables import (
+    LARGEST_QUANTITY,
+    PARQUET_SUFFIXES,
+    read_table,
+    stamp_seconds,
+    to_numbers,
+)
 from diffsea.trajectory import Samples
 
 
@@ -25,7 +31,6 @@ _DELIMITERS = (",", ";", "\t", "|", "whitespace")
 _MISSING = {"", "nan", "na", "n/a", "null", "none"}
 _JUDGED_LINES = 400  # of the body: enough to tell a delimiter, and read at once
 _LONGEST_HEADER = 100  # lines; towing tanks write some dozens
-_LARGEST = 1e100  # of a quantity in any unit; sums of larger squares are no numbers
 _NUMBER = {
     ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"),
     ",": re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?"),
@@ -87,7 +92,7 @@ def numeric_columns(path: Path, layout: TableLayout) -> dict[str, Samples]:
             continue
         stamps = stamp_seconds(column)
         values = np.array(_numbers(column) if stamps is None else stamps, dtype=float)
-        values[np.abs(values) > _LARGEST] = np.nan
+        values[np.abs(values) > LARGEST_QUANTITY] = np.nan
         if np.any(np.isfinite(values)):
             found[name] = values
     return found
