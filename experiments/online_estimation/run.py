@@ -34,6 +34,7 @@ from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "X_uu", "Y_v", "N_r", "N_rr")
+RESULTS = Path(__file__).with_name("results.json")
 SECONDS, RATE, SEEDS = 240.0, 5.0, range(1, 11)
 DRIFT = 1e-3  # per sqrt(s): 3 % of the prior's spread in the length of a run
 FAULT = (100.0, 130.0)  # s
@@ -154,26 +155,40 @@ def main() -> None:
 
 
 def write(figures: dict[str, list]) -> None:
-    """Print the summary and write every figure."""
-    out = Path("out") / "online_estimation"
-    out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(figures, indent=1, default=lambda x: np.asarray(x).tolist())
-    (out / "results.json").write_text(text + "\n", encoding="utf-8")
+    """Print the summary and write it with every figure beside the README."""
+    told = {"summary": summary(figures), **figures}
+    text = json.dumps(told, indent=1, default=lambda x: np.asarray(x).tolist())
+    RESULTS.write_text(text + "\n", encoding="utf-8")
+    print(json.dumps(told["summary"], indent=1))
+
+
+def summary(figures: dict[str, list]) -> dict:
+    """What the README tells: ranges and medians over the craft."""
 
     def column(study: str, key: str) -> np.ndarray:
         return np.array([row[key] for row in figures[study]], float)
 
-    for kind in ("off_ekf", "off_rls"):
-        off = column("clean", kind)
-        print(f"{kind}: rms {np.sqrt(np.mean(off**2)):.2f}, largest {np.abs(off).max():.2f} std")
-    print(f"nis per degree of freedom: {column('clean', 'nis').round(3)}")
-    print(f"N_r error at the end: {column('clean', 'yaw_error').round(3)}")
-    print(f"blocked on clean runs: {column('clean', 'blocked').round(3)}")
-    for key in ("found", "closed", "N_r", "Y_v"):
-        print(f"drag change, {key}: {column('changed', key).round(2)}")
-    for key in ("found", "filter_alone", "with_gate", "without_fault", "nominal"):
-        print(f"frozen heading, {key}: {column('fault', key).round(2)}")
-    print(f"reason given: {figures['fault'][0]['reason']}")
+    def over_craft(study: str, *keys: str) -> dict:
+        named = {key: column(study, key) for key in keys}
+        return {
+            key: {"least": x.min(), "median": np.median(x), "largest": x.max()}
+            for key, x in named.items()
+        }
+
+    convergence = {
+        kind: {"rms": np.sqrt(np.mean(off**2)), "largest": np.abs(off).max()}
+        for kind in ("off_ekf", "off_rls")
+        for off in (column("clean", kind),)
+    }
+    told = convergence | {
+        "clean": over_craft("clean", "nis", "yaw_error", "blocked"),
+        "changed": over_craft("changed", "found", "closed", "N_r", "Y_v"),
+        "fault": over_craft(
+            "fault", "found", "filter_alone", "with_gate", "without_fault", "nominal"
+        ),
+        "reason": figures["fault"][0]["reason"],
+    }
+    return json.loads(json.dumps(told, default=float))
 
 
 def draw(shown: dict[str, tuple], true: dict, document: dict) -> None:

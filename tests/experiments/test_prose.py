@@ -22,6 +22,7 @@ OF_NO_RESULT = {
     "estimate_check": set(),
     "metamodels": {"1983"},
     "null_calibration": set(),
+    "online_estimation": {"240"},
     "overshoot_sensitivity": set(),
     "pytheas": {"102", "229.8", "475", "1801"},
     "unberthing": set(),

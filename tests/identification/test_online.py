@@ -396,7 +396,7 @@ def test_each_question_has_its_own_reason(limits):
     sound = verdict()
     assert float(sound.value) > 0.75 and not trust.reasons(limits, sound)
     cases = (
-        (verdict(offset=np.array([0, 0, 0, 0, 0, 0.8])), "innovation of r is biased"),
+        (verdict(offset=np.array([0, 0, 0, 0, 0, 0.8])), "innovation of yaw rate is biased"),
         (verdict(scale=1.6), "scatters too much"),
         (verdict(variance=0.24), "manoeuvre more"),
         (verdict(variance=0.6), "known less than beforehand"),

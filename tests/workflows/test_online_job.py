@@ -127,7 +127,7 @@ def test_a_compass_that_stands_still_closes_the_gate_and_nothing_is_passed(recor
     found = diffsea.online(ORACLE / "usv.toml", frozen, free=HULL, noise=noise)
     closed = [span for span in found.closed if FAULT[0] <= span.start < FAULT[0] + 10]
     assert len(closed) == 1 and closed[0].end > FAULT[1]
-    assert "innovation of psi" in closed[0].reasons[0]
+    assert "innovation of heading" in closed[0].reasons[0]
     shut = (found.run.t >= closed[0].start) & (found.run.t < closed[0].end)
     assert all(np.ptp(found.run.handed[name][shut]) == 0 for name in HULL)
     assert str(closed[0]) in repr(found)

@@ -29,6 +29,7 @@ from jaxtyping import Array, Bool, Float
 from diffsea.identification.online.estimator import Innovation, decode_parameters, prior_std
 from diffsea.parameters import Parameter, replace
 from diffsea.scales import positive_inertia, time_scale
+from diffsea.trajectory import in_words
 from diffsea.types import Environment, Scalar, State
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.forces import Force
@@ -268,7 +269,7 @@ def reasons(limits: TrustLimits, trust: Trust) -> tuple[str, ...]:
     scores = np.concatenate([np.maximum(size, 0.0), np.abs(bias)])
     k = int(np.argmax(np.where(np.isfinite(scores), scores, np.inf)))
     innovations = (
-        f"the innovation of {limits.channels[k % size.size]} "
+        f"the innovation of {in_words([limits.channels[k % size.size]])[0]} "
         f"{'is biased' if k >= size.size else 'scatters too much'}: {scores[k]:.1f} standard "
         f"deviations from a sound filter's, alarm at {float(limits.level(scores.size)[1]):.1f}; "
         "a sensor or the model is not what the filter assumes"
