@@ -476,7 +476,7 @@ def test_detection_limits_say_of_what():
     unseen = unseen_table(result)
     assert unseen is not None
     names = [row[0] for row in unseen.rows]
-    assert names == ["sensor latency of psi", "sensor latency of u"]
+    assert names == ["sensor latency of heading", "sensor latency of speed ahead"]
 
 
 def test_headings_lie_on_one_turn():
@@ -675,9 +675,28 @@ def test_names_that_leave_held_out_runs_wrong_are_told():
 
 def test_channels_that_are_used_seldom_are_told():
     summary = summary_of("explained") | {"one_sample_in": {"v": 5, "r": 3}}
-    told = "only one sample in 5 of v and one sample in 3 of r counted."
+    told = "only one sample in 5 of speed to starboard and one sample in 3 of yaw rate counted."
     assert told in " ".join(verdict_text(summary).split())
     assert "counted" not in verdict_text(summary_of("explained"))
+
+
+def test_several_late_sensors_are_one_phrase():
+    delays = {("psi", "u", "v", "r"): 0.26, ("x", "y"): 0.23}
+    late = [
+        {
+            "name": "sensor-latency",
+            "channels": channels,
+            "parameters": {"delay": {"value": delay, "std": 0.01, "unit": "s"}},
+            "evidence": {},
+            "alternatives": [],
+        }
+        for channels, delay in delays.items()
+    ]
+    told = "late measurements (heading, velocity and yaw rate by 0.26 s; position by 0.23 s), which"
+    text = verdict_text(summary_of("explained") | {"effects": late})
+    assert told in " ".join(text.split())
+    text = verdict_text(summary_of("explained") | {"effects": late[:1]})
+    assert "a measured position that is 0.26 s ahead of all else" in " ".join(text.split())
 
 
 def test_several_effects_and_effects_of_each_run():
@@ -795,7 +814,7 @@ def test_the_terminal_says_which_actuators_and_channels_an_effect_acts_on():
     other = {"name": "sensor-latency", "channels": ["u", "v"], **late}
     text = verdict_text(result | {"effects": [one, other]})
     assert "thrust delay of port: delay 0.500 +- 0.010 s" in text
-    assert "sensor latency of u, v: delay" in text
+    assert "sensor latency of velocity: delay" in text
 
 
 def test_what_was_held_out_is_told_by_its_kind_and_not_by_the_words_for_it():

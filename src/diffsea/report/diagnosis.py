@@ -214,7 +214,7 @@ def found_effects(summary: Record) -> list[FoundEffect]:
                 place = [Verbatim(effect["recording"])] if own else []
                 rows.append([*place, label, size, interval_of(entry)])
         columns = [*(["recording"] if own else []), "parameter", "estimate", "90 % interval"]
-        title, known = words.as_words(first["name"]) + acted_on(first), first["evidence"]
+        title, known = words.as_words(first["name"]) + words.acted_on(first), first["evidence"]
         gain = with_error(known.get("held_out_gain"), known.get("held_out_gain_std"))
         removed = 100 * (known.get("cost_drop") or 0.0)
         against_none, next_best = (
@@ -235,12 +235,6 @@ def found_effects(summary: Record) -> list[FoundEffect]:
         ]
         out.append(FoundEffect(title, Table(columns, rows), evidence))
     return out
-
-
-def acted_on(record: Record) -> str:
-    """What an effect acts on, where it has a choice: ` of psi, r`."""
-    names = [*(record.get("channels") or []), *(record.get("actuators") or [])]
-    return f" of {', '.join(names)}" if names else ""
 
 
 def interval_of(entry: Record) -> str:
@@ -303,7 +297,8 @@ def _as_found(candidate: Record, summary: Record) -> Record:
     same = [
         effect
         for effect in words.named_effects(summary)
-        if (effect["name"], acted_on(effect)) == (candidate["name"], acted_on(candidate))
+        if (effect["name"], words.acted_on(effect))
+        == (candidate["name"], words.acted_on(candidate))
     ]
     if len(same) != 1:
         return candidate
@@ -316,7 +311,7 @@ def candidate_label(candidate: Record) -> str:
     """A candidate with what tells it from others of its name: `added mass coupling (Y rdot)`."""
     variant = candidate.get("variant", "").replace("_", " ")
     terms = f" ({variant})" if variant else ""
-    return words.as_words(candidate["name"]) + terms + acted_on(candidate)
+    return words.as_words(candidate["name"]) + terms + words.acted_on(candidate)
 
 
 def _candidate_row(one: Record) -> list[str]:
@@ -385,7 +380,9 @@ def unseen_table(summary: Record) -> Table | None:
         size, limit = "not at any plausible size", one.get("limit")
         if is_known(limit):
             size = round_to_error(abs(limit), 0.1 * abs(limit), one.get("unit", ""))
-        name = words.as_words(one["name"].replace(":", ", ").replace("_", " ")) + acted_on(one)
+        name = words.as_words(one["name"].replace(":", ", ").replace("_", " ")) + words.acted_on(
+            one
+        )
         parameter = words.parameter_words(str(one.get("parameter") or ""))
         rows.append([name, parameter, size, one.get("note") or ""])
     return Table(["candidate", "parameter", "smallest size that would show", "note"], rows)

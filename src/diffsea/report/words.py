@@ -50,6 +50,7 @@ SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
 LINE_WIDTH = 88  # characters, of a terminal
 LABEL_WIDTH = 7  # characters, of the word before a line
 LISTED_FINDINGS = 5  # of the audit, on a terminal
+_LATE = "sensor-latency"  # the name of the catalogue
 _QUANTITIES = {"position": "m", "heading": "rad"}  # whose errors are quoted
 
 
@@ -117,12 +118,35 @@ def phrase(effect: Record) -> str:
     return text or f"the effect {as_words(effect['name'])!r}"
 
 
+def acted_on(effect: Record) -> str:
+    """What an effect acts on, where it has a choice: ` of heading, yaw rate`."""
+    names = [*in_words(effect.get("channels") or ()), *(effect.get("actuators") or ())]
+    return f" of {', '.join(names)}" if names else ""
+
+
 def _actuator_words(names: Sequence[str]) -> list[str]:
     """Actuators in a phrase; those that have but the name of a side need a noun."""
     return [f"{one} actuator" if one in SIDES else one for one in names] or ["actuators"]
 
 
-def group_phrase(group: list[Record]) -> str:
+def phrases(effects: list[Record]) -> list[str]:
+    """What was found, a phrase each; several delays of sensors are one."""
+    late = [one for one in effects if one["name"] == _LATE and "recording" not in one]
+    together = late if len(late) > 1 else []
+    told = [_late_together(together)] if together else []
+    others = [one for one in effects if one not in together]
+    return told + [_group_phrase(group).rstrip(",") for group in effect_groups(others)]
+
+
+def _late_together(late: list[Record]) -> str:
+    """Several sensors that are late: each by itself, for what is ahead of one lags another."""
+    delays = [PhrasedParameter(one["parameters"]["delay"]) for one in late]
+    channels = [enumeration(in_words(one["channels"])) for one in late]
+    parts = [f"{names} by {delay}" for names, delay in zip(channels, delays, strict=True)]
+    return f"late measurements ({'; '.join(parts)})"
+
+
+def _group_phrase(group: list[Record]) -> str:
     """One effect as a phrase, or one that has its own size in each recording."""
     if len(group) == 1:
         return phrase(group[0])
@@ -181,7 +205,7 @@ def verdict_sentence(summary: Record) -> str:
     if summary["verdict"] == "insufficient":
         why = enumeration([Shortfall(one).sentence for one in summary["insufficient"]])
         return f"The recordings do not tell whether the model lacks anything: {why}."
-    what = enumeration([group_phrase(group).rstrip(",") for group in effect_groups(effects)])
+    what = enumeration(phrases(effects))
     names = dict.fromkeys(name for one in effects for name in one.get("alternatives", []))
     if summary["verdict"] == "unexplained":
         return (
@@ -274,7 +298,9 @@ def sampling_sentence(every: Mapping[str, int] | None) -> str:
     """Of which channels one sample in so many was used, and why; or nothing."""
     if not every:
         return ""
-    used = enumeration([f"one sample in {number} of {name}" for name, number in every.items()])
+    used = enumeration(
+        [f"one sample in {number} of {in_words([name])[0]}" for name, number in every.items()]
+    )
     return f"Successive samples err alike, so that only {used} counted."
 
 
@@ -434,8 +460,7 @@ def verdict_text(summary: Record) -> str:
     what = []
     for effect in named:
         place = f" in {effect['recording']}" if "recording" in effect else ""
-        of = [*effect.get("channels", ()), *effect.get("actuators", ())]
-        acts_on = f" of {', '.join(of)}" if of else ""
+        acts_on = acted_on(effect)
         size = effect.get("evidence", {}).get("log10_odds")
         sure = f"; odds {odds(size)}" if is_known(size) else ""
         sizes = ", ".join(parameter_lines(effect))

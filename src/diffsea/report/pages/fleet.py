@@ -47,8 +47,7 @@ def _changed(boats: Sequence[Record]) -> Table:
     """The boats that are not as their file says: what was found, and which numbers are off."""
     rows = []
     for one in boats:
-        groups = words.effect_groups(words.named_effects({"effects": one["effects"]}))
-        found = [words.group_phrase(group) for group in groups]
+        found = words.phrases(words.named_effects({"effects": one["effects"]}))
         found = found or ["something that no entry of the catalogue explains"]
         rows.append([Verbatim(one["boat"]), one["verdict"], found, _moves(one)])
     columns = ["boat", "verdict", "what was found", "numbers off the vessel file"]
