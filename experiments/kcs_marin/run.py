@@ -16,6 +16,7 @@ from experiments.harness.real_runs import (
     show_audit,
     study,
     write_results,
+    write_summary,
 )
 
 from diffsea import Trajectory
@@ -45,6 +46,7 @@ def main() -> None:
         for row in found:
             print(f"  {row['name']}: {row['status']}, {row['reason']}")
     write_results("kcs_marin", {"audit": findings, "roll_coupling": roll} | records)
+    write_summary("kcs_marin", records)
 
 
 def without_roll(run: Trajectory) -> Trajectory:
