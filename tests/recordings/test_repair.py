@@ -233,7 +233,7 @@ def test_which_of_two_is_late_is_left_open():
     assert done.run is run and done.applied == ()
     (step,) = done.steps
     assert step.outcome == "left" and step.finding.kind == "sensor-latency"
-    assert "x, y may be stamped too early" in step.reason
+    assert "position may be stamped too early" in step.reason
 
 
 def test_what_has_no_repair_is_left_and_said():

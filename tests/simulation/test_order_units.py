@@ -70,7 +70,7 @@ def test_orders_of_a_thruster_in_another_unit_are_found_and_named(own, given):
     with pytest.raises(UserError) as error:
         require_order_units(boat, [run(ORDERS[own]), run(ORDERS[given])])
     least, most = np.quantile(ORDERS[given], (0.01, 0.99))
-    for said in ("run.csv: cmd_part", f"{least:.4g} to {most:.4g}", own):
+    for said in ("run.csv: order part (cmd_part) is", f"{least:.4g} to {most:.4g}", own):
         assert said in str(error.value)
 
 
@@ -114,7 +114,9 @@ def test_nothing_is_calculated_with_orders_in_another_unit(work, tmp_path, capsy
     motion = {"x": t, "u": 1 + 0 * t} | dict.fromkeys(("y", "psi", "v", "r"), 0 * t)
     orders = dict.fromkeys(("cmd_port", "cmd_starboard"), pulses)
     pd.DataFrame({"t": t} | motion | orders).to_csv(bad, index=False)
-    with pytest.raises(UserError, match=r"bad.csv: cmd_port is .*pulse widths in us \(likewise"):
+    with pytest.raises(
+        UserError, match=r"bad.csv: order port \(cmd_port\) is .*pulse widths in us \(likewise"
+    ):
         work(boat, bad)
     status = main([work.__name__, str(boat), str(bad), "-o", str(tmp_path / "out")])
     said = capsys.readouterr().err

@@ -78,7 +78,7 @@ def test_format_craft_channels_and_what_is_used_are_told(checked):
 
 def test_the_picture_of_quality_says_channels_in_words(checked):
     page = (checked[1] / "check.html").read_text()
-    for words in ("heading", "turning rate", "order port", "speed to starboard"):
+    for words in ("heading", "yaw rate", "order port", "speed to starboard"):
         assert f'"{words}"' in page
     assert '"psi"' not in page and '"cmd_port"' not in page
 
@@ -109,10 +109,10 @@ def test_faults_are_drawn_at_their_times():
         doubtful = trace["line"]["color"] == DOUBTFUL
         drawn.setdefault((row, doubtful), []).append(list(trace["x"]))
     assert drawn["heading", True] == [[10.0, 12.0, None], [50.0, last, None]]
-    assert drawn["turning rate", True] == [[20.0, 20.0, None, 30.0, 30.0, None]]
+    assert drawn["yaw rate", True] == [[20.0, 20.0, None, 30.0, 30.0, None]]
     assert drawn["speed ahead", True] == [[first, last, None]]
     assert ("speed to starboard", True) not in drawn
-    assert {("heading", False), ("turning rate", False)} <= set(drawn)
+    assert {("heading", False), ("yaw rate", False)} <= set(drawn)
 
 
 def test_dead_time_and_sides_of_the_log_hold_the_truth(checked):

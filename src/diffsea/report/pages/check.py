@@ -264,10 +264,10 @@ def _run_plots(one: LogCheck) -> list[Plot]:
         chosen = np.flatnonzero(known & used)[_thinned(int(np.sum(known & used)), DRAWN_ROWS)]
         if chosen.size:
             plots.append(_track_plot(one, chosen, group))
-    panels = [("speed", "m/s"), ("turning rate", "deg/s"), ("orders", "%")]
+    panels = [("speed", "m/s"), ("yaw rate", "deg/s"), ("orders", "%")]
     t, traces = numbers(run.t[rows], 6), []
     speed = np.hypot(run.u, np.where(np.isfinite(run.v), run.v, 0.0))
-    series = [("speed", speed, 1, MEASURED), ("turning rate", np.degrees(run.r), 2, MEASURED)]
+    series = [("speed", speed, 1, MEASURED), ("yaw rate", np.degrees(run.r), 2, MEASURED)]
     for k, (name, scale) in enumerate(one.scales.items()):
         orders = (run.commanded or run.executed)[name]
         colour = (DIAGNOSED, NOMINAL, "#009e73", "#cc79a7")[k % 4]
@@ -289,7 +289,7 @@ def _run_plots(one: LogCheck) -> list[Plot]:
     drawn.update_layout(hovermode="x", legend={"y": 1.0})
     for trial in one.trials:
         _shade(drawn, (trial.onset, trial.end), COLOURS[trial.kind], 0.14)
-    plots.append(Plot(drawn, "Speed, turning rate and orders over time", 460))
+    plots.append(Plot(drawn, "Speed, yaw rate and orders over time", 460))
     return plots
 
 
@@ -334,7 +334,7 @@ def _trial_table(one: LogCheck) -> Table:
 def _lag_table(answers: Answers) -> Table:
     rows = []
     for what, lag in (
-        ("order to turn, to turning rate", answers.lag_of_turning),
+        ("order to turn, to yaw rate", answers.lag_of_turning),
         ("order ahead, to speed", answers.lag_of_speed),
     ):
         if lag is not None:
@@ -363,12 +363,12 @@ def _cells(one: IntervalEstimate) -> tuple[str, str]:
 
 
 def _answer_plots(answers: Answers) -> list[Plot]:
-    """Speed by the order ahead, and turning rate by the order to turn."""
+    """Speed by the order ahead, and yaw rate by the order to turn."""
     plots = []
     pairs = (
         ("speed", "order ahead (%)", answers.ahead, answers.speeds, answers.speed),
         (
-            "turning rate",
+            "yaw rate",
             "order to turn, to starboard (%)",
             answers.turn,
             answers.rates,
