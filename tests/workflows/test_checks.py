@@ -282,9 +282,11 @@ def test_headlines_say_only_what_is_told_from_nothing():
     seen = LagOfAnswer(estimate(0.4, 0.3, 0.5), constant, 0.9)
     told = headlines(Answers(lag_of_turning=seen, asymmetry=estimate(0.01, -0.2, 0.2)), True)
     assert told == ["It begins to turn 0.40 s after the order (0.30 to 0.50 s)."]
-    told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02)), True)
+    told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02), paired=True), True)
     assert told == ["Port and starboard differ by less than 4 %."]
-    told = headlines(Answers(asymmetry=estimate(-0.03, -0.04, -0.02)), True)
+    told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02)), True)
+    assert told == ["Turns to port and to starboard differ by less than 4 %."]
+    told = headlines(Answers(asymmetry=estimate(-0.03, -0.04, -0.02), paired=True), True)
     assert told == ["Starboard does 6 % less than port for the same order."]
 
 
@@ -424,3 +426,30 @@ def test_a_ground_course_is_no_heading_and_columns_that_may_be_orders_are_named(
     assert record["channels"]["psi"]["source"] == "yaw"
     assert "groundcourse" not in [one["source"] for one in record["channels"].values()]
     assert "columns not used" in record["missing"][0] and "ch3out" in record["missing"][0]
+
+
+WAYS = {0.5: "less to starboard than to port", 2.0: "less to port than to starboard"}
+
+
+@pytest.mark.parametrize("to_starboard", WAYS)
+def test_a_rudder_that_does_less_one_way_is_told_the_right_way(to_starboard):
+    """Of a boat with one rudder the sides are its two ways."""
+    rng = np.random.default_rng(3)
+    t = 0.2 * np.arange(3000)
+    order = np.repeat(rng.choice([-0.4, -0.2, 0.0, 0.2, 0.4], 100), 30)
+    wanted = np.where(order > 0, to_starboard, 1.0) * 0.5 * order
+    rate = np.zeros(t.size)
+    for k in range(1, t.size):
+        rate[k] = rate[k - 1] + 0.2 * (wanted[k - 1] - rate[k - 1])
+    rate += rng.normal(0.0, 0.002, t.size)
+    psi = np.cumsum(0.2 * rate)
+    x, y = np.cumsum(0.2 * np.cos(psi)), np.cumsum(0.2 * np.sin(psi))
+    orders = {"rudder": order, "propeller": 10 + 0 * t}
+    everything = np.ones(t.shape, bool)
+    run = Trajectory(
+        t, x, y, psi, 1 + 0 * t, 0 * t, rate, commanded=orders, executed={}, extra={},
+        valid=everything,
+    )  # fmt: skip
+    sentences = headlines(check_run(run, [], ("csv", "a table", "vessel"), {}).answers, True)
+    told = WAYS[to_starboard]
+    assert any(one.startswith("It turns ") and told in one for one in sentences), sentences

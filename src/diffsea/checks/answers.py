@@ -141,6 +141,7 @@ class Answers:
         lag_of_turning, lag_of_speed: from order to motion.
         asymmetry: `ratio` of the thrusts of port and starboard, (1 - ratio) : (1 + ratio); of a
             rudder, of the turning rates by orders to starboard and to port.
+        paired: whether it is that of a pair of thrusters.
         ahead, turn, speeds, rates: the samples behind these, on one clock of all used spans.
     """
 
@@ -153,6 +154,7 @@ class Answers:
     turn: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     speeds: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     rates: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
+    paired: bool = False
 
     def as_dict(self) -> dict[str, object]:
         """As it stands in check.json: all but the samples."""
@@ -200,9 +202,9 @@ def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]])
         if lag_of_turning is not None and _is_known_well(lag_of_turning, ahead.size, scales):
             asymmetry = _asymmetry(pieces, lag_of_turning, scales, rng)
     lag_of_speed = _lag([(p.orders.ahead, p.speed) for p in pieces], scales, rng)
-    return Answers(
-        speed, turning, lag_of_turning, lag_of_speed, asymmetry, ahead, turn, speeds, rates
-    )
+    lags, samples = (lag_of_turning, lag_of_speed), (ahead, turn, speeds, rates)
+    paired = any(piece.orders.sides is not None for piece in pieces)
+    return Answers(speed, turning, *lags, asymmetry, *samples, paired)
 
 
 def _piece(run: Trajectory, scales: TimeScales) -> _UsedSpan | None:

@@ -151,21 +151,28 @@ def headlines(answers: Answers, commanded: bool) -> list[str]:
         if answers.lag_of_turning.opposite:
             told.append("A positive order turns it to port: the sign, or the sides, are exchanged.")
     if answers.asymmetry is not None:
-        told += _asymmetry_sentences(answers.asymmetry)
+        told += _asymmetry_sentences(answers.asymmetry, answers.paired)
     return told
 
 
-def _asymmetry_sentences(asymmetry: IntervalEstimate) -> list[str]:
-    """Which side is stronger, or that none is by much; nothing where that cannot be told."""
+def _asymmetry_sentences(asymmetry: IntervalEstimate, paired: bool) -> list[str]:
+    """Which side is stronger, or that none is by much; nothing where that cannot be told.
+
+    `paired` thrusters differ; of a rudder what it does to starboard and to port.
+    """
     largest = max(abs(asymmetry.low), abs(asymmetry.high))
     less = lambda ratio: 100 * 2 * abs(ratio) / (1 + abs(ratio))  # per cent of the stronger side
     if asymmetry.low <= 0 <= asymmetry.high or abs(asymmetry.value) < LEAST_RATIO:
         if less(largest) > MOST_ALIKE:
             return []
-        return [f"Port and starboard differ by less than {math.ceil(less(largest))} %."]
-    stronger, weaker = ("starboard", "port") if asymmetry.value > 0 else ("port", "starboard")
+        what = "Port and starboard" if paired else "Turns to port and to starboard"
+        return [f"{what} differ by less than {math.ceil(less(largest))} %."]
     share = f"{less(asymmetry.value):.0f} % less"
-    return [f"{capital(weaker)} does {share} than {stronger} for the same order."]
+    # The second of a pair is starboard; that of a rudder's two ways is to port.
+    stronger, weaker = ("starboard", "port") if asymmetry.value > 0 else ("port", "starboard")
+    if paired:
+        return [f"{capital(weaker)} does {share} than {stronger} for the same order."]
+    return [f"It turns {share} to {stronger} than to {weaker} for the same order."]
 
 
 def quality_plot(one: LogCheck) -> Plot | None:
@@ -340,7 +347,8 @@ def _lag_table(answers: Answers) -> Table:
         if lag is not None:
             rows += _lag_rows(what, lag)
     if answers.asymmetry is not None:
-        words = "starboard over port, as in (1 - ratio) : (1 + ratio)"
+        sides = "port : starboard" if answers.paired else "turns to starboard : to port"
+        words = f"{sides} = (1 - ratio) : (1 + ratio)"
         rows.append(["ratio of sides", words, *_cells(answers.asymmetry), ""])
     columns = ["number", "of", "value", "90 % interval", "explained"]
     return Table(columns, rows, numeric=(2, 3, 4))
