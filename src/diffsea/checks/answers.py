@@ -202,9 +202,18 @@ def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]])
         if lag_of_turning is not None and _is_known_well(lag_of_turning, ahead.size, scales):
             asymmetry = _asymmetry(pieces, lag_of_turning, scales, rng)
     lag_of_speed = _lag([(p.orders.ahead, p.speed) for p in pieces], scales, rng)
-    lags, samples = (lag_of_turning, lag_of_speed), (ahead, turn, speeds, rates)
-    paired = any(piece.orders.sides is not None for piece in pieces)
-    return Answers(speed, turning, *lags, asymmetry, *samples, paired)
+    return Answers(
+        speed=speed,
+        turning=turning,
+        lag_of_turning=lag_of_turning,
+        lag_of_speed=lag_of_speed,
+        asymmetry=asymmetry,
+        ahead=ahead,
+        turn=turn,
+        speeds=speeds,
+        rates=rates,
+        paired=any(piece.orders.sides is not None for piece in pieces),
+    )
 
 
 def _piece(run: Trajectory, scales: TimeScales) -> _UsedSpan | None:

@@ -192,8 +192,8 @@ def _from_table(
 
 def _listed(names: Iterable[object]) -> str:
     """Names of columns for a message, long ones and long lists of them cut."""
-    short = [f"{n[:_LONGEST_NAME]}..." if len(n) > _LONGEST_NAME else n for n in map(str, names)]
-    short = [n or "(no name)" for n in short]
+    told = [str(name) or "(no name)" for name in names]
+    short = [f"{n[:_LONGEST_NAME]}..." if len(n) > _LONGEST_NAME else n for n in told]
     more = len(short) - _MOST_NAMES
     return ", ".join(short[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 

@@ -198,9 +198,8 @@ def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[
         elif _has(name, ("bow",)) or (stern and _has(name, ("tunnel", "thruster"))):
             response = _response_of_one(motion, "r", values)
             if response.sound and response.gains[0] * (-1 if stern else 1) <= 0:
-                text = _TURNS.format(
-                    channel=words_and_names(name), side="starboard" if stern else "port"
-                )
+                side = "starboard" if stern else "port"
+                text = _TURNS.format(channel=words_and_names(name), side=side)
                 found.append(_reversed_actuator(name, response, "yaw", text))
         elif _has(name, _PROPELLERS):
             if np.ptp(values) < _NOTABLE_SHARE * np.max(np.abs(values)):
@@ -253,11 +252,8 @@ def _rudder(motion: MeasuredMotion, channel: str, angle: Samples, alone: bool) -
         return []
     response = response_to(motion, "r", angle[None])
     if response.sound and response.gains[0] < 0:
-        text = (
-            _TURNS.format(channel=words_and_names(channel), side="port")
-            + _share_text(response)
-            + _MIRRORED
-        )
+        turns = _TURNS.format(channel=words_and_names(channel), side="port")
+        text = turns + _share_text(response) + _MIRRORED
         return [_reversed_actuator(channel, response, "yaw", text)]
     if response.sound:
         return []

@@ -168,11 +168,11 @@ def _asymmetry_sentences(asymmetry: IntervalEstimate, paired: bool) -> list[str]
         what = "Port and starboard" if paired else "Turns to port and to starboard"
         return [f"{what} differ by less than {math.ceil(less(largest))} %."]
     share = f"{less(asymmetry.value):.0f} % less"
-    # The second of a pair is starboard; that of a rudder's two ways is to port.
-    stronger, weaker = ("starboard", "port") if asymmetry.value > 0 else ("port", "starboard")
+    # More than zero: the second does more, starboard of a pair, the turn to port of a rudder's two.
+    one, other = ("starboard", "port") if asymmetry.value > 0 else ("port", "starboard")
     if paired:
-        return [f"{capital(weaker)} does {share} than {stronger} for the same order."]
-    return [f"It turns {share} to {stronger} than to {weaker} for the same order."]
+        return [f"{capital(other)} does {share} than {one} for the same order."]
+    return [f"It turns {share} to {one} than to {other} for the same order."]
 
 
 def quality_plot(one: LogCheck) -> Plot | None:
