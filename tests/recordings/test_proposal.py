@@ -193,6 +193,26 @@ def test_a_rudder_that_turns_to_port_is_given_a_sign(tmp_path):
         assert (rudder.column, rudder.unit, rudder.sign) == ("helm", "deg", sign)
 
 
+def test_of_columns_without_names_the_rudder_is_what_yaw_follows(tmp_path):
+    """A ship rolls as she turns; what she pushes against follows her yaw rate, too."""
+    native, rng = rudder_run(), np.random.default_rng(4)
+    following = {name: native["r"].ewm(span=span).mean() for name, span in (("a", 3), ("b", 9))}
+    noise = rng.normal(size=(2, len(native)))
+    roll = -0.5 * following["a"] + 0.002 * noise[0]
+    torque = 3 + 0.4 * following["b"].abs() + 0.02 * noise[1]
+    table = native.assign(roll=roll, torque=torque, rudder=-np.degrees(native["cmd_rudder"]))
+    table = table[["t", "x", "y", "psi", "u", "v", "r", "roll", "rudder", "torque"]]
+    path = tmp_path / "a.txt"
+    table.to_csv(path, index=False, header=False, sep=" ")
+    proposal = propose_mapping(path)
+    (tmp_path / "a.toml").write_text(proposal.text)
+    found = read_mapping(tmp_path / "a.toml").channels
+    rudder = next(column for name, column in found.items() if name.endswith("rudder"))
+    assert (rudder.column, rudder.sign) == ("column 9", -1)
+    # A sign without a name says nothing of which way is starboard.
+    assert proposal.sure["r"] > 0.7
+
+
 def rudder_run():
     """A ship of first order in yaw under steps of the rudder, drifting outwards; exact."""
     t = np.arange(0, 120, 0.25)

@@ -65,6 +65,11 @@ class LaggedResponse:
     certainty: float
 
     @property
+    def freedom(self) -> float:
+        """Number of independent samples."""
+        return self.certainty**2 * (1 - self.explained) / max(self.explained, 1e-6)
+
+    @property
     def sound(self) -> bool:
         """Whether it explains enough, and surely."""
         return self.explained > _EXPLAINED and self.certainty > _CERTAIN
@@ -145,20 +150,24 @@ def _increments_agree(
     return len(votes) > 0 and float(np.mean(votes)) >= 0.6
 
 
+def with_yaw_rate(motion: MeasuredMotion) -> MeasuredMotion:
+    """The motion, its heading differentiated where yaw rate was not measured."""
+    if motion.has("r") or not motion.has("psi"):
+        return motion
+    rate = np.gradient(motion.values["psi"], motion.t)
+    known = motion.known | {"r": motion.known["psi"]}
+    return dataclasses.replace(motion.with_channels(r=rate), known=known)
+
+
 def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Finding]:
     """Actuators that push the wrong way or not at all, and port exchanged with starboard.
 
-    `motion` is the trajectory's motion with its own faults already put right. Where yaw rate
-    was not measured, heading is differentiated.
+    `motion` is the trajectory's motion with its own faults already put right.
     """
-    if motion.has("psi") and not motion.has("r"):
-        rate = np.gradient(motion.values["psi"], motion.t)
-        known = motion.known | {"r": motion.known["psi"]}
-        motion = dataclasses.replace(motion.with_channels(r=rate), known=known)
-    found = []
+    motion, found = with_yaw_rate(motion), []
     for prefix, group in (("cmd_", trajectory.commanded), ("exec_", trajectory.executed)):
         series = {
-            prefix + name: _on_motion_clock(trajectory, motion, s) for name, s in group.items()
+            prefix + name: on_motion_clock(trajectory, motion, s) for name, s in group.items()
         }
         found += _blame_mirrored_axes(_group_findings(motion, series))
         if not any(one.kind == "axes" for one in found):
@@ -166,7 +175,7 @@ def response_findings(trajectory: Trajectory, motion: MeasuredMotion) -> list[Fi
     return found
 
 
-def _on_motion_clock(
+def on_motion_clock(
     trajectory: Trajectory, motion: MeasuredMotion, series: Float[Any, "row"]
 ) -> Samples:
     """The actuation at the motion's instants, held; what came before the first is the first."""

@@ -12,10 +12,16 @@ import numpy as np
 
 from diffsea.recordings.auditing.actuators import order_findings
 from diffsea.recordings.auditing.finding import Finding
-from diffsea.recordings.auditing.responses import response_findings
+from diffsea.recordings.auditing.responses import (
+    LaggedResponse,
+    on_motion_clock,
+    response_findings,
+    response_to,
+    with_yaw_rate,
+)
 from diffsea.recordings.mapping_proposal.names import NAMED, Suggestion
 from diffsea.recordings.mappings import UNITS
-from diffsea.recordings.motion import motion_of
+from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.trajectory import Series, Trajectory
 
 
@@ -26,7 +32,9 @@ _LARGEST_RADIANS = 0.9  # of a rudder: beyond, the numbers are degrees
 _JUMPS, _SAID, _GRADUAL, _CONSTANT = 0.98, 0.95, 0.75, 0.6
 _MOST_TRIED = 3  # runs whose motion is asked for its answer to a column: each is audited
 _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
-_UNNAMED = 0.5  # probability that what yaw answers best of the unnamed columns is a rudder
+# Probabilities that an unnamed column is a rudder where yaw answers it and no other one so well,
+# and where only its reversals show that it steers.
+_ANSWERED, _REVERSED = 0.9, 0.5
 _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
 
 
@@ -43,6 +51,7 @@ class ActuatorColumn:
         push: 1 where a positive value was seen to turn to starboard (speed up, of a
             propeller), -1 where the contrary, 0 where the runs do not tell. Of thrusters on
             either side, 1 where more on the port side turns to starboard.
+        is_named: whether its name says its role.
     """
 
     column: str
@@ -52,6 +61,7 @@ class ActuatorColumn:
     ordered: bool
     reason: str
     push: int
+    is_named: bool = True
 
     @property
     def turns(self) -> bool:
@@ -80,13 +90,44 @@ def find_actuators(
     if any(actuator.turns for actuator in found) or not unnamed:
         return found
     verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in tried] for c in unnamed}
-    strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
-    best = max(unnamed, key=lambda column: strength[column])
-    if strength[best] > 0:
-        rudder = _actuator(best, "rudder", _UNNAMED, suggestions[best], runs, verdicts[best])
-        reason = f"yaw rate answers it best of the unnamed columns; {rudder.reason}"
-        found.append(dataclasses.replace(rudder, reason=reason))
-    return found
+    best, chance = _most_answered(tried, unnamed)
+    if not best:
+        strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
+        best, chance = max(unnamed, key=lambda column: strength[column]), _REVERSED
+        if not strength[best] > 0:
+            return found
+    rudder = _actuator(best, "rudder", chance, suggestions[best], runs, verdicts[best])
+    reason = f"yaw rate answers it best of the unnamed columns; {rudder.reason}"
+    return [*found, dataclasses.replace(rudder, reason=reason, is_named=False)]
+
+
+def _most_answered(runs: list[Trajectory], columns: list[str]) -> tuple[str, float]:
+    """The column that yaw rate answers best, and the probability that it is what steers.
+
+    By the likelihoods of yaw rates with what each column leaves unexplained, or with all of it;
+    no column where none is answered soundly.
+    """
+    weights = dict.fromkeys(["", *columns], 0.0)
+    for run in runs:
+        motion = with_yaw_rate(motion_of(run))
+        if not motion.has("r"):
+            continue
+        answers = {c: _answer_to(run, motion, c) for c in columns}
+        sound = {c: answer for c, answer in answers.items() if answer.sound}
+        if sound:
+            # One number of independent samples for all, or the smoothest would count most.
+            freedom = max(sound.values(), key=lambda answer: answer.explained).freedom
+            for column, answer in sound.items():
+                weights[column] -= 0.5 * freedom * math.log(max(1 - answer.explained, 1e-6))
+    best = max(weights, key=lambda column: weights[column])
+    total = sum(math.exp(weight - weights[best]) for weight in weights.values())
+    return best, _ANSWERED / total
+
+
+def _answer_to(run: Trajectory, motion: MeasuredMotion, column: str) -> LaggedResponse:
+    """Response of yaw rate to a column."""
+    series = on_motion_clock(run, motion, run.commanded[column])
+    return response_to(motion, "r", series[None])
 
 
 def _order_and_answer(

@@ -294,8 +294,12 @@ def _readable_runs(paths: Sequence[Path], mapping: Mapping) -> list[Trajectory]:
 def _with_actuator_evidence(
     scored: list[ScoredHypothesis], actuators: list[ActuatorColumn]
 ) -> list[ScoredHypothesis]:
-    """Log odds after the actuators: of two mirrored records, labels that are right count."""
-    rudders = [a for a in actuators if a.role == "rudder" and a.sure > _SURE_RUDDER]
+    """Log odds after the actuators: of two mirrored records, labels that are right count.
+
+    A column without a telling name has no label that could be right.
+    """
+    labelled = [a for a in actuators if a.is_named]
+    rudders = [a for a in labelled if a.role == "rudder" and a.sure > _SURE_RUDDER]
     gain = sum(_RUDDER_LABEL * a.push for a in rudders)
     gain += sum(_THRUSTER_LABELS * a.push for a in actuators if a.role == "port")
     if gain == 0:

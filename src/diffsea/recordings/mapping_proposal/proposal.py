@@ -67,6 +67,7 @@ class Proposal:
         sure: by channel, the probability that its column, unit and sign are right.
         summary: what to tell, a line per channel.
         checks: what to look at before anybody relies on the mapping.
+        guesses: what is no more than a guess, and why: a sentence per channel.
         timed: false where the file has no time and nothing told its step: the text then holds a
             placeholder, and nothing read through it means anything.
     """
@@ -75,6 +76,7 @@ class Proposal:
     sure: dict[str, float]
     summary: str
     checks: tuple[str, ...]
+    guesses: tuple[str, ...] = ()
     timed: bool = True
 
 
@@ -94,7 +96,7 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         evidence = dataclasses.replace(evidence, clock=NO_CLOCK)
     if "latitude" not in written:
         evidence = dataclasses.replace(evidence, origin=None)
-    summary, checks = [], []
+    summary, checks, doubtful = [], [], []
     timed = evidence.clock.column is not None or math.isfinite(evidence.clock.step)
     if evidence.clock.column is None:
         known = f"guessed as {evidence.clock.step:g} s" if timed else "unknown"
@@ -104,6 +106,8 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         summary.append(f"  {guess.channel:15s} {_level(sure):6s} {sure:5.2f}  {name}")
         if _level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
+        if _level(sure) == "guess":
+            doubtful.append(f"{guess.channel} is {name!r} ({100 * sure:.0f} %): {guess.why}")
     for guess in doubted:
         summary.append(f"  {guess.channel:15s} none   {guess.sure:5.2f}  {guess.column.column}")
         checks.append(_why_not_written(evidence, guess, guesses))
@@ -112,6 +116,7 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         sure={guess.channel: guess.sure for guess in guesses},
         summary="\n".join(summary),
         checks=tuple(checks),
+        guesses=tuple(doubtful),
         timed=timed,
     )
 
