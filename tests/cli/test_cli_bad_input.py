@@ -106,7 +106,7 @@ RECORDINGS = {
     "bytes that are no text": (b"t,x\n" + bytes(range(128, 256)) * 4, "not utf-8 text"),
     "no time": (columns("x", "y", "psi").encode(), "no column 't'"),
     "no motion": (columns("t", "cmd_port").encode(), "no motion channel"),
-    "foreign columns": (b"time,lat,lon\n0,1,2\n1,1,2\n", "no column 't'"),
+    "foreign columns": (b"time,lat,lon\n0,1,2\n1,1,2\n", "mapping"),
     "text in a cell": (csv(u=(7, "fast")).encode(), "line 9, column 'u': 'fast' is not a number"),
     "infinite": (csv(x=(3, "inf")).encode(), "line 5, column 'x': the value is infinite"),
     "time backwards": (csv(t=(20, 3.0)).encode(), "time runs backwards"),

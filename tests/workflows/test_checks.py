@@ -398,7 +398,7 @@ def test_only_the_time_asked_for_is_checked(logs, tmp_path):
     assert record["used"][0][0] >= 99.9 and record["used"][-1][1] <= 200.1
 
 
-def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path):
+def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path, capsys):
     slow = noisy(drive(DELAY, dock=0.0, after=0.0)).every(0.2)
     columns = {"time_ms": slow.t * 1e3, "Yaw": np.degrees(slow.psi) % 360, "North": slow.x,
                "East": slow.y, "fwd": slow.u, "side": slow.v, "Gyro Z": np.degrees(slow.r),
@@ -408,7 +408,14 @@ def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path):
     np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
     assert main(["check", str(path), "-o", str(tmp_path / "out")]) == 0
     record = json.loads((tmp_path / "out" / "check.json").read_text())
-    assert record["log"] == "csv" and (tmp_path / "out" / "logger.mapping.toml").exists()
+    mapping = tmp_path / "out" / "logger.mapping.toml"
+    assert record["log"] == "csv" and mapping.exists()
+    assert f"diffsea diagnose boat.toml {path} --mapping {mapping}" in capsys.readouterr().out
+    boat = tmp_path / "boat.toml"
+    size = ["--length", "1.4", "--beam", "0.9", "--mass", "22", "--thrusters", "0.6"]
+    assert main(["new", str(boat), *size]) == 0
+    assert main(["diagnose", str(boat), str(path)]) == 1
+    assert f"`diffsea check {path}` proposes a mapping" in capsys.readouterr().err
     assert record["channels"]["psi"] | {"rate": 0} == {"source": "Yaw", "unit": "deg", "rate": 0}
 
 

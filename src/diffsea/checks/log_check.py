@@ -55,6 +55,7 @@ class LogCheck:
         idle, used: stretches that are left out, and spans that count.
         trials: what was run in these.
         missing: what was not recorded, with the setting that would.
+        guesses: channels whose columns are no more than guessed, and why.
         notes: what else to know.
     """
 
@@ -73,6 +74,7 @@ class LogCheck:
     answers: Answers
     cannot_tell: tuple[OpenQuestion, ...]
     missing: tuple[str, ...] = ()
+    guesses: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -90,6 +92,7 @@ class LogCheck:
             "channels": {name: one.as_dict() for name, one in self.channels.items()},
             "orders": {name: dataclasses.asdict(one) for name, one in self.scales.items()},
             "missing": list(self.missing),
+            "guesses": list(self.guesses),
             "audit": [finding.as_dict() for finding in self.audit],
             "used": [list(span) for span in self.used],
             "idle": [dataclasses.asdict(one) for one in self.idle],
@@ -108,6 +111,7 @@ def check_run(
     sources: dict[str, tuple[str, str]],
     outputs: Sequence[Output] = (),
     missing: Sequence[str] = (),
+    guesses: Sequence[str] = (),
 ) -> LogCheck:
     """The check of a recording that was read and audited.
 
@@ -116,6 +120,7 @@ def check_run(
         sources: column and unit of each channel.
         outputs: what the orders of an autopilot are, where its parameters tell.
         missing: what was not recorded.
+        guesses: which channels' columns are guessed, and why.
     """
     run = run.counted()
     scales = order_scales(run, outputs)
@@ -154,6 +159,7 @@ def check_run(
         answers=answers,
         cannot_tell=tuple(questions),
         missing=tuple(missing),
+        guesses=tuple(guesses),
         notes=tuple(notes),
     )
 

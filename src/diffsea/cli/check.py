@@ -13,8 +13,11 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from diffsea.checks import LogCheck, PooledCheck
     from diffsea.recordings import Finding
+    from diffsea.workflows.checks import ChosenMapping
 
 
 STAGES = {"reading": 1.0, "checking": 3.0, "writing": 0.5}  # usual seconds
@@ -56,9 +59,12 @@ def check_command(args: argparse.Namespace) -> None:
         chosen = choose_mappings(paths, args.mapping)
         hows = [chosen[path] for path in paths]
         told = [how.message if isinstance(how, Finding) else how.told for how in hows]
+        read_alike: dict[str, list[str]] = {}
         for path, how in zip(paths, hows, strict=True):
             if not isinstance(how, Finding):  # what cannot be read is told with the results
-                options.progress(f"{path.name}: {how.told}")
+                read_alike.setdefault(how.told, []).append(path.name)
+        for sentence, names_of_logs in read_alike.items():
+            options.progress(f"{', '.join(names_of_logs)}: {sentence}")
         tell("checking the log" if len(paths) == 1 else f"checking {len(paths)} logs")
         checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
         for path, how in chosen.items():
@@ -81,7 +87,8 @@ def check_command(args: argparse.Namespace) -> None:
     texts = [_check_text(one) for one in checks]
     if together is not None:
         texts.append(_together_text(together))
-    out.present(args, "\n\n".join(texts))
+    texts.append(_next_text(paths, checks, chosen, args.mapping, out.folder))
+    out.present(args, "\n\n".join(filter(None, texts)))
 
 
 def _record(one: "LogCheck | Finding") -> dict[str, object]:
@@ -99,7 +106,7 @@ def _record(one: "LogCheck | Finding") -> dict[str, object]:
 def _check_text(one: "LogCheck | Finding") -> str:
     """A check for a person at a terminal."""
     from diffsea.recordings import Finding
-    from diffsea.report.pages.check import headlines
+    from diffsea.report.pages.check import guess_sentence, headlines
 
     if isinstance(one, Finding):
         return f"{one.recording}: not read: {one.message}"
@@ -108,6 +115,7 @@ def _check_text(one: "LogCheck | Finding") -> str:
     lines = [
         f"{one.name}: {one.craft}; {one.title}",
         f"{duration:.0f} s recorded, {used:.0f} s used",
+        *map(guess_sentence, one.guesses),
         *(f"idle: {s.start:.0f} s to {s.end:.0f} s, {s.why}" for s in one.idle),
         *(f"missing: {sentence}" for sentence in one.missing),
         *(f"finding: {finding.kind}: {finding.message}" for finding in one.audit),
@@ -127,6 +135,45 @@ def _together_text(pooled: "PooledCheck") -> str:
 
     told = headlines(pooled.answers, pooled.commanded)
     return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
+
+
+def _next_text(
+    paths: "Sequence[pathlib.Path]",
+    checks: "Sequence[LogCheck | Finding]",
+    chosen: "dict[pathlib.Path, ChosenMapping | Finding]",
+    given: pathlib.Path | None,
+    folder: pathlib.Path,
+) -> str:
+    """The commands that go on from here: a vessel file, and a diagnosis of the logs by it.
+
+    Logs that are read through one mapping go into one command.
+    """
+    from diffsea.recordings import Finding
+
+    alike: dict[str, list[tuple[pathlib.Path, LogCheck]]] = {}
+    for path, one in zip(paths, checks, strict=True):
+        how = chosen[path]
+        if not isinstance(one, Finding) and not isinstance(how, Finding):
+            proposed = how.text if how.known is None else None
+            alike.setdefault(proposed or "", []).append((path, one))
+    lines = []
+    for proposed, logs in alike.items():
+        first, one = logs[0]
+        mapping = folder / f"{first.stem}.mapping.toml" if proposed else given
+        words = ["diffsea", "diagnose", "boat.toml", *(str(path) for path, _ in logs)]
+        words += [] if mapping is None else ["--mapping", str(mapping)]
+        lines += [_new_boat(one, first), shlex.join(words)]
+    told = list(dict.fromkeys(lines))
+    return "\n".join(f"{'      ' if row else 'next: '}{line}" for row, line in enumerate(told))
+
+
+def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:
+    """The command that makes a vessel file for the boat of a log."""
+    channels = " ".join([*one.run.commanded, *one.run.executed])
+    steered = "--hull ship" if "propeller" in channels else "--rudder"
+    drive = steered if "rudder" in channels else "--thrusters M"
+    log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
+    return f"diffsea new boat.toml --length M --beam M --mass KG {drive}{log}"
 
 
 def _open_lines(one: "LogCheck | PooledCheck") -> list[str]:

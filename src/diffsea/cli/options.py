@@ -11,6 +11,7 @@ import importlib
 import inspect
 import math
 import pathlib
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -264,14 +265,20 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
     Which mapping was chosen for a log by its content is told on standard error.
 
     Raises:
-        UserError: a file cannot be read, or is named twice.
+        UserError: a file cannot be read, or is named twice; of a table whose columns are others'
+            it says which command proposes a mapping.
     """
     import dataclasses
 
     from diffsea import recordings
 
     mapping = None if args.mapping is None else recordings.read_mapping(args.mapping)
-    runs = [recordings.read_recording(path, mapping, args.start, args.end) for path in paths]
+    try:
+        runs = [recordings.read_recording(path, mapping, args.start, args.end) for path in paths]
+    except UserError as error:
+        if mapping is None and (foreign := _foreign_among(paths)):
+            raise UserError(_how_to_map(foreign)) from error
+        raise
     if len({run.name for run in runs}) < len(runs):
         if len(set(paths)) < len(paths):
             raise UserError("a recording is named twice; name each only once")
@@ -279,6 +286,26 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
         runs = [dataclasses.replace(run, name=str(path)) for run, path in named]
     tell_mappings(runs)
     return runs
+
+
+def _foreign_among(paths: Sequence[pathlib.Path]) -> list[pathlib.Path]:
+    """Files of the first layout that needs a mapping."""
+    from diffsea.recordings.mapping_proposal import foreign_layouts
+
+    there = [path for path in paths if path.exists()]
+    return next(iter(foreign_layouts(there)), [])
+
+
+def _how_to_map(paths: Sequence[pathlib.Path]) -> str:
+    """That files have the columns of another program, and how a mapping is had."""
+    files = " ".join(shlex.quote(str(path)) for path in paths)
+    which = f"{paths[0]} has" if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more have"
+    mapping = pathlib.Path("out") / "check" / f"{paths[0].stem}.mapping.toml"
+    return (
+        f"{which} columns under other names than diffsea's (t, x, y, psi, ..., cmd_...): "
+        f"`diffsea check {files}` proposes a mapping and says how sure it is of each; look at it, "
+        f"then repeat this with --mapping {shlex.quote(str(mapping))}"
+    )
 
 
 def tell_mappings(runs: "Sequence[Trajectory]") -> None:

@@ -42,12 +42,14 @@ class ChosenMapping:
         text: the mapping as a file, None where the user or nobody gave it.
         told: which it is, for people.
         known: what the log was recognised as.
+        guesses: channels of a proposed mapping that are no more than guessed, and why.
     """
 
     mapping: Mapping | None
     text: str | None
     told: str
     known: Recognised | None = None
+    guesses: tuple[str, ...] = ()
 
 
 def choose_mappings(
@@ -95,7 +97,8 @@ def choose_mappings(
             continue
         table = mapping_from(tomllib.loads(proposal.text), Path("the proposed mapping"))
         told = "through a mapping proposed from names and kinematics:\n" + proposal.summary
-        chosen |= {path: ChosenMapping(table, proposal.text, told) for path in group}
+        how = ChosenMapping(table, proposal.text, told, guesses=proposal.guesses)
+        chosen |= dict.fromkeys(group, how)
     return chosen
 
 
@@ -140,7 +143,8 @@ def check_logs(
         outputs = how.known.outputs if how.known else ()
         missing = how.known.missing if how.known else _unmapped_orders(run)
         named = _format_of(path, how, run)
-        checks.append(check_run(run, next(judged), named, _sources(run, how), outputs, missing))
+        sources = _sources(run, how)
+        checks.append(check_run(run, next(judged), named, sources, outputs, missing, how.guesses))
     return checks
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import pathlib
+import shlex
 import sys
 import tomllib
 from typing import TYPE_CHECKING, Any
@@ -111,7 +112,7 @@ def new_command(args: argparse.Namespace) -> None:
     assert file.priors
     _write(args.file, text)
     record = _record(args.file, file.vessel.units, outline, hull, told)
-    print(json_text(record) if args.json else printable(_summary(record)))
+    print(json_text(record) if args.json else printable(_summary(record, args.log)))
 
 
 def check_target(file: pathlib.Path, force: bool) -> None:
@@ -268,14 +269,15 @@ def _record(
     }
 
 
-def _summary(record: dict[str, Any]) -> str:
-    """The record for a person."""
+def _summary(record: dict[str, Any], log: pathlib.Path | None) -> str:
+    """The record for a person, and how to go on, with the log that was named."""
     rows = [
         (name, f"{one['value']:.4g}", f"{100 * one['spread']:.0f} %", "; ".join(one["methods"]))
         for name, one in record["derivatives"].items()
     ]
     orders = ", ".join(f"{name} ({unit})" for name, unit in record["channels"].items())
-    file = record["file"]
+    file = shlex.quote(record["file"])
+    recordings = "RECORDING..." if log is None else shlex.quote(str(log))
     return "\n".join(
         [
             table(rows, ("symbol", "estimate", "prior", "estimated by")),
@@ -283,8 +285,8 @@ def _summary(record: dict[str, Any]) -> str:
             f"{record['hull']}; assumed: {'; '.join(record['assumed'])}",
             *record["log"],
             f"ordered by: {orders}",
-            f"next: diffsea show {file}; diffsea diagnose {file} RECORDING...",
+            f"next: diffsea show {file}; diffsea diagnose {file} {recordings}",
             "",
-            f"written: {file}",
+            f"written: {record['file']}",
         ]
     )

@@ -117,11 +117,11 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
     return {
         "name": one.name,
         "is_read": True,
-        "tone": "ambiguous" if faults or one.missing else "consistent",
+        "tone": "ambiguous" if faults or one.missing or one.guesses else "consistent",
         "verdict": verdict,
         "lead": f"{capital(one.craft)}. {duration:.0f} s recorded, {used:.0f} s of it used.",
         "sentences": headlines(one.answers, bool(one.run.commanded)),
-        "warnings": [*one.missing, *one.notes],
+        "warnings": [*map(guess_sentence, one.guesses), *one.missing, *one.notes],
         "quality": quality_plot(one),
         "quality_key": _QUALITY_KEY,
         "faults": _fault_table(one.audit),
@@ -132,6 +132,11 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
         "trials": _trial_table(one),
         **_answered(one.answers, one.scales, one.cannot_tell, one.next),
     }
+
+
+def guess_sentence(guess: str) -> str:
+    """That a channel's column is guessed, and what to do before anything rests on it."""
+    return f"guessed, look at it first: {guess}"
 
 
 def headlines(answers: Answers, commanded: bool) -> list[str]:
