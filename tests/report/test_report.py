@@ -650,7 +650,7 @@ def test_verdict_text_of_each_verdict():
     assert told.startswith("On runs kept back as a test, ")  # errors first
     assert "The recordings show a steady current of 0.30 m/s flowing to 69 deg," in told
     assert "speed 0.301 +- 0.004 m/s, direction 69.0 +- 0.8 deg (flows to)" in told
-    assert "from 9.0 to 1.1 times the noise" in told and "(flows to); odds 1e142 : 1" in told
+    assert "from 9.0 to 1.1 times the noise" in told and "(flows to); odds over 1e6 : 1" in told
     ambiguous = verdict_text(summary_of("ambiguous"))
     told = " ".join(ambiguous.split())
     assert "or else wind: these recordings cannot tell which" in told
@@ -671,6 +671,40 @@ def test_names_that_leave_held_out_runs_wrong_are_told():
     told = " ".join(verdict_text(summary).split())
     assert "(p = 0.20), but runs held out are still predicted worse than noise explains." in told
     assert "held out are still" not in verdict_text(summary_of("unexplained"))
+
+
+def test_how_a_recording_is_misread_stands_at_the_head_with_its_repair():
+    summary = summary_of("unexplained")
+    sign = {"kind": "sign", "message": "positive rudder turns to port", "repair": "rudder = -1",
+            "channels": ["rudder"], "value": -0.2, "std": 0.01, "unit": "1"}  # fmt: skip
+    summary["audit"] = [sign | {"recording": name} for name in ("one", "two")]
+    told = "positive rudder turns to port (in 2 recordings). Repair: rudder = -1."
+    text = " ".join(verdict_text(summary).split())
+    assert text.count(told) == 1 and text.index(told) < text.index("The recordings show")
+    assert "data " not in text
+    page = page_from(summary, outcome_of("unexplained"))
+    assert told in page[page.index('id="verdict"') : page.index('id="held-out"')]
+
+
+def test_what_is_needed_only_together_and_what_little_is_left_are_told():
+    sizes = {name: {"value": 2.0, "std": std, "unit": "kg m"} for name, std in
+             (("Y_rdot", 4.0), ("N_vdot", 3.0))}  # fmt: skip
+    effect = CURRENT | {"name": "added-mass-coupling", "parameters": sizes}
+    errors = {"nominal": {"position": 7.7}, "diagnosed": {"position": 0.077}}
+    summary = summary_of("unexplained") | {"effects": [effect], "remainder_p_value": 1e-5}
+    summary["held_out"] |= {"horizons": [{"seconds": 20.0, "starts": 9, **errors}]}
+    text = " ".join(verdict_text(summary).split())
+    assert "(needed together, none determined by itself)" in text
+    assert "of the error 20 s ahead 1.0 % is left." in text
+    found = outcome_of("explained")
+    page = diagnosis_report(summary, "usv", found.split, compared(found), SOURCE)
+    assert '<section id="verdict" class="verdict ambiguous">' in page
+    sizes["Y_rdot"]["std"], errors["diagnosed"]["position"] = 0.5, 7.0
+    text = " ".join(verdict_text(summary).split())
+    assert "none determined" not in text and "is left" not in text
+    errors["diagnosed"]["position"] = 8.0
+    page = diagnosis_report(summary, "usv", found.split, compared(found), SOURCE)
+    assert '<section id="verdict" class="verdict unexplained">' in page
 
 
 def test_channels_that_are_used_seldom_are_told():

@@ -168,10 +168,19 @@ def _next_text(
 
 
 def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:
-    """The command that makes a vessel file for the boat of a log."""
+    """The command that makes a vessel file for the boat of a log, its orders in their unit."""
+    from diffsea.recordings.mappings import ACTUATOR_PREFIXES
+
     channels = " ".join([*one.run.commanded, *one.run.executed])
     steered = "--hull ship" if "propeller" in channels else "--rudder"
     drive = steered if "rudder" in channels else "--thrusters M"
+    units = {scale.unit for name, scale in one.scales.items() if "propeller" not in name} - {"us"}
+    if units:
+        columns = " ".join(
+            one.channels[name].source for name in one.channels if name.startswith(ACTUATOR_PREFIXES)
+        )
+        unit = "N" if "force" in columns.lower() else "UNIT"
+        drive += f" --unit {'normalised' if units == {'normalised'} else unit}"
     log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
     return f"diffsea new boat.toml --length M --beam M --mass KG {drive}{log}"
 

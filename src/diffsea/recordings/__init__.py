@@ -6,6 +6,7 @@ and audited before JAX has started.
 
 from diffsea.recordings.auditing.audit import audit as audit
 from diffsea.recordings.auditing.finding import KINDS as KINDS
+from diffsea.recordings.auditing.finding import MAPPING_KINDS as MAPPING_KINDS
 from diffsea.recordings.auditing.finding import Finding as Finding
 from diffsea.recordings.auditing.finding import unreadable as unreadable
 from diffsea.recordings.auditing.sets import audit_set as audit_set

@@ -109,6 +109,8 @@ def diagnosis_report(
         title=f"Diagnosis of {vessel_name}",
         subtitle=f"{words.count_recordings(len(recordings))}, {kept_back} held out",
         verdict=summary["verdict"],
+        in_part=summary["verdict"] == "unexplained" and bool(words.named_effects(summary)),
+        misread=words.misread_sentences(summary),
         finding=words.verdict_sentence(summary),
         prediction_change=words.prediction_sentence(summary),
         unimproved=words.unimproved_sentence(summary),

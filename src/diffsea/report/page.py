@@ -19,6 +19,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup, escape
 
 from diffsea.report.quantities import (
+    CERTAIN,
     is_known,
     odds,
     probability,
@@ -86,9 +87,6 @@ def typeset_unless_verbatim(value: object) -> object:
     if isinstance(value, str) and not isinstance(value, Markup | Verbatim):
         return typeset(value)
     return value
-
-
-CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing more
 
 
 def odds_cell(log10: float | None) -> str:

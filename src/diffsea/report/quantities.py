@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from typing import TypeGuard
 
 
+CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing more
+
+
 _PEOPLE = {"rad": "deg", "rad/s": "deg/s", "1": ""}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _EXPONENT = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e(-?\d+)(?!\w)")
@@ -121,6 +124,12 @@ def odds(log10: float | None) -> str:
     size = abs(log10)
     number = f"{float(significant(10**size, 2)):g}" if size < 4 else f"1e{size:.0f}"
     return f"{number} : 1" if log10 >= 0 else f"1 : {number}"
+
+
+def odds_or_bound(log10: float | None) -> str:
+    """Odds, of such as nobody would doubt the bound alone: `over 1e6 : 1`."""
+    certain = is_known(log10) and log10 > CERTAIN
+    return f"over {odds(CERTAIN)}" if certain else odds(log10)
 
 
 def duration(seconds: float) -> str:

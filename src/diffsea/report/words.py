@@ -11,10 +11,12 @@ from typing import Any
 from diffsea.identification.holdout import HeldOut
 from diffsea.identification.sufficiency import Shortfall
 from diffsea.parameters import parameter_meaning
+from diffsea.recordings import MAPPING_KINDS
 from diffsea.report.quantities import (
     duration,
     is_known,
     odds,
+    odds_or_bound,
     p_equals,
     round_to_error,
     significant,
@@ -49,6 +51,7 @@ HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for 
 SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
 LINE_WIDTH = 88  # characters, of a terminal
 LABEL_WIDTH = 7  # characters, of the word before a line
+LITTLE_LEFT = 0.2  # of an error, which is worth saying
 LISTED_FINDINGS = 5  # of the audit, on a terminal
 _LATE = "sensor-latency"  # the name of the catalogue
 _QUANTITIES = {"position": "m", "heading": "rad"}  # whose errors are quoted
@@ -194,7 +197,8 @@ def verdict_sentence(summary: Record) -> str:
     if summary["verdict"] == "consistent" and not effects:
         return (
             "The model agrees with the recordings: they show nothing that is missing from it "
-            "beyond the values of its parameters."
+            "beyond the values of its parameters. What it misses is put down to gusts and sensor "
+            "noise; if it was calm, something is missing."
         )
     if not effects and summary["verdict"] != "insufficient":
         where = "".join(f", strongest in {place}" for place in strongest_places(summary, 1))
@@ -319,12 +323,41 @@ def remainder_sentence(summary: Record) -> str:
         return ""
     if p < SURE_REMAINDER:
         return (
-            f"Structure remains in the residuals that the model does not explain ({p_equals(p)})."
+            f"Structure remains in the residuals that the model does not explain ({p_equals(p)})"
+            f"{_share_left(summary)}."
         )
     told = f"No significant structure remains in the residuals ({p_equals(p)})"
     if summary["verdict"] == "unexplained":
         return f"{told}, but runs held out are still predicted worse than noise explains."
     return f"{told}."
+
+
+def _share_left(summary: Record) -> str:
+    """How little of the error is left, where it is."""
+    row = headline_horizon(summary.get("held_out", {}).get("horizons", []), MODELS)
+    if row is None or not named_effects(summary):
+        return ""
+    old, new = (row[model][known_quantities(row, MODELS)[0]] for model in MODELS)
+    if new > LITTLE_LEFT * old:
+        return ""
+    return f"; of the error {row['seconds']:g} s ahead {significant(100 * new / old, 2)} % is left"
+
+
+def misread_sentences(summary: Record) -> list[str]:
+    """What the audit says is wrong with how recordings are read, and how to put it right.
+
+    Each once, with the recordings that show it.
+    """
+    alike: dict[tuple[object, ...], list[Record]] = {}
+    for one in summary.get("audit") or []:
+        if one["kind"] in MAPPING_KINDS:
+            alike.setdefault((one["kind"], *one.get("channels", ())), []).append(one)
+    told = []
+    for group in alike.values():
+        first, repair = group[0], group[0].get("repair")
+        where = first["recording"] if len(group) == 1 else count_recordings(len(group))
+        told.append(f"{first['message']} (in {where}){f'. Repair: {repair}' if repair else ''}.")
+    return told
 
 
 def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
@@ -437,6 +470,15 @@ def effect_lines(name: str, runs: Sequence[Record], log10_odds: float | None = N
     return lines
 
 
+def together_note(effect: Record) -> str:
+    """That several parameters are needed, but only together, where no size stands by itself."""
+    sizes = [(one["value"], one.get("std")) for one in effect["parameters"].values()]
+    open_ones = [is_known(v) and is_known(s) and abs(v) < 2 * s for v, s in sizes]
+    return (
+        " (needed together, none determined by itself)" if len(sizes) > 1 and all(open_ones) else ""
+    )
+
+
 def direction_note(effect: Record, parameter: str) -> str:
     """Whether a direction is where something flows to or comes from."""
     entry = catalogue_entry(effect)
@@ -453,17 +495,18 @@ def verdict_text(summary: Record) -> str:
     """
     named = named_effects(summary)
     rows = summary.get("held_out", {}).get("horizons", [])
+    others = [one for one in summary["audit"] if one["kind"] not in MAPPING_KINDS]
     audit = [
         f"{as_words(one['kind'])} in {one['recording']}: {one['message']}"
-        for one in summary["audit"][:LISTED_FINDINGS]
+        for one in others[:LISTED_FINDINGS]
     ]
     what = []
     for effect in named:
         place = f" in {effect['recording']}" if "recording" in effect else ""
         acts_on = acted_on(effect)
         size = effect.get("evidence", {}).get("log10_odds")
-        sure = f"; odds {odds(size)}" if is_known(size) else ""
-        sizes = ", ".join(parameter_lines(effect))
+        sure = f"; odds {odds_or_bound(size)}" if is_known(size) else ""
+        sizes = ", ".join(parameter_lines(effect)) + together_note(effect)
         what.append(f"{as_words(effect['name'])}{acts_on}{place}: {sizes}{sure}")
     following, proposal = "", summary.get("next_experiment")
     if proposal:
@@ -471,8 +514,9 @@ def verdict_text(summary: Record) -> str:
         if is_known(seconds):
             manoeuvre = f"{as_words(proposal['manoeuvre'])} for {duration(seconds)}"
         following = f"{manoeuvre}: {proposal['why']}"
+    places = strongest_places(summary)
     items = {
-        "where": strongest_places(summary),
+        "where": ["without what was found:"] * bool(named and places) + places,
         "what": what,
         "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
         "left": [
@@ -487,7 +531,8 @@ def verdict_text(summary: Record) -> str:
         ],
         "next": [following],
     }
-    head = [prediction_sentence(summary), verdict_sentence(summary)]
+    misread = [f"Misread: {one}" for one in misread_sentences(summary)]
+    head = [prediction_sentence(summary), *misread, verdict_sentence(summary)]
     lines = [line for text in head for line in textwrap.wrap(text, LINE_WIDTH)] + [""]
     wrapper = textwrap.TextWrapper(LINE_WIDTH, subsequent_indent=" " * LABEL_WIDTH)
     for label, texts in items.items():

@@ -19,6 +19,12 @@ KINDS = (
     *("order-not-motion", "actuation-unit", "through-water"),
 )
 
+# Of these, what is wrong is how the recording is read: a mapping puts it right.
+MAPPING_KINDS = (
+    *("axes", "sign", "unit", "swapped-channels", "swapped-actuators"),
+    *("order-not-motion", "actuation-unit"),
+)
+
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
