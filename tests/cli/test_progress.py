@@ -40,6 +40,18 @@ def test_a_file_gets_a_line_for_each_stage_without_escape_codes(monkeypatch):
     assert "\r" not in stream.getvalue() and "\x1b" not in stream.getvalue()
 
 
+def test_a_long_stage_is_heard_of_in_a_file(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+    stream = io.StringIO()
+    with StagedProgress(2, stream) as tell:
+        tell("fitting")
+        for clock[0] in (5.0, 16.0, 20.0, 40.0):
+            tell(PartialProgress("a round", clock[0] / 50))
+    lines = [line.split("] ")[1] for line in stream.getvalue().splitlines()]
+    assert lines == ["fitting", "fitting: 32 %", "fitting: 80 %"]
+
+
 def test_the_bar_is_the_share_of_all_stages():
     shares = []
     with StagedProgress(4, Terminal()) as tell:

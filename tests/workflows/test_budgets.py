@@ -98,7 +98,7 @@ def test_a_fit_that_is_interrupted_goes_on_from_its_fits(data, tmp_path, capsys,
         patch.setattr("diffsea.workflows.identification.compare_fit", stop)
         assert done("fit", data, out, "--parts", str(parts))[0] == 130
     assert list(parts.iterdir()) and not out.exists()
-    capsys.readouterr()
+    assert f"kept in {parts}: the same command goes on" in capsys.readouterr().err
     assert done("fit", data, out, "--parts", str(parts))[0] == 0
     assert f"taken from {parts}" in capsys.readouterr().err
     assert not parts.exists()

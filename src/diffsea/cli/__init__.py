@@ -40,6 +40,7 @@ import traceback
 from collections.abc import Sequence
 
 from diffsea.cli.grammar import GREETING, Parser
+from diffsea.cli.options import parts_folder
 from diffsea.errors import UserError
 from diffsea.outside.printable import printable
 from diffsea.outside.sizes import DEFAULT_LIMIT, size_limit
@@ -77,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     **Returns:** 0 done, 1 the work failed, 2 bad usage, 130 interrupted. Messages go to standard
     error, and whatever fails leaves no files behind.
     """
-    debug = False
+    debug, kept = False, None
     try:
         words = sys.argv[1:] if argv is None else list(argv)
         if not words:
@@ -85,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         args = make_parser().parse_args(words)
         debug = args.debug
+        kept = parts_folder(args) if hasattr(args, "parts") else None
         prepare_jax()  # the settings alone; a command that needs JAX starts it by importing it
         with size_limit(getattr(args, "max_size", None) or DEFAULT_LIMIT):
             args.run(args)
@@ -96,7 +98,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(printable(f"diffsea: error: {error}"), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("diffsea: interrupted; nothing was written", file=sys.stderr)
+        told = "diffsea: interrupted; nothing was written"
+        if kept is not None and kept.is_dir():
+            told += f", but what was done is kept in {kept}: the same command goes on from there"
+        print(printable(told), file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output has gone: no message, no traceback
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

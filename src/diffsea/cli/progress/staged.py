@@ -22,6 +22,7 @@ Stages = int | Mapping[str, float]
 KNOWN_PACE = 5.0  # s for which the usual seconds are believed before the pace is
 SURE_SHARE = 0.05  # of stages of unknown length, from which the time left is told
 SILENT_SHARE = 0.9  # of a stage that tells nothing, to which the bar moves with its usual seconds
+QUIET = 15.0  # s without a line, after which the next step of a stage is one where no bar is drawn
 TOLD_COMPILING = 1.0  # s of it, from which it is told at the end
 
 
@@ -36,7 +37,8 @@ class StagedProgress:
     of a stage, a `Remark` is a line that stays. On a terminal one line is drawn over and over and
     taken away at the end: the bar, the time left, the stage, and whether a program is being
     compiled. In a file or a pipe a stage is a line of its own, without escape codes, when it
-    begins. The bar never goes back; the time left follows the pace until then.
+    begins, and so is how far it is now and then. The bar never goes back; the time left follows the
+    pace until then.
     """
 
     def __init__(self, stages: Stages, stream: TextIO | None = None):
@@ -53,7 +55,7 @@ class StagedProgress:
         self._edges = (0.0, *itertools.accumulate(self._usual))
         self._stream = sys.stderr if stream is None else stream
         self._bar: Bar | None = None
-        self._began = self._stage_began = time.monotonic()
+        self._began = self._stage_began = self._told_last = time.monotonic()
         self._stage, self._place, self._span = "", -1, (0.0, 1.0)
         self._done = 0.0  # of the usual seconds
         COMPILING.listen()
@@ -126,6 +128,8 @@ class StagedProgress:
             stage = printable(message.stage) or self._stage
         if stage != self._stage:
             self._begin(stage)
+        elif self._bar is None and time.monotonic() - self._told_last > QUIET:
+            self._line_of_time(f"{stage}: {100 * share:.0f} %")
         self._reach(share)
 
     def _begin(self, stage: str) -> None:
@@ -136,7 +140,7 @@ class StagedProgress:
         now = time.monotonic()
         self._stage, self._stage_began = stage, now
         if self._bar is None:
-            print(f"[{now - self._began:5.0f} s] {stage}", file=self._stream, flush=True)
+            self._line_of_time(stage)
         following = min(self._place + 1, len(self._usual) - 1)
         if self._named:
             named = (k for k, name in enumerate(self._names) if stage.startswith(name))
@@ -145,6 +149,12 @@ class StagedProgress:
         is_again = self._named and following == self._place
         self._span = (0.5 * (start + end), end) if is_again else (0.0, 1.0)
         self._place = following
+
+    def _line_of_time(self, told: str) -> None:
+        """A line with the time since the beginning."""
+        self._told_last = time.monotonic()
+        since = self._told_last - self._began
+        print(f"[{since:5.0f} s] {told}", file=self._stream, flush=True)
 
     def _reach(self, share: float) -> None:
         """Move the bar to a share of the stage, never back."""
