@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
 from diffsea.recordings import Finding, audit, write_recording
 from diffsea.recordings.auditing.edits import Affine, Blank, Edit, Step
-from diffsea.report.pages.check import DOUBTFUL, headlines, quality_plot
+from diffsea.report.pages.check import DOUBTFUL, headlines, quality_plot, trial_order
 from diffsea.trajectory import Trajectory
 from diffsea.workflows.checks import craft_of
 
@@ -410,7 +411,9 @@ def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path, 
     record = json.loads((tmp_path / "out" / "check.json").read_text())
     mapping = tmp_path / "out" / "logger.mapping.toml"
     assert record["log"] == "csv" and mapping.exists()
-    assert f"diffsea diagnose boat.toml {path} --mapping {mapping}" in capsys.readouterr().out
+    command = f"diffsea diagnose boat.toml {path} --mapping {mapping}"
+    assert command in capsys.readouterr().out
+    assert command in (tmp_path / "out" / "check.html").read_text()
     boat = tmp_path / "boat.toml"
     size = ["--length", "1.4", "--beam", "0.9", "--mass", "22", "--thrusters", "0.6"]
     assert main(["new", str(boat), *size]) == 0
@@ -433,6 +436,13 @@ def test_a_ground_course_is_no_heading_and_columns_that_may_be_orders_are_named(
     assert record["channels"]["psi"]["source"] == "yaw"
     assert "groundcourse" not in [one["source"] for one in record["channels"].values()]
     assert "columns not used" in record["missing"][0] and "ch3out" in record["missing"][0]
+
+
+def test_the_order_of_a_trial_is_an_angle_or_of_thrusters_a_difference():
+    trial = SimpleNamespace(order=np.radians(7.0))
+    assert trial_order(trial, paired=False) == "7.0 deg"
+    assert trial_order(trial, paired=True) == "20 % of the sum"
+    assert trial_order(SimpleNamespace(order=np.nan), paired=True) == ""
 
 
 WAYS = {0.5: "less to starboard than to port", 2.0: "less to port than to starboard"}

@@ -1,6 +1,7 @@
 """`diffsea check`: what is in a log, whether it is sound, and what it shows."""
 
 import argparse
+import math
 import pathlib
 import shlex
 from typing import TYPE_CHECKING
@@ -83,11 +84,12 @@ def check_command(args: argparse.Namespace) -> None:
         tell("writing the page")
         command = "diffsea check " + " ".join(shlex.quote(str(path)) for path in paths)
         source = {"command": command, "logs": keys}
-        out.text("check.html", check_report(checks, told, source, together))
+        commands = _following(paths, checks, chosen, args.mapping, out.folder)
+        out.text("check.html", check_report(checks, told, source, together, commands))
     texts = [_check_text(one) for one in checks]
     if together is not None:
         texts.append(_together_text(together))
-    texts.append(_next_text(paths, checks, chosen, args.mapping, out.folder))
+    texts.append("\n".join(f"{'      ' if k else 'next: '}{one}" for k, one in enumerate(commands)))
     out.present(args, "\n\n".join(filter(None, texts)))
 
 
@@ -106,7 +108,7 @@ def _record(one: "LogCheck | Finding") -> dict[str, object]:
 def _check_text(one: "LogCheck | Finding") -> str:
     """A check for a person at a terminal."""
     from diffsea.recordings import Finding
-    from diffsea.report.pages.check import guess_sentence, headlines
+    from diffsea.report.pages.check import guess_sentence, headlines, trial_order
 
     if isinstance(one, Finding):
         return f"{one.recording}: not read: {one.message}"
@@ -121,10 +123,16 @@ def _check_text(one: "LogCheck | Finding") -> str:
         *(f"finding: {finding.kind}: {finding.message}" for finding in one.audit),
         *headlines(one.answers, bool(one.run.commanded)),
     ]
+    known = lambda speed: f"{speed:.2f}" if math.isfinite(speed) else ""
     rows = [
-        (trial.kind, f"{trial.onset:.1f}", f"{trial.end:.1f}", trial.group) for trial in one.trials
+        (
+            *(trial.kind, f"{trial.onset:.1f}", f"{trial.end:.1f}", trial.side or ""),
+            *(trial_order(trial, one.answers.paired), known(trial.approach.speed)),
+        )
+        for trial in one.trials
     ]
-    lines += [table(rows, ("trial", "onset s", "end s", ""))] if rows else []
+    heads = ("trial", "onset s", "end s", "side", "order", "approach m/s")
+    lines += [table(rows, heads)] if rows else []
     lines += _open_lines(one)
     return "\n".join([*lines, *(f"note: {note}" for note in one.notes)])
 
@@ -137,13 +145,13 @@ def _together_text(pooled: "PooledCheck") -> str:
     return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
 
 
-def _next_text(
+def _following(
     paths: "Sequence[pathlib.Path]",
     checks: "Sequence[LogCheck | Finding]",
     chosen: "dict[pathlib.Path, ChosenMapping | Finding]",
     given: pathlib.Path | None,
     folder: pathlib.Path,
-) -> str:
+) -> list[str]:
     """The commands that go on from here: a vessel file, and a diagnosis of the logs by it.
 
     Logs that are read through one mapping go into one command.
@@ -163,8 +171,7 @@ def _next_text(
         words = ["diffsea", "diagnose", "boat.toml", *(str(path) for path, _ in logs)]
         words += [] if mapping is None else ["--mapping", str(mapping)]
         lines += [_new_boat(one, first), shlex.join(words)]
-    told = list(dict.fromkeys(lines))
-    return "\n".join(f"{'      ' if row else 'next: '}{line}" for row, line in enumerate(told))
+    return list(dict.fromkeys(lines))
 
 
 def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:

@@ -25,6 +25,8 @@ from diffsea.report.plots import (
 )
 from diffsea.report.quantities import for_people, round_to_error, significant
 from diffsea.report.words import Record, capital, enumeration
+from diffsea.scales import HARD_OVER
+from diffsea.segments import Segment
 from diffsea.trajectory import in_words
 
 
@@ -49,6 +51,7 @@ def check_report(
     told: Sequence[str],
     source: Record,
     together: PooledCheck | None = None,
+    commands: Sequence[str] = (),
 ) -> str:
     """The page.
 
@@ -57,6 +60,7 @@ def check_report(
         told: of each log, which mapping it is read through.
         source: what was run on what; shown as it is.
         together: what several logs show together.
+        commands: that go on from here.
     """
     read = [one for one in checks if isinstance(one, LogCheck)]
     logs = [_log(one, how) for one, how in zip(checks, told, strict=True)]
@@ -67,6 +71,7 @@ def check_report(
         subtitle=f"{len(logs)} log{'s' * (len(logs) != 1)}, {kinds}",
         logs=logs,
         together=None if together is None else _together(together),
+        commands=commands,
         provenance=provenance(source, [(one.run, "checked") for one in read]),
     )
 
@@ -327,10 +332,22 @@ def _track_plot(one: LogCheck, chosen: np.ndarray, group: str) -> Plot:
     return Plot(drawn, "The track, north up, with trials coloured", 460)
 
 
+def trial_order(trial: Segment, paired: bool) -> str:
+    """The steering order of a trial: an angle, or the difference of a pair of thrusters.
+
+    `metrics.orders` has that as an angle of which hard over is a difference as large as the sum.
+    """
+    if not math.isfinite(trial.order):
+        return ""
+    if paired:
+        return f"{100 * trial.order / HARD_OVER:.0f} % of the sum"
+    return f"{math.degrees(trial.order):.1f} deg"
+
+
 def _trial_table(one: LogCheck) -> Table:
     rows = []
     for trial in one.trials:
-        order = f"{math.degrees(trial.order):.1f} deg" if math.isfinite(trial.order) else ""
+        order = trial_order(trial, one.answers.paired)
         turned = f"{math.degrees(trial.heading_change):.0f} deg"
         times = f"{trial.onset:.0f} to {trial.end:.0f} s"
         speed = trial.approach.speed
@@ -339,7 +356,7 @@ def _trial_table(one: LogCheck) -> Table:
             [trial.kind, times, trial.side or "", order, turned, pace, trial.approach.verdict]
         )
     columns = ["trial", "time", "side", "order", "turned by", "approach", "approach is"]
-    caption = "Trials; orders of a pair of thrusters as the rudder angle that would be equivalent"
+    caption = "Trials; the order of a pair of thrusters is their difference, in shares of their sum"
     return Table(columns, rows, caption)
 
 
