@@ -20,6 +20,7 @@ from diffsea import (
     write_recording,
 )
 from diffsea.recordings import to_frame
+from diffsea.recordings.auditing.mapping_rows import mapping_text
 
 
 MAPPED = [
@@ -327,6 +328,17 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
             "[columns]\nt = 't'\nx = { column = 's', cosine = 'c' }\n",
             "cosine is the name of a column.*of an angle",
         ),
+        ("[columns]\nt = 't'\nu = { constant = 1 }\n", "u: only orders, actuation, wind"),
+        ("[columns]\nt = 't'\ncmd_a = { constant = 'fast' }\n", "constant must be a finite"),
+        ("[columns]\nt = 't'\ncmd_a = { constant = 1, sign = 1 }\n", "unknown key 'sign'"),
+        (
+            "[columns]\nt = 't'\nwind_speed = { constant = 1, unit = 'deg' }\n",
+            "not a unit of speed",
+        ),
+        (
+            "[file]\nframe = 'ENU'\n[columns]\nt = 't'\nwind_direction = { constant = 1 }\n",
+            "counts from north",
+        ),
         ("[file]\nvelocity_axes = 'enu'\n[columns]\nt = 't'\n", '"body" or "earth", got'),
         ("[file]\nvelocity_axes = 'earth'\n[columns]\nt = 't'\n", "need the channels psi, u"),
     ],
@@ -334,6 +346,19 @@ def test_missing_files_and_folders_are_named(tmp_path, place):
 def test_wrong_mappings_are_refused_with_the_key(place, text, message):
     with pytest.raises(UserError, match=message):
         read_mapping(place(text, "map.toml"))
+
+
+def test_what_never_changed_is_said_by_the_mapping(place):
+    """An engine's order that nobody logged, and a wind from the notebook."""
+    rows = "[columns]\nt = 'time'\nx = 'x'\ncmd_propeller = { constant = 600, unit = 'rpm' }\n"
+    rows += "wind_direction = { constant = 90, unit = 'deg' }\n"
+    mapping = read_mapping(place(rows, "map.toml"))
+    run = read_recording(place("time,x\n0,1\n1,2\n2,4\n"), mapping, start=0.5)
+    assert list(run.t) == [1, 2]
+    assert list(run.commanded["propeller"]) == pytest.approx([10, 10])
+    assert list(run.extra["wind_direction"]) == pytest.approx([np.pi / 2] * 2)
+    assert "cmd_propeller is 10 throughout, as map.toml says" in run.provenance
+    assert read_mapping(place(mapping_text(mapping), "map.toml")) == mapping
 
 
 def test_mapping_that_does_not_fit_the_file(place):

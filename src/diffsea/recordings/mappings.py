@@ -188,8 +188,9 @@ class Column:
 class Mapping:
     """How to read one data set. `name` is the file the mapping came from.
 
-    The other fields but `channels` stand under [file] of a mapping file by their names here; the
-    `columns` of the file are those without a line of names.
+    The other fields but `channels` and `constants` stand under [file] of a mapping file by their
+    names here; the `columns` of the file are those without a line of names. Channels of which the
+    recording has no column, since they never changed, are `constants`, in SI.
     """
 
     channels: dict[str, Column]
@@ -208,6 +209,7 @@ class Mapping:
     clock: str | None = None  # topic of a log
     stamps: str = "header"  # or "receive"
     times: dict[str, Column] = dataclasses.field(default_factory=dict)  # of tables of a folder
+    constants: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def ned_channels(self) -> dict[str, Column]:
@@ -251,15 +253,20 @@ def mapping_from(table: dict[str, Any], path: Path) -> Mapping:
         if not isinstance(table.setdefault(key, {}), dict):
             raise UserError(f"{path}: {key} must be a table, written [{key}]")
     file_keys = [field.name for field in dataclasses.fields(Mapping)]
-    file_keys = [name for name in file_keys if name not in ("channels", "name")]
+    file_keys = [name for name in file_keys if name not in ("channels", "name", "constants")]
     _check_keys(table["file"], file_keys, f"{path}: [file] ")
-    channels = {
-        name: _column(name, entry, f"{path}: [columns] {name}")
-        for name, entry in table["columns"].items()
-    }
+    channels, constants = {}, {}
+    for name, entry in table["columns"].items():
+        where = f"{path}: [columns] {name}"
+        if isinstance(entry, dict) and "constant" in entry:
+            constants[name] = _constant(name, entry, where)
+        else:
+            channels[name] = _column(name, entry, where)
     settings = _file_settings(table["file"], f"{path}: [file]")
     _check_channels(channels, settings, path)
-    return Mapping(channels=channels, name=path.name, **settings)
+    if "wind_direction" in constants and settings.get("frame", "NED") != "NED":
+        raise UserError(f"{path}: a constant wind_direction counts from north; leave frame out")
+    return Mapping(channels=channels, name=path.name, constants=constants, **settings)
 
 
 def _check_keys(table: dict[str, Any], known: Sequence[str], where: str) -> None:
@@ -369,6 +376,20 @@ def _check_channels(channels: dict[str, Column], settings: dict[str, Any], path:
         raise UserError(f"{path}: latitude and longitude belong together; map both of them")
     if geodetic and {"x", "y"} & set(channels):
         raise UserError(f"{path}: latitude and longitude become x and y; leave x and y out")
+
+
+def _constant(channel: str, entry: dict[str, Any], where: str) -> float:
+    """The value (SI) of a channel that never changed.
+
+    Raises `UserError`, beginning with `where`, for a channel that has to be measured, a key that is
+    none, or a unit of another dimension.
+    """
+    if not (is_channel(channel) and (is_held(channel) or channel in EXTRA_CHANNELS)):
+        raise UserError(f"{where}: only orders, actuation, wind and heel may be constant")
+    _check_keys(entry, ("constant", "unit"), f"{where}: ")
+    value = _number(entry["constant"], f"{where}: constant")
+    unit = {"unit": entry["unit"]} if "unit" in entry else {}
+    return value * _column(channel, {"column": "", **unit}, where).gain
 
 
 def _column(channel: str, entry: object, where: str) -> Column:

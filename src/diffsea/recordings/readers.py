@@ -84,7 +84,10 @@ def read_recording(
         start = mapping.start if start is None else start
         end = mapping.end if end is None else end
     check_span(start, end, "what is to be read:")
-    return cut_between(_read_whole(source, mapping), start, end)
+    whole = _read_whole(source, mapping)
+    if mapping is not None and mapping.constants:
+        whole = _with_constants(whole, mapping)
+    return cut_between(whole, start, end)
 
 
 def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> Trajectory:
@@ -109,6 +112,23 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
     return dataclasses.replace(
         run,
         read=dataclasses.replace(run.read, recognised=told, rates=log.rates, cut_off=log.cut_off),
+    )
+
+
+def _with_constants(run: Trajectory, mapping: Mapping) -> Trajectory:
+    """The run with the channels that never changed, as the mapping says."""
+    groups = {"cmd_": dict(run.commanded), "exec_": dict(run.executed), "": dict(run.extra)}
+    told = []
+    for channel, value in mapping.constants.items():
+        prefix = next(one for one in groups if channel.startswith(one))
+        groups[prefix][channel.removeprefix(prefix)] = np.full(run.t.shape, value)
+        told.append(f"{channel} is {value:g} throughout, as {mapping.name} says")
+    return dataclasses.replace(
+        run,
+        commanded=groups["cmd_"],
+        executed=groups["exec_"],
+        extra=groups[""],
+        provenance=(*run.provenance, *told),
     )
 
 

@@ -49,7 +49,8 @@ def recorded_actuation(
             raise UserError(
                 f"{run.name}: the vessel's actuator channel {channel!r} has neither a "
                 f"cmd_{channel} nor an exec_{channel} column (it has: {have}); add it, or map "
-                "the file's own column to it with --mapping"
+                "the file's own column to it with --mapping; where it never changed, say so there: "
+                f"cmd_{channel} = {{ constant = VALUE }}"
             )
         if not np.isfinite(order).any():
             raise UserError(f"{run.name}: cmd_{channel} has no value at all")

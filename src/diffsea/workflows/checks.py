@@ -167,9 +167,16 @@ def _without_place(run: Trajectory) -> Trajectory:
 
 
 def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
-    """Which columns of a table may be the orders, where none is known as one."""
+    """Which columns of a table may be the orders, where none is known as one, or what drives."""
     unused = [note for note in run.provenance if note.startswith(COLUMNS_NOT_USED)]
-    if run.commanded or run.executed or not unused:
+    known = {name.lower() for name in (*run.commanded, *run.executed)}
+    if known and all("rudder" in name for name in known):
+        return (
+            "no column is known as the order of a propeller or motor; where it never changed, say "
+            "so under [columns] of the mapping, in rev/s or the unit of the motor: "
+            "cmd_propeller = { constant = VALUE }",
+        )
+    if known or not unused:
         return ()
     why = "no column is known as an order or as executed actuation"
     how = "if one is, name it in the mapping as cmd_port, cmd_starboard, cmd_rudder"

@@ -18,7 +18,8 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
     """
     lines = [f"# {line}" for note in notes for line in note.splitlines()]
     lines += ["format = 1", "", "[file]"]
-    for name, value in _unusual_fields(mapping, Mapping(mapping.channels, mapping.name)):
+    usual = Mapping(mapping.channels, mapping.name, constants=mapping.constants)
+    for name, value in _unusual_fields(mapping, usual):
         if name == "origin":
             value = [float(np.degrees(angle)) for angle in value]
         if name == "times":
@@ -26,6 +27,9 @@ def mapping_text(mapping: Mapping, notes: Iterable[str] = ()) -> str:
         else:
             lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
     lines += ["", "[columns]", *_column_lines(mapping.channels)]
+    lines += [
+        f"{_key(name)} = {{ constant = {value!r} }}" for name, value in mapping.constants.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -33,14 +37,18 @@ def _column_lines(columns: dict[str, Column]) -> list[str]:
     """Columns by name, as a mapping has them."""
     lines = []
     for name, column in columns.items():
-        plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
         pairs = [("column", column.column), *_unusual_fields(column, Column(column.column))]
         entry = ", ".join(
             f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs
         )
-        quoted = name if plain else json.dumps(name, ensure_ascii=False)
-        lines.append(f"{quoted} = {{ {entry} }}")
+        lines.append(f"{_key(name)} = {{ {entry} }}")
     return lines
+
+
+def _key(name: str) -> str:
+    """A key of TOML, quoted where it must be."""
+    plain = all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name)
+    return name if plain else json.dumps(name, ensure_ascii=False)
 
 
 def with_rows_of_mapping(finding: Finding, mapping: Mapping) -> Finding:
