@@ -686,6 +686,17 @@ def test_how_a_recording_is_misread_stands_at_the_head_with_its_repair():
     assert told in page[page.index('id="verdict"') : page.index('id="held-out"')]
 
 
+def test_a_fault_of_several_recordings_is_told_once_with_its_sizes():
+    late = {"kind": "sensor-latency", "message": "heading lags", "channels": ["psi"], "unit": "s"}
+    found = [late | {"recording": name, "value": value}
+             for name, value in (("one", 0.936), ("two", 0.774), ("three", 0.8))]  # fmt: skip
+    text = " ".join(verdict_text(summary_of("explained") | {"audit": found}).split())
+    assert "sensor latency in one: heading lags; and in 2 more, 0.774 s to 0.936 s" in text
+    assert text.count("heading lags") == 1
+    text = " ".join(verdict_text(summary_of("explained") | {"audit": found[:1]}).split())
+    assert "sensor latency in one: heading lags" in text and "more" not in text.split("lags")[1]
+
+
 def test_what_is_needed_only_together_and_what_little_is_left_are_told():
     sizes = {name: {"value": 2.0, "std": std, "unit": "kg m"} for name, std in
              (("Y_rdot", 4.0), ("N_vdot", 3.0))}  # fmt: skip

@@ -89,7 +89,10 @@ class Quantity(NamedTuple):
 
 
 def motion_quantities(problem: Problem) -> dict[str, Quantity]:
-    """Drift angle (deg), yaw rate (deg/s), speed ahead (m/s), heading (deg), sum of all orders."""
+    """Drift angle (deg), yaw rate (deg/s), speed ahead (m/s), heading (deg), sum of all orders.
+
+    That has a unit where all orders are in one.
+    """
     data = problem.dataset
     measured, known, recorded = (
         np.asarray(data.measured),
@@ -100,12 +103,13 @@ def motion_quantities(problem: Problem) -> dict[str, Quantity]:
     drift = np.degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3)))
     heading = np.degrees(np.mod(psi, 2 * np.pi))
     orders = sum((np.asarray(series) for series in data.orders.values()), np.zeros(len(known)))
+    units = set(problem.base.units.values())
     return {
         "drift angle": Quantity("deg", drift, recorded & known[:, 3] & known[:, 4]),
         "yaw rate": Quantity("deg/s", np.degrees(r), recorded & known[:, 5]),
         "speed": Quantity("m/s", u, recorded & known[:, 3]),
         "heading": Quantity("deg", heading, recorded & known[:, 2]),
-        "total order": Quantity("", orders, recorded),
+        "total order": Quantity(units.pop() if len(units) == 1 else "", orders, recorded),
     }
 
 

@@ -348,16 +348,35 @@ def misread_sentences(summary: Record) -> list[str]:
 
     Each once, with the recordings that show it.
     """
-    alike: dict[tuple[object, ...], list[Record]] = {}
-    for one in summary.get("audit") or []:
-        if one["kind"] in MAPPING_KINDS:
-            alike.setdefault((one["kind"], *one.get("channels", ())), []).append(one)
+    found = [one for one in summary.get("audit") or [] if one["kind"] in MAPPING_KINDS]
     told = []
-    for group in alike.values():
+    for group in alike_findings(found):
         first, repair = group[0], group[0].get("repair")
         where = first["recording"] if len(group) == 1 else count_recordings(len(group))
         told.append(f"{first['message']} (in {where}){f'. Repair: {repair}' if repair else ''}.")
     return told
+
+
+def alike_findings(found: Sequence[Record]) -> list[list[Record]]:
+    """Findings of the audit, those of one kind on the same channels together."""
+    alike: dict[tuple[object, ...], list[Record]] = {}
+    for one in found:
+        alike.setdefault((one["kind"], *one.get("channels", ())), []).append(one)
+    return list(alike.values())
+
+
+def finding_line(group: list[Record]) -> str:
+    """What was found in one recording, and the sizes in the others that show it, too."""
+    first, sizes = group[0], [one.get("value") for one in group]
+    text = f"{as_words(first['kind'])} in {first['recording']}: {first['message']}"
+    if len(group) == 1:
+        return text
+    known = [size for size in sizes if is_known(size)]
+    span = ""
+    if len(known) == len(group):
+        ends = [round_to_error(end(known), None, first.get("unit", "")) for end in (min, max)]
+        span = f", {' to '.join(ends)}" if len(set(ends)) > 1 else ""
+    return f"{text}; and in {len(group) - 1} more{span}"
 
 
 def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
@@ -496,10 +515,7 @@ def verdict_text(summary: Record) -> str:
     named = named_effects(summary)
     rows = summary.get("held_out", {}).get("horizons", [])
     others = [one for one in summary["audit"] if one["kind"] not in MAPPING_KINDS]
-    audit = [
-        f"{as_words(one['kind'])} in {one['recording']}: {one['message']}"
-        for one in others[:LISTED_FINDINGS]
-    ]
+    audit = [finding_line(group) for group in alike_findings(others)[:LISTED_FINDINGS]]
     what = []
     for effect in named:
         place = f" in {effect['recording']}" if "recording" in effect else ""
