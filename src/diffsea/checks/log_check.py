@@ -160,7 +160,7 @@ def check_run(
         cannot_tell=tuple(questions),
         missing=tuple(missing),
         guesses=tuple(guesses),
-        notes=tuple(notes),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 

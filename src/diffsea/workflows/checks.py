@@ -80,7 +80,8 @@ def choose_mappings(
         if known is not None:
             chosen[path] = ChosenMapping(known.mapping, known.text, known.sentence, known)
         else:
-            chosen[path] = ChosenMapping(None, None, "native columns")
+            columns = "without a mapping" if logs.is_log(path) else "native columns"
+            chosen[path] = ChosenMapping(None, None, columns)
     for group in foreign_layouts([p for p in paths if isinstance(chosen[p], ChosenMapping)]):
         try:
             proposal = propose_mapping(group)

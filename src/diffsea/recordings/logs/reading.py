@@ -226,9 +226,9 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
     time = f'  t = {{ column = "{clock}", unit = "s" }}\n' if form.time_is_mapped else ""
     return (
         f"{path} is {form.told} needs a mapping that says which fields are which channels. "
-        f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in boat.toml,\n"
+        f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in log.mapping.toml,\n"
         f"  [columns]\n{time}  {row}\n"
-        "with a line per channel and its unit in the log, and name it with --mapping boat.toml"
+        "with a line per channel and its unit in the log, and name it with --mapping log.mapping.toml"
     )
 
 
