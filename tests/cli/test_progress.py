@@ -47,9 +47,9 @@ def test_a_long_stage_is_heard_of_in_a_file(monkeypatch):
     with StagedProgress(2, stream) as tell:
         tell("fitting")
         for clock[0] in (5.0, 16.0, 20.0, 40.0):
-            tell(PartialProgress("a round", clock[0] / 50))
+            tell(PartialProgress(f"round {clock[0]:g}", clock[0] / 50))
     lines = [line.split("] ")[1] for line in stream.getvalue().splitlines()]
-    assert lines == ["fitting", "fitting: 32 %", "fitting: 80 %"]
+    assert lines == ["fitting", "fitting: round 16", "fitting: round 40"]
 
 
 def test_the_bar_is_the_share_of_all_stages():

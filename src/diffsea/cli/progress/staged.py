@@ -129,7 +129,7 @@ class StagedProgress:
         if stage != self._stage:
             self._begin(stage)
         elif self._bar is None and time.monotonic() - self._told_last > QUIET:
-            self._line_of_time(f"{stage}: {100 * share:.0f} %")
+            self._line_of_time(f"{stage}: {printable(message)}")
         self._reach(share)
 
     def _begin(self, stage: str) -> None:
