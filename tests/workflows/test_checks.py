@@ -17,7 +17,13 @@ from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
 from diffsea.recordings import Finding, audit, write_recording
 from diffsea.recordings.auditing.edits import Affine, Blank, Edit, Step
-from diffsea.report.pages.check import DOUBTFUL, headlines, quality_plot, trial_order
+from diffsea.report.pages.check import (
+    DOUBTFUL,
+    check_report,
+    headlines,
+    quality_plot,
+    trial_order,
+)
 from diffsea.trajectory import Trajectory
 from diffsea.workflows.checks import craft_of
 
@@ -467,6 +473,9 @@ def test_a_rudder_that_does_less_one_way_is_told_the_right_way(to_starboard):
         t, x, y, psi, 1 + 0 * t, 0 * t, rate, commanded=orders, executed={}, extra={},
         valid=everything,
     )  # fmt: skip
-    sentences = headlines(check_run(run, [], ("csv", "a table", "vessel"), {}).answers, True)
+    check = check_run(run, [], ("csv", "a table", "vessel"), {})
+    sentences = headlines(check.answers, True)
+    page = check_report([check], ["as it is"], {})
+    assert "angles (deg)" in page and "orders (%)" in page
     told = WAYS[to_starboard]
     assert any(one.startswith("It turns ") and told in one for one in sentences), sentences

@@ -228,7 +228,8 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
         f"{path} is {form.told} needs a mapping that says which fields are which channels. "
         f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in log.mapping.toml,\n"
         f"  [columns]\n{time}  {row}\n"
-        "with a line per channel and its unit in the log, and name it with --mapping log.mapping.toml"
+        "with a line per channel and its unit in the log, and name it with "
+        "--mapping log.mapping.toml"
     )
 
 

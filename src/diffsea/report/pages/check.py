@@ -1,5 +1,6 @@
 """A log's check as one page for people: content, soundness, trials, answers, open questions."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,6 +12,7 @@ from diffsea.checks import Answers, LogCheck, PooledCheck
 from diffsea.checks.answers import IntervalEstimate, LagOfAnswer, SteadyPoint
 from diffsea.checks.open_questions import OpenQuestion
 from diffsea.checks.shares import OrderScale
+from diffsea.metrics.orders import steers
 from diffsea.recordings import Finding
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.plots import (
@@ -271,7 +273,7 @@ def _thinned(count: int, most: int) -> slice:
 
 
 def _run_plots(one: LogCheck) -> list[Plot]:
-    """The track with its trials, and speed, heading, rate and orders over time."""
+    """The track with its trials, and speed, yaw rate, rudder angles and orders over time."""
     run, group = one.run, f"run-{one.name}"
     rows = _thinned(run.t.size, DRAWN_ROWS)
     plots = []
@@ -281,32 +283,37 @@ def _run_plots(one: LogCheck) -> list[Plot]:
         chosen = np.flatnonzero(known & used)[_thinned(int(np.sum(known & used)), DRAWN_ROWS)]
         if chosen.size:
             plots.append(_track_plot(one, chosen, group))
-    panels = [("speed", "m/s"), ("yaw rate", "deg/s"), ("orders", "%")]
     t, traces = numbers(run.t[rows], 6), []
     speed = np.hypot(run.u, np.where(np.isfinite(run.v), run.v, 0.0))
     series = [("speed", speed, 1, MEASURED), ("yaw rate", np.degrees(run.r), 2, MEASURED)]
-    for k, (name, scale) in enumerate(one.scales.items()):
-        orders = (run.commanded or run.executed)[name]
-        colour = (DIAGNOSED, NOMINAL, "#009e73", "#cc79a7")[k % 4]
-        series.append((name, 100 * scale.share(np.asarray(orders, float)), 3, colour))
+    orders = {n: np.asarray(s, float) for n, s in (run.commanded or run.executed).items()}
+    angles = {name: np.degrees(values) for name, values in orders.items() if steers(name)}
+    shares = {name: 100 * scale.share(orders[name]) for name, scale in one.scales.items()}
+    groups = [group for group in (("angles", "deg", angles), ("orders", "%", shares)) if group[2]]
+    panels = [("speed", "m/s"), ("yaw rate", "deg/s"), *(group[:2] for group in groups)]
+    colours = itertools.cycle((DIAGNOSED, NOMINAL, "#009e73", "#cc79a7"))
+    for panel, (_, _, drawn_together) in enumerate(groups, start=3):
+        series += [(name, s, panel, next(colours)) for name, s in drawn_together.items()]
     for name, values, panel, colour in series:
         known = np.isfinite(values)
         if not known.any():
             continue
         line = go.Scatter(x=t, y=numbers(values[rows]), name=name, mode="lines", connectgaps=True)
-        line.update(line={"color": colour, "width": 1.4, "shape": "hv" if panel == 3 else "linear"})
-        line.update(yaxis="y" if panel == 1 else f"y{panel}", showlegend=panel == 3)
+        line.update(line={"color": colour, "width": 1.4, "shape": "hv" if panel > 2 else "linear"})
+        line.update(yaxis="y" if panel == 1 else f"y{panel}", showlegend=panel > 2)
         traces.append(line)
-    layout: dict[str, Any] = {"xaxis": {"title": {"text": "time (s)"}, "anchor": "y3"}}
+    lowest, height = f"y{len(panels)}", 1 / len(panels)
+    layout: dict[str, Any] = {"xaxis": {"title": {"text": "time (s)"}, "anchor": lowest}}
     for k, (name, unit) in enumerate(panels):
         key = "yaxis" if k == 0 else f"yaxis{k + 1}"
-        top = 1 - k / 3
-        layout[key] = {"title": {"text": f"{name} ({unit})"}, "domain": [top - 0.29, top - 0.02]}
+        ends = [1 - (k + 0.88) * height, 1 - (k + 0.06) * height]
+        layout[key] = {"title": {"text": f"{name} ({unit})"}, "domain": ends}
     drawn = add_time_cursor(figure(*traces, **layout), group)
     drawn.update_layout(hovermode="x", legend={"y": 1.0})
     for trial in one.trials:
         _shade(drawn, (trial.onset, trial.end), COLOURS[trial.kind], 0.14)
-    plots.append(Plot(drawn, "Speed, yaw rate and orders over time", 460))
+    what = ["speed", "yaw rate", *(group[0] for group in groups)]
+    plots.append(Plot(drawn, f"{capital(enumeration(what))} over time", 140 * len(panels) + 40))
     return plots
 
 
@@ -356,7 +363,8 @@ def _trial_table(one: LogCheck) -> Table:
             [trial.kind, times, trial.side or "", order, turned, pace, trial.approach.verdict]
         )
     columns = ["trial", "time", "side", "order", "turned by", "approach", "approach is"]
-    caption = "Trials; the order of a pair of thrusters is their difference, in shares of their sum"
+    of_a_pair = "; the order is the difference of both thrusters, in shares of their sum"
+    caption = f"Trials{of_a_pair if one.answers.paired else ''}"
     return Table(columns, rows, caption)
 
 
