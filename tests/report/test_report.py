@@ -594,6 +594,9 @@ def test_a_page_says_where_what_was_found_does_not_improve_the_motion():
         row["diagnosed"]["heading"] = new
     told = unimproved_sentence(summary)
     assert told == "Predicted worse with it: heading 60 s ahead (5.7 deg -> 6.9 deg)."
+    whole = summary_of("explained")
+    whole["held_out"] |= {"horizons": horizons}
+    assert told in " ".join(verdict_text(whole).split())
 
 
 @pytest.mark.parametrize("held_out", [True, False])

@@ -534,7 +534,10 @@ def verdict_text(summary: Record) -> str:
     items = {
         "where": ["without what was found:"] * bool(named and places) + places,
         "what": what,
-        "error": [horizon_line(row, MODELS if named else MODELS[1:]) for row in rows],
+        "error": [
+            *(horizon_line(row, MODELS if named else MODELS[1:]) for row in rows),
+            unimproved_sentence(summary),
+        ],
         "left": [
             remainder_sentence(summary),
             single_step_sentence(summary),
