@@ -52,6 +52,18 @@ def test_a_long_stage_is_heard_of_in_a_file(monkeypatch):
     assert lines == ["fitting", "fitting: round 16", "fitting: round 40"]
 
 
+def test_what_is_told_by_a_line_is_not_told_again(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+    stream = io.StringIO()
+    with StagedProgress(2, stream) as tell:
+        tell("the boats")
+        clock[0] = 20.0
+        tell.line("one: done")
+        tell(PartialProgress("one: done", 0.5))
+    assert stream.getvalue().count("one: done") == 1
+
+
 def test_the_bar_is_the_share_of_all_stages():
     shares = []
     with StagedProgress(4, Terminal()) as tell:

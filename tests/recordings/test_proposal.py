@@ -213,6 +213,15 @@ def test_of_columns_without_names_the_rudder_is_what_yaw_follows(tmp_path):
     assert proposal.sure["r"] > 0.7
 
 
+def test_where_no_rudder_was_logged_none_is_proposed(tmp_path):
+    """Roll and sway are reversed in a zig-zag, too, but never stand."""
+    native, rng = rudder_run(), np.random.default_rng(4)
+    roll = -0.5 * native["r"].ewm(span=3).mean() + 0.002 * rng.normal(size=len(native))
+    table = native.assign(roll=roll)[["t", "x", "y", "psi", "u", "v", "r", "roll"]]
+    table.to_csv(tmp_path / "a.txt", index=False, header=False, sep=" ")
+    assert not [name for name in propose_mapping(tmp_path / "a.txt").sure if "rudder" in name]
+
+
 def rudder_run():
     """A ship of first order in yaw under steps of the rudder, drifting outwards; exact."""
     t = np.arange(0, 120, 0.25)

@@ -17,7 +17,7 @@ import diffsea
 from diffsea import Mapping, read_mapping, read_recording, repair, write_recording
 from diffsea.cli import main
 from diffsea.recordings import audit
-from diffsea.recordings.auditing.edits import Affine
+from diffsea.recordings.auditing.edits import Affine, ExecutedToCommanded
 from diffsea.recordings.auditing.mapping_rows import mapping_text
 from diffsea.recordings.mappings import Column
 
@@ -341,3 +341,13 @@ def test_the_command_never_writes_over_a_recording(tmp_path, capsys):
     assert main(["audit", *paths, "--repair", "-o", str(tmp_path)]) == 1
     assert "written over a recording" in capsys.readouterr().err
     assert not (tmp_path / "repairs.json").exists()
+
+
+def test_an_order_that_a_mapping_holds_constant_stays_so():
+    """Where a file has the order already, what is called executed is left out; a mapping, too."""
+    columns = {name: Column(name) for name in ("t", "x", "exec_rudder")}
+    mapping = Mapping(columns, constants={"cmd_rudder": 0.1})
+    amended = ExecutedToCommanded("rudder").amend_mapping(mapping)
+    text = tomllib.loads(mapping_text(amended))
+    assert text["columns"]["cmd_rudder"] == {"constant": 0.1}
+    assert "exec_rudder" not in text["columns"]

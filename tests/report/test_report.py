@@ -700,6 +700,20 @@ def test_a_fault_of_several_recordings_is_told_once_with_its_sizes():
     assert "sensor latency in one: heading lags" in text and "more" not in text.split("lags")[1]
 
 
+def test_faults_that_differ_are_not_put_together():
+    turned = {"kind": "axes", "message": "turned", "channels": ["psi"], "value": None}
+    found = [turned | {"recording": name, "repair": repair}
+             for name, repair in (("A", "offset = -0.1"), ("B", "offset = 1.5"))]  # fmt: skip
+    gap = {"kind": "gap", "channels": ["t"], "recording": "A", "unit": "s"}
+    found += [gap | {"message": text, "value": 1.0} for text in ("cut off", "a clock gap")]
+    doubted = turned | {"recording": "C", "repair": "none", "doubt": "or else late"}
+    summary = summary_of("unexplained") | {"audit": [*found, doubted]}
+    text = " ".join(verdict_text(summary).split())
+    assert "turned (in A). Repair: offset = -0.1." in text
+    assert "turned (in B). Repair: offset = 1.5." in text
+    assert "gap in A: cut off gap in A: a clock gap axes in C: turned" in text
+
+
 def test_what_is_needed_only_together_and_what_little_is_left_are_told():
     sizes = {name: {"value": 2.0, "std": std, "unit": "kg m"} for name, std in
              (("Y_rdot", 4.0), ("N_vdot", 3.0))}  # fmt: skip
@@ -709,7 +723,7 @@ def test_what_is_needed_only_together_and_what_little_is_left_are_told():
     summary["held_out"] |= {"horizons": [{"seconds": 20.0, "starts": 9, **errors}]}
     text = " ".join(verdict_text(summary).split())
     assert "(needed together, none determined by itself)" in text
-    assert "of the error 20 s ahead 1.0 % is left." in text
+    assert "of the error of position 20 s ahead 1.0 % is left." in text
     found = outcome_of("explained")
     page = diagnosis_report(summary, "usv", found.split, compared(found), SOURCE)
     assert '<section id="verdict" class="verdict ambiguous">' in page

@@ -1,6 +1,8 @@
 """Fits and diagnoses whose time ends, at once and at one question after the other."""
 
 import json
+import os
+import shutil
 import time
 
 import numpy as np
@@ -94,6 +96,15 @@ def test_a_fit_that_is_interrupted_goes_on_from_its_fits(data, tmp_path, capsys,
     assert done("fit", data, tmp_path / "alone")[0] == 0
     assert [one.name for one in tmp_path.iterdir()] == ["alone"]
     out, parts = tmp_path / "out", tmp_path / "fits"
+    with monkeypatch.context() as patch:
+        old = tmp_path / "old"
+        old.mkdir()
+        (old / "another boat's").touch()
+        os.utime(old / "another boat's", (1e9, 1e9))
+        patch.setattr("diffsea.cli.options.read_vessel", stop)
+        assert done("fit", data, out, "--parts", str(old))[0] == 130
+        assert capsys.readouterr().err.endswith("nothing was written\n")
+    shutil.rmtree(old)
     with monkeypatch.context() as patch:
         patch.setattr("diffsea.workflows.identification.compare_fit", stop)
         assert done("fit", data, out, "--parts", str(parts))[0] == 130

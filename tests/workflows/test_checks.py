@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -425,6 +424,10 @@ def test_a_table_of_others_is_read_through_a_proposal_that_is_written(tmp_path, 
     assert main(["new", str(boat), *size]) == 0
     assert main(["diagnose", str(boat), str(path)]) == 1
     assert f"`diffsea check {path}` proposes a mapping" in capsys.readouterr().err
+    broken = tmp_path / "broken.csv"
+    broken.write_text("t,x\n0,1\n1,fast\n")
+    assert main(["diagnose", str(boat), str(broken), str(path)]) == 1
+    assert "'fast' is not a number" in capsys.readouterr().err
     assert record["channels"]["psi"] | {"rate": 0} == {"source": "Yaw", "unit": "deg", "rate": 0}
 
 
@@ -445,10 +448,10 @@ def test_a_ground_course_is_no_heading_and_columns_that_may_be_orders_are_named(
 
 
 def test_the_order_of_a_trial_is_an_angle_or_of_thrusters_a_difference():
-    trial = SimpleNamespace(order=np.radians(7.0))
-    assert trial_order(trial, paired=False) == "7.0 deg"
-    assert trial_order(trial, paired=True) == "20 % of the sum"
-    assert trial_order(SimpleNamespace(order=np.nan), paired=True) == ""
+    assert trial_order(np.radians(7.0), paired=False) == "7.0 deg"
+    assert trial_order(np.radians(7.0), paired=True) == "20 % of the sum"
+    assert trial_order(np.nan, paired=True) == ""
+    assert trial_order(10.0, paired=True) == "on the spot"
 
 
 WAYS = {0.5: "less to starboard than to port", 2.0: "less to port than to starboard"}

@@ -36,6 +36,7 @@ import importlib.metadata
 import os
 import pathlib
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 
@@ -78,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     **Returns:** 0 done, 1 the work failed, 2 bad usage, 130 interrupted. Messages go to standard
     error, and whatever fails leaves no files behind.
     """
-    debug, kept = False, None
+    debug, kept, began = False, None, time.time()
     try:
         words = sys.argv[1:] if argv is None else list(argv)
         if not words:
@@ -99,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         told = "diffsea: interrupted; nothing was written"
-        if kept is not None and kept.is_dir():
+        if kept is not None and any(file.stat().st_mtime >= began for file in kept.glob("*")):
             told += f", but what was done is kept in {kept}: the same command goes on from there"
         print(printable(told), file=sys.stderr)
         return 130

@@ -7,6 +7,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from diffsea.cli import options
+from diffsea.cli.following import following_commands, reading_options
 from diffsea.cli.options import add_flag
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
@@ -14,8 +15,6 @@ from diffsea.errors import UserError
 
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from diffsea.checks import LogCheck, PooledCheck
     from diffsea.recordings import Finding
     from diffsea.workflows.checks import ChosenMapping
@@ -55,7 +54,7 @@ def check_command(args: argparse.Namespace) -> None:
         from diffsea.checks import check_together
         from diffsea.recordings import Finding
         from diffsea.report.pages.check import check_report
-        from diffsea.workflows.checks import check_logs, choose_mappings, mapping_file
+        from diffsea.workflows.checks import check_logs, choose_mappings
 
         chosen = choose_mappings(paths, args.mapping)
         hows = [chosen[path] for path in paths]
@@ -68,11 +67,7 @@ def check_command(args: argparse.Namespace) -> None:
             options.progress(f"{', '.join(names_of_logs)}: {sentence}")
         tell("checking the log" if len(paths) == 1 else f"checking {len(paths)} logs")
         checks = check_logs(paths, chosen, args.start, args.end, args.hide_place)
-        for path, how in chosen.items():
-            text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)
-            name = f"{path.stem}.mapping.toml"
-            if text is not None and out.folder / name not in out.files:
-                out.text(name, text)
+        mappings = _write_mappings(out, chosen, args)
         records = [_record(one) for one in checks]
         names = [path.name for path in paths]
         keys = names if len(set(names)) == len(names) else [str(path) for path in paths]
@@ -82,15 +77,52 @@ def check_command(args: argparse.Namespace) -> None:
             several["together"] = together.as_dict()
         out.json("check.json", records[0] if len(records) == 1 else several)
         tell("writing the page")
-        command = "diffsea check " + " ".join(shlex.quote(str(path)) for path in paths)
+        command = shlex.join(["diffsea", "check", *map(str, paths), *reading_options(args)])
         source = {"command": command, "logs": keys}
-        commands = _following(paths, checks, chosen, args.mapping, out.folder)
+        checked = [
+            (path, one)
+            for path, one in zip(paths, checks, strict=True)
+            if not isinstance(one, Finding)
+        ]
+        commands = following_commands(args, checked, mappings)
         out.text("check.html", check_report(checks, told, source, together, commands))
     texts = [_check_text(one) for one in checks]
     if together is not None:
         texts.append(_together_text(together))
     texts.append("\n".join(f"{'      ' if k else 'next: '}{one}" for k, one in enumerate(commands)))
     out.present(args, "\n\n".join(filter(None, texts)))
+
+
+def _write_mappings(
+    out: Outputs,
+    chosen: "dict[pathlib.Path, ChosenMapping | Finding]",
+    args: argparse.Namespace,
+) -> dict[pathlib.Path, pathlib.Path]:
+    """Write the mappings that were chosen or proposed; by log, that which other commands need.
+
+    A log that is known by what it contains needs none. Of logs of one layout it is that of the
+    first.
+    """
+    from diffsea.recordings import Finding
+    from diffsea.workflows.checks import mapping_file
+
+    written: dict[pathlib.Path, str] = {}
+    needed: dict[pathlib.Path, pathlib.Path] = {}
+    for path, how in chosen.items():
+        text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)
+        if args.mapping is not None:
+            needed[path] = args.mapping
+        if isinstance(how, Finding) or text is None:
+            continue
+        name = f"{path.stem}.mapping.toml"
+        if written.get(out.folder / name, text) != text:
+            name = f"{path.stem}.{len(out.files) + 1}.mapping.toml"
+        if out.folder / name not in written:
+            out.text(name, text)
+            written[out.folder / name] = text
+        if how.known is None:
+            needed[path] = next(file for file, other in written.items() if other == text)
+    return needed
 
 
 def _record(one: "LogCheck | Finding") -> dict[str, object]:
@@ -127,7 +159,7 @@ def _check_text(one: "LogCheck | Finding") -> str:
     rows = [
         (
             *(trial.kind, f"{trial.onset:.1f}", f"{trial.end:.1f}", trial.side or ""),
-            *(trial_order(trial, one.answers.paired), known(trial.approach.speed)),
+            *(trial_order(trial.order, one.answers.paired), known(trial.approach.speed)),
         )
         for trial in one.trials
     ]
@@ -143,53 +175,6 @@ def _together_text(pooled: "PooledCheck") -> str:
 
     told = headlines(pooled.answers, pooled.commanded)
     return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
-
-
-def _following(
-    paths: "Sequence[pathlib.Path]",
-    checks: "Sequence[LogCheck | Finding]",
-    chosen: "dict[pathlib.Path, ChosenMapping | Finding]",
-    given: pathlib.Path | None,
-    folder: pathlib.Path,
-) -> list[str]:
-    """The commands that go on from here: a vessel file, and a diagnosis of the logs by it.
-
-    Logs that are read through one mapping go into one command.
-    """
-    from diffsea.recordings import Finding
-
-    alike: dict[str, list[tuple[pathlib.Path, LogCheck]]] = {}
-    for path, one in zip(paths, checks, strict=True):
-        how = chosen[path]
-        if not isinstance(one, Finding) and not isinstance(how, Finding):
-            proposed = how.text if how.known is None else None
-            alike.setdefault(proposed or "", []).append((path, one))
-    lines = []
-    for proposed, logs in alike.items():
-        first, one = logs[0]
-        mapping = folder / f"{first.stem}.mapping.toml" if proposed else given
-        words = ["diffsea", "diagnose", "boat.toml", *(str(path) for path, _ in logs)]
-        words += [] if mapping is None else ["--mapping", str(mapping)]
-        lines += [_new_boat(one, first), shlex.join(words)]
-    return list(dict.fromkeys(lines))
-
-
-def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:
-    """The command that makes a vessel file for the boat of a log, its orders in their unit."""
-    from diffsea.recordings.mappings import ACTUATOR_PREFIXES
-
-    channels = " ".join([*one.run.commanded, *one.run.executed])
-    steered = "--hull ship" if "propeller" in channels else "--rudder"
-    drive = steered if "rudder" in channels else "--thrusters M"
-    units = {scale.unit for name, scale in one.scales.items() if "propeller" not in name} - {"us"}
-    if units:
-        columns = " ".join(
-            one.channels[name].source for name in one.channels if name.startswith(ACTUATOR_PREFIXES)
-        )
-        unit = "N" if "force" in columns.lower() else "UNIT"
-        drive += f" --unit {'normalised' if units == {'normalised'} else unit}"
-    log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
-    return f"diffsea new boat.toml --length M --beam M --mass KG {drive}{log}"
 
 
 def _open_lines(one: "LogCheck | PooledCheck") -> list[str]:

@@ -271,14 +271,19 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
     import dataclasses
 
     from diffsea import recordings
+    from diffsea.recordings.mappings import check_span
 
     mapping = None if args.mapping is None else recordings.read_mapping(args.mapping)
-    try:
-        runs = [recordings.read_recording(path, mapping, args.start, args.end) for path in paths]
-    except UserError as error:
-        if mapping is None and (foreign := _foreign_among(paths)):
-            raise UserError(_how_to_map(foreign)) from error
-        raise
+    check_span(args.start, args.end, "what is to be read:")
+    runs = []
+    for path in paths:
+        try:
+            runs.append(recordings.read_recording(path, mapping, args.start, args.end))
+        except UserError as error:
+            alike = [] if mapping is not None else _foreign_like(path, paths)
+            if not alike or isinstance(error.__cause__, OSError):
+                raise
+            raise UserError(_how_to_map(alike, len(paths))) from error
     if len({run.name for run in runs}) < len(runs):
         if len(set(paths)) < len(paths):
             raise UserError("a recording is named twice; name each only once")
@@ -288,23 +293,27 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
     return runs
 
 
-def _foreign_among(paths: Sequence[pathlib.Path]) -> list[pathlib.Path]:
-    """Files of the first layout that needs a mapping."""
+def _foreign_like(path: pathlib.Path, paths: Sequence[pathlib.Path]) -> list[pathlib.Path]:
+    """A file that needs a mapping, with those of its layout; none where it needs none."""
     from diffsea.recordings.mapping_proposal import foreign_layouts
 
-    there = [path for path in paths if path.exists()]
-    return next(iter(foreign_layouts(there)), [])
+    groups = foreign_layouts([one for one in paths if one.exists()])
+    return next((group for group in groups if path in group), [])
 
 
-def _how_to_map(paths: Sequence[pathlib.Path]) -> str:
-    """That files have the columns of another program, and how a mapping is had."""
+def _how_to_map(paths: Sequence[pathlib.Path], count: int) -> str:
+    """That files have the layout of another program, and how a mapping is had.
+
+    Of `count` files in all: a mapping is for all files of a command.
+    """
     files = " ".join(shlex.quote(str(path)) for path in paths)
     which = f"{paths[0]} has" if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more have"
     mapping = pathlib.Path("out") / "check" / f"{paths[0].stem}.mapping.toml"
     return (
-        f"{which} columns under other names than diffsea's (t, x, y, psi, ..., cmd_...): "
+        f"{which} not diffsea's columns (t, x, y, psi, ..., cmd_...) between commas: "
         f"`diffsea check {files}` proposes a mapping and says how sure it is of each; look at it, "
         f"then repeat this with --mapping {shlex.quote(str(mapping))}"
+        + (", for these files alone: it goes for all of a command" if len(paths) < count else "")
     )
 
 

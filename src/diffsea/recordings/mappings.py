@@ -90,6 +90,7 @@ _GEODETIC = {"latitude": "angle", "longitude": "angle"}
 _TURNED = {"psi": math.pi / 2, "wind_direction": math.pi / 2, "v": 0.0, "r": 0.0}
 _SWAPPED = {"x": "y", "y": "x"}
 
+MAY_BE_CONSTANT = ("wind_speed", "wind_direction", "phi")  # and orders
 MOST_HEADER_LINES = 100_000
 _ASCII = string.printable.encode("ascii")
 _CHOICES = {
@@ -384,12 +385,12 @@ def _constant(channel: str, entry: dict[str, Any], where: str) -> float:
     Raises `UserError`, beginning with `where`, for a channel that has to be measured, a key that is
     none, or a unit of another dimension.
     """
-    if not (is_channel(channel) and (is_held(channel) or channel in EXTRA_CHANNELS)):
-        raise UserError(f"{where}: only orders, actuation, wind and heel may be constant")
     _check_keys(entry, ("constant", "unit"), f"{where}: ")
-    value = _number(entry["constant"], f"{where}: constant")
     unit = {"unit": entry["unit"]} if "unit" in entry else {}
-    return value * _column(channel, {"column": "", **unit}, where).gain
+    gain = _column(channel, {"column": "", **unit}, where).gain
+    if not (channel.startswith(ACTUATOR_PREFIXES) or channel in MAY_BE_CONSTANT):
+        raise UserError(f"{where}: only orders, actuation, wind and heel may be constant")
+    return _number(entry["constant"], f"{where}: constant") * gain
 
 
 def _column(channel: str, entry: object, where: str) -> Column:

@@ -22,6 +22,7 @@ from diffsea.recordings.geodesy import place_fixes
 from diffsea.recordings.known import recognise
 from diffsea.recordings.mappings import (
     ACTUATOR_PREFIXES,
+    CHANNEL_DIMENSIONS,
     COLUMNS_NOT_USED,
     EMPTY_ROWS,
     EXTRA_CHANNELS,
@@ -122,7 +123,8 @@ def _with_constants(run: Trajectory, mapping: Mapping) -> Trajectory:
     for channel, value in mapping.constants.items():
         prefix = next(one for one in groups if channel.startswith(one))
         groups[prefix][channel.removeprefix(prefix)] = np.full(run.t.shape, value)
-        told.append(f"{channel} is {value:g} throughout, as {mapping.name} says")
+        unit = {"speed": " m/s", "angle": " rad"}.get(CHANNEL_DIMENSIONS.get(channel, ""), "")
+        told.append(f"{channel} is {value:g}{unit} throughout, as {mapping.name} says")
     return dataclasses.replace(
         run,
         commanded=groups["cmd_"],

@@ -5,7 +5,7 @@ The same sentences stand in the terminal and at the head of a page, so that they
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from diffsea.identification.holdout import HeldOut
@@ -198,7 +198,7 @@ def verdict_sentence(summary: Record) -> str:
         return (
             "The model agrees with the recordings: they show nothing that is missing from it "
             "beyond the values of its parameters. What it misses is put down to gusts and sensor "
-            "noise; if it was calm, something is missing."
+            "noise; if it was calm, more than sensor noise means that something is missing."
         )
     if not effects and summary["verdict"] != "insufficient":
         where = "".join(f", strongest in {place}" for place in strongest_places(summary, 1))
@@ -337,10 +337,12 @@ def _share_left(summary: Record) -> str:
     row = headline_horizon(summary.get("held_out", {}).get("horizons", []), MODELS)
     if row is None or not named_effects(summary):
         return ""
-    old, new = (row[model][known_quantities(row, MODELS)[0]] for model in MODELS)
-    if new > LITTLE_LEFT * old:
+    quantity = known_quantities(row, MODELS)[0]
+    old, new = (row[model][quantity] for model in MODELS)
+    if not 0 < new <= LITTLE_LEFT * old:
         return ""
-    return f"; of the error {row['seconds']:g} s ahead {significant(100 * new / old, 2)} % is left"
+    share = f"{significant(100 * new / old, 2)} %"
+    return f"; of the error of {quantity} {row['seconds']:g} s ahead {share} is left"
 
 
 def misread_sentences(summary: Record) -> list[str]:
@@ -348,20 +350,35 @@ def misread_sentences(summary: Record) -> list[str]:
 
     Each once, with the recordings that show it.
     """
-    found = [one for one in summary.get("audit") or [] if one["kind"] in MAPPING_KINDS]
     told = []
-    for group in alike_findings(found):
+    for group in alike_findings(filter(is_misread, summary.get("audit") or []), "repair"):
         first, repair = group[0], group[0].get("repair")
         where = first["recording"] if len(group) == 1 else count_recordings(len(group))
         told.append(f"{first['message']} (in {where}){f'. Repair: {repair}' if repair else ''}.")
     return told
 
 
-def alike_findings(found: Sequence[Record]) -> list[list[Record]]:
-    """Findings of the audit, those of one kind on the same channels together."""
+def is_misread(finding: Record) -> bool:
+    """Whether what is wrong, without a doubt, is how a recording is read."""
+    return finding["kind"] in MAPPING_KINDS and not finding.get("doubt")
+
+
+def alike_findings(found: Iterable[Record], *same: str) -> list[list[Record]]:
+    """Findings of the audit, those of one kind on the same channels of several recordings together.
+
+    Arguments:
+        same: keys that they must have in common, besides.
+    """
     alike: dict[tuple[object, ...], list[Record]] = {}
     for one in found:
-        alike.setdefault((one["kind"], *one.get("channels", ())), []).append(one)
+        key = one["kind"], *(one.get("channels") or ()), *(one.get(name) for name in same)
+        others = [group for known, group in alike.items() if known[:-1] == key]
+        where = one["recording"]
+        open_ones = [g for g in others if all(other["recording"] != where for other in g)]
+        if open_ones:
+            open_ones[0].append(one)
+        else:
+            alike[(*key, len(alike))] = [one]
     return list(alike.values())
 
 
@@ -491,7 +508,8 @@ def effect_lines(name: str, runs: Sequence[Record], log10_odds: float | None = N
 
 def together_note(effect: Record) -> str:
     """That several parameters are needed, but only together, where no size stands by itself."""
-    sizes = [(one["value"], one.get("std")) for one in effect["parameters"].values()]
+    entries = effect["parameters"].values()
+    sizes = [(one["value"], one.get("std")) for one in entries if "beyond" not in one]
     open_ones = [is_known(v) and is_known(s) and abs(v) < 2 * s for v, s in sizes]
     return (
         " (needed together, none determined by itself)" if len(sizes) > 1 and all(open_ones) else ""
@@ -514,8 +532,8 @@ def verdict_text(summary: Record) -> str:
     """
     named = named_effects(summary)
     rows = summary.get("held_out", {}).get("horizons", [])
-    others = [one for one in summary["audit"] if one["kind"] not in MAPPING_KINDS]
-    audit = [finding_line(group) for group in alike_findings(others)[:LISTED_FINDINGS]]
+    others = [one for one in summary["audit"] if not is_misread(one)]
+    audit = [finding_line(group) for group in alike_findings(others, "unit")[:LISTED_FINDINGS]]
     what = []
     for effect in named:
         place = f" in {effect['recording']}" if "recording" in effect else ""

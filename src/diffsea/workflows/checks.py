@@ -232,7 +232,7 @@ def _counted(number: int, word: str) -> str:
 
 
 def _sources(run: Trajectory, how: ChosenMapping) -> dict[str, tuple[str, str]]:
-    """Column and unit of each channel, as they stand in the log."""
+    """Column and unit of each channel, as they stand in the log, or that it never changed."""
     if how.mapping is None:
         return {name: (name, _SI.get(unit, "")) for name, unit in CHANNEL_DIMENSIONS.items()}
     found = {}
@@ -245,4 +245,6 @@ def _sources(run: Trajectory, how: ChosenMapping) -> dict[str, tuple[str, str]]:
     for name, column in how.mapping.ned_channels.items():
         unit = column.unit or orders.get(name) or _SI.get(CHANNEL_DIMENSIONS.get(name, ""), "")
         found[swapped.get(name, name)] = (" and ".join(column.names), unit)
+    for name in how.mapping.constants:
+        found[name] = ("constant, by the mapping", _SI.get(CHANNEL_DIMENSIONS.get(name, ""), ""))
     return found

@@ -111,6 +111,7 @@ class StagedProgress:
 
     def line(self, message: str) -> None:
         """A line that stays, above the bar where there is one."""
+        self._told_last = time.monotonic()
         if self._bar is not None:
             self._bar.line(message)
         else:

@@ -322,7 +322,9 @@ class ExecutedToCommanded(Edit):
         column = columns.pop(f"exec_{self.actuator}", None)
         if column is None:
             return None
-        return dataclasses.replace(mapping, channels={f"cmd_{self.actuator}": column} | columns)
+        order = f"cmd_{self.actuator}"
+        there = {} if order in mapping.constants else {order: column}
+        return dataclasses.replace(mapping, channels=there | columns)
 
 
 @dataclasses.dataclass(frozen=True)

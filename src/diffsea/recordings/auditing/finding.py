@@ -66,6 +66,7 @@ class Finding:
             "unit": self.unit,
             "message": self.message,
             "repair": self.repair,
+            "doubt": self.doubt,
             "channels": list(self.channels),
             "parameters": {k: _finite_or_none(value) for k, value in self.parameters.items()},
         }

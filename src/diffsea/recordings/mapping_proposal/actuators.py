@@ -35,6 +35,8 @@ _FASTEST = 30.0  # rev/s of a propeller: beyond, the numbers are rpm
 # Probabilities that an unnamed column is a rudder where yaw answers it and no other one so well,
 # and where only its reversals show that it steers.
 _ANSWERED, _REVERSED = 0.9, 0.5
+_MOMENT = 0.005  # of a run, in which a column that stands does not move
+_STILL = 0.02  # of its range, that noise may move it then
 _ROTATING = {"rpm", "rps", "n", "propeller", "prop", "shaft", "drehzahl", "revs"}
 
 
@@ -89,15 +91,16 @@ def find_actuators(
     found = _with_sides(found, tried)
     if any(actuator.turns for actuator in found) or not unnamed:
         return found
-    verdicts = {c: [_push_of(run, "rudder", run.commanded[c]) for run in tried] for c in unnamed}
     best, chance = _most_answered(tried, unnamed)
+    why = "yaw rate answers it best of the unnamed columns"
     if not best:
-        strength = {c: math.hypot(*(push * sure for push, sure in v)) for c, v in verdicts.items()}
-        best, chance = max(unnamed, key=lambda column: strength[column]), _REVERSED
-        if not strength[best] > 0:
+        best, chance = _reversed_in_zigzags(tried, unnamed), _REVERSED
+        why = "of the unnamed columns it is the one that is reversed as in a zig-zag"
+        if not best:
             return found
-    rudder = _actuator(best, "rudder", chance, suggestions[best], runs, verdicts[best])
-    reason = f"yaw rate answers it best of the unnamed columns; {rudder.reason}"
+    verdicts = [_push_of(run, "rudder", run.commanded[best]) for run in tried]
+    rudder = _actuator(best, "rudder", chance, suggestions[best], runs, verdicts)
+    reason = f"{why}; {rudder.reason}"
     return [*found, dataclasses.replace(rudder, reason=reason, is_named=False)]
 
 
@@ -122,6 +125,31 @@ def _most_answered(runs: list[Trajectory], columns: list[str]) -> tuple[str, flo
     best = max(weights, key=lambda column: weights[column])
     total = sum(math.exp(weight - weights[best]) for weight in weights.values())
     return best, _ANSWERED / total
+
+
+def _reversed_in_zigzags(runs: list[Trajectory], columns: list[str]) -> str:
+    """The column whose reversals are most surely those of a zig-zag's rudder, if any.
+
+    It must stand between them: roll and sway follow a zig-zag, too, but never stand.
+    """
+    strength = {}
+    for column in columns:
+        if all(_stands(run, column) for run in runs):
+            pushes = [_push_of(run, "rudder", run.commanded[column]) for run in runs]
+            strength[column] = math.hypot(*(push * sure for push, sure in pushes))
+    best = max(strength, key=lambda column: strength[column], default="")
+    return best if best and strength[best] > 0 else ""
+
+
+def _stands(run: Trajectory, column: str) -> bool:
+    """Whether a column mostly stands still for a moment, as what is ordered or set does."""
+    values = np.asarray(run.commanded[column], dtype=float)
+    values = values[np.isfinite(values)]
+    moment = max(1, round(_MOMENT * values.size))
+    if values.size <= moment or not np.ptp(values) > 0:
+        return False
+    moved = np.abs(values[moment:] - values[:-moment])
+    return float(np.mean(moved < _STILL * np.ptp(values))) > 0.5
 
 
 def _answer_to(run: Trajectory, motion: MeasuredMotion, column: str) -> LaggedResponse:

@@ -28,7 +28,6 @@ from diffsea.report.plots import (
 from diffsea.report.quantities import for_people, round_to_error, significant
 from diffsea.report.words import Record, capital, enumeration
 from diffsea.scales import HARD_OVER
-from diffsea.segments import Segment
 from diffsea.trajectory import in_words
 
 
@@ -339,22 +338,24 @@ def _track_plot(one: LogCheck, chosen: np.ndarray, group: str) -> Plot:
     return Plot(drawn, "The track, north up, with trials coloured", 460)
 
 
-def trial_order(trial: Segment, paired: bool) -> str:
-    """The steering order of a trial: an angle, or the difference of a pair of thrusters.
+def trial_order(order: float, paired: bool) -> str:
+    """The steering order (rad) of a trial: an angle, or the difference of a pair of thrusters.
 
     `metrics.orders` has that as an angle of which hard over is a difference as large as the sum.
     """
-    if not math.isfinite(trial.order):
+    if not math.isfinite(order):
         return ""
+    if paired and abs(order) > HARD_OVER:
+        return "on the spot"  # one ahead, one astern
     if paired:
-        return f"{100 * trial.order / HARD_OVER:.0f} % of the sum"
-    return f"{math.degrees(trial.order):.1f} deg"
+        return f"{100 * order / HARD_OVER:.0f} % of the sum"
+    return f"{math.degrees(order):.1f} deg"
 
 
 def _trial_table(one: LogCheck) -> Table:
     rows = []
     for trial in one.trials:
-        order = trial_order(trial, one.answers.paired)
+        order = trial_order(trial.order, one.answers.paired)
         turned = f"{math.degrees(trial.heading_change):.0f} deg"
         times = f"{trial.onset:.0f} to {trial.end:.0f} s"
         speed = trial.approach.speed

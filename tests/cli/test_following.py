@@ -1,0 +1,76 @@
+"""The commands that `diffsea check` ends with: that they fit the boat, and can be run."""
+
+import argparse
+import pathlib
+import shlex
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from diffsea.cli import main
+from diffsea.cli.following import following_commands
+from diffsea.vessel.files import read_vessel
+
+
+NO_SPAN = argparse.Namespace(start=None, end=None)
+NUMBERS = {"--length M": "--length 6", "--beam M": "--beam 2", "--mass KG": "--mass 900"}
+NUMBERS |= {"--thrusters M": "--thrusters 1", "UNIT": "percent"}
+
+
+def log(orders, unit="us", source="column 8", form="csv") -> Any:
+    """As much of a check as the commands are made from."""
+    commanded = dict.fromkeys(orders, None)
+    scales = {name: SimpleNamespace(unit=unit) for name in orders if name != "rudder"}
+    channel = SimpleNamespace(unit="", source=source)
+    channels = {f"cmd_{name}": channel for name in orders}
+    run = SimpleNamespace(commanded=commanded, executed={})
+    return SimpleNamespace(run=run, scales=scales, channels=channels, log=form)
+
+
+@pytest.mark.parametrize(
+    "orders, unit, source",
+    [
+        (("port", "starboard"), "us", "C1"),
+        (("port", "starboard"), "own", "left_force"),
+        (("port", "starboard"), "own", "thr_left"),
+        (("port", "starboard"), "normalised", "thr_left"),
+        (("rudder", "motor"), "us", "C1"),
+        (("rudder", "propeller"), "own", "rpm"),
+        (("rudder",), "own", "helm"),
+    ],
+)
+def test_the_vessel_that_is_proposed_takes_the_orders_of_the_log(orders, unit, source, tmp_path):
+    new, diagnose = following_commands(
+        NO_SPAN, [(pathlib.Path("a b.csv"), log(orders, unit, source))], {}
+    )
+    assert shlex.split(diagnose) == ["diffsea", "diagnose", "boat.toml", "a b.csv"]
+    for letters, number in NUMBERS.items():
+        new = new.replace(letters, number)
+    words = shlex.split(new)
+    boat = tmp_path / "boat.toml"
+    assert main([words[1], str(boat), *words[3:]]) == 0
+    units = read_vessel(boat).vessel.units
+    assert set(orders) <= set(units)
+    wanted = {"us": "us", "normalised": "normalised", "own": "percent"}[unit]
+    wanted = "N" if source == "left_force" else wanted
+    assert {units[name] for name in orders} - {"rad", "rev/s"} <= {wanted}
+
+
+def test_a_boat_that_no_drive_fits_is_left_alone():
+    checked = [(pathlib.Path("a.csv"), log(("thrust", "rudder")))]
+    assert following_commands(NO_SPAN, checked, {}) == []
+
+
+def test_span_mapping_and_log_are_passed_on_and_boats_told_apart():
+    args = argparse.Namespace(start=5.0, end=100.0)
+    paths = [pathlib.Path(name) for name in ("a.bin", "b.csv", "c.csv")]
+    twin, ship = log(("port", "starboard"), form="ardupilot-bin"), log(("rudder", "propeller"))
+    mapping = pathlib.Path("out/b.mapping.toml")
+    checked = list(zip(paths, (twin, ship, ship), strict=True))
+    found = following_commands(args, checked, dict.fromkeys(paths[1:], mapping))
+    assert found[0].endswith("--thrusters M --log a.bin")
+    assert found[1] == "diffsea diagnose boat.toml a.bin --start 5 --end 100"
+    assert found[2].startswith("diffsea new boat2.toml ")
+    end = "b.csv c.csv --mapping out/b.mapping.toml --start 5 --end 100"
+    assert found[3:] == [f"diffsea diagnose boat2.toml {end}"]
