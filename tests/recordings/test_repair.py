@@ -348,6 +348,7 @@ def test_an_order_that_a_mapping_holds_constant_stays_so():
     columns = {name: Column(name) for name in ("t", "x", "exec_rudder")}
     mapping = Mapping(columns, constants={"cmd_rudder": 0.1})
     amended = ExecutedToCommanded("rudder").amend_mapping(mapping)
+    assert amended is not None
     text = tomllib.loads(mapping_text(amended))
     assert text["columns"]["cmd_rudder"] == {"constant": 0.1}
     assert "exec_rudder" not in text["columns"]
