@@ -126,6 +126,14 @@ def test_a_recording_that_cannot_be_read(command, kind, ends, tmp_path):
     assert message in told and "bad.csv" in told
 
 
+@pytest.mark.parametrize("command", sorted({*OF_RECORDINGS} - {"audit"}))
+def test_a_table_of_another_program_is_sent_to_check(command, ends, tmp_path):
+    """The audit proposes a mapping itself."""
+    path = tmp_path / "bad.csv"
+    path.write_bytes(RECORDINGS["foreign columns"][0])
+    assert "`diffsea check" in ends(command, recording=path)[1]
+
+
 @pytest.mark.parametrize("command", OF_RECORDINGS)
 def test_a_recording_that_is_not_there(command, ends, tmp_path):
     status, told = ends(command, recording=tmp_path / "goood.csv")

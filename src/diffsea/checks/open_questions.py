@@ -128,7 +128,7 @@ def _of_surroundings(runs: Sequence[Trajectory]) -> list[OpenQuestion]:
             record = "the same leg there and back, at one order"
             what = "current and wind, and errors of the compass"
             found.append(OpenQuestion(what, why, record, 60.0))
-    if not any("wind_speed" in run.extra for run in runs):
+    if not any({"wind_speed", "wind_direction"} <= run.extra.keys() for run in runs):
         why = "no wind is recorded: it shows only as what is left over"
         found.append(OpenQuestion("wind apart from current", why))
     why, record = "motion fixes forces only over mass", "weigh the boat, or pull at a bollard"
