@@ -268,7 +268,7 @@ INJECTIONS: dict[str, Injection] = {
         most=_half_of_full),
     "feedback-scale": Injection(("feedback-error",), order.feedback_scale,
         order.without_feedback_scale, (("feedback-error", "scale"), *_BIAS),
-        each(*_ALL, prefix="exec_"), lambda s: {"scale": 1 + sensor.signed(s)}, _either_side,
+        each(*_ALL, prefix="exec_"), signed_as("scale"), _either_side,
         ("feedback-error",), most=lambda f, s: 0.5),
     "late-feedback": Injection(("feedback-error",), order.late_feedback, order.late_orders,
         (("feedback-error", "delay"), ("thrust-delay", "delay")),

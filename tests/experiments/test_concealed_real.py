@@ -339,6 +339,14 @@ def test_so_does_one_whose_orders_move_all_the_time(key, settings, values):
     assert apart(effect, before) < 0.1 * without
 
 
+def test_the_number_of_a_scale_is_what_the_catalogue_calls_it():
+    """Recorded is (1 + scale) times what was executed."""
+    run, settings = pd.DataFrame({"exec_a": [1.0, -2.0]}), {"columns": ["exec_a"], "side": -1.0}
+    one, settings = INJECTIONS["feedback-scale"], settings | {"size": 0.2}
+    told = one.apply(run, settings)["exec_a"]
+    assert list(told) == pytest.approx(list((1 + one.numbers(settings)["scale"]) * run["exec_a"]))
+
+
 # Undoing an injection gives the recording back
 
 
