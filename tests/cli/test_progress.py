@@ -40,9 +40,15 @@ def test_a_file_gets_a_line_for_each_stage_without_escape_codes(monkeypatch):
     assert "\r" not in stream.getvalue() and "\x1b" not in stream.getvalue()
 
 
-def test_a_long_stage_is_heard_of_in_a_file(monkeypatch):
-    clock = [0.0]
-    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+@pytest.fixture
+def clock(monkeypatch):
+    """The time since the beginning, s, as its one item."""
+    now = [0.0]
+    monkeypatch.setattr(staged.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_long_stage_is_heard_of_in_a_file(clock):
     stream = io.StringIO()
     with StagedProgress(2, stream) as tell:
         tell("fitting")
@@ -52,9 +58,7 @@ def test_a_long_stage_is_heard_of_in_a_file(monkeypatch):
     assert lines == ["fitting", "fitting: round 16", "fitting: round 40"]
 
 
-def test_what_is_told_by_a_line_is_not_told_again(monkeypatch):
-    clock = [0.0]
-    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+def test_what_is_told_by_a_line_is_not_told_again(clock):
     stream = io.StringIO()
     with StagedProgress(2, stream) as tell:
         tell("the boats")

@@ -102,8 +102,8 @@ def _of_speed(answers: Answers) -> list[OpenQuestion]:
     """What speed leaves open: resistance, full speed, stopping."""
     found, orders = [], [point.order for point in answers.speed]
     if len(orders) < _LEVELS:
-        courses = ("no straight course at an", "straight courses at one", "straight courses at two")
-        why = f"{courses[len(orders)]} order{'s' * (len(orders) > 1)} that stood"
+        courses = f"straight courses at {len(orders)} order{'s' * (len(orders) > 1)}"
+        why = f"{courses if orders else 'no straight course at an order'} that stood"
         record = "straight ahead at three orders, 20 s each"
         found.append(OpenQuestion("resistance by speed", why, record, 60.0))
     elif max(orders) < _FULL:
