@@ -144,9 +144,8 @@ def test_a_stage_that_comes_again_has_half_of_what_is_left():
         assert shares == pytest.approx([0.0, 0.25, 0.375]) and tell.share == pytest.approx(0.5)
 
 
-def test_the_time_left_begins_with_the_usual_seconds_and_follows_the_pace(monkeypatch):
-    clock = [100.0]
-    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+def test_the_time_left_begins_with_the_usual_seconds_and_follows_the_pace(clock):
+    clock[0] = 100.0
     with StagedProgress({"reading": 10.0, "fitting": 90.0}, Terminal()) as tell:
         tell("reading")
         assert tell.seconds_left == pytest.approx(100.0)
@@ -161,9 +160,7 @@ def test_the_time_left_begins_with_the_usual_seconds_and_follows_the_pace(monkey
         assert tell.seconds_left == pytest.approx(21.0)
 
 
-def test_a_stage_that_tells_nothing_moves_on_but_not_to_its_end(monkeypatch):
-    clock = [0.0]
-    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+def test_a_stage_that_tells_nothing_moves_on_but_not_to_its_end(clock):
     with StagedProgress({"reading": 10.0, "fitting": 10.0}) as tell:
         tell("reading")
         shares = []
@@ -227,9 +224,8 @@ print(COMPILING.programs, COMPILING.seconds, COMPILING.is_running)
     assert second.stdout.split() == ["0", "0.0", "False"], second.stderr
 
 
-def test_the_line_says_that_a_program_is_being_compiled(monkeypatch):
-    clock, told = [0.0], Compiling()
-    monkeypatch.setattr(staged.time, "monotonic", lambda: clock[0])
+def test_the_line_says_that_a_program_is_being_compiled(clock, monkeypatch):
+    told = Compiling()
     monkeypatch.setattr(staged, "COMPILING", told)
     stream = io.StringIO()
     with StagedProgress({"fitting": 9.0}, stream) as tell:
