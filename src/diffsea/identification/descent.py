@@ -1,8 +1,11 @@
 """One step of a fit downhill: where it stands, and where the deviance of the filter is lower.
 
-A step is Gauss and Newton's with the gains of the filter held fixed, shortened where the filter,
-with its own gains, is no better there. What held gains leave out of the slope is found by
-differences where such a step leads nowhere, and serves the steps that follow.
+The direction is Gauss and Newton's with the gains of the filter held fixed. Data that leave some
+parameters nearly undetermined make a valley that is narrow and bent: along its tangent no step
+leads far. Steps therefore follow a parabola, whose bow the filter tells on both sides of where it
+stands (geodesic acceleration; Transtrum and Sethna 2012, arXiv:1201.5885). What held gains leave
+out of the slope is found by differences where such a step leads nowhere, and serves the steps that
+follow.
 """
 
 from typing import NamedTuple
@@ -13,17 +16,16 @@ from jaxtyping import Float
 from diffsea.budget import on_every_core
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance
-from diffsea.identification.least_squares import dogleg_steps
 from diffsea.identification.problem import Coordinates, FreeIndex, Problem
 from diffsea.identification.residual import Linearisation, linearise
 
 
 STEP_SHARES = (1.0, 1 / 2, 1 / 4, 1 / 16, 1 / 64, 1 / 256)  # of a step, tried one after the other
+BOW_SHARE = 0.1  # of a step, to both sides, over which the bow of its path is found
 ENOUGH_OF_PROMISE = 0.25  # of what the model promised: a step that gains so much is taken
 NEGLIGIBLE_PROMISE = 1e-3  # of -2 log posterior: a thirtieth of a standard error
 CORRECTED_PROMISE = 0.05  # that was not kept: from it on the slope is found by differences
-DIFFERENCE = 0.5  # standard errors to both sides, by which slopes are found
-LEAST_BEND = 0.25  # of what the model says: a deviance that is concave is taken for flat
+DIFFERENCE = 0.05  # standard errors to both sides, by which slopes are found: valleys are bent
 
 
 class FilteredPoint(NamedTuple):
@@ -40,31 +42,11 @@ class FilteredPoint(NamedTuple):
         return self.deviance < other.deviance or bool(mended)
 
 
-class Slopes(NamedTuple):
-    """First and second derivatives of a deviance by the free coordinates."""
-
-    gradient: Float[np.ndarray, "free"]
-    curvature: Float[np.ndarray, "free free"]
-
-    @classmethod
-    def none(cls, size: int) -> "Slopes":
-        """Of a constant."""
-        return cls(np.zeros(size), np.zeros((size, size)))
-
-    def plus(self, other: "Slopes") -> "Slopes":
-        """Those of a sum."""
-        return Slopes(self.gradient + other.gradient, self.curvature + other.curvature)
-
-    def promise(self, step: Float[np.ndarray, "free"]) -> float:
-        """What a step would gain."""
-        return -float(self.gradient @ step + 0.5 * step @ self.curvature @ step)
-
-
 class Descent(NamedTuple):
     """Where a step ended, and what the next one may use."""
 
     point: FilteredPoint
-    left_out: Slopes  # by gains held fixed, as last found
+    left_out: Float[np.ndarray, "free"]  # of the gradient by gains held fixed, as last found
     model: Linearisation | None = None  # where the step began
     promised: float = np.inf  # what the whole step would have gained
     refused: bool = False  # whether nothing that was tried was better
@@ -88,56 +70,75 @@ def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> Filte
 
 
 def descend(
-    problem: Problem, now: FilteredPoint, index: FreeIndex, left_out: Slopes, corrects: bool
+    problem: Problem,
+    now: FilteredPoint,
+    index: FreeIndex,
+    left_out: Float[np.ndarray, "free"],
+    corrects: bool,
 ) -> Descent:
     """One step of the free coordinates; none where nothing that is tried is better.
 
     Arguments:
-        left_out: by gains held fixed; none at first.
+        left_out: of the gradient by gains held fixed; zeros at first.
         corrects: whether to find that anew where a step that promised something is refused.
     """
     model = linearise(problem, now.run.gains, now.coordinates, index)
-    held = Slopes(model.gradient, model.curvature)
-    there, promised = _along_dogleg(problem, now, index, held.plus(left_out))
+    there, promised = _along_parabola(problem, now, index, model, model.gradient + left_out)
     failed = not now.deviance - there.deviance > ENOUGH_OF_PROMISE * promised
     corrected = corrects and failed and promised > CORRECTED_PROMISE
     if corrected:
-        found = slopes_by_differences(problem, now, index, held)
-        left_out = found.plus(Slopes(-held.gradient, -held.curvature))
-        again, promised = _along_dogleg(problem, now, index, found)
+        gradient = gradient_by_differences(problem, now, index, model)
+        left_out = gradient - model.gradient
+        again, promised = _along_parabola(problem, now, index, model, gradient)
         there = again if again.better_than(there) else there
     return Descent(there, left_out, model, promised, there is now, corrected)
 
 
-def _along_dogleg(
-    problem: Problem, now: FilteredPoint, index: FreeIndex, slopes: Slopes
+def _along_parabola(
+    problem: Problem,
+    now: FilteredPoint,
+    index: FreeIndex,
+    model: Linearisation,
+    gradient: Float[np.ndarray, "free"],
 ) -> tuple[FilteredPoint, float]:
-    """The first good point on the way to the model's minimum, or the best; what that promises."""
-    steps = np.asarray(dogleg_steps(slopes.gradient, slopes.curvature, np.array(STEP_SHARES)))
-    promised, best = slopes.promise(steps[0]), now
+    """The first good point on the way to the model's minimum, or the best; what that promises.
+
+    The way is the parabola on which the whitened innovations change in proportion to its share,
+    as far as the coordinates allow.
+    """
+    step = -np.linalg.solve(model.curvature, gradient)
+    promised, best = -0.5 * float(gradient @ step), now
     if promised < NEGLIGIBLE_PROMISE:
         return now, promised
-    for step in steps:
+
+    def at(change: Float[np.ndarray, "free"]) -> FilteredPoint:
         coordinates = now.coordinates.copy()
-        coordinates[index] += step
-        there = filter_at(problem, coordinates, now.noise)
-        if best is not now and not there.better_than(best):
+        coordinates[index] += change
+        return filter_at(problem, coordinates, now.noise)
+
+    sides = on_every_core(at, [BOW_SHARE * step, -BOW_SHARE * step])
+    here, *there = (np.asarray(point.run.white).ravel() for point in (now, *sides))
+    bend = (there[0] + there[1] - 2 * here) / BOW_SHARE**2
+    bow = -np.linalg.solve(model.curvature, 2 * model.jacobian[: len(bend)].T @ bend)
+    bow = np.where(np.isfinite(bow).all(), bow, 0.0)
+    for share in STEP_SHARES:
+        point = at(share * step + 0.5 * share**2 * bow)
+        if best is not now and not point.better_than(best):
             break
-        best = there if there.better_than(best) else best
-        if now.deviance - best.deviance >= ENOUGH_OF_PROMISE * slopes.promise(step):
+        best = point if point.better_than(best) else best
+        if now.deviance - best.deviance >= ENOUGH_OF_PROMISE * share * (2 - share) * promised:
             break
     return best, promised
 
 
-def slopes_by_differences(
-    problem: Problem, now: FilteredPoint, index: FreeIndex, held: Slopes
-) -> Slopes:
-    """Slopes of the filter's own deviance: central differences along the model's principal axes.
+def gradient_by_differences(
+    problem: Problem, now: FilteredPoint, index: FreeIndex, model: Linearisation
+) -> Float[np.ndarray, "free"]:
+    """Gradient of the filter's own deviance: central differences along the model's principal axes.
 
-    Its bends are those along the axes; where the filter diverges at either side, the model's are
-    kept.
+    Where the filter diverges at either side of an axis, the model's slope is kept.
     """
-    values, axes = np.linalg.eigh(held.curvature)
+    values, axes = np.linalg.eigh(model.curvature)
     axes = axes * np.sqrt(2 / values)  # one unit raises the model's deviance by one
 
     def deviance_along(axis: Float[np.ndarray, "free"]) -> float:
@@ -145,11 +146,7 @@ def slopes_by_differences(
         coordinates[index] += axis
         return filter_at(problem, coordinates, now.noise).deviance
 
-    sides = np.array([DIFFERENCE * sign * axes.T for sign in (-1, 1)])
-    found = on_every_core(deviance_along, sides.reshape(-1, len(index)))
-    below, above = np.array(found).reshape(2, -1)
-    is_known = np.isfinite(below) & np.isfinite(above)
-    slope = np.where(is_known, (above - below) / (2 * DIFFERENCE), held.gradient @ axes)
-    bend = np.where(is_known, (above + below - 2 * now.deviance) / DIFFERENCE**2, 2.0)
-    back = np.linalg.inv(axes)
-    return Slopes(slope @ back, back.T * np.maximum(bend, 2 * LEAST_BEND) @ back)
+    sides = np.concatenate([DIFFERENCE * axes.T, -DIFFERENCE * axes.T])
+    above, below = np.array(on_every_core(deviance_along, sides)).reshape(2, -1)
+    slope = (above - below) / (2 * DIFFERENCE)
+    return np.where(np.isfinite(slope), slope, model.gradient @ axes) @ np.linalg.inv(axes)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.budget import current_budget, on_every_core
-from diffsea.identification.descent import Descent, FilteredPoint, Slopes, descend, filter_at
+from diffsea.identification.descent import Descent, FilteredPoint, descend, filter_at
 from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, first_variance
@@ -141,7 +141,7 @@ def _search(
     times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     path, outcome, curvature = [now.deviance], FitOutcome.STEP_LIMIT, None
-    step = Descent(now, Slopes.none(len(index)))
+    step = Descent(now, np.zeros(len(index)))
     for number in range(rounds):
         if current_budget().skips("rounds of a fit"):
             outcome = FitOutcome.OUT_OF_TIME

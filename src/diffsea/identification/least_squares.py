@@ -62,18 +62,6 @@ def dogleg(tolerance: Scalar) -> optx.Dogleg:
     return optx.Dogleg(rtol=tolerance, atol=tolerance, linear_solver=lx.Normal(lx.Cholesky()))
 
 
-@jax.jit
-def dogleg_steps(
-    gradient: Float[Array, "n"], curvature: Float[Array, "n n"], shares: Float[Array, "step"]
-) -> Float[Array, "step n"]:
-    """Powell's dogleg steps of a quadratic model, each such a share of its Newton step long."""
-    descent = optx.DoglegDescent(linear_solver=lx.Cholesky())
-    operator = lx.MatrixLinearOperator(curvature, lx.positive_semidefinite_tag)
-    info = optx.FunctionInfo.EvalGradHessian(jnp.zeros(()), gradient, operator)
-    state = descent.query(gradient, info, descent.init(gradient, info))
-    return jax.vmap(lambda share: descent.step(share, state)[0])(shares)
-
-
 def solve_least_squares(
     function: ResidualAndJacobian,
     start: Float[Array, "free"],
