@@ -32,6 +32,7 @@ from diffsea.report.diagnosis import (
 )
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.histories import on_one_turn
+from diffsea.report.horizons import horizon_line
 from diffsea.report.page import TEMPLATES, Plot, Verbatim, with_commands
 from diffsea.report.plots import figure
 from diffsea.report.predictions import (
@@ -51,7 +52,9 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.words import horizon_line, phrase, unimproved_sentence, verdict_text
+from diffsea.report.sentences import unimproved_sentence
+from diffsea.report.terminal import verdict_text
+from diffsea.report.words import phrase
 from diffsea.vessel.files import build
 
 

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 
 from diffsea.identification.holdout import HeldOut, Split
-from diffsea.report import words
+from diffsea.report import findings, sentences, words
 from diffsea.report.location import location_section
 from diffsea.report.page import (
     Cell,
@@ -110,16 +110,16 @@ def diagnosis_report(
         subtitle=f"{words.count_recordings(len(recordings))}, {kept_back} held out",
         verdict=summary["verdict"],
         in_part=summary["verdict"] == "unexplained" and bool(words.named_effects(summary)),
-        misread=words.misread_sentences(summary),
-        finding=words.verdict_sentence(summary),
-        prediction_change=words.prediction_sentence(summary),
-        unimproved=words.unimproved_sentence(summary),
-        remainder=words.remainder_sentence(summary),
-        incomplete=words.incomplete_sentence(summary),
+        misread=findings.misread_sentences(summary),
+        finding=sentences.verdict_sentence(summary),
+        prediction_change=sentences.prediction_sentence(summary),
+        unimproved=sentences.unimproved_sentence(summary),
+        remainder=sentences.remainder_sentence(summary),
+        incomplete=sentences.incomplete_sentence(summary),
         sampling=" ".join(
             (
-                words.sampling_sentence(summary.get("one_sample_in")),
-                words.straight_sentence(summary.get("straight_runs", 0)),
+                sentences.sampling_sentence(summary.get("one_sample_in")),
+                sentences.straight_sentence(summary.get("straight_runs", 0)),
             )
         ).strip(),
         location=location_section(summary, recordings, most),

@@ -11,11 +11,12 @@ from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.sources import Sources
-from diffsea.report import words
+from diffsea.report import horizons, words
 from diffsea.report.page import Plot, Table, Verbatim, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
 from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
+from diffsea.report.sentences import quick_sentence, sampling_sentence, straight_sentence
 from diffsea.report.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -51,7 +52,7 @@ def fit_report(
         left_out: what there was no time for.
     """
     recordings, test = data
-    quick = words.quick_sentence(not_done)
+    quick = quick_sentence(not_done)
     with_sheet = bool(study.objective.residuals(study.estimate.coordinates))
     weak = [row["name"] for row in study.rows if row["determined"] < 0.5]
     count, rest = len(study.rows), "rests" if len(weak) == 1 else "rest"
@@ -61,9 +62,9 @@ def fit_report(
         determined = (
             f"all but {len(weak)}: {words.enumeration(weak)} {rest} mostly on the vessel file."
         )
-    row = words.headline_horizon(horizon_table(runs), tuple(MODELS))
+    row = horizons.headline_horizon(horizon_table(runs), tuple(MODELS))
     judged = "On runs held out" if test else "On the runs it was fitted to"
-    errors = "" if row is None else words.horizon_line(row, tuple(MODELS))
+    errors = "" if row is None else horizons.horizon_line(row, tuple(MODELS))
     fitted, held_out = (words.count_recordings(len(several)) for several in data)
     worse = worse_warning(runs)
     warnings = [f"{words.capital(worse)}." if worse else "", left_out_sentence(left_out)]
@@ -128,12 +129,12 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
     A fit that makes up for missing physics with its parameters may follow the next sample better
     and yet predict worse.
     """
-    row = words.headline_horizon(horizon_table(runs), tuple(MODELS))
+    row = horizons.headline_horizon(horizon_table(runs), tuple(MODELS))
     if row is None:
         return ""
     before, after = row["start"], row["fitted"]
     worse = [
-        n for n in ("position", "heading") if n in after and after[n] > words.WORSE * before[n]
+        n for n in ("position", "heading") if n in after and after[n] > horizons.WORSE * before[n]
     ]
     if not worse:
         return ""
@@ -179,9 +180,9 @@ def _open_questions(study: Study) -> list[str]:
         lost = ", ".join(f"{number} of {name}" for name, number in study.outliers.items())
         sentences.append(f"lone outliers left out of the fit: {lost}")
     if study.objective.one_sample_in:
-        sentences.append(words.sampling_sentence(study.objective.one_sample_in).removesuffix("."))
+        sentences.append(sampling_sentence(study.objective.one_sample_in).removesuffix("."))
     if study.problem is not None and (runs := study.problem.dataset.straight_runs):
-        sentences.append(words.straight_sentence(runs).removesuffix("."))
+        sentences.append(straight_sentence(runs).removesuffix("."))
     if study.agreement is not None:
         sentences.append(study.agreement.sentence)
     if study.next is not None:

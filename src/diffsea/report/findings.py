@@ -1,0 +1,58 @@
+"""What the audit found, in words: alike findings of several recordings together."""
+
+from collections.abc import Iterable
+
+from diffsea.recordings import MAPPING_KINDS
+from diffsea.report.quantities import is_known, round_to_error
+from diffsea.report.words import Record, as_words, count_recordings
+
+
+def misread_sentences(summary: Record) -> list[str]:
+    """What the audit says is wrong with how recordings are read, and how to put it right.
+
+    Each once, with the recordings that show it.
+    """
+    told = []
+    for group in alike_findings(filter(is_misread, summary.get("audit") or []), "repair"):
+        first, repair = group[0], group[0].get("repair")
+        where = first["recording"] if len(group) == 1 else count_recordings(len(group))
+        told.append(f"{first['message']} (in {where}){f'. Repair: {repair}' if repair else ''}.")
+    return told
+
+
+def is_misread(finding: Record) -> bool:
+    """Whether what is wrong, without a doubt, is how a recording is read."""
+    return finding["kind"] in MAPPING_KINDS and not finding.get("doubt")
+
+
+def alike_findings(found: Iterable[Record], *same: str) -> list[list[Record]]:
+    """Findings of the audit, those of one kind on the same channels of several recordings together.
+
+    Arguments:
+        same: keys that they must have in common, besides.
+    """
+    alike: dict[tuple[object, ...], list[Record]] = {}
+    for one in found:
+        key = one["kind"], *(one.get("channels") or ()), *(one.get(name) for name in same)
+        others = [group for known, group in alike.items() if known[:-1] == key]
+        where = one["recording"]
+        open_ones = [g for g in others if all(other["recording"] != where for other in g)]
+        if open_ones:
+            open_ones[0].append(one)
+        else:
+            alike[(*key, len(alike))] = [one]
+    return list(alike.values())
+
+
+def finding_line(group: list[Record]) -> str:
+    """What was found in one recording, and the sizes in the others that show it, too."""
+    first, sizes = group[0], [one.get("value") for one in group]
+    text = f"{as_words(first['kind'])} in {first['recording']}: {first['message']}"
+    if len(group) == 1:
+        return text
+    known = [size for size in sizes if is_known(size)]
+    span = ""
+    if len(known) == len(group):
+        ends = [round_to_error(end(known), None, first.get("unit", "")) for end in (min, max)]
+        span = f", {' to '.join(ends)}" if len(set(ends)) > 1 else ""
+    return f"{text}; and in {len(group) - 1} more{span}"

@@ -1,0 +1,53 @@
+"""Errors of free predictions in words: how far ahead, of what, and which to quote."""
+
+from collections.abc import Sequence
+
+from diffsea.report.quantities import is_known, round_to_error
+from diffsea.report.words import Record
+
+
+MODELS = ("nominal", "diagnosed")
+HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
+WORSE = 1.1  # times an error before, which chance alone hardly gives
+QUANTITIES = {"position": "m", "heading": "rad"}  # whose errors are quoted
+
+
+def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | None:
+    """The row of errors to quote: 20 s ahead, else the longest horizon that there is."""
+    rows = [row for row in rows if known_quantities(row, models)]
+    preferred = [row for row in rows if row["seconds"] == HEADLINE_SECONDS]
+    return (preferred or rows[-1:] or [None])[0]
+
+
+def known_quantities(row: Record, models: Sequence[str]) -> list[str]:
+    """Position and heading, as far as all models have an error of them."""
+    return [one for one in QUANTITIES if all(is_known(row[model].get(one)) for model in models)]
+
+
+def horizon_line(row: Record, models: Sequence[str]) -> str:
+    """`20 s ahead: position 3.9 m -> 0.5 m, heading 12 deg -> 1.1 deg`, and what diverged.
+
+    Arguments:
+        row: of `comparison.horizon_table`.
+        models: keys of the row, the result last.
+    """
+    parts = []
+    for quantity in known_quantities(row, models):
+        errors = [two_digits(row[model][quantity], QUANTITIES[quantity]) for model in models]
+        parts.append(f"{quantity} {' -> '.join(errors)}")
+    ahead, diverged = f"{row['seconds']:g} s ahead", diverged_predictions(row, models)
+    if parts:
+        return f"{ahead}: {', '.join(parts)}{diverged}"
+    return f"{ahead}: nothing to compare{diverged}" if diverged else ""
+
+
+def diverged_predictions(row: Record, models: Sequence[str]) -> str:
+    """` (3 -> 0 of 20 diverge)` where predictions of any model do, whose errors are not counted."""
+    counts = [int(row[model].get("diverged", 0)) for model in models]
+    said = " -> ".join(map(str, counts))
+    return f" ({said} of {row['starts']} diverge)" if any(counts) else ""
+
+
+def two_digits(value: float, unit: str) -> str:
+    """An error with two significant digits."""
+    return round_to_error(value, 0.1 * abs(value), unit)
