@@ -1,6 +1,6 @@
+# pyright: reportArgumentType=false
+# Points made up have no run of a filter.
 """One step of a fit downhill, against exact derivatives of the filter and deviances made up."""
-
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -87,13 +87,12 @@ def test_at_the_end_no_step_is_taken(problem, found):
 
 
 def of_a_valley(problem, monkeypatch, deviance) -> FilteredPoint:
-    """A deviance of one coordinate in place of the filter's, at zero."""
-
-    noise = problem.start()[1]
-    run = problem.run_filter(problem.start()[0], noise)
+    """A deviance of one coordinate in place of the filter's, at zero; its residual is straight."""
+    noise, residual = problem.start()[1], np.zeros(1)
 
     def made(problem, coordinates, noise) -> FilteredPoint:
-        return FilteredPoint(coordinates, noise, run, deviance(float(coordinates[0])))
+        value = deviance(float(coordinates[0]))
+        return FilteredPoint(coordinates, noise, None, residual, value)
 
     monkeypatch.setattr(descent, "filter_at", made)
     return made(problem, np.zeros(1), noise)
@@ -101,9 +100,7 @@ def of_a_valley(problem, monkeypatch, deviance) -> FilteredPoint:
 
 def along(problem, now, gradient):
     """The step by a model whose deviance bends as x^2, and what it promised."""
-    slopes = np.zeros((now.run.white.size + 1, 1))
-    slopes[-1] = 1.0
-    model = Linearisation(np.zeros(len(slopes)), slopes)
+    model = Linearisation(np.zeros(1), np.eye(1))
     return descent._along_parabola(problem, now, np.array([0]), model, np.array([gradient]))
 
 
@@ -130,28 +127,86 @@ def test_a_step_out_of_where_the_filter_diverges_is_taken(problem, monkeypatch):
     assert point.coordinates[0] == pytest.approx(0.5)
 
 
-def test_one_step_follows_a_valley_that_is_bent(problem, monkeypatch):
-    """Rosenbrock's: y = x^2 but for a thousandth, the bottom at (1, 1).
+class BentValley:
+    """Rosenbrock's: y = x^2 but for a thousandth, the bottom at (1, 1); begun at zero."""
 
-    Along its tangent at zero the first good step is a 256th of the way.
-    """
     slope = 1e3
 
-    def made(problem, coordinates, noise) -> FilteredPoint:
-        x, y = coordinates
-        white = np.array([1.0 - x, slope * (y - x**2)])
-        return FilteredPoint(coordinates, noise, SimpleNamespace(white=white), float(white @ white))
+    def __init__(self, problem, monkeypatch, disturbance=lambda x: 0.0):
+        self.problem, self.disturbance = problem, disturbance
+        monkeypatch.setattr(descent, "filter_at", self.at)
+        self.start = self.at(problem, np.zeros(2), problem.start()[1])
 
-    monkeypatch.setattr(descent, "filter_at", made)
-    noise = problem.start()[1]
-    now = made(problem, np.zeros(2), noise)
-    model = Linearisation(now.run.white, np.diag([-1.0, slope]))
-    point, promised = descent._along_parabola(problem, now, np.arange(2), model, model.gradient)
+    def at(self, problem, coordinates, noise) -> FilteredPoint:
+        x, y = coordinates
+        residual = np.array([1.0 - x, self.slope * (y - x**2) + self.disturbance(x)])
+        return FilteredPoint(coordinates, noise, None, residual, float(residual @ residual))
+
+    def step(self):
+        model = Linearisation(self.start.residual, np.diag([-1.0, self.slope]))
+        given = self.problem, self.start, np.arange(2), model, model.gradient
+        return descent._along_parabola(*given)
+
+
+def test_one_step_follows_a_valley_that_is_bent(problem, monkeypatch):
+    """Along its tangent at zero the first good step is a 256th of the way."""
+    valley = BentValley(problem, monkeypatch)
+    point, promised = valley.step()
     assert promised == pytest.approx(1.0)
     assert point.coordinates == pytest.approx([1.0, 1.0], abs=1e-6)
     assert point.deviance < 1e-6
-    for share in descent.STEP_SHARES[:-1]:
-        assert made(problem, np.array([share, 0.0]), noise).deviance > now.deviance
+    along = [valley.at(None, np.array([share, 0.0]), None) for share in descent.STEP_SHARES]
+    assert [one.better_than(valley.start) for one in along] == [False] * 5 + [True]
+
+
+def test_half_a_step_has_a_quarter_of_the_bow(problem, monkeypatch):
+    valley = BentValley(problem, monkeypatch, lambda x: 1e3 * max(x - 0.6, 0.0))
+    point, _ = valley.step()
+    assert point.coordinates == pytest.approx([0.5, 0.25], abs=1e-6)
+
+
+@pytest.mark.parametrize("behind", [np.nan, 1e6])
+def test_what_lies_behind_does_not_keep_a_step_from_being_taken(problem, monkeypatch, behind):
+    """A filter that diverges, or nearly, on the far side of where it stands bends no way."""
+
+    def made(problem, coordinates, noise) -> FilteredPoint:
+        x = coordinates[0]
+        residual = np.array([1.0 - x + (behind if x < 0 else 0.0)])
+        return FilteredPoint(coordinates, noise, None, residual, float(residual @ residual))
+
+    monkeypatch.setattr(descent, "filter_at", made)
+    now = made(problem, np.zeros(1), problem.start()[1])
+    model = Linearisation(np.ones(1), -np.eye(1))
+    point, _ = descent._along_parabola(problem, now, np.array([0]), model, model.gradient)
+    assert point.coordinates[0] == pytest.approx(1.0)
+
+
+def test_residuals_of_the_filter_bend_less_along_the_parabola(problem, found, away, monkeypatch):
+    """As far as the model's slopes can tell: the second difference over the tangent and over it."""
+    visited = []
+
+    def remember(problem, coordinates, noise) -> FilteredPoint:
+        visited.append(filter_at(problem, coordinates, noise))
+        return visited[-1]
+
+    model = linearise(problem, away.run.gains, away.coordinates, found.index)
+    assert model.residual == pytest.approx(away.residual, abs=1e-6)
+    step = -np.linalg.solve(model.curvature, model.gradient)
+    monkeypatch.setattr(descent, "filter_at", remember)
+    descent._along_parabola(problem, away, found.index, model, model.gradient)
+    taken = visited[2]  # after the two sides
+    half = away.coordinates.copy()
+    bow = (taken.coordinates - away.coordinates)[found.index] - step
+    half[found.index] += 0.5 * step + 0.25 * bow
+    straight = [away.coordinates.copy() for _ in range(2)]
+    straight[0][found.index] += 0.5 * step
+    straight[1][found.index] += step
+    bends = []
+    for middle, end in ((half, taken.coordinates), straight):
+        there, far = (filter_at(problem, at, away.noise).residual for at in (middle, end))
+        second = far - 2 * there + away.residual
+        bends.append(np.linalg.norm(np.linalg.solve(model.curvature, model.jacobian.T @ second)))
+    assert bends[0] < 0.25 * bends[1]
 
 
 def test_noise_that_the_filter_refuses_is_tried_again_in_the_next_round(problem, monkeypatch):

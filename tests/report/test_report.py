@@ -52,8 +52,8 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.sentences import unimproved_sentence
 from diffsea.report.terminal import verdict_text
+from diffsea.report.verdicts import unimproved_sentence
 from diffsea.report.words import phrase
 from diffsea.vessel.files import build
 

@@ -8,6 +8,7 @@ out of the slope is found by differences where such a step leads nowhere, and se
 follow.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from diffsea.identification.residual import Linearisation, linearise
 
 STEP_SHARES = (1.0, 1 / 2, 1 / 4, 1 / 16, 1 / 64, 1 / 256)  # of a step, tried one after the other
 BOW_SHARE = 0.1  # of a step, to both sides, over which the bow of its path is found
+SHORT_SHARE = 1 / 16  # of a step: where the parabola leads no further, the bow may be wrong
 ENOUGH_OF_PROMISE = 0.25  # of what the model promised: a step that gains so much is taken
 NEGLIGIBLE_PROMISE = 1e-3  # of -2 log posterior: a thirtieth of a standard error
 CORRECTED_PROMISE = 0.05  # that was not kept: from it on the slope is found by differences
@@ -34,6 +36,7 @@ class FilteredPoint(NamedTuple):
     coordinates: Coordinates
     noise: Noise
     run: FilterRun
+    residual: Float[np.ndarray, "value"]  # rows of `Linearisation`: innovations, prior, further
     deviance: float  # -2 log posterior without its constant; priors, further data included
 
     def better_than(self, other: "FilteredPoint") -> bool:
@@ -64,9 +67,10 @@ def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> Filte
     off = (np.asarray(noise.scales) - problem.prior.mean) / problem.prior.spread
     layout = problem.layout
     away = np.asarray(layout.strains(coordinates, layout.spreads()))
-    value = float(deviance(run)) + float(off @ off) + float(away @ away)
-    value += problem.further_cost(coordinates)
-    return FilteredPoint(coordinates, noise, run, value)
+    further = problem.further_misfits(coordinates)
+    value = float(deviance(run)) + float(off @ off) + float(away @ away) + float(further @ further)
+    residual = np.concatenate([np.asarray(run.white).ravel(), away, further])
+    return FilteredPoint(coordinates, noise, run, residual, value)
 
 
 def descend(
@@ -103,11 +107,13 @@ def _along_parabola(
 ) -> tuple[FilteredPoint, float]:
     """The first good point on the way to the model's minimum, or the best; what that promises.
 
-    The way is the parabola on which the whitened innovations change in proportion to its share,
-    as far as the coordinates allow.
+    The way is the parabola along which the residual's second derivative vanishes, as far as the
+    model can tell (by the gains of each place; held ones lead to the same ends). A kink, or a
+    side on which the filter diverges, may bend it wrongly: where it leads not far, the straight
+    line is tried as well.
     """
     step = -np.linalg.solve(model.curvature, gradient)
-    promised, best = -0.5 * float(gradient @ step), now
+    promised = -0.5 * float(gradient @ step)
     if promised < NEGLIGIBLE_PROMISE:
         return now, promised
 
@@ -116,19 +122,35 @@ def _along_parabola(
         coordinates[index] += change
         return filter_at(problem, coordinates, now.noise)
 
-    sides = on_every_core(at, [BOW_SHARE * step, -BOW_SHARE * step])
-    here, *there = (np.asarray(point.run.white).ravel() for point in (now, *sides))
-    bend = (there[0] + there[1] - 2 * here) / BOW_SHARE**2
-    bow = -np.linalg.solve(model.curvature, 2 * model.jacobian[: len(bend)].T @ bend)
-    bow = np.where(np.isfinite(bow).all(), bow, 0.0)
+    above, below = on_every_core(at, [BOW_SHARE * step, -BOW_SHARE * step])
+    bend = (above.residual + below.residual - 2 * now.residual) / BOW_SHARE**2
+    bow = -np.linalg.solve(model.curvature, 2 * model.jacobian.T @ bend)
+    best, straight = now, np.zeros(len(step))
+    for path in (bow, straight):
+        found, share = _walk(at, now, step, path, promised)
+        best = found if found.better_than(best) else best
+        if share > SHORT_SHARE:
+            break
+    return best, promised
+
+
+def _walk(
+    at: Callable[[Float[np.ndarray, "free"]], FilteredPoint],
+    now: FilteredPoint,
+    step: Float[np.ndarray, "free"],
+    bow: Float[np.ndarray, "free"],
+    promised: float,
+) -> tuple[FilteredPoint, float]:
+    """The first good point on a way, or the best, and the share of the step that leads there."""
+    best, reached = now, 0.0
     for share in STEP_SHARES:
         point = at(share * step + 0.5 * share**2 * bow)
         if best is not now and not point.better_than(best):
             break
-        best = point if point.better_than(best) else best
+        best, reached = (point, share) if point.better_than(best) else (best, reached)
         if now.deviance - best.deviance >= ENOUGH_OF_PROMISE * share * (2 - share) * promised:
             break
-    return best, promised
+    return best, reached
 
 
 def gradient_by_differences(

@@ -1,12 +1,14 @@
 """Fits that are kept as they end, so that work which was killed goes on from there.
 
 A fit lies in a file named by the hash of all that it follows from: data, vessel, what is free,
-where it starts, versions. Whoever does the same again finds it there, to the last bit.
+where it starts, versions, this package's source. Whoever does the same again finds it there, to
+the last bit.
 """
 
 import contextlib
 import contextvars
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import math
@@ -19,6 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import diffsea
 from diffsea.identification.estimates import Estimate, FitOutcome
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.problem import Problem
@@ -147,10 +150,19 @@ def _key(problem: Problem, settings: Any) -> str:
     effects = tuple(effect.name for effect in layout.effects)
     plain = layout.parameters, effects, layout.sizes, layout.runs, layout.per_run, layout.latest
     versions = [importlib.metadata.version(name) for name in ("diffsea", "jaxlib", "numpy")]
-    key = hashlib.sha256(_plain((structure, plain, versions)))
+    key = hashlib.sha256(_plain((structure, plain, versions, _source_digest())))
     for leaf in leaves:
         key.update(_plain(leaf) if isinstance(leaf, str) else _bits(leaf))
     return key.hexdigest()[:32]
+
+
+@functools.cache
+def _source_digest() -> str:
+    """A hash of the package's source: another one may end fits elsewhere, by the same version."""
+    total = hashlib.sha256()
+    for path in sorted(Path(diffsea.__file__).parent.rglob("*.py")):
+        total.update(path.read_bytes())
+    return total.hexdigest()
 
 
 def _plain(value: Any) -> bytes:

@@ -101,9 +101,13 @@ class Problem:
         misfit, J = self.further.misfits_and_jacobian(coordinates)
         return LinearRows(misfit, J[:, index])
 
+    def further_misfits(self, coordinates: Coordinates) -> Float[np.ndarray, "value"]:
+        """Misfits of the further data; none without them."""
+        return self.linear_rows(coordinates, np.zeros(0, int)).misfit
+
     def further_cost(self, coordinates: Coordinates) -> float:
         """Sum of squares of the further data's misfits; zero without them."""
-        misfit = self.linear_rows(coordinates, np.zeros(0, int)).misfit
+        misfit = self.further_misfits(coordinates)
         return float(misfit @ misfit)
 
 

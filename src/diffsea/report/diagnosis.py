@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 
 from diffsea.identification.holdout import HeldOut, Split
-from diffsea.report import findings, sentences, words
+from diffsea.report import caveats, findings, verdicts, words
 from diffsea.report.location import location_section
 from diffsea.report.page import (
     Cell,
@@ -111,15 +111,15 @@ def diagnosis_report(
         verdict=summary["verdict"],
         in_part=summary["verdict"] == "unexplained" and bool(words.named_effects(summary)),
         misread=findings.misread_sentences(summary),
-        finding=sentences.verdict_sentence(summary),
-        prediction_change=sentences.prediction_sentence(summary),
-        unimproved=sentences.unimproved_sentence(summary),
-        remainder=sentences.remainder_sentence(summary),
-        incomplete=sentences.incomplete_sentence(summary),
+        finding=verdicts.verdict_sentence(summary),
+        prediction_change=verdicts.prediction_sentence(summary),
+        unimproved=verdicts.unimproved_sentence(summary),
+        remainder=verdicts.remainder_sentence(summary),
+        incomplete=caveats.incomplete_sentence(summary),
         sampling=" ".join(
             (
-                sentences.sampling_sentence(summary.get("one_sample_in")),
-                sentences.straight_sentence(summary.get("straight_runs", 0)),
+                caveats.sampling_sentence(summary.get("one_sample_in")),
+                caveats.straight_sentence(summary.get("straight_runs", 0)),
             )
         ).strip(),
         location=location_section(summary, recordings, most),

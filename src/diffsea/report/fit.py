@@ -12,11 +12,11 @@ from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.sources import Sources
 from diffsea.report import horizons, words
+from diffsea.report.caveats import quick_sentence, sampling_sentence, straight_sentence
 from diffsea.report.page import Plot, Table, Verbatim, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
 from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
-from diffsea.report.sentences import quick_sentence, sampling_sentence, straight_sentence
 from diffsea.report.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
@@ -132,10 +132,7 @@ def worse_warning(runs: Sequence[ComparedRun]) -> str:
     row = horizons.headline_horizon(horizon_table(runs), tuple(MODELS))
     if row is None:
         return ""
-    before, after = row["start"], row["fitted"]
-    worse = [
-        n for n in ("position", "heading") if n in after and after[n] > horizons.WORSE * before[n]
-    ]
+    worse = horizons.worsened(row, tuple(MODELS))
     if not worse:
         return ""
     ahead, what = f"{row['seconds']:g} s ahead", words.enumeration(worse)

@@ -6,7 +6,6 @@ from diffsea.report.quantities import is_known, round_to_error
 from diffsea.report.words import Record
 
 
-MODELS = ("nominal", "diagnosed")
 HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs
 WORSE = 1.1  # times an error before, which chance alone hardly gives
 QUANTITIES = {"position": "m", "heading": "rad"}  # whose errors are quoted
@@ -22,6 +21,12 @@ def headline_horizon(rows: Sequence[Record], models: Sequence[str]) -> Record | 
 def known_quantities(row: Record, models: Sequence[str]) -> list[str]:
     """Position and heading, as far as all models have an error of them."""
     return [one for one in QUANTITIES if all(is_known(row[model].get(one)) for model in models)]
+
+
+def worsened(row: Record, models: Sequence[str]) -> list[str]:
+    """Quantities whose error grew, from the first model to the last, by more than a tenth."""
+    first, last = row[models[0]], row[models[-1]]
+    return [one for one in known_quantities(row, models) if last[one] > WORSE * first[one]]
 
 
 def horizon_line(row: Record, models: Sequence[str]) -> str:

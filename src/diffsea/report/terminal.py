@@ -1,17 +1,16 @@
-"""A diagnosis in a few lines for the terminal."""
+"""A diagnosis in a few short lines, as the terminal and a notebook show it."""
 
 import textwrap
 
+from diffsea.report.caveats import incomplete_sentence, sampling_sentence, straight_sentence
 from diffsea.report.findings import alike_findings, finding_line, is_misread, misread_sentences
-from diffsea.report.horizons import MODELS, horizon_line
+from diffsea.report.horizons import horizon_line
 from diffsea.report.quantities import duration, is_known, odds_or_bound
-from diffsea.report.sentences import (
-    incomplete_sentence,
+from diffsea.report.verdicts import (
+    MODELS,
     prediction_sentence,
     remainder_sentence,
-    sampling_sentence,
     single_step_sentence,
-    straight_sentence,
     strongest_places,
     unimproved_sentence,
     verdict_sentence,

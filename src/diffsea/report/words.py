@@ -1,7 +1,4 @@
-"""Effects, their sizes and lists in plain words.
-
-The same phrases stand in the terminal and at the head of a page, so that they never differ.
-"""
+"""Effects, their sizes and lists in plain words."""
 
 import math
 from collections.abc import Sequence

@@ -57,13 +57,14 @@ class NumbersBeside:
     ) -> tuple[Float[np.ndarray, "value"], Float[np.ndarray, "value coordinate"]]:
         """Misfits over their standard deviations, and their exact Jacobian."""
         own = np.asarray(coordinates, float)[self._places]
-        key = own.tobytes()  # a fit asks for the same place several times in a row
-        if self._last is None or self._last[0] != key:
+        # A fit asks for the same place several times in a row, and for others in other threads.
+        key, last = own.tobytes(), self._last
+        if last is None or last[0] != key:
             misfit, slopes = self.numbers.misfits_and_jacobian(own)
             J = np.zeros((len(misfit), self._size))
             J[:, self._places] = slopes
-            self._last = key, (misfit, J)
-        return self._last[1]
+            last = self._last = key, (misfit, J)
+        return last[1]
 
     def residuals(self, coordinates: Coordinates) -> list[NumberResidual]:
         """All numbers as they were given and as they are simulated."""

@@ -1,19 +1,17 @@
-"""What a diagnosis says of a model, and what it leaves open, a sentence each.
+"""What a diagnosis says of a model: what is missing, where, and what predictions gain by it.
 
+The same sentences stand in the terminal and at the head of a page, so that they never differ.
 `summary` is the content of diagnosis.json throughout.
 """
-
-from collections.abc import Mapping, Sequence
 
 from diffsea.identification.holdout import HeldOut
 from diffsea.identification.sufficiency import Shortfall
 from diffsea.report.horizons import (
-    MODELS,
     QUANTITIES,
-    WORSE,
     headline_horizon,
     known_quantities,
     two_digits,
+    worsened,
 )
 from diffsea.report.quantities import is_known, p_equals, significant
 from diffsea.report.words import (
@@ -24,9 +22,9 @@ from diffsea.report.words import (
     named_effects,
     phrases,
 )
-from diffsea.trajectory import in_words
 
 
+MODELS = ("nominal", "diagnosed")
 SURE_REMAINDER = 0.01  # p-value below which structure is said to remain
 LITTLE_LEFT = 0.2  # of an error, which is worth saying
 
@@ -103,7 +101,7 @@ def unimproved_sentence(summary: Record) -> str:
             old, new = (row[model][quantity] for model in MODELS)
             if number == 0 and new >= old:
                 far.append(ahead)
-            elif number > 0 and new > WORSE * old:
+            elif number > 0 and quantity in worsened(row, MODELS):
                 change = " -> ".join(two_digits(one, QUANTITIES[quantity]) for one in (old, new))
                 worse.append(f"{quantity} {ahead} ahead ({change})")
     told = []
@@ -175,39 +173,3 @@ def strongest_places(summary: Record, count: int = 3) -> list[str]:
         force = f"{significant(cell['force_rms'], 2)} {cell['unit']}"
         lines.append(f"{degree}, {where}{regime} (about {force})")
     return lines[:count]
-
-
-def quick_sentence(not_done: Sequence[str]) -> str:
-    """That this was a quick look, and what it has not done; or nothing."""
-    if not not_done:
-        return ""
-    return f"A quick look. Not done: {'; '.join(not_done)}. Without --quick all of it is."
-
-
-def incomplete_sentence(summary: Record) -> str:
-    """That the search ended early, by the time or as a quick look, or nothing."""
-    if not_done := summary.get("not_done"):
-        return quick_sentence(not_done)
-    if summary.get("complete", True):
-        return ""
-    told = "The time was over before everything had been asked: more may be missing."
-    left_out = summary.get("left_out", [])
-    return f"{told} Left out: {enumeration(left_out)}." if left_out else told
-
-
-def sampling_sentence(every: Mapping[str, int] | None) -> str:
-    """Of which channels one sample in so many was used, and why; or nothing."""
-    if not every:
-        return ""
-    used = enumeration(
-        [f"one sample in {number} of {in_words([name])[0]}" for name, number in every.items()]
-    )
-    return f"Successive samples err alike, so that only {used} counted."
-
-
-def straight_sentence(runs: int) -> str:
-    """That nothing tells of the turning of so many runs; nothing where there are none."""
-    if not runs:
-        return ""
-    which = "one run" if runs == 1 else f"{runs} runs"
-    return f"Nothing tells of drift and turning in {which}, taken as straight ahead."
