@@ -57,6 +57,11 @@ class Hypothesis:
         return self.predicts_motion_better and self.has_nearly_one_size
 
     @property
+    def statistic(self) -> float:
+        """How far it stands out, as a chi-squared: its score, or what its fit gained, if more."""
+        return max(self.candidate.score.statistic, self.deviance_drop / self.inflation)
+
+    @property
     def predicts_motion_better(self) -> bool:
         """Whether free predictions of all runs asked get better beyond chance.
 

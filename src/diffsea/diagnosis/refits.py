@@ -139,14 +139,14 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
     """Refit from the current estimate at its noise; where that stalls, from elsewhere.
 
     Elsewhere is a small size of the effect, from which it and the parameters can move together,
-    and then the prior of the vessel's parameters. Effects accepted before start from their
-    estimate.
+    then the prior of the vessel's parameters, and at last the current model itself, than which no
+    fit with an effect more need be worse. Effects accepted before start from their estimate.
     """
     name = candidate.point.effect
     place = problem.layout.indices((name,))
     warm = np.array(current.coordinates, float)
     warm[place] = first_guess(candidate)
-    prior, small = warm.copy(), warm.copy()
+    prior, small, without = warm.copy(), warm.copy(), np.array(current.coordinates, float)
     prior[: len(problem.layout.parameters)] = 0.0
     amounts = np.tile(EFFECTS[name].amounts, problem.layout.instances(EFFECTS[name]))
     small[place] = np.where(amounts, SMALL_SHARE * warm[place], warm[place])
@@ -160,7 +160,7 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     better, promised = refit(warm), candidate.score.statistic * candidate.score.inflation
     # Also where it diverged: its deviance is no number then.
-    for start in (small, prior):
+    for start in (small, prior, without):
         if current.deviance - better.deviance >= STALLED_SHARE * promised:
             break
         better = min(better, refit(start), key=cost)
@@ -179,11 +179,12 @@ def refit_fully(data: Split, current: Estimate, asked: Sequence[Refit]) -> list[
     ends = {one.effect: fitted for one, fitted in zip(asked, first, strict=True)}
 
     def judge(one: Refit) -> Hypothesis:
-        plainer = [
+        parts = [
             start_as_part(problem, end, name, one.effect)
             for name, end in ends.items()
             if EFFECTS[name].is_part_of(EFFECTS[one.effect]) and end.outcome is FitOutcome.CONVERGED
         ]
+        plainer = [Start.at(current), *parts]
         fitted = settled(problem, ends[one.effect], plainer)
         return judge_fitted(data, current, fitted, one.candidate)
 

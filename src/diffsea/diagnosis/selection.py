@@ -284,8 +284,9 @@ def _refit_with_rivals(
 def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progress) -> Search:
     """Withdraw names that stood out no more than what is left does: both may have another cause.
 
-    The other effects are asked for without them. Two statistics whose centre is far from zero
-    differ by chance, as their variance of four times the centre says.
+    A name stands out by its score or by what its fit gained, whichever is the more: a score at zero
+    may say little of a fit. The other effects are asked for without them. Two statistics whose
+    centre is far from zero differ by chance, as their variance of four times the centre says.
     """
     left = null.of_located(kept.final_screening.located_p_value)
     strongest = max((cell.z**2 for cell in kept.final_screening.cells), default=0.0)
@@ -294,9 +295,7 @@ def withdraw_outdone(data: Split, kept: Search, null: Bootstrap, progress: Progr
         chance = 2 * ONE_SIDED_95 * math.sqrt(statistic + strongest)
         return statistic < strongest + chance
 
-    outdone = [
-        one.name for one in kept.searched if is_outdone(one.hypothesis.candidate.score.statistic)
-    ]
+    outdone = [one.name for one in kept.searched if is_outdone(one.hypothesis.statistic)]
     if left >= ALPHA or not outdone:
         return kept
     if current_budget().skips("whether names stand out more than what is left"):
