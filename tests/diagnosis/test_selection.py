@@ -83,13 +83,17 @@ def accepted_names(search) -> tuple[str, ...]:
     return tuple(one.name for one in search.effects)
 
 
-def with_statistic(accepted: AcceptedEffect, statistic: float) -> AcceptedEffect:
-    """The same effect, had its score test come out as that."""
-    seen = accepted.hypothesis.candidate
-    seen = dataclasses.replace(seen, score=seen.score._replace(statistic=statistic))
-    return dataclasses.replace(
-        accepted, hypothesis=dataclasses.replace(accepted.hypothesis, candidate=seen)
+def with_statistic(
+    accepted: AcceptedEffect, statistic: float, gained: float | None = None
+) -> AcceptedEffect:
+    """The same effect, had its score test come out as that, and its fit gained as much."""
+    one = accepted.hypothesis
+    seen = dataclasses.replace(
+        one.candidate, score=one.candidate.score._replace(statistic=statistic)
     )
+    drop = one.inflation * (statistic if gained is None else gained)
+    changed = dataclasses.replace(one, candidate=seen, deviance_drop=drop)
+    return dataclasses.replace(accepted, hypothesis=changed)
 
 
 def test_both_causes_are_found_one_after_the_other(data, found):
@@ -268,6 +272,16 @@ def test_what_was_found_beside_a_withdrawn_name_is_asked_for_without_it(data, fo
     assert asked != [UNSTEADY] and set(final.dropped[:-1]) <= {second.name}
     assert final.final_screening is not found.final_screening
     assert {first.name} <= set(final.final_screening.candidates)
+
+
+def test_a_name_whose_fit_gained_much_stands_whatever_its_score_at_zero(data, found):
+    first, second = found.effects
+    strongest = max(cell.z**2 for cell in found.final_screening.cells)
+    slight = with_statistic(first, 0.0, gained=100 * strongest)
+    strong = with_statistic(second, 100 * strongest)
+    search = dataclasses.replace(found, effects=(slight, strong))
+    significant = Bootstrap(np.linspace(0.5, 1.0, 999), np.ones(999))
+    assert withdraw_outdone(data, search, significant, no_progress) is search
 
 
 def test_names_stand_where_little_is_left(data, found):
