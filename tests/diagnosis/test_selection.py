@@ -11,6 +11,7 @@ from tests.diagnosis.small import DOCUMENT, STEADY, UNSTEADY, hypothesis, still_
 from tests.runs import random_steps
 
 from diffsea import EFFECTS, Finding, audit
+from diffsea.diagnosis import refits
 from diffsea.diagnosis.audited import AuditedEffect, audited_effects
 from diffsea.diagnosis.bootstrap import NO_BOOTSTRAP, Bootstrap
 from diffsea.diagnosis.decision import AcceptedEffect, ShortList, decide
@@ -282,6 +283,23 @@ def test_a_name_whose_fit_gained_much_stands_whatever_its_score_at_zero(data, fo
     search = dataclasses.replace(found, effects=(slight, strong))
     significant = Bootstrap(np.linspace(0.5, 1.0, 999), np.ones(999))
     assert withdraw_outdone(data, search, significant, no_progress) is search
+
+
+def test_a_cause_that_comes_out_worse_is_begun_again_at_the_model_without_it(
+    data, found, monkeypatch
+):
+    """Fits that begin with any size of it get stuck."""
+    nominal, place = found.nominal, data.train.layout.indices(("gyro-bias",))
+
+    def stuck(problem, free, start, noise, **more):
+        fitted = estimate(problem, free, start, noise, **more)
+        worse = dataclasses.replace(fitted, deviance=nominal.deviance + 50)
+        return worse if np.any(start[place]) else fitted
+
+    monkeypatch.setattr(refits, "estimate", stuck)
+    candidate = found.nominal_screening.candidates["gyro-bias"]
+    got = refits.refit_at_fixed_noise(data.train, nominal, candidate)
+    assert got.deviance_drop > 50
 
 
 def test_names_stand_where_little_is_left(data, found):
