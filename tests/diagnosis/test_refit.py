@@ -256,8 +256,11 @@ def test_a_part_that_converged_is_a_start_for_the_whole_and_for_nothing_else(mon
     monkeypatch.setattr(refits, "on_every_core", lambda function, items: list(map(function, items)))
     asked = [Refit(candidate(name, np.ones((3, 1))), [Start.at(current)]) for name in ends]
     refits.refit_fully(SimpleNamespace(train=problem), current, asked)
-    assert [len(starts) for starts in given.values()] == [0, outcome is FitOutcome.CONVERGED, 0]
-    for start in given[1]:
+    parts = [0, outcome is FitOutcome.CONVERGED, 0]
+    assert [len(starts) for starts in given.values()] == [1 + number for number in parts]
+    for first, *_ in given.values():  # the model without any of them
+        assert first is current.coordinates
+    for start in given[1][1:]:
         expected = fitted_at(problem, NOISE, X_u=1.0).coordinates
         expected[problem.layout.indices((whole,))[0]] = 2.0
         np.testing.assert_allclose(start, expected)
