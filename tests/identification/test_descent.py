@@ -167,7 +167,7 @@ def test_half_a_step_has_a_quarter_of_the_bow(problem, monkeypatch):
 
 @pytest.mark.parametrize("behind", [np.nan, 1e6])
 def test_what_lies_behind_does_not_keep_a_step_from_being_taken(problem, monkeypatch, behind):
-    """A filter that diverges, or nearly, on the far side of where it stands bends no way."""
+    """A filter that diverges, or nearly, on the far side of where it stands."""
 
     def made(problem, coordinates, noise) -> FilteredPoint:
         x = coordinates[0]
@@ -182,7 +182,7 @@ def test_what_lies_behind_does_not_keep_a_step_from_being_taken(problem, monkeyp
 
 
 def test_residuals_of_the_filter_bend_less_along_the_parabola(problem, found, away, monkeypatch):
-    """As far as the model's slopes can tell: the second difference over the tangent and over it."""
+    """Second differences over the whole way, as far as the model's slopes can tell."""
     visited = []
 
     def remember(problem, coordinates, noise) -> FilteredPoint:
