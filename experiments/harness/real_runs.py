@@ -25,7 +25,7 @@ from diffsea.identification.holdout import held_out_vessels
 from diffsea.recordings import audit
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.predictions import compare, horizon_table
-from diffsea.report.terminal import verdict_text
+from diffsea.report.wording.terminal import verdict_text
 from diffsea.vessel.files import Table, build, dump
 
 

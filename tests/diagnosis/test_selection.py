@@ -35,7 +35,7 @@ from diffsea.identification.free_predictions import relative_losses
 from diffsea.identification.holdout import exchanged_fit, split_data
 from diffsea.identification.problem import make_problem
 from diffsea.progress import no_progress
-from diffsea.report.caveats import incomplete_sentence
+from diffsea.report.wording.caveats import incomplete_sentence
 
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from tests.paths import ORACLE
 
 from diffsea import Trajectory
 from diffsea.identification.problem import make_problem
-from diffsea.report.caveats import straight_sentence
+from diffsea.report.wording.caveats import straight_sentence
 from diffsea.vessel.files import build
 
 

@@ -23,7 +23,6 @@ from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.identifiability import Identifiability, identifiability
 from diffsea.identification.uncertainty.sources import Source, Sources
-from diffsea.report import words
 from diffsea.report.diagnosis import (
     candidate_ranking,
     diagnosis_report,
@@ -32,7 +31,6 @@ from diffsea.report.diagnosis import (
 )
 from diffsea.report.fit import fit_report, worse_warning
 from diffsea.report.histories import on_one_turn
-from diffsea.report.horizons import horizon_line
 from diffsea.report.page import TEMPLATES, Plot, Verbatim, with_commands
 from diffsea.report.plots import figure
 from diffsea.report.predictions import (
@@ -52,9 +50,11 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.terminal import verdict_text
-from diffsea.report.verdicts import unimproved_sentence
-from diffsea.report.words import phrase
+from diffsea.report.wording import words
+from diffsea.report.wording.horizons import horizon_line
+from diffsea.report.wording.terminal import verdict_text
+from diffsea.report.wording.verdicts import unimproved_sentence
+from diffsea.report.wording.words import phrase
 from diffsea.vessel.files import build
 
 

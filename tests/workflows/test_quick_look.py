@@ -14,7 +14,7 @@ from diffsea import UserError, read_vessel, write_recording
 from diffsea.cli import main
 from diffsea.diagnosis.selection import FULL_EFFORT
 from diffsea.recordings import thin
-from diffsea.report.caveats import incomplete_sentence
+from diffsea.report.wording.caveats import incomplete_sentence
 from diffsea.workflows import identification, quick
 
 

@@ -237,10 +237,10 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 def _summary_text(found: "FitResult") -> str:
     """fit.json for a person: free predictions, a table of parameters, then sentences."""
     from diffsea.budget import left_out_sentence
-    from diffsea.report.caveats import quick_sentence
     from diffsea.report.fit import MODELS, fitted_effects, worse_warning
-    from diffsea.report.horizons import horizon_line
     from diffsea.report.predictions import horizon_table
+    from diffsea.report.wording.caveats import quick_sentence
+    from diffsea.report.wording.horizons import horizon_line
 
     study, sources = found.study, found.study.sources
     horizons = [horizon_line(row, tuple(MODELS)) for row in horizon_table(found.predicted)]
@@ -296,7 +296,7 @@ def diagnose_command(args: argparse.Namespace) -> None:
         import pandas as pd
 
         from diffsea.diagnosis.experiment import commands
-        from diffsea.report.terminal import verdict_text
+        from diffsea.report.wording.terminal import verdict_text
         from diffsea.vessel.files import dump
         from diffsea.workflows.identification import diagnose
 

@@ -14,7 +14,6 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 
 from diffsea.identification.holdout import HeldOut, Split
-from diffsea.report import caveats, findings, verdicts, words
 from diffsea.report.location import location_section
 from diffsea.report.page import (
     Cell,
@@ -41,7 +40,8 @@ from diffsea.report.quantities import (
     with_error,
 )
 from diffsea.report.tracks import Flow
-from diffsea.report.words import Record
+from diffsea.report.wording import caveats, findings, verdicts, words
+from diffsea.report.wording.words import Record
 
 
 # Colour and hatching of bars by what became of the candidate.

@@ -11,13 +11,13 @@ from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.study import Study
 from diffsea.identification.sufficiency import FitVerdict
 from diffsea.identification.uncertainty.sources import Sources
-from diffsea.report import horizons, words
-from diffsea.report.caveats import quick_sentence, sampling_sentence, straight_sentence
 from diffsea.report.page import Plot, Table, Verbatim, parameter_table, provenance, render
 from diffsea.report.plots import DIAGNOSED, figure
 from diffsea.report.predictions import ComparedRun, horizon_table, predict, prediction_section
 from diffsea.report.quantities import round_to_error, significant, with_error
-from diffsea.report.words import Record
+from diffsea.report.wording import horizons, words
+from diffsea.report.wording.caveats import quick_sentence, sampling_sentence, straight_sentence
+from diffsea.report.wording.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 

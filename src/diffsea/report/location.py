@@ -15,7 +15,7 @@ from jaxtyping import Float
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, probability_cell
 from diffsea.report.quantities import is_known, significant, typeset, with_error
-from diffsea.report.words import Record, named_effects
+from diffsea.report.wording.words import Record, named_effects
 from diffsea.trajectory import Trajectory
 
 

@@ -27,7 +27,7 @@ from diffsea.report.quantities import (
     typeset,
     with_error,
 )
-from diffsea.report.words import Record, as_words
+from diffsea.report.wording.words import Record, as_words
 from diffsea.trajectory import Trajectory
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from diffsea.report import plots
 from diffsea.report.histories import Curve, compared_histories
-from diffsea.report.horizons import diverged_predictions, two_digits
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim
 from diffsea.report.quantities import is_known
 from diffsea.report.tracks import Flow, compared_tracks
-from diffsea.report.words import capital
+from diffsea.report.wording.horizons import diverged_predictions, two_digits
+from diffsea.report.wording.words import capital
 from diffsea.simulation.replay import horizon_errors, replay
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel

@@ -38,7 +38,7 @@ from diffsea.recordings.auditing.actuators import stale_feedback
 from diffsea.report.diagnosis import diagnosis_report
 from diffsea.report.fit import compare_fit
 from diffsea.report.predictions import ComparedRun, compare, horizon_table
-from diffsea.report.terminal import verdict_text
+from diffsea.report.wording.terminal import verdict_text
 from diffsea.simulation.actuation import how_actuated, with_common_feedback
 from diffsea.simulation.order_units import require_order_units, unit_findings
 from diffsea.trajectory import Trajectory

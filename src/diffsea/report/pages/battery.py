@@ -9,7 +9,7 @@ from diffsea.missions import BatteryRun
 from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import significant
-from diffsea.report.words import Record
+from diffsea.report.wording.words import Record
 
 
 DRAWN_RUNS = 60  # tracks: more would hide one another

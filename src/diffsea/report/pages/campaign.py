@@ -13,7 +13,7 @@ from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
 from diffsea.report.pages.trial_marks import mark_crossings, mark_overshoots
 from diffsea.report.quantities import for_people, significant
-from diffsea.report.words import Record, capital
+from diffsea.report.wording.words import Record, capital
 from diffsea.trajectory import Samples, Trajectory
 
 

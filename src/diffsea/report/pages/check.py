@@ -26,7 +26,7 @@ from diffsea.report.plots import (
     numbers,
 )
 from diffsea.report.quantities import for_people, round_to_error, significant
-from diffsea.report.words import Record, capital, enumeration
+from diffsea.report.wording.words import Record, capital, enumeration
 from diffsea.scales import HARD_OVER
 from diffsea.trajectory import in_words
 

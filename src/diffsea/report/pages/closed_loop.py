@@ -16,7 +16,7 @@ from diffsea.report.pages.sweep import (
     number_plot,
 )
 from diffsea.report.quantities import for_people, significant
-from diffsea.report.words import Record, enumeration
+from diffsea.report.wording.words import Record, enumeration
 
 
 AT_END = 0.01  # of a range: nearer to its end is at it

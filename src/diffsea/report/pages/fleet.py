@@ -3,10 +3,10 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from diffsea.report import words
 from diffsea.report.page import Table, Verbatim, provenance, render
 from diffsea.report.quantities import is_known, significant
-from diffsea.report.words import Record
+from diffsea.report.wording import words
+from diffsea.report.wording.words import Record
 
 
 SHOWN_MOVES = 4  # parameters of a boat, the furthest off its file

@@ -13,7 +13,7 @@ from diffsea.metamodels.validation import TrialPrediction
 from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import interval, is_known, round_to_error, significant, with_error
-from diffsea.report.words import Record
+from diffsea.report.wording.words import Record
 from diffsea.trajectory import Trajectory
 
 

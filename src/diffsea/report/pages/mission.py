@@ -14,7 +14,7 @@ from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
 from diffsea.report.pages.online import estimate_plot, trust_plot
 from diffsea.report.quantities import for_people, round_to_error, significant, with_error
-from diffsea.report.words import Record, capital
+from diffsea.report.wording.words import Record, capital
 from diffsea.trajectory import Outcome, Samples
 
 

@@ -9,10 +9,11 @@ from diffsea.identification.online.closed_spans import ClosedSpan
 from diffsea.identification.online.guarded import OnlineRun
 from diffsea.identification.online.trust import ALARM_TRUST
 from diffsea.parameters import named, parameter_unit
-from diffsea.report import plots, words
+from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import round_to_error, with_error
-from diffsea.report.words import Record
+from diffsea.report.wording import words
+from diffsea.report.wording.words import Record
 from diffsea.trajectory import Trajectory
 from diffsea.vessel.base import Vessel
 

@@ -19,7 +19,7 @@ from diffsea.report.predictions import (
 )
 from diffsea.report.quantities import for_people, significant, with_error
 from diffsea.report.tracks import compared_tracks
-from diffsea.report.words import Record, as_words, capital, count_recordings
+from diffsea.report.wording.words import Record, as_words, capital, count_recordings
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
 

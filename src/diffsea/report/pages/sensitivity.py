@@ -10,7 +10,7 @@ from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pages.sweep import NO_INFLUENCE, SHOWN_NUMBERS, axis_table
 from diffsea.report.pictures import most_informative
 from diffsea.report.quantities import for_people, significant
-from diffsea.report.words import Record
+from diffsea.report.wording.words import Record
 
 
 SHOWN_BARS = 10  # parameters of a number

@@ -12,7 +12,7 @@ from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, rend
 from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pictures import most_informative
 from diffsea.report.quantities import for_people, significant
-from diffsea.report.words import Record, enumeration
+from diffsea.report.wording.words import Record, enumeration
 from diffsea.studies.inverse import MET
 
 

@@ -6,15 +6,15 @@ The same sentences stand in the terminal and at the head of a page, so that they
 
 from diffsea.identification.holdout import HeldOut
 from diffsea.identification.sufficiency import Shortfall
-from diffsea.report.horizons import (
+from diffsea.report.quantities import is_known, p_equals, significant
+from diffsea.report.wording.horizons import (
     QUANTITIES,
     headline_horizon,
     known_quantities,
     two_digits,
     worsened,
 )
-from diffsea.report.quantities import is_known, p_equals, significant
-from diffsea.report.words import (
+from diffsea.report.wording.words import (
     Record,
     as_words,
     capital,

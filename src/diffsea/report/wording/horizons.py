@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from diffsea.report.quantities import is_known, round_to_error
-from diffsea.report.words import Record
+from diffsea.report.wording.words import Record
 
 
 HEADLINE_SECONDS = 20  # ahead: far enough for errors to grow, short enough for most runs

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from diffsea.recordings import MAPPING_KINDS
 from diffsea.report.quantities import is_known, round_to_error
-from diffsea.report.words import Record, as_words, count_recordings
+from diffsea.report.wording.words import Record, as_words, count_recordings
 
 
 def misread_sentences(summary: Record) -> list[str]:

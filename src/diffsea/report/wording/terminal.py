@@ -2,11 +2,16 @@
 
 import textwrap
 
-from diffsea.report.caveats import incomplete_sentence, sampling_sentence, straight_sentence
-from diffsea.report.findings import alike_findings, finding_line, is_misread, misread_sentences
-from diffsea.report.horizons import horizon_line
 from diffsea.report.quantities import duration, is_known, odds_or_bound
-from diffsea.report.verdicts import (
+from diffsea.report.wording.caveats import incomplete_sentence, sampling_sentence, straight_sentence
+from diffsea.report.wording.findings import (
+    alike_findings,
+    finding_line,
+    is_misread,
+    misread_sentences,
+)
+from diffsea.report.wording.horizons import horizon_line
+from diffsea.report.wording.verdicts import (
     MODELS,
     prediction_sentence,
     remainder_sentence,
@@ -15,7 +20,7 @@ from diffsea.report.verdicts import (
     unimproved_sentence,
     verdict_sentence,
 )
-from diffsea.report.words import (
+from diffsea.report.wording.words import (
     Record,
     acted_on,
     as_words,

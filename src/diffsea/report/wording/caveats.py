@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from diffsea.report.words import Record, enumeration
+from diffsea.report.wording.words import Record, enumeration
 from diffsea.trajectory import in_words
 
 

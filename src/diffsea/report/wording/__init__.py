@@ -1,0 +1,1 @@
+"""What results say to people: words, sentences and the lines of a terminal."""
