@@ -64,6 +64,16 @@ def test_what_once_broke_a_reader_does_not(name, command, harness):
     assert not breach(ended), (breach(ended), ended["said"])
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("names", ["{ a = 1 }", "x"])
+def test_a_line_of_very_many_names_alike_is_answered_in_time(names, command, harness):
+    line = ",".join(["t"] + 100_000 * [names])
+    row = ",".join(100_001 * ["1"])
+    for content in (f"{line}\n{row}\n", line):
+        ended = harness.ended("csv", content.encode(), command=command)
+        assert not breach(ended), (breach(ended), ended["said"])
+
+
 def test_the_corpus_is_small_and_each_file_says_why():
     files = {path.name: path.stat().st_size for path in CORPUS.iterdir() if path.name != "why.tsv"}
     assert files.keys() == WHY.keys() and all(WHY.values())

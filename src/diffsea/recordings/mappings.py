@@ -37,6 +37,7 @@ of tables, where the topic is the table's file name without its ending.
 import dataclasses
 import math
 import string
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -319,9 +320,8 @@ def _file_settings(settings: dict[str, Any], where: str) -> dict[str, Any]:
         names = settings["columns"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise UserError(f"{where} columns must be a list of names")
-        for name in names:
-            if names.count(name) > 1:
-                raise UserError(f"{where} columns has the name {name!r} twice")
+        if repeated := [name for name, times in Counter(names).items() if times > 1]:
+            raise UserError(f"{where} columns has the name {repeated[0]!r} twice")
         settings["columns"] = tuple(names)
     if "origin" in settings:
         place = settings["origin"]

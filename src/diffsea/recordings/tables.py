@@ -250,7 +250,8 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     if hits[best] == 0:
         best = max(0, min(count, len(lines)) - 1)
     names = lines[best]
-    repeated = [name for name in names if name in wanted and names.count(name) > 1]
+    times = Counter(names)
+    repeated = [name for name in names if name in wanted and times[name] > 1]
     if repeated:
         raise UserError(
             f"{path}, line {best + 1}: the column {repeated[0]!r} appears twice; rename one, "

@@ -221,10 +221,11 @@ def _is_unit(cell: str) -> bool:
 
 def _unique_names(cells: list[str]) -> list[str]:
     """The cells as names that are all different; empty ones stay empty if there is but one."""
-    names: list[str] = []
+    names: dict[str, None] = {}  # in order, and looked up at once: a line may have 10^5 of them
+    one_empty = cells.count("") == 1
     for i, cell in enumerate(cells):
-        name = cell if cell or cells.count("") == 1 else f"column {i + 1}"
+        name = cell if cell or one_empty else f"column {i + 1}"
         while name in names:
             name += f" #{i + 1}"
-        names.append(name)
-    return names
+        names[name] = None
+    return list(names)
