@@ -84,7 +84,7 @@ def test_a_borrowed_curvature_serves_as_the_expected_one_does(problem, search, m
     def scored(*given: object) -> None:
         raise AssertionError("scored anew")
 
-    monkeypatch.setattr(noise_fit, "_score", scored)
+    monkeypatch.setattr(noise_fit, "_expected_curvature", scored)
     same = refine_noise(run, times, near, problem.prior, 15, curvature)
     assert same.curvature is not None
     ends = [float(deviance(free_of(one.noise))) for one in (fresh, same)]

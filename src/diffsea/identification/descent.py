@@ -79,21 +79,24 @@ def descend(
     index: FreeIndex,
     left_out: Float[np.ndarray, "free"],
     corrects: bool,
+    least: float = NEGLIGIBLE_PROMISE,
 ) -> Descent:
     """One step of the free coordinates; none where nothing that is tried is better.
 
     Arguments:
         left_out: of the gradient by gains held fixed; zeros at first.
         corrects: whether to find that anew where a step that promised something is refused.
+        least: of -2 log posterior: where less is promised, no way but the straight one is tried.
     """
     model = linearise(problem, now.run.gains, now.coordinates, index)
-    there, promised = _along_parabola(problem, now, index, model, model.gradient + left_out)
+    gradient = model.gradient + left_out
+    there, promised = _along_parabola(problem, now, index, model, gradient, least)
     failed = not now.deviance - there.deviance > ENOUGH_OF_PROMISE * promised
     corrected = corrects and failed and promised > CORRECTED_PROMISE
     if corrected:
         gradient = gradient_by_differences(problem, now, index, model)
         left_out = gradient - model.gradient
-        again, promised = _along_parabola(problem, now, index, model, gradient)
+        again, promised = _along_parabola(problem, now, index, model, gradient, least)
         there = again if again.better_than(there) else there
     return Descent(there, left_out, model, promised, there is now, corrected)
 
@@ -104,6 +107,7 @@ def _along_parabola(
     index: FreeIndex,
     model: Linearisation,
     gradient: Float[np.ndarray, "free"],
+    least: float = NEGLIGIBLE_PROMISE,
 ) -> tuple[FilteredPoint, float]:
     """The first good point on the way to the model's minimum, or the best; what that promises.
 
@@ -122,6 +126,9 @@ def _along_parabola(
         coordinates[index] += change
         return filter_at(problem, coordinates, now.noise)
 
+    if promised < least:
+        whole = at(step)
+        return whole if whole.better_than(now) else now, promised
     above, below = on_every_core(at, [BOW_SHARE * step, -BOW_SHARE * step])
     bend = (above.residual + below.residual - 2 * now.residual) / BOW_SHARE**2
     bow = -np.linalg.solve(model.curvature, 2 * model.jacobian.T @ bend)

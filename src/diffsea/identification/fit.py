@@ -159,7 +159,7 @@ def _search(
         by_noise = last - now.deviance
         if not (step.is_last and abs(by_noise) < least):
             corrects = not fixed_noise and by_noise < SETTLED_NOISE
-            step = descend(problem, now, index, step.left_out, corrects)
+            step = descend(problem, now, index, step.left_out, corrects, least)
             now = step.point
         path.append(now.deviance)
         message = f"fitting, step {number + 1}: misfit {normalised_rms(now.run):.3f}"

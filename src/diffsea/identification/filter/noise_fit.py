@@ -50,13 +50,13 @@ ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought bef
 class RowTimes(eqx.Module):
     """When rows begin and runs start, and how little is known of a run's first state."""
 
-    dt: Float[Array, "*block row"]  # s
-    starts: Bool[Array, "*block row"]
-    run: Int[Array, "*block row"]
+    dt: Float[Array, "row"]  # s
+    starts: Bool[Array, "row"]
+    run: Int[Array, "row"]
     first_variance: Float[Array, "6"]
 
 
-Excerpt = tuple[FilterRun, RowTimes]  # blocks of a run's rows
+Excerpt = tuple[FilterRun, RowTimes]  # some of a run's rows, block after block
 
 
 class NoisePrior(NamedTuple):
@@ -140,27 +140,28 @@ def _scale_of_squares(squares: Float[np.ndarray, "difference"], axes: int) -> fl
 def take_excerpt(run: FilterRun, times: RowTimes) -> Excerpt:
     """Blocks of rows spread evenly over each of long runs, each begun like a run of its own.
 
-    Runs that together are no longer than the excerpt are one block. Where blocks lie depends on
+    Runs that together are no longer than the excerpt are taken whole. Where blocks lie depends on
     nothing but the run itself, so that the order of runs does not matter.
     """
-    begin, length = np.zeros(1, int), len(times.dt)
+    rows = len(times.dt)
+    if rows <= EXCERPT_ROWS:
+        return run, times
     # Spare rows at the end of a data set are not recorded.
     recorded = np.count_nonzero(np.asarray(run.gains.used), axis=1) > 0
     number = np.where(recorded, np.asarray(times.run), -1)
-    if length > EXCERPT_ROWS:
-        length = BLOCK_ROWS
-        begin = _block_starts(number, min(EXCERPT_ROWS, int(np.sum(recorded))))
-    chosen = np.minimum(begin[:, None] + np.arange(length), len(times.dt) - 1)
-    starts = np.asarray(times.starts)[chosen]
+    begin = _block_starts(number, min(EXCERPT_ROWS, int(np.sum(recorded))))
+    chosen = np.minimum(begin[:, None] + np.arange(BLOCK_ROWS), rows - 1)
+    starts, number = np.asarray(times.starts)[chosen], np.asarray(times.run)[chosen]
     starts[:, 0] = True
-    part = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[chosen]), run)
-    if len(begin) > 1:
-        own = np.asarray(times.run)[chosen] == np.asarray(times.run)[chosen[:, :1]]
-        used = part.gains.used & own[..., None]
-        part = eqx.tree_at(lambda p: p.gains.used, part, used)
-    dt = jnp.asarray(np.asarray(times.dt)[chosen])
-    chosen_runs = jnp.asarray(np.asarray(times.run)[chosen])
-    return part, RowTimes(dt, jnp.asarray(starts), chosen_runs, times.first_variance)
+
+    def rows_of(leaf: Array) -> Array:
+        return jnp.asarray(np.asarray(leaf)[chosen.ravel()])
+
+    part = jax.tree.map(rows_of, run)
+    own = (number == number[:, :1]).reshape(-1, 1)
+    part = eqx.tree_at(lambda p: p.gains.used, part, part.gains.used & own)
+    clock = jnp.asarray(starts.ravel()), rows_of(times.run), times.first_variance
+    return part, RowTimes(rows_of(times.dt), *clock)
 
 
 def _block_starts(run: Int[np.ndarray, "row"], rows: int) -> Int[np.ndarray, "block"]:
@@ -214,47 +215,34 @@ def rerun_linearised(
 
 def _terms(
     run: FilterRun, times: RowTimes, log: Float[Array, "15"]
-) -> tuple[Float[Array, "value"], Float[Array, "value"]]:
-    """Whitened innovations of all blocks, and the logarithms of their variances."""
-
-    def block(part: FilterRun, dt: Array, starts: Array, own: Array) -> tuple[Array, Array]:
-        clock = RowTimes(dt, starts, own, times.first_variance)
-        return rerun_linearised(part, clock, Noise.of(log))
-
-    # One step of a compiled loop costs nearly as much for one block as for all.
-    white, variance = jax.vmap(block)(run, times.dt, times.starts, times.run)
-    return white.ravel(), jnp.log(variance).ravel()
-
-
-def _total(white: Array, log_variance: Array, strains: Array) -> Float[Array, ""]:
-    return jnp.sum(white**2) + jnp.sum(log_variance) + jnp.sum(strains**2)
+) -> tuple[Float[Array, "row 6"], Float[Array, "row 6"]]:
+    """Whitened innovations of all rows, and the logarithms of their variances."""
+    white, variance = rerun_linearised(run, times, Noise.of(log))
+    return white, jnp.log(variance)
 
 
 @jax.jit
 def _deviance(
     run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
 ) -> Float[Array, ""]:
-    """Deviance of all blocks with prior."""
-    return _total(*_terms(run, times, log), (log - prior.mean) / prior.spread)
+    """Deviance of all rows with prior."""
+    white, log_variance = _terms(run, times, log)
+    strains = (log - prior.mean) / prior.spread
+    return jnp.sum(white**2) + jnp.sum(log_variance) + jnp.sum(strains**2)
 
 
 @jax.jit
-def _score(
+def _expected_curvature(
     run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
-) -> tuple[Float[Array, ""], Float[Array, "15"], Float[Array, "15 15"]]:
-    """The same, its gradient and its expected curvature."""
-    along = lambda at: _terms(run, times, at)
-    (white, log_variance), (d_white, d_log) = value_and_jacobian(along, log, SCALES_AT_ONCE)
-    # white = nu / sqrt(s): the innovation's own derivative over sqrt(s) is this.
-    d_nu = d_white + 0.5 * white[:, None] * d_log
-    gradient = 2 * white @ d_white + d_log.sum(0)
-    curvature = 2 * d_nu.T @ d_nu + d_log.T @ d_log
-    off = (log - prior.mean) / prior.spread
-    return (
-        _total(white, log_variance, off),
-        gradient + 2 * off / prior.spread,
-        curvature + 2 * jnp.diag(1 / prior.spread**2),
+) -> Float[Array, "15 15"]:
+    """The deviance's, by Fisher's information of the scales."""
+    (white, _), (d_white, d_log) = value_and_jacobian(
+        lambda at: _terms(run, times, at), log, SCALES_AT_ONCE
     )
+    # white = nu / sqrt(s): the innovation's own derivative over sqrt(s) is this.
+    d_nu = (d_white + 0.5 * white[..., None] * d_log).reshape(-1, log.size)
+    d_log = d_log.reshape(-1, log.size)
+    return 2 * d_nu.T @ d_nu + d_log.T @ d_log + 2 * jnp.diag(1 / prior.spread**2)
 
 
 @jax.jit
@@ -270,7 +258,8 @@ def search_programs(
 ) -> list[Callable[[], object]]:
     """Calls of all compiled programs of a search for noise, from whatever run of that shape."""
     given = *take_excerpt(run, times), jnp.asarray(prior.mean), prior
-    return [functools.partial(program, *given) for program in (_score, _slope, _deviance)]
+    programs = (_expected_curvature, _slope, _deviance)
+    return [functools.partial(program, *given) for program in programs]
 
 
 class RefinedNoise(NamedTuple):
@@ -306,6 +295,10 @@ def refine_noise(
     def at(log: Float[np.ndarray, "14"]) -> tuple[FilterRun, RowTimes, Array, NoisePrior]:
         return *excerpt, jnp.asarray(ISOTROPIC @ log), prior
 
+    def expected_at(log: Float[np.ndarray, "14"]) -> Float[np.ndarray, "14 14"]:
+        curvature = ISOTROPIC.T @ np.asarray(_expected_curvature(*at(log))) @ ISOTROPIC
+        return 0.5 * (curvature + curvature.T)
+
     def deviance_at(log: Float[np.ndarray, "14"]) -> float:
         return float(_deviance(*at(log)))
 
@@ -313,10 +306,8 @@ def refine_noise(
         value, gradient = map(np.asarray, _slope(*at(log)))
         return float(value), ISOTROPIC.T @ gradient
 
-    if borrowed is None:
-        value, gradient, curvature = _scored(*at(log))
-    else:
-        (value, gradient), curvature = slope_at(log), borrowed
+    value, gradient = slope_at(log)
+    curvature = expected_at(log) if borrowed is None else borrowed
     learnt, left = _learning(curvature), steps
     while left and np.isfinite(gradient).all() and np.isfinite(curvature).all():
         step = _bounded_step(log, gradient, curvature, prior)
@@ -325,8 +316,8 @@ def refine_noise(
         gained, step = value - there, share * step
         kept = abs(gained - promised) < ENOUGH_OF_PROMISE * promised
         if borrowed is not None and promised > ENOUGH_GAIN and not kept:
-            value, gradient, curvature = _scored(*at(log))
-            borrowed, learnt = None, _learning(curvature)
+            curvature, borrowed = expected_at(log), None
+            learnt = _learning(curvature)
             continue
         if not gained > 0:
             break
@@ -339,15 +330,6 @@ def refine_noise(
             curvature = learnt.get_matrix()
     is_known = bool(np.isfinite(curvature).all())
     return RefinedNoise(Noise.of(ISOTROPIC @ log), curvature if is_known else None)
-
-
-def _scored(
-    run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
-) -> tuple[float, Float[np.ndarray, "14"], Float[np.ndarray, "14 14"]]:
-    """Deviance, gradient and expected curvature by the scales that move."""
-    value, gradient, curvature = map(np.asarray, _score(run, times, log, prior))
-    curvature = ISOTROPIC.T @ curvature @ ISOTROPIC
-    return float(value), ISOTROPIC.T @ gradient, 0.5 * (curvature + curvature.T)
 
 
 def _learning(curvature: Float[np.ndarray, "14 14"]) -> BFGS:
