@@ -121,6 +121,26 @@ def test_nothing_is_tried_where_little_is_promised(problem, monkeypatch):
     assert point is now and promised == pytest.approx(1e-4)
 
 
+@pytest.mark.parametrize("bottom, taken", [(1.0, True), (0.2, False)])
+def test_what_promises_less_than_counts_is_tried_straight_and_whole(
+    problem, monkeypatch, bottom, taken
+):
+    tried = []
+
+    def deviance(x: float) -> float:
+        tried.append(x)
+        return (x - bottom) ** 2
+
+    now = of_a_valley(problem, monkeypatch, deviance)
+    tried.clear()
+    model = Linearisation(np.zeros(1), np.ones((1, 1)))
+    point, promised = descent._along_parabola(
+        problem, now, np.array([0]), model, np.array([-2.0]), least=1.1
+    )
+    assert promised == pytest.approx(1.0) and tried == [1.0]
+    assert point.coordinates[0] == (1.0 if taken else 0.0)
+
+
 def test_a_step_out_of_where_the_filter_diverges_is_taken(problem, monkeypatch):
     now = of_a_valley(problem, monkeypatch, lambda x: 1.0 if 0 < x < 0.6 else np.nan)
     point, _ = along(problem, now, -2.0)
