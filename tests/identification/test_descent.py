@@ -2,6 +2,8 @@
 # Points made up have no run of a filter.
 """One step of a fit downhill, against exact derivatives of the filter and deviances made up."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -183,6 +185,30 @@ def test_half_a_step_has_a_quarter_of_the_bow(problem, monkeypatch):
     valley = BentValley(problem, monkeypatch, lambda x: 1e3 * max(x - 0.6, 0.0))
     point, _ = valley.step()
     assert point.coordinates == pytest.approx([0.5, 0.25], abs=1e-6)
+
+
+class Bent:
+    """Further data that bend with the first coordinate, as trial numbers do: `FurtherData`."""
+
+    def misfits_and_jacobian(self, coordinates):
+        slopes = np.zeros((1, len(coordinates)))
+        slopes[0, 0] = 6.0 * coordinates[0]
+        return np.array([3.0 * coordinates[0] ** 2 - 1.0]), slopes
+
+    def residuals(self, coordinates):
+        raise NotImplementedError
+
+
+def test_the_bow_is_that_of_further_data_too(problem, found):
+    """Their rows stand last in the residual, with their squares in the deviance."""
+    alone = filter_at(problem, found.coordinates, found.noise)
+    joint = dataclasses.replace(problem, further=Bent())
+    beside = filter_at(joint, found.coordinates, found.noise)
+    misfit = 3.0 * found.coordinates[0] ** 2 - 1.0
+    np.testing.assert_allclose(beside.residual, [*alone.residual, misfit])
+    assert beside.deviance - alone.deviance == pytest.approx(misfit**2, rel=1e-6)
+    model = linearise(joint, beside.run.gains, beside.coordinates, found.index)
+    assert model.residual == pytest.approx(beside.residual, abs=1e-6)
 
 
 @pytest.mark.parametrize("behind", [np.nan, 1e6])

@@ -22,7 +22,7 @@ from diffsea.identification.estimates import (
 )
 from diffsea.identification.objectives.base import AbstractObjective
 from diffsea.identification.objectives.innovation import Innovations
-from diffsea.identification.objectives.joint import with_trial_numbers
+from diffsea.identification.objectives.joint import NumbersBeside, with_trial_numbers
 from diffsea.identification.objectives.output_error import OutputError
 from diffsea.identification.objectives.trial_numbers import (
     MeasuredTrial,
@@ -230,3 +230,35 @@ def test_weather_sensors_and_changes_of_recordings_do_not_act_in_the_trials_of_a
     assert np.array_equal(problem.further.misfits_and_jacobian(off)[0], calm)
     acting = np.flatnonzero(np.abs(J).sum(0))
     assert set(acting) == {0, 1, slots["thrust-asymmetry"].start}
+
+
+class Overtaken(NumbersBeside):
+    """Asked for another place, as by another thread, right after it has kept the first one."""
+
+    place: np.ndarray | None = None
+
+    @property
+    def _last(self):
+        return self._kept
+
+    @_last.setter
+    def _last(self, kept):
+        self._kept, place, self.place = kept, self.place, None
+        if place is not None:
+            self.misfits_and_jacobian(place)
+
+
+def test_who_asks_while_another_place_is_kept_gets_the_own_one(monkeypatch):
+    class Numbers:
+        def __init__(self, *given):
+            pass
+
+        def misfits_and_jacobian(self, coordinates):
+            return coordinates[:1].copy(), np.ones((1, len(coordinates)))
+
+    monkeypatch.setattr("diffsea.identification.objectives.joint.TrialNumbers", Numbers)
+    problem = still_problem("gyro-bias")
+    numbers = Overtaken(problem, ())
+    first, numbers.place = np.full((2, problem.layout.size), [[1.0], [-1.0]])
+    assert numbers.misfits_and_jacobian(first)[0] == 1.0
+    assert numbers.misfits_and_jacobian(-first)[0] == -1.0

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from tests.diagnosis.small import still_problem
 
+import diffsea
 from diffsea.budget import on_every_core, time_budget
-from diffsea.identification import fit
+from diffsea.identification import fit, kept_fits
 from diffsea.identification.estimates import FitOutcome
 from diffsea.identification.fit import estimate
 from diffsea.identification.kept_fits import fits_kept
@@ -70,6 +71,23 @@ def test_a_fit_of_interrupted_work_is_taken_from_there_to_the_last_bit(problem, 
     assert shares and shares == [one.share for one in again if isinstance(one, PartialProgress)]
     run, kept_run = first.filter_run(problem), second.filter_run(problem)
     np.testing.assert_array_equal(run.white, kept_run.white)
+
+
+def test_a_fit_by_other_source_is_made_anew(problem, calls, tmp_path, monkeypatch):
+    """The same version of the package, and one letter more in one of its files."""
+    package = tmp_path / "diffsea"
+    package.mkdir()
+    for name in ("__init__.py", "fit.py"):
+        (package / name).write_text("a = 1\n")
+    monkeypatch.setattr(diffsea, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(kept_fits, "_source_digest", kept_fits._source_digest.__wrapped__)
+    folder = tmp_path / "parts"
+    interrupted(problem, folder)
+    interrupted(problem, folder)
+    assert len(calls) == 1
+    (package / "fit.py").write_text("a = 2\n")
+    interrupted(problem, folder)
+    assert len(calls) == 2
 
 
 def test_another_fit_is_made_anew(problem, calls, tmp_path):
