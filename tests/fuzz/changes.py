@@ -24,7 +24,7 @@ _changes = st.one_of(*(st.lists(_change, min_size=1, max_size=most) for most in 
 
 def hostile(kind):
     """Bytes of hostile files of a kind."""
-    is_text = kind in TEXTS or kind in ("csv", "fit")
+    is_text = kind in TEXTS or kind in ("csv", "tlogcsv", "fit")
     change = _changed_text if is_text else _changed_bytes
     structural = _changes.map(lambda own: _all(own, kind, change))
     by_bytes = _changes.map(lambda own: _all(own, kind, _changed_bytes))
@@ -71,7 +71,8 @@ def _changed_text(content, what, place, extent, number):
     """The same of lines and cells; or columns by the thousand, names that are empty or repeated."""
     lines = content.decode("utf-8", errors="surrogateescape").split("\n")
     row, other = int(place * len(lines)), int(extent * len(lines))
-    separators = "=:" if any(sign in lines[row] for sign in "=:") else ","
+    is_pair = lines[row].count(",") < 6 and any(sign in lines[row] for sign in "=:")
+    separators = "=:" if is_pair else ","
     cells = _split(lines[row], separators)
     cell = int(extent * len(cells))
     hostile_cell = CELLS[number % len(CELLS)]

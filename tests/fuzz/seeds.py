@@ -76,6 +76,7 @@ SUFFIXES = {
     "bin": ".bin",
     "log": ".log",
     "tlog": ".tlog",
+    "tlogcsv": ".csv",
     "ulg": ".ulg",
     "fit": ".json",
 }
@@ -166,6 +167,9 @@ def seed(kind):
             return driven_boat.ardupilot_log(_boat(), write=text_log)
         if kind == "ulg":
             return driven_boat.px4_log(_boat())
+        if kind == "tlogcsv":
+            driven_boat.telemetry_csv(_boat(), folder / "log.csv")
+            return (folder / "log.csv").read_bytes()
         write = driven_boat.telemetry_log if kind == "tlog" else driven_boat.json_log
         write(_boat(), folder / "log")
         return (folder / "log").read_bytes()

@@ -5,6 +5,7 @@ library. Axes are NED.
 """
 
 import dataclasses
+import datetime
 import json
 import struct
 
@@ -194,6 +195,35 @@ def telemetry_log(boat, path):
         for t, source, message in rows:
             stamp = EPOCH // 1000 + round((t + 0.2) * 1e6)
             file.write(struct.pack(">Q", stamp) + message.pack(source))
+
+
+def telemetry_csv(boat, path, version=2, comma=False):
+    """Writes the same log as Mission Planner converts it to CSV, of MAVLink 2 or 1.
+
+    Arguments:
+        comma: whether numbers have a decimal comma, as the computer's language may have it.
+    """
+    from pymavlink import mavutil
+
+    binary = path.with_suffix(".tlog")
+    telemetry_log(boat, binary)
+    log, lines = mavutil.mavlogfile(str(binary)), []
+    while (message := log.recv_msg()) is not None:
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        head = f"FD,{30:2X}, 0, 0,{len(lines) % 256:2X}" if version == 2 else f"FE,{30:2X}, 7"
+        head += f",{sender[0]:2X},{sender[1]:2X},{message.get_msgId():6X}"
+        stamp = datetime.datetime.fromtimestamp(message._timestamp, datetime.UTC)
+        text = f"{stamp:%Y-%m-%dT%H:%M:%S}.{stamp.microsecond // 1000:03d}"
+        text = text if version == 2 else f"{stamp:%m/%d/%Y %I:%M:%S %p}"
+        fields = {k: v for k, v in message.to_dict().items() if k != "mavpackettype"}
+        shown = {k: f"{v:.7G}" if isinstance(v, float) else str(v) for k, v in fields.items()}
+        if comma:
+            shown = {k: v if k == "param_id" else v.replace(".", ",") for k, v in shown.items()}
+        pairs = ",".join(f"{name},{value}" for name, value in shown.items())
+        name = f"mavlink_{message.get_type().lower()}_t"
+        lines.append(f"{text},{head},{name},{pairs},,sig ,Len,44\r\n")
+    log.close()
+    path.write_text("".join(lines), newline="")
 
 
 def json_log(boat, path):

@@ -40,6 +40,9 @@ def log(tmp_path, boat, request):
         elif kind == "tlog":
             pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot]")
             driven_boat.telemetry_log(boat, path)
+        elif kind == "csv":
+            pytest.importorskip("pymavlink", reason="needs diffsea[ardupilot] to write it")
+            driven_boat.telemetry_csv(boat, path, **options)
         elif kind == "mcap":
             pytest.importorskip("mcap", reason="needs diffsea[mcap]")
             driven_boat.json_log(boat, path)
@@ -65,6 +68,7 @@ NAMES = {
     "bin": "ardupilot-bin",
     "log": "ardupilot-log",
     "tlog": "mavlink-tlog",
+    "csv": "mavlink-csv",
     "mcap": "mcap-json",
     "ulg": "px4-ulg",
 }
@@ -92,11 +96,28 @@ def test_sides_heading_and_motion_of_every_known_log_are_the_truth(log, boat, ki
             getattr(run, name)[known], truth(name)[known], atol=tolerance, err_msg=name
         )
     held = np.searchsorted(boat.t, run.t - zero + 1e-6) - 1
-    scale, neutral = (1.0, 0.0) if kind in ("bin", "log", "tlog", "mcap") else (400.0, 1500.0)
+    scale, neutral = (
+        (1.0, 0.0) if kind in ("bin", "log", "tlog", "csv", "mcap") else (400.0, 1500.0)
+    )
     for side in ("port", "starboard"):
         orders = run.commanded[side] * scale + neutral
         same = np.isclose(orders, getattr(boat, side)[held], atol=0.5)
         assert np.mean(same[5:]) > 0.99  # but for a sample at a change
+
+
+@pytest.mark.parametrize("options", [{"version": 1}, {"comma": True}])
+def test_telemetry_as_csv_is_read_however_it_was_written(log, options):
+    """By old versions, whose times are to the second, and where numbers have a comma."""
+    binary = read_recording(log("tlog"))
+    other = read_recording(log("csv", **options))
+    np.testing.assert_allclose(other.t, binary.t, atol=1.1 if "version" in options else 2e-3)
+    for name in ("x", "psi", "u", "r"):
+        known = np.isfinite(getattr(binary, name))
+        np.testing.assert_allclose(
+            getattr(other, name)[known], getattr(binary, name)[known], rtol=1e-5, atol=1e-6
+        )
+    for side in ("port", "starboard"):
+        np.testing.assert_array_equal(other.commanded[side], binary.commanded[side])
 
 
 def test_a_mapping_that_was_chosen_is_told_written_and_overridden(log, tmp_path, capsys):

@@ -17,7 +17,7 @@ pytest.importorskip("mcap", reason="needs diffsea[mcap]")
 pytest.importorskip("pyulog", reason="needs diffsea[px4]")
 pytest.importorskip("rosbags", reason="needs diffsea[ros]")
 
-LOGS = ("bin", "log", "tlog", "ulg", "mcap", "ros1", "ros2", "rosmcap")
+LOGS = ("bin", "log", "tlog", "tlogcsv", "ulg", "mcap", "ros1", "ros2", "rosmcap")
 TABLES = ("csv", "parquet", "mat")
 # What the coarsest of them keep: four bytes for a number, hundredths of a degree, by which speeds
 # are turned, too, and yaw rates that are sampled more often.
@@ -84,7 +84,7 @@ def test_the_same_run_in_every_format_has_the_same_channels(tmp_path):
             assert size <= limit, (pair, name, size)
 
 
-@pytest.mark.parametrize("kind", ["csv", "bin", "log", "tlog", "ulg", "mcap"])
+@pytest.mark.parametrize("kind", ["csv", "bin", "log", "tlog", "tlogcsv", "ulg", "mcap"])
 @pytest.mark.parametrize("places", [15, pytest.param(1000, marks=pytest.mark.proof)])
 def test_of_a_log_that_is_cut_what_is_before_is_read_and_the_audit_says_where(
     tmp_path, kind, places
@@ -120,7 +120,7 @@ def test_of_a_log_that_is_cut_what_is_before_is_read_and_the_audit_says_where(
 
 def _is_at_a_boundary(kind, content, at):
     """Whether a file of so many bytes ends where a message does, as far as it may be told."""
-    if kind in ("csv", "log"):
+    if kind in ("csv", "log", "tlogcsv"):
         return content[at - 1 : at] == b"\n"
     if kind == "tlog":  # two bytes name a message: a time alone is no part of one
         return True

@@ -61,8 +61,9 @@ def read_recording(
     """Read one run from a CSV or Parquet file, from a log, or from a data frame in memory.
 
     Logs are ROS bags (`.bag`, `.db3`, `.mcap` or the folder of a ROS 2 bag), ArduPilot's `.bin`
-    and, as text, `.log`, MAVLink's `.tlog`, PX4's `.ulg` and MATLAB's `.mat`; without a mapping
-    that for their format is chosen by what they contain, and `read` says which. `logs.read_log`
+    and, as text, `.log`, MAVLink's `.tlog`, or `.csv` as Mission Planner converts it, PX4's `.ulg`
+    and MATLAB's `.mat`; without a mapping that for their format is chosen by what they contain,
+    and `read` says which. `logs.read_log`
     says what becomes of their several clocks. Only rows from `start` to `end` (s on the
     recording's clock) are kept, by default those that the mapping says.
 

@@ -1,6 +1,12 @@
-"""What MAVLink messages have in common, whatever file they stand in: clock, arming, no fix."""
+"""What MAVLink messages have in common, whatever file they stand in: sender, clock, arming, no fix.
 
-from collections.abc import Mapping
+Fields are in the units of MAVLink (`lat` in 1e-7 deg, `vx` of GLOBAL_POSITION_INT in cm/s).
+`HEARTBEAT:armed` is one while orders reach the actuators.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,10 +14,69 @@ from diffsea.recordings.logs.streams import Stream
 from diffsea.trajectory import Samples
 
 
+_NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a gimbal
+
+
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HEARTBEAT.base_mode
 _WRAPPED = 2.0**32  # us at which the time of SERVO_OUTPUT_RAW begins again, every 71 min
 _ALIKE = 1.0  # s: stamps within it of the autopilot's clock are of that clock
 _RESTARTED = 1.0  # s by which the time since boot falls where the autopilot was restarted
+
+
+class Message(NamedTuple):
+    """One message of a telemetry log."""
+
+    name: str  # in capitals, as MAVLink has it
+    system: int  # that sent it
+    received: float  # s
+    fields: dict[str, float | str]
+
+
+def of_the_vehicle(messages: Sequence[Message]) -> list[Message]:
+    """The messages of the vehicle: of several the one with the most heartbeats of an autopilot."""
+
+    def is_foreign(one: Message) -> bool:
+        return one.name == "HEARTBEAT" and one.fields.get("autopilot") == _NO_AUTOPILOT
+
+    beats = Counter(
+        one.system for one in messages if one.name == "HEARTBEAT" and not is_foreign(one)
+    )
+    vehicle = beats.most_common(1)[0][0] if beats else messages[0].system
+    return [one for one in messages if one.system == vehicle and not is_foreign(one)]
+
+
+def told_parameters(messages: Sequence[Message]) -> list[tuple[str, float]]:
+    """The vehicle's parameters as they were told (PARAM_VALUE), in the order of the file."""
+    told = [one.fields for one in messages if one.name == "PARAM_VALUE"]
+    return [
+        (str(fields["param_id"]).rstrip("\x00"), float(fields["param_value"]))
+        for fields in told
+        if "param_id" in fields and isinstance(fields.get("param_value"), float)
+    ]
+
+
+def streams_of_messages(
+    messages: Sequence[Message], file: str, cut_off: str = ""
+) -> dict[str, Stream]:
+    """A stream of each message's numbers; further outputs are `SERVO_OUTPUT_RAW[1]` and so on."""
+    rows: dict[str, list[dict[str, float]]] = {}
+    received: dict[str, list[float]] = {}
+    for one in messages:
+        topic = one.name
+        fields = {name: n for name, n in one.fields.items() if isinstance(n, float)}
+        if topic == "SERVO_OUTPUT_RAW" and fields.get("port"):
+            topic = f"{topic}[{fields['port']:.0f}]"
+        rows.setdefault(topic, []).append(fields)
+        received.setdefault(topic, []).append(one.received)
+    series = {
+        topic: {
+            name: np.array([row.get(name, np.nan) for row in own], dtype=float)
+            for name in dict.fromkeys(name for row in own for name in row)
+        }
+        for topic, own in rows.items()
+    }
+    times = {topic: np.array(stamps, dtype=float) for topic, stamps in received.items()}
+    return mavlink_streams(times, series, file, cut_off)
 
 
 def mavlink_streams(

@@ -12,7 +12,16 @@ from jaxtyping import Bool, Float
 
 from diffsea.errors import UserError, nearest
 from diffsea.recordings.geodesy import place_fixes
-from diffsea.recordings.logs import ardupilot, folder, matlab, mcap_json, px4, ros, tlog
+from diffsea.recordings.logs import (
+    ardupilot,
+    folder,
+    matlab,
+    mcap_json,
+    px4,
+    ros,
+    tlog,
+    tlog_text,
+)
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
 from diffsea.recordings.mappings import Column, Mapping, is_held
 from diffsea.series import between_samples, hold_at, median_interval, unwrap
@@ -40,6 +49,14 @@ FORMATS = (
         tlog.streams,
         "ardupilot",
         parameters=tlog.parameters,
+    ),
+    LogFormat(
+        "mavlink-csv",
+        (".csv",),
+        tlog_text.contents,
+        tlog_text.streams,
+        holds=tlog_text.is_log,
+        parameters=tlog_text.parameters,
     ),
     LogFormat("px4-ulg", (".ulg",), px4.contents, px4.streams, "px4"),
     LogFormat("matlab", (".mat",), matlab.contents, matlab.streams, time_is_mapped=True),
@@ -190,7 +207,8 @@ def format_of(path: Path) -> LogFormat | None:
     if path.is_dir():
         return next((form for form in FORMATS if form.is_folder and form.is_folder(path)), None)
     named = (form for form in FORMATS if path.suffix.lower() in form.suffixes)
-    return next((form for form in named if form.holds is None or form.holds(path)), None)
+    held = lambda form: form.holds is None or (path.is_file() and form.holds(path))
+    return next(filter(held, named), None)
 
 
 def _checked_format(path: Path) -> LogFormat:
