@@ -5,6 +5,7 @@ expanded here once in pieces that are thrown away, and counted.
 """
 
 import bz2
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,9 +50,10 @@ def check_chunks(path: Path) -> None:
 
 def _chunks_of_mcap(source: BinaryIO) -> Iterator[tuple[str, bytes]]:
     """Compression and content of every chunk at the top of the file."""
+    end = os.fstat(source.fileno()).st_size
     while len(head := source.read(9)) == 9:
         kind, size = struct.unpack("<BQ", head)
-        after = source.tell() + size
+        after = min(source.tell() + size, end)
         if kind == _MCAP_CHUNK:
             source.seek(_MCAP_FIXED, 1)
             checksum_and_length = source.read(8)
@@ -61,8 +63,6 @@ def _chunks_of_mcap(source: BinaryIO) -> Iterator[tuple[str, bytes]]:
             name = source.read(min(length, 16)).decode(errors="replace")
             source.seek(8, 1)
             yield name, source.read(max(0, after - source.tell()))
-        if after >= 2**63:
-            return
         source.seek(after)
 
 
