@@ -10,6 +10,7 @@ import pytest
 
 from diffsea import Trajectory
 from diffsea.recordings import Finding
+from diffsea.report.pages.online import parameter_table
 from diffsea.report.pages.recordings import audit_page, segments_page
 from diffsea.report.pages.sensitivity import sensitivity_page
 from diffsea.report.pages.sweep import sweep_page
@@ -120,3 +121,13 @@ def test_segments_are_shaded_from_their_onsets():
     key = [s["name"] for s in shapes if s.get("showlegend")]
     assert sorted(key) == sorted({s.kind for s in found})
     assert "Orders count." in page and found[0].kind in page
+
+
+@pytest.mark.parametrize(("passed", "shown"), [(-52.0, "-52.0"), (-74.0, "-70")])
+def test_what_the_gate_never_touched_is_shown_as_the_vessel_file_has_it(passed, shown):
+    row = {
+        "symbol": "X_u", "name": "linear damping in surge", "unit": "N / (m/s)",
+        "vessel file": -52.0, "last estimate": -80.0, "+-": 20.0, "passed by the gate": passed,
+    }  # fmt: skip
+    (cells,) = parameter_table([row]).rows
+    assert cells[2] == "-52.0" and cells[4] == shown

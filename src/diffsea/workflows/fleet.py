@@ -18,7 +18,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.outside.cluster import connected
 from diffsea.outside.unfinished import clear_abandoned
-from diffsea.progress import PartialProgress, Progress, no_progress
+from diffsea.progress import PartialProgress, Progress, counted, no_progress
 from diffsea.report.pages.fleet import fleet_report
 from diffsea.workflows.audits import Tabulated
 from diffsea.workflows.boat import DEPTHS, moved_parameters
@@ -72,7 +72,7 @@ class FleetResult(Tabulated):
             if self.settings["until"] == "audit"
             else f", {len(changed)} show more than their file has"
         )
-        return f"{len(self.done)} of {len(self.boats)} boats done{told}"
+        return f"{len(self.done)} of {counted(len(self.boats), 'boat')} done{told}"
 
     def rows(self) -> list[dict[str, Any]]:
         return [

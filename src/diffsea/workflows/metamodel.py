@@ -171,8 +171,8 @@ class MetamodelResult(Tabulated):
     def headline(self) -> str:
         count = sum(map(len, self.search.groups.values()))
         return (
-            f"{len(self.models)} metamodels from {count} trials in "
-            f"{len(self.logs) - len(self.search.excluded)} of {len(self.logs)} logs"
+            f"{counted(len(self.models), 'metamodel')} from {counted(count, 'trial')} in "
+            f"{len(self.logs) - len(self.search.excluded)} of {counted(len(self.logs), 'log')}"
         )
 
     def rows(self) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
+from diffsea.progress import counted
 from diffsea.report.page import Table, Verbatim, provenance, render
 from diffsea.report.quantities import is_known, significant
 from diffsea.report.wording import words
@@ -23,6 +24,7 @@ def fleet_report(record: Record, headline: str, changed: Sequence[str]) -> str:
     """
     boats = record["boats"]
     others = [one for one in boats if one.get("verdict") in changed]
+    recordings = sum(len(one["recordings"]) for one in boats)
     audited = record["settings"]["until"] == "audit"
     source = {
         "settings": {key: value for key, value in record["settings"].items() if value is not None},
@@ -31,7 +33,7 @@ def fleet_report(record: Record, headline: str, changed: Sequence[str]) -> str:
     return render(
         "fleet.html.j2",
         title="Fleet",
-        subtitle=f"{len(boats)} boats, {sum(len(one['recordings']) for one in boats)} recordings",
+        subtitle=f"{counted(len(boats), 'boat')}, {counted(recordings, 'recording')}",
         lead=f"{headline}.",
         fitted=not audited,
         changed=_changed(others),

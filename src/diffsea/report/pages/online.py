@@ -71,13 +71,18 @@ def online_report(
 
 def parameter_table(rows: Sequence[Record]) -> Table:
     """Each parameter: in the vessel file, the last estimate, what a controller had at the end."""
+
+    def unmoved(row: Record) -> bool:
+        return row["passed by the gate"] == row["vessel file"]
+
     cells = [
         [
             Verbatim(row["symbol"]),
             row["name"],
             round_to_error(row["vessel file"]),
             with_error(row["last estimate"], row["+-"]),
-            round_to_error(row["passed by the gate"], row["+-"]),
+            # The file's own number where nothing passed: the same digits, then.
+            round_to_error(row["passed by the gate"], None if unmoved(row) else row["+-"]),
             row["unit"],
         ]
         for row in rows
