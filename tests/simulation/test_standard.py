@@ -170,3 +170,10 @@ def test_plans_that_make_no_sense_are_told(boat):
     with pytest.raises(UserError, match="a thrust cannot be set"):
         planning.plan_trial(mariner, "zigzag", thrust=10.0)
     assert planning.plan_trial(mariner, "zigzag").throttle == 0.0
+
+
+@pytest.mark.parametrize("name", ["angle", "heading", "speed", "thrust", "seconds", "step"])
+@pytest.mark.parametrize("number", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_trial_by_a_number_that_is_not_above_zero_is_refused(boat, name, number):
+    with pytest.raises(UserError, match=f"the {name} of a zigzag must be above zero"):
+        planning.plan_trial(boat, "zigzag", **{name: number})

@@ -60,9 +60,15 @@ def plan_trial(
             leave the throttle alone.
 
     Raises:
-        UserError: an unknown manoeuvre, or one that the vessel cannot run.
+        UserError: an unknown manoeuvre, or one that the vessel cannot run; a number not above zero.
     """
     trial = standard_trial(manoeuvre)
+    for name, number in {
+        "angle": angle, "heading": heading, "speed": speed, "thrust": thrust, "seconds": seconds,
+        "step": step,
+    }.items():  # fmt: skip
+        if number is not None and not 0 < number < math.inf:
+            raise UserError(f"the {name} of a {manoeuvre} must be above zero, got {number:g}")
     if executes > _EXECUTES_LIMIT:
         raise UserError(f"{executes} executes are too many; at most {_EXECUTES_LIMIT} are run")
     if trial.angle:

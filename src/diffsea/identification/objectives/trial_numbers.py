@@ -140,9 +140,12 @@ def _read_trial(where: str, entry: Any, relative: float, vessel: Vessel) -> Meas
     if isinstance(executes, bool) or not isinstance(executes, int):
         raise UserError(f"{where}: executes = {executes!r} is no number of rudder executions")
     sign = 1.0 if side == "starboard" else -1.0
-    plan = planning.plan_trial(
-        vessel, manoeuvre, side=sign, executes=executes, keep_speed=False, **orders
-    )
+    try:
+        plan = planning.plan_trial(
+            vessel, manoeuvre, side=sign, executes=executes, keep_speed=False, **orders
+        )
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from error
     rows = [
         _read_number(f"{where}, {name}", name, given, relative, float(vessel.rigid_body.length))
         for name, given in numbers.items()
