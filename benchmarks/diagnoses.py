@@ -15,4 +15,7 @@ def measure() -> list[Figure]:
     command = [sys.executable, "-m", "experiments.diagnosis_benchmark.run"]
     subprocess.run(command, check=True, cwd=run.ROOT, env=environment)
     told = json.loads((run.OUT / "results.json").read_text(encoding="utf-8"))
-    return [Figure(f"diagnosis-{kind}", "s", [told[kind]["seconds"]]) for kind in ("warm", "cold")]
+    return [
+        Figure(f"diagnosis-{kind}", "s", [own["seconds"]], more={"stages": own["stages"]})
+        for kind, own in ((kind, told[kind]) for kind in ("warm", "cold"))
+    ]

@@ -17,7 +17,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 RESULTS, README = HERE / "results.json", HERE / "README.md"
 UNIT = "vessel-steps/s"
-BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 PACKAGES = (
     "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy", "casadi", "numba", "diffrax",
     "shipmmg",
@@ -104,9 +103,21 @@ def write_table() -> None:
     """The README's table, from results.json."""
     record = json.loads(RESULTS.read_text(encoding="utf-8"))
     text = README.read_text(encoding="utf-8")
-    body = f"{BEGIN}\n{table(record)}\n{END}"
-    pattern = re.compile(f"{BEGIN}.*{END}", re.DOTALL)
-    README.write_text(pattern.sub(lambda _: body, text), encoding="utf-8")
+    for place, body in {"figures": table(record), "stages": stage_table(record)}.items():
+        begin, end = f"<!-- {place} -->", f"<!-- end of {place} -->"
+        pattern = re.compile(f"{begin}.*{end}", re.DOTALL)
+        whole = f"{begin}\n{body}\n{end}"
+        text = pattern.sub(lambda _, whole=whole: whole, text)
+    README.write_text(text, encoding="utf-8")
+
+
+def stage_table(record: dict[str, Any]) -> str:
+    """Seconds of the stages of each figure that has some, a column each, as Markdown."""
+    staged = {f["name"]: f["stages"] for f in record["figures"] if "stages" in f}
+    stages = dict.fromkeys(stage for own in staged.values() for stage in own)
+    rows = [[stage, *(f"{own.get(stage, 0.0):.1f}" for own in staged.values())] for stage in stages]
+    lines = [["stage, s", *staged], ["---"] * (1 + len(staged)), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def table(record: dict[str, Any]) -> str:

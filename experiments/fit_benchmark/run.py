@@ -9,6 +9,7 @@ import os
 import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -30,12 +31,18 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=CONTESTANTS, default=list(CONTESTANTS))
     parser.add_argument("--gusts", type=int, default=0, help="seeds of the table with gusts")
     parser.add_argument("--table", action="store_true", help="only print what there is")
+    parser.add_argument("--keep", action="store_true", help="put the table into the README, too")
     args = parser.parse_args()
+    began = time.perf_counter()
     OUT.mkdir(parents=True, exist_ok=True)
     if not args.table:
         compete(args.only, args.seed, args.repeats)
         with_gusts(range(1, args.gusts + 1))
-    show(records(f"times-{args.seed}.jsonl"))
+    found = records(f"times-{args.seed}.jsonl")
+    if args.keep:
+        keep_table(found, began)
+    elif found:
+        print(table(found))
     show_gusts(records("gusts.jsonl"))
 
 
@@ -104,14 +111,22 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def show(found: dict[str, list[dict]]) -> None:
-    """The table of times, as Markdown; ratios are to `REFERENCE`."""
-    if not found:
-        return
+def keep_table(found: dict[str, list[dict]], began: float) -> None:
+    """Write results.json beside the README, and the table into it."""
+    from experiments.harness.reporting import Experiment
+
     least = min(row["cost"] for rows in found.values() for row in rows)
-    print(f"| {' | '.join(HEADINGS)} |\n{'| --- ' * len(HEADINGS)}|")
+    results = {"least_cost": least, "contestants": found}
+    Experiment(HERE, HERE, quick=False, began=began).write(results, {"TIMES": table(found)})
+
+
+def table(found: dict[str, list[dict]]) -> str:
+    """The table of times, as Markdown; ratios are to `REFERENCE`."""
+    least = min(row["cost"] for rows in found.values() for row in rows)
+    lines = [f"| {' | '.join(HEADINGS)} |", f"{'| --- ' * len(HEADINGS)}|"]
     for name, rows in found.items():
-        print(f"| {' | '.join([name, *line(rows, found.get(REFERENCE), least)])} |")
+        lines.append(f"| {' | '.join([name, *line(rows, found.get(REFERENCE), least)])} |")
+    return "\n".join(lines)
 
 
 def line(rows: list[dict], reference: list[dict] | None, least: float) -> list[str]:
