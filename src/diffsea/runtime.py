@@ -113,7 +113,7 @@ def prepare_jax() -> None:
     jax = sys.modules.get("jax")
     chosen = jax.config.jax_compilation_cache_dir if jax else os.environ.get(CACHE_SETTING.upper())
     if not chosen and (cache := _cache_folder()):
-        settings |= {CACHE_SETTING: str(cache), "jax_persistent_cache_min_compile_time_secs": 0.02}
+        settings |= {CACHE_SETTING: str(cache), "jax_persistent_cache_min_compile_time_secs": 0.0}
     for name, value in settings.items():
         if jax:
             jax.config.update(name, value)
