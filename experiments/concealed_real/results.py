@@ -9,7 +9,7 @@ from experiments.concealed_real.checks import Line
 
 HERE = Path(__file__).resolve().parent
 FOLDER = HERE / "results"
-PARTS = ("unchanged", "again", "told", "facts", "injected")
+PARTS = ("unchanged", "again", "told", "facts", "injected", "injected_again")
 SHOWN_PLACES = 6  # of `where`, strongest first
 DIGITS = 6
 

@@ -4,7 +4,7 @@
         [--sets NAME ...] [--develop] [--workers N] [--redo] [--out DIR]
 
 Without a part, all of them but `--again`: the unchanged runs by another revision of the tool,
-beside those that limits and cases are drawn from. Appends a line to `results/PART.jsonl` for every
+beside those that limits and cases are drawn from; with `--injected` the injected cases. Appends a line to `results/PART.jsonl` for every
 case that has none of this revision; a stopped run goes on where it was. The unchanged runs come
 first: their detection limits are frozen in `results/limits.json`, and the cases drawn from them,
 before anything that is injected.
@@ -261,14 +261,15 @@ def main() -> None:
         first = list(sets.SETS) if args.out == results.FOLDER and not frozen else names
         work("unchanged", unchanged_jobs(first), args, revision)
         freeze(first, args.out)
-    if args.again:
+    if args.again and not args.injected:
         work("again", again_jobs(names), args, revision)
     if everything or args.told:
         work("told", told_jobs(names), args, revision)
     if everything or args.facts:
         work("facts", fact_jobs(names), args, revision)
     if everything or args.injected:
-        work("injected", injected_jobs(names, args.subset, args.out, args.first), args, revision)
+        part = "injected_again" if args.again else "injected"
+        work(part, injected_jobs(names, args.subset, args.out, args.first), args, revision)
 
 
 def options() -> argparse.ArgumentParser:

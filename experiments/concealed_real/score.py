@@ -196,6 +196,20 @@ def injected_tables(scored: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
+def again_table(pairs: Sequence[tuple[Outcome, Outcome]]) -> str:
+    """Injected cases by two revisions, the same cases side by side."""
+    keys = ("wrong names", "named besides what the unchanged runs give",
+            "names of the unchanged runs lost", "90 % intervals that hold the truth")  # fmt: skip
+    were = [before for before, _ in pairs if before.wrong]
+    chosen = {"wrong before": were, "not wrong before": [b for b, _ in pairs if not b.wrong]}
+    rows = []
+    for name, cases in chosen.items():
+        of = {case.case for case in cases}
+        sides = [rates([pair[side] for pair in pairs if pair[0].case in of]) for side in (0, 1)]
+        rows += [(f"{name}: {key}", *(shown(side[key]) for side in sides)) for key in keys]
+    return table(("of the cases", "before", "by another revision"), rows)
+
+
 def score(folder: Path) -> tuple[dict[str, Any], str]:
     """All figures, and their tables in Markdown."""
     lines = {part: results.read(part, folder) for part in results.PARTS}
@@ -206,6 +220,9 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
             if line["set"] in unchanged]  # fmt: skip
     again = [compare_again(line, unchanged[name]) for name, line in lines["again"].items()
              if name in unchanged]  # fmt: skip
+    judged = {outcome.case: outcome for outcome in outcomes}
+    pairs = [(judged[key], judge(line, unchanged[line["case"]["set"]]))
+             for key, line in lines["injected_again"].items() if key in judged]  # fmt: skip
     checks = fact_rows(lines["facts"])
     scored = {
         "cases": len(outcomes),
@@ -220,6 +237,10 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
         "facts that hold": share(row["holds"] for row in checks if row["holds"] is not None),
         "told otherwise, the same": share(one.holds for one in told),
         "by another revision, the same": share(one.holds for one in again),
+        "wrong names of the same cases": {
+            "before": share(bool(before.wrong) for before, _ in pairs),
+            "by another revision": share(bool(now.wrong) for _, now in pairs),
+        },
         "revisions": sorted({line["revision"] for some in lines.values() for line in
                              some.values()}),
     }  # fmt: skip
@@ -234,6 +255,7 @@ def score(folder: Path) -> tuple[dict[str, Any], str]:
         f"## Told otherwise, the same: {shown(scored['told otherwise, the same'])}",
         told_table(told),
         f"## Injected: {len(outcomes)} cases", *injected_tables(scored),
+        f"## Injected, by another revision: {len(pairs)} cases", again_table(pairs),
     ]  # fmt: skip
     return scored, "\n\n".join(pages) + "\n"
 

@@ -63,6 +63,24 @@ def test_what_the_page_says_of_real_sets_is_what_was_found(part, columns):
         assert ahead == " -> ".join(dict.fromkeys(errors)), line["id"]
 
 
+def test_what_the_page_says_of_cases_run_again_is_what_was_found():
+    text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
+    unchanged = results.read("unchanged", FOLDER / "results")
+    before = results.read("injected", FOLDER / "results")
+    again = results.read("injected_again", FOLDER / "results")
+    wrong = {True: [], False: []}  # by whether it was before
+    for key, line in again.items():
+        of_set = unchanged[line["case"]["set"]]
+        had = bool(judging.judge(before[key], of_set).wrong)
+        wrong[had].append(bool(judging.judge(line, of_set).wrong))
+        assert line["revision"] != before[key]["revision"]
+    told = (
+        f"of the {len(wrong[True])} with a wrong name {sum(wrong[True])} have one still, and of "
+        f"the {len(wrong[False])} others {sum(wrong[False])} has got one"
+    )
+    assert told in " ".join(text.split()) and f"Of these cases {len(again)} have been" in text
+
+
 def test_what_the_page_says_of_another_revision_is_what_was_found():
     text = (ROOT / "docs" / "when-to-believe-a-diagnosis.md").read_text(encoding="utf-8")
     unchanged = results.read("unchanged", FOLDER / "results")
