@@ -4,10 +4,10 @@
         [--sets NAME ...] [--develop] [--workers N] [--redo] [--out DIR]
 
 Without a part, all of them but `--again`: the unchanged runs by another revision of the tool,
-beside those that limits and cases are drawn from; with `--injected` the injected cases. Appends a line to `results/PART.jsonl` for every
-case that has none of this revision; a stopped run goes on where it was. The unchanged runs come
-first: their detection limits are frozen in `results/limits.json`, and the cases drawn from them,
-before anything that is injected.
+beside those that limits and cases are drawn from; with `--injected` the injected cases. Appends a
+line to `results/PART.jsonl` for every case that has none of this revision; a stopped run goes on
+where it was. The unchanged runs come first: their detection limits are frozen in
+`results/limits.json`, and the cases drawn from them, before anything that is injected.
 """
 
 import argparse
