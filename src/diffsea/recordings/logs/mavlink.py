@@ -5,18 +5,18 @@ Fields are in the units of MAVLink (`lat` in 1e-7 deg, `vx` of GLOBAL_POSITION_I
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from diffsea.recordings.logs.streams import Stream
+from diffsea.recordings.mappings import Mapping as ChannelMapping
 from diffsea.trajectory import Samples
 
 
 _NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a gimbal
-
-
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HEARTBEAT.base_mode
 _WRAPPED = 2.0**32  # us at which the time of SERVO_OUTPUT_RAW begins again, every 71 min
 _ALIKE = 1.0  # s: stamps within it of the autopilot's clock are of that clock
@@ -32,6 +32,41 @@ class Message(NamedTuple):
     fields: dict[str, float | str]
 
 
+class MessageLog(NamedTuple):
+    """How logs of messages are read, by a function that gives all in the order of a file.
+
+    The function says also whether the file is cut off, in words, and raises `UserError` where there
+    are no messages.
+    """
+
+    messages: Callable[[Path], tuple[list[Message], str]]
+
+    def contents(self, path: Path) -> dict[str, list[str]]:
+        """The numeric fields of every message of the vehicle."""
+        found = self._streams(path)
+        return {topic: list(found[topic].fields) for topic in sorted(found)}
+
+    def streams(self, path: Path, mapping: ChannelMapping, topics: list[str]) -> dict[str, Stream]:
+        """The streams of those of the messages that the log has; time is seconds since boot."""
+        del mapping
+        found = self._streams(path)
+        return {topic: found[topic] for topic in topics if topic in found}
+
+    def parameters(self, path: Path) -> list[tuple[str, float]]:
+        """The vehicle's parameters as they were told (PARAM_VALUE), in the order of the file."""
+        messages, _ = self.messages(path)
+        told = [one.fields for one in of_the_vehicle(messages) if one.name == "PARAM_VALUE"]
+        return [
+            (str(fields["param_id"]).rstrip("\x00"), float(fields["param_value"]))
+            for fields in told
+            if "param_id" in fields and isinstance(fields.get("param_value"), float)
+        ]
+
+    def _streams(self, path: Path) -> dict[str, Stream]:
+        messages, cut_off = self.messages(path)
+        return streams_of_messages(of_the_vehicle(messages), path.name, cut_off)
+
+
 def of_the_vehicle(messages: Sequence[Message]) -> list[Message]:
     """The messages of the vehicle: of several the one with the most heartbeats of an autopilot."""
 
@@ -43,16 +78,6 @@ def of_the_vehicle(messages: Sequence[Message]) -> list[Message]:
     )
     vehicle = beats.most_common(1)[0][0] if beats else messages[0].system
     return [one for one in messages if one.system == vehicle and not is_foreign(one)]
-
-
-def told_parameters(messages: Sequence[Message]) -> list[tuple[str, float]]:
-    """The vehicle's parameters as they were told (PARAM_VALUE), in the order of the file."""
-    told = [one.fields for one in messages if one.name == "PARAM_VALUE"]
-    return [
-        (str(fields["param_id"]).rstrip("\x00"), float(fields["param_value"]))
-        for fields in told
-        if "param_id" in fields and isinstance(fields.get("param_value"), float)
-    ]
 
 
 def streams_of_messages(

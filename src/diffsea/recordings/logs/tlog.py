@@ -3,50 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from diffsea.recordings.logs.mavlink import (
-    Message,
-    of_the_vehicle,
-    streams_of_messages,
-    told_parameters,
-)
-from diffsea.recordings.logs.streams import (
-    LONGEST_ARRAY,
-    Stream,
-    ends_within_a_message,
-    unreadable,
-)
-from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.logs.mavlink import Message, MessageLog
+from diffsea.recordings.logs.streams import LONGEST_ARRAY, ends_within_a_message, unreadable
 
 
-def contents(path: Path) -> dict[str, list[str]]:
-    """The numeric fields of every message of the vehicle; further outputs are `[1]` and so on."""
-    found = _streams(path)
-    return {topic: list(found[topic].fields) for topic in sorted(found)}
-
-
-def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
-    """The streams of those of the messages that the log has; time is seconds since boot.
-
-    Raises:
-        UserError: the file has no MAVLink messages.
-    """
-    del mapping
-    found = _streams(path)
-    return {topic: found[topic] for topic in topics if topic in found}
-
-
-def parameters(path: Path) -> list[tuple[str, float]]:
-    """The vehicle's parameters as they were told, in the order of the file."""
-    return told_parameters(_vehicle_messages(path)[0])
-
-
-def _streams(path: Path) -> dict[str, Stream]:
-    messages, cut_off = _vehicle_messages(path)
-    return streams_of_messages(messages, path.name, cut_off)
-
-
-def _vehicle_messages(path: Path) -> tuple[list[Message], str]:
-    """The vehicle's messages in the order of the file; and whether that is cut off, in words."""
+def _messages(path: Path) -> tuple[list[Message], str]:
     from pymavlink import mavutil
 
     with unreadable(path, "a MAVLink telemetry log"):
@@ -60,7 +21,7 @@ def _vehicle_messages(path: Path) -> tuple[list[Message], str]:
         log.close()
         if not messages:
             raise ValueError("it has no MAVLink messages")
-    return of_the_vehicle(messages), cut_off
+    return messages, cut_off
 
 
 def _fields(message: Any) -> dict[str, float | str]:
@@ -78,3 +39,6 @@ def _fields(message: Any) -> dict[str, float | str]:
                 if isinstance(item, int | float)
             }
     return found
+
+
+LOG = MessageLog(_messages)

@@ -12,14 +12,8 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from diffsea.recordings.logs.mavlink import (
-    Message,
-    of_the_vehicle,
-    streams_of_messages,
-    told_parameters,
-)
-from diffsea.recordings.logs.streams import Stream, ends_within_a_message, unreadable
-from diffsea.recordings.mappings import Mapping
+from diffsea.recordings.logs.mavlink import Message, MessageLog
+from diffsea.recordings.logs.streams import ends_within_a_message, unreadable
 
 
 _SEARCHED = 1 << 16  # bytes of a file in which a first message stands
@@ -40,45 +34,19 @@ def is_log(path: Path) -> bool:
         return _LINE.search(file.read(_SEARCHED)) is not None
 
 
-def contents(path: Path) -> dict[str, list[str]]:
-    """The numeric fields of every message of the vehicle; further outputs are `[1]` and so on."""
-    found = _streams(path)
-    return {topic: list(found[topic].fields) for topic in sorted(found)}
-
-
-def streams(path: Path, mapping: Mapping, topics: list[str]) -> dict[str, Stream]:
-    """The streams of those of the messages that the log has; time is seconds since boot.
-
-    Raises:
-        UserError: the file has no MAVLink messages, or a time that cannot be read.
-    """
-    del mapping
-    found = _streams(path)
-    return {topic: found[topic] for topic in topics if topic in found}
-
-
-def parameters(path: Path) -> list[tuple[str, float]]:
-    """The vehicle's parameters as they were told, in the order of the file."""
-    return told_parameters(_vehicle_messages(path)[0])
-
-
-def _streams(path: Path) -> dict[str, Stream]:
-    messages, cut_off = _vehicle_messages(path)
-    return streams_of_messages(messages, path.name, cut_off)
-
-
-def _vehicle_messages(path: Path) -> tuple[list[Message], str]:
-    """The vehicle's messages in the order of the file; and whether that is cut off, in words."""
+def _messages(path: Path) -> tuple[list[Message], str]:
     messages, last = [], "\n"
-    with unreadable(path, "a telemetry log as CSV"), path.open(errors="replace") as file:
+    with (
+        unreadable(path, "a telemetry log as CSV"),
+        path.open(encoding="utf-8-sig", errors="replace") as file,
+    ):
         while line := file.readline(_LONGEST_LINE):
             if line.endswith("\n") and (message := _message(line)) is not None:
                 messages.append(message)
             last = line
         if not messages:
             raise ValueError("it has no MAVLink messages")
-    cut_off = "" if last.endswith("\n") else ends_within_a_message(path)
-    return of_the_vehicle(messages), cut_off
+    return messages, "" if last.endswith("\n") else ends_within_a_message(path)
 
 
 def _message(line: str) -> Message | None:
@@ -120,3 +88,6 @@ def _seconds(text: str) -> float:
             except ValueError:
                 continue
     raise ValueError(f"{text!r} is no time such as 2026-06-01T12:00:00.125")
+
+
+LOG = MessageLog(_messages)
