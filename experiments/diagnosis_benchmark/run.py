@@ -34,7 +34,7 @@ class Stages:
         now = time.monotonic()
         self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + now - self._since
         self._since = now
-        if re.match(r"round \d+", message):
+        if re.match(r"fitting, step \d+", message):
             return
         self._stage = re.sub(r" \d+ of \d+: .*|: .*", "", message)
 

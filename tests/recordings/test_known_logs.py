@@ -120,6 +120,21 @@ def test_telemetry_as_csv_is_read_however_it_was_written(log, options):
         np.testing.assert_array_equal(other.commanded[side], binary.commanded[side])
 
 
+def test_a_message_without_a_time_is_told_with_its_line(log):
+    path = log("csv")
+    lines = path.read_text().split("\n")
+    lines[20] = "yesterday," + lines[20].partition(",")[2]
+    path.write_text("\n".join(lines))
+    with pytest.raises(UserError, match="line 21: 'yesterday' is no time such as"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "log", "tlog"])
+def test_a_log_that_is_not_there_is_told(tmp_path, ending):
+    with pytest.raises(UserError, match="there is no recording"):
+        read_recording(tmp_path / f"missing.{ending}")
+
+
 def test_a_mapping_that_was_chosen_is_told_written_and_overridden(log, tmp_path, capsys):
     path = log("bin")
     assert main(["audit", str(path), "-o", str(tmp_path / "out")]) == 0

@@ -20,7 +20,7 @@ from diffsea.recordings.logs import (
     px4,
     ros,
     tlog,
-    tlog_text,
+    tlog_csv,
 )
 from diffsea.recordings.logs.streams import LogFormat, Stream, list_fields, merge_repeated_times
 from diffsea.recordings.mappings import Column, Mapping, is_held
@@ -53,10 +53,10 @@ FORMATS = (
     LogFormat(
         "mavlink-csv",
         (".csv",),
-        tlog_text.LOG.contents,
-        tlog_text.LOG.streams,
-        holds=tlog_text.is_log,
-        parameters=tlog_text.LOG.parameters,
+        tlog_csv.LOG.contents,
+        tlog_csv.LOG.streams,
+        holds=tlog_csv.is_log,
+        parameters=tlog_csv.LOG.parameters,
     ),
     LogFormat("px4-ulg", (".ulg",), px4.contents, px4.streams, "px4"),
     LogFormat("matlab", (".mat",), matlab.contents, matlab.streams, time_is_mapped=True),

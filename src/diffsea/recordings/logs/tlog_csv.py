@@ -35,15 +35,19 @@ def is_log(path: Path) -> bool:
 
 
 def _messages(path: Path) -> tuple[list[Message], str]:
-    messages, last = [], "\n"
+    messages, last, number = [], "\n", 0
     with (
         unreadable(path, "a telemetry log as CSV"),
         path.open(encoding="utf-8-sig", errors="replace") as file,
     ):
         while line := file.readline(_LONGEST_LINE):
-            if line.endswith("\n") and (message := _message(line)) is not None:
+            last, number = line, number + 1
+            try:
+                message = _message(line) if line.endswith("\n") else None
+            except ValueError as error:
+                raise ValueError(f"line {number}: {error}") from error
+            if message is not None:
                 messages.append(message)
-            last = line
         if not messages:
             raise ValueError("it has no MAVLink messages")
     return messages, "" if last.endswith("\n") else ends_within_a_message(path)
