@@ -816,6 +816,7 @@ def test_rounding_with_error(value, std, unit, text):
 def test_rounding_alone():
     assert round_to_error(0.3012, 0.0042, "m/s") == "0.30 m/s"
     assert round_to_error(2.1, 0.01, "rad") == "120 deg"
+    assert with_error(0.2513, 0.004, "rad per s") == "14.4 +- 0.2 deg/s"  # of a rudder
     assert round_to_error(2.15, 0.01, "rad") == "123 deg"
     assert round_to_error(1234.0, 30.0, "kg") == "1230 kg"
     assert significant(0.0, 3) == "0" and significant(1.3e-9, 2) == "1.3e-9"

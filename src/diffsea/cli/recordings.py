@@ -28,7 +28,6 @@ RECORDED_TRIALS = (
     *("stopping", "straight", "unknown"),
 )
 UNITS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
-UNITS_OF_PEOPLE = {"rad": ("deg", 180 / math.pi), "rad/s": ("deg/s", 180 / math.pi)}
 
 
 def register(commands: options.Commands) -> None:
@@ -370,11 +369,13 @@ def predict_command(args: argparse.Namespace) -> None:
 
 def _prediction_text(result: dict[str, Any]) -> str:
     """predict.json for a person: a table of errors, the environment, notes."""
+    from diffsea.report.quantities import for_people
+
     names = [name for name in UNITS if name in result["overall"]]
-    shown = {name: UNITS_OF_PEOPLE.get(UNITS[name], (UNITS[name], 1.0)) for name in names}
+    shown = {name: for_people(1.0, UNITS[name]) for name in names}  # factor, unit
 
     def row(label: str, errors: dict[str, float]) -> list[str]:
-        return [label, *(f"{shown[n][1] * errors.get(n, math.nan):.3g}" for n in names)]
+        return [label, *(f"{shown[n][0] * errors.get(n, math.nan):.3g}" for n in names)]
 
     environment = result.get("environment", {})
     part = "the rest of the run" if environment else "the whole run"
@@ -382,7 +383,7 @@ def _prediction_text(result: dict[str, Any]) -> str:
     for seconds, errors in result["horizons"].items():
         diverged = f", {errors['diverged']} diverged" if "diverged" in errors else ""
         rows.append(row(f"{seconds} s ahead of {errors['starts']} starts{diverged}", errors))
-    header = ["root mean square error", *(f"{name} ({shown[name][0]})" for name in names)]
+    header = ["root mean square error", *(f"{name} ({shown[name][1]})" for name in names)]
     lines = [table(rows, header), ""]
     for name, numbers in environment.items():
         if name == "seconds":

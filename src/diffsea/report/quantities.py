@@ -9,7 +9,7 @@ from typing import TypeGuard
 CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing more
 
 
-_PEOPLE = {"rad": "deg", "rad/s": "deg/s", "1": ""}
+_DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad per s": "deg/s"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _EXPONENT = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e(-?\d+)(?!\w)")
 _MINUS = re.compile(r"(?<![\w.\-])-(?=\d)")
@@ -18,9 +18,9 @@ UNKNOWN = "not known"
 
 def for_people(value: float, unit: str) -> tuple[float, str]:
     """A value in the unit that people read it in: degrees instead of radians."""
-    if unit in ("rad", "rad/s"):
-        return math.degrees(value), _PEOPLE[unit]
-    return value, _PEOPLE.get(unit, unit)
+    if unit in _DEGREES:
+        return math.degrees(value), _DEGREES[unit]
+    return value, "" if unit == "1" else unit
 
 
 def is_known(value: float | None) -> TypeGuard[float]:
