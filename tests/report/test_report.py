@@ -714,7 +714,7 @@ def test_faults_that_differ_are_not_put_together():
     text = " ".join(verdict_text(summary).split())
     assert "turned (in A). Repair: offset = -0.1." in text
     assert "turned (in B). Repair: offset = 1.5." in text
-    assert "gap in A: cut off gap in A: a clock gap axes in C: turned" in text
+    assert "axes in C: turned gap in A: cut off gap in A: a clock gap" in text
 
 
 def test_what_is_needed_only_together_and_what_little_is_left_are_told():

@@ -141,6 +141,7 @@ def _check_text(one: "LogCheck | Finding") -> str:
     """A check for a person at a terminal."""
     from diffsea.recordings import Finding
     from diffsea.report.pages.check import guess_sentence, headlines, trial_order
+    from diffsea.report.wording.findings import heaviest_first
 
     if isinstance(one, Finding):
         return f"{one.recording}: not read: {one.message}"
@@ -152,7 +153,7 @@ def _check_text(one: "LogCheck | Finding") -> str:
         *map(guess_sentence, one.guesses),
         *(f"idle: {s.start:.0f} s to {s.end:.0f} s, {s.why}" for s in one.idle),
         *(f"missing: {sentence}" for sentence in one.missing),
-        *(f"finding: {finding.kind}: {finding.message}" for finding in one.audit),
+        *(f"finding: {finding.kind}: {finding.message}" for finding in heaviest_first(one.audit)),
         *headlines(one.answers, bool(one.run.commanded)),
     ]
     known = lambda speed: f"{speed:.2f}" if math.isfinite(speed) else ""

@@ -115,6 +115,7 @@ def audit_command(args: argparse.Namespace) -> None:
         _repair(args)
         return
     from diffsea.report.pages.recordings import audit_page
+    from diffsea.report.wording.findings import heaviest_first
 
     stages = {"reading": 2.0, "looking": 4.0}
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
@@ -125,7 +126,10 @@ def audit_command(args: argparse.Namespace) -> None:
     if message and args.json:
         options.progress(message)
     texts = [
-        _findings_text(name, [("", one, one.repair and f"repair: {one.repair}") for one in items])
+        _findings_text(
+            name,
+            [("", one, one.repair and f"repair: {one.repair}") for one in heaviest_first(items)],
+        )
         for name, items in found
     ]
     out.present(args, message + "\n\n".join(texts))
@@ -283,13 +287,17 @@ def _repair(args: argparse.Namespace) -> None:
 
 def _findings_text(name: str, rows: "Sequence[tuple[str, Finding, str]]") -> str:
     """Findings of one recording for a person, each between a word ahead of it and a remark."""
+    from diffsea.report.wording.findings import cost_words
+
     lines = [f"{name}:" if rows else f"{name}: nothing found"]
     for word, finding, remark in rows:
         size = ""
         if math.isfinite(finding.value):
             unit = "" if finding.unit == "1" else f" {finding.unit}"
-            error = f" +- {finding.std:.2g}" if math.isfinite(finding.std) else ""
+            error = f" +- {finding.std:.2g}" if math.isfinite(finding.std) and finding.std else ""
             size = f"{finding.value:.4g}{error}{unit}"
+        if costs := cost_words(finding.cost):
+            size += f"  ({costs} off in a minute)"
         lines += [f"  {word}{finding.kind:18s} {size}", f"    {finding.message}"]
         lines += [f"    {remark}"] if remark else []
     return "\n".join(lines)

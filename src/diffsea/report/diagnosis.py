@@ -87,15 +87,16 @@ def diagnosis_report(
     used += [] if by_time else [(run, "held out") for run in held_out]
     audit, null = summary.get("audit"), summary.get("null") or {}
     found = []
-    for finding in audit or []:
+    for finding in findings.heaviest_first(audit or []):
         size = ""
         if is_known(finding.get("value")):
             size = with_error(finding["value"], finding.get("std"), finding.get("unit", ""))
         texts = [Verbatim(finding["message"])]
         if finding.get("repair"):
             texts.append(Verbatim(f"Repair: {finding['repair']}"))
-        found.append([words.as_words(finding["kind"]), Verbatim(finding["recording"]), size, texts])
-    columns = ["fault", "recording", "size", "what was seen"]
+        what = words.as_words(finding["kind"]), Verbatim(finding["recording"])
+        found.append([*what, size, findings.cost_words(finding.get("cost")), texts])
+    columns = ["fault", "recording", "size", "cost in a minute", "what was seen"]
     method = {}
     if chance := {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}:
         method["significance from simulated data without effects"] = chance
@@ -132,7 +133,7 @@ def diagnosis_report(
         unseen=unseen_table(summary),
         parameters=parameter_table(summary.get("parameters", [])),
         faults=None if audit is None else len(audit),
-        fault_table=Table(columns, found, "Findings of the audit"),
+        fault_table=Table(columns, found, f"Findings of the audit. {findings.WEIGHED}"),
         provenance=provenance(source | method, used),
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 from diffsea.recordings.auditing.actuators import actuation_findings, order_findings
 from diffsea.recordings.auditing.axes import AxesEvidence
 from diffsea.recordings.auditing.causes import SIGNIFICANCE, Explanation, select_causes
+from diffsea.recordings.auditing.costs import cost
 from diffsea.recordings.auditing.disagreements import disagreement_findings
 from diffsea.recordings.auditing.edits import Affine
 from diffsea.recordings.auditing.finding import KINDS, Finding, finding_of
@@ -72,7 +73,10 @@ def audit(
     found += [f for f in executed if f.kind != "feedback-error" or not orders & {*f.channels}]
     found += response_findings(trajectory, motion)
     found.sort(key=lambda finding: KINDS.index(finding.kind))
-    return [dataclasses.replace(finding, recording=trajectory.name) for finding in found]
+    return [
+        dataclasses.replace(one, recording=trajectory.name, cost=cost(one, trajectory))
+        for one in found
+    ]
 
 
 def cleaned_motion(trajectory: Trajectory) -> tuple[MeasuredMotion, list[Finding]]:

@@ -34,8 +34,9 @@ class Finding:
     no, `value` is what the message explains. `channels` are the columns it concerns, `parameters`
     what the catalogue of effects calls them by. `repair` says what to do about it, `edits` do
     it; `doubt` says why the fault might have to be repaired otherwise, or not here at all.
-    `axis` is the motion, "yaw" or "surge", whose response to an actuator shows the fault. Texts
-    are for people; programs go by the other fields.
+    `axis` is the motion, "yaw" or "surge", whose response to an actuator shows the fault; `cost`
+    how far off (m) a minute's track is while it is left in, NaN where that is not known. Texts are
+    for people; programs go by the other fields.
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Finding:
     edits: tuple[Edit, ...] = ()
     doubt: str = ""
     axis: str = ""
+    cost: float = math.nan
 
     @property
     def spans(self) -> Spans:
@@ -69,6 +71,7 @@ class Finding:
             "doubt": self.doubt,
             "channels": list(self.channels),
             "parameters": {k: _finite_or_none(value) for k, value in self.parameters.items()},
+            "cost": _finite_or_none(self.cost),
         }
 
 

@@ -26,6 +26,7 @@ from diffsea.report.plots import (
     numbers,
 )
 from diffsea.report.quantities import for_people, round_to_error, significant
+from diffsea.report.wording.findings import WEIGHED, cost_words, heaviest_first
 from diffsea.report.wording.words import Record, capital, enumeration
 from diffsea.scales import HARD_OVER
 from diffsea.trajectory import in_words
@@ -247,11 +248,13 @@ def _shade(drawn: go.Figure, span: tuple[float, float], fill: str, opacity: floa
 
 def _fault_table(audit: Sequence[Finding]) -> Table:
     rows = []
-    for finding in audit:
+    for finding in heaviest_first(audit):
         size = round_to_error(finding.value, finding.std, finding.unit)
         what = [finding.kind, ", ".join(in_words(finding.channels))]
-        rows.append([what, size if math.isfinite(finding.value) else "", finding.message])
-    return Table(["finding", "size", "what it is"], rows, "Faults that the log shows by itself")
+        size = size if math.isfinite(finding.value) else ""
+        rows.append([what, size, cost_words(finding.cost), finding.message])
+    head = ["finding", "size", "cost in a minute", "what it is"]
+    return Table(head, rows, f"Faults that the log shows by itself. {WEIGHED}")
 
 
 def _idle_table(one: LogCheck) -> Table:

@@ -19,6 +19,7 @@ from diffsea.report.predictions import (
 )
 from diffsea.report.quantities import for_people, significant, with_error
 from diffsea.report.tracks import compared_tracks
+from diffsea.report.wording.findings import WEIGHED, cost_words, heaviest_first
 from diffsea.report.wording.words import Record, as_words, capital, count_recordings
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
@@ -91,12 +92,14 @@ def audit_page(
 def _finding_table(found: Sequence[tuple[str, Sequence[Finding]]]) -> Table:
     rows = []
     for name, findings in found:
-        for one in findings:
+        for one in heaviest_first(findings):
             unit = "" if one.unit == "1" else one.unit
             size = with_error(one.value, one.std, unit) if math.isfinite(one.value) else ""
             channels = Verbatim(", ".join(one.channels))
-            rows.append([Verbatim(name), as_words(one.kind), channels, size, one.repair or ""])
-    return Table(["recording", "fault", "channels", "size", "repair"], rows)
+            what = Verbatim(name), as_words(one.kind), channels
+            rows.append([*what, size, cost_words(one.cost), one.repair or ""])
+    head = ["recording", "fault", "channels", "size", "cost in a minute", "repair"]
+    return Table(head, rows, f"Of each recording. {WEIGHED}")
 
 
 def metrics_page(

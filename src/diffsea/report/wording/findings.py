@@ -1,10 +1,14 @@
 """What the audit found, in words: alike findings of several recordings together."""
 
 from collections.abc import Iterable
+from typing import TypeVar
 
-from diffsea.recordings import MAPPING_KINDS
-from diffsea.report.quantities import is_known, round_to_error
+from diffsea.recordings import MAPPING_KINDS, Finding
+from diffsea.report.quantities import is_known, round_to_error, significant
 from diffsea.report.wording.words import Record, as_words, count_recordings
+
+
+LEAST_COST = 0.01  # m in a minute, below which none is told
 
 
 def misread_sentences(summary: Record) -> list[str]:
@@ -23,6 +27,32 @@ def misread_sentences(summary: Record) -> list[str]:
 def is_misread(finding: Record) -> bool:
     """Whether what is wrong, without a doubt, is how a recording is read."""
     return finding["kind"] in MAPPING_KINDS and not finding.get("doubt")
+
+
+Found = TypeVar("Found", Finding, Record)
+
+WEIGHED = (
+    "First what is wrong with how the recording is read, then by cost: how far off a minute's "
+    "track is while the fault is left in."
+)
+
+
+def heaviest_first(found: Iterable[Found]) -> list[Found]:
+    """Findings in the order in which they matter, as `WEIGHED` says; costs not known come last."""
+
+    def weight(one: Finding | Record) -> tuple[bool, float]:
+        made = isinstance(one, Finding)
+        kind, known = (one.kind, one.cost) if made else (one["kind"], one.get("cost"))
+        return kind in MAPPING_KINDS, known if is_known(known) else -1.0
+
+    return sorted(found, key=weight, reverse=True)
+
+
+def cost_words(cost: float | None) -> str:
+    """What a fault costs: `0.34 m`; nothing where that is not known."""
+    if not is_known(cost):
+        return ""
+    return f"{significant(cost, 2)} m" if cost >= LEAST_COST else f"below {LEAST_COST:g} m"
 
 
 def alike_findings(found: Iterable[Record], *same: str) -> list[list[Record]]:

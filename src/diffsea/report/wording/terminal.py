@@ -7,6 +7,7 @@ from diffsea.report.wording.caveats import incomplete_sentence, sampling_sentenc
 from diffsea.report.wording.findings import (
     alike_findings,
     finding_line,
+    heaviest_first,
     is_misread,
     misread_sentences,
 )
@@ -39,7 +40,7 @@ def verdict_text(summary: Record) -> str:
     """The content of diagnosis.json in short lines."""
     named = named_effects(summary)
     rows = summary.get("held_out", {}).get("horizons", [])
-    others = [one for one in summary["audit"] if not is_misread(one)]
+    others = [one for one in heaviest_first(summary["audit"]) if not is_misread(one)]
     audit = [finding_line(group) for group in alike_findings(others, "unit")[:LISTED_FINDINGS]]
     what = []
     for effect in named:

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float, Inexact
 
+from diffsea.progress import counted
 from diffsea.recordings.auditing.edits import Blank, Edit, MergeRows, UniformClock
 from diffsea.recordings.auditing.finding import Finding, finding_of, words_and_names
 from diffsea.recordings.motion import MeasuredMotion
@@ -241,7 +242,7 @@ def bridge_outliers(motion: MeasuredMotion) -> tuple[MeasuredMotion, list[Findin
         values[channel] = np.interp(motion.t, motion.t[~wild], values[channel][~wild])
         at = motion.t[wild].tolist()
         edit = Blank((channel,), tuple(zip(at, at, strict=True)))
-        words = {"count": len(at), "start": at[0]}
+        words = {"counted": counted(len(at), "wild value"), "start": at[0]}
         found.append(finding_of("outliers", (channel,), float(len(at)), 0.0, words, edit))
     return motion.with_channels(**values), found
 
