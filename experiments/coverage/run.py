@@ -22,6 +22,8 @@ from scipy.stats import binomtest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+from experiments.harness import reporting
+
 from tests.oracle import sensors
 from tests.oracle.simulator import load, simulate
 
@@ -35,6 +37,7 @@ from diffsea.vessel.files import build
 
 
 SECONDS, INTERVAL = 80.0, 0.25
+LEAST_TO_TELL = 100  # cases
 FILES = {"usv": "tests/oracle/usv.toml", "boat": "tests/oracle/boat.toml"}
 
 
@@ -50,7 +53,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     document = load(str(ROOT / FILES[args.vessel]))
     rows: list[dict] = []
-    began = time.monotonic()
+    began, started = time.monotonic(), time.perf_counter()
     for seed in range(args.first_seed, args.first_seed + args.cases):
         try:
             rows += case(document, seed, not args.no_gusts)
@@ -65,6 +68,24 @@ def main() -> None:
     label = f"{args.vessel}{'-still' if args.no_gusts else ''}"
     record = {"coverage": found, "rows": rows}
     (out / f"{label}.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    if args.cases < LEAST_TO_TELL:
+        print(f"fewer than {LEAST_TO_TELL} cases: README and results.json are left alone")
+        return
+    home = Path(__file__).resolve().parent
+    kept = {"cases": args.cases, "first_seed": args.first_seed, "coverage": found}
+    reporting.Experiment(home, home, False, started).write_part(
+        label, kept, {label.upper(): coverage_table(found)}
+    )
+
+
+def coverage_table(found: dict[str, dict]) -> str:
+    """Share of intervals that hold the truth, by parameter."""
+    rows = [
+        (f"all {row['count']}" if name == "all" else name, f"{100 * row['share']:.0f} %",
+         f"{100 * row['low']:.0f} to {100 * row['high']:.0f} %", f"{100 * row['determined']:.0f} %")
+        for name, row in found.items()
+    ]  # fmt: skip
+    return reporting.table(("parameter", "inside", "95 % interval", "determined by the data"), rows)
 
 
 def names(rows: list[dict]) -> list[str]:

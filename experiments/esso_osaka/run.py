@@ -6,7 +6,6 @@ python -m experiments.esso_osaka.run audit circles diagnosis wind
 import copy
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,13 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 
 from experiments.esso_osaka import circles
+from experiments.harness.diagnosis_tables import (
+    audit_table,
+    candidates_table,
+    names_table,
+    predictions_table,
+    told,
+)
 from experiments.harness.real_runs import (
     DATA,
     Case,
@@ -27,6 +33,7 @@ from experiments.harness.real_runs import (
     study,
     write_results,
 )
+from experiments.harness.reporting import Experiment, experiment_in_parts, table
 
 import numpy as np
 import pandas as pd
@@ -69,33 +76,35 @@ SMOOTHED = ("u", "v")  # low-passed and late
 
 def main() -> None:
     """Run the parts that are named, all by default."""
-    parts = sys.argv[1:] or ["audit", "circles", "diagnosis", "wind"]
+    run, parts = experiment_in_parts(__file__, __doc__, ["audit", "circles", "diagnosis", "wind"])
     pattern = "esso_osaka/recordings/*.csv"
     repaired = load(HERE, pattern, "mapping_repaired.toml")
     runs = spans(repaired, TRAIN | HELD_OUT | REST)
     document = copy.deepcopy(document_of("esso_osaka"))
     document["effect"] = [{"name": "wind", "speed": 0.0, "direction": 0.0, **AREAS}]
     if "audit" in parts:
-        _audit({"as published": load(HERE, pattern), "repaired": repaired})
+        _audit(run, {"as published": load(HERE, pattern), "repaired": repaired})
     if "circles" in parts:
-        _circles(repaired)
+        _circles(run, repaired)
     if "diagnosis" in parts:
-        _diagnosis(document, runs)
+        _diagnosis(run, document, runs)
     if "wind" in parts:
         record = {"from all channels": infer(document, runs, ())}
         record["without u and v"] = infer(document, runs, SMOOTHED)
         draw(record)
         write_results("esso_osaka/wind", record)
+        run.write_part("wind", record, {"WIND": wind_table(record), "RUNS": runs_table(record)})
 
 
-def _audit(sets: dict[str, dict[str, Trajectory]]) -> None:
+def _audit(run: Experiment, sets: dict[str, dict[str, Trajectory]]) -> None:
     findings = {title: audited(runs) for title, runs in sets.items()}
     for title, found in findings.items():
         show_audit(title, found)
     write_results("esso_osaka/audit", findings)
+    run.write_part("audit", findings, {"AUDIT": audit_table(findings)})
 
 
-def _circles(recordings: dict[str, Trajectory]) -> None:
+def _circles(run: Experiment, recordings: dict[str, Trajectory]) -> None:
     turns = {name: run for name, run in recordings.items() if name.startswith("turn")}
     found = circles.drifts(turns)
     # What was concealed is read only here.
@@ -113,9 +122,17 @@ def _circles(recordings: dict[str, Trajectory]) -> None:
     print("  the anemometer's zero is turned by {turned:.0f} deg, {interval}".format(
         **record["mounting"]))  # fmt: skip
     write_results("esso_osaka/circles", record)
+    rows = [
+        (row["recording"], row["laps"], f"{row['speed']:.3f} +- {row['scatter']:.3f}", row["from"],
+         row["measured_from"], row["off"], 100 * row["share"])
+        for row in record["rows"]
+    ]  # fmt: skip
+    head = ("turn", "laps", "drift, m/s", "as if wind from, deg", "measured, deg", "off, deg",
+            "drift, % of the wind")  # fmt: skip
+    run.write_part("circles", record, {"CIRCLES": table(head, rows)})
 
 
-def _diagnosis(document: Table, runs: dict[str, Trajectory]) -> None:
+def _diagnosis(run: Experiment, document: Table, runs: dict[str, Trajectory]) -> None:
     used = {name: run for name, run in runs.items() if name not in REST}
     record = study(Case("esso_osaka", document, used, tuple(HELD_OUT), per_run=True))
     plot_candidates("esso_osaka", {"Esso Osaka, wind concealed": record})
@@ -132,6 +149,12 @@ def _diagnosis(document: Table, runs: dict[str, Trajectory]) -> None:
     for row in record["side_force"]:
         print(f"propeller side force: {json.dumps(row)}")
     write_results("esso_osaka", record)
+    tables = {
+        "NAMES": names_table({"wind concealed": record}),
+        "CANDIDATES": candidates_table(record),
+        "PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
+    }
+    run.write_part("diagnosis", told(record) | {"wind": record["wind"]}, tables)
 
 
 # The wind asked for: one of its own in every run, nothing else added to the hull
@@ -266,6 +289,35 @@ def show(record: dict) -> None:
               f"{row['direction_error']:.0f}")  # fmt: skip
     print("  " + ", ".join(f"{k} {v:.3g}" for k, v in record["wind"].items() if k != "rows"))
     print(f"  held-out gain in -2 log likelihood: {record['gain']}")
+
+
+def wind_table(record: dict) -> str:
+    """How well winds are inferred, from all channels and without those that are smoothed."""
+    asked = {
+        "direction, median error, deg": ("median_direction_error", 1.0, "20"),
+        "speed, median error, %": ("median_speed_error", 100.0, "25"),
+        "rank correlation of speeds": ("rank_correlation", 1.0, "ranking right"),
+    }
+    rows = [
+        (what, *(factor * one["wind"][key] for one in record.values()), limit)
+        for what, (key, factor, limit) in asked.items()
+    ]
+    for what, key in (("measured wind, hull refitted", "informed"), ("inferred wind", "blind")):
+        gains = [one["gain"][key] for one in record.values()]
+        rows.append((f"held-out gain in -2 log likelihood, {what}", *gains, ""))
+    return table(("", *record, "asked"), rows)
+
+
+def runs_table(record: dict) -> str:
+    """The wind of every run, inferred from all channels, beside the measured mean."""
+    rows = [
+        (row["recording"], "yes" if row["fitted"] else "no",
+         f"{row['speed']:.2f} +- {row['speed_std']:.2f}", row["measured_speed"], row["direction"],
+         row["measured_direction"], row["direction_error"])
+        for row in record["from all channels"]["wind"]["rows"]
+    ]  # fmt: skip
+    head = ("run", "fitted", "wind, m/s", "measured", "from, deg", "measured", "off, deg")
+    return table(head, rows)
 
 
 def draw(record: dict) -> None:

@@ -195,25 +195,3 @@ def write_results(name: str, record: dict) -> None:
     """`results.json` in the output folder: every figure of the experiment."""
     text = json.dumps(record, indent=1, default=lambda value: np.asarray(value).tolist())
     (out_folder(name) / "results.json").write_text(text + "\n", encoding="utf-8")
-
-
-def write_summary(name: str, records: dict[str, dict]) -> None:
-    """`results.json` beside the README: what that tells of each diagnosis."""
-    text = json.dumps({title: _told(one) for title, one in records.items()}, indent=1)
-    (ROOT / "experiments" / name / "results.json").write_text(text + "\n", encoding="utf-8")
-
-
-def _told(record: dict) -> dict:
-    """Verdict, names, sizes and errors of a diagnosis."""
-    effects = [
-        {
-            "name": label(one),
-            "log10_odds": one["evidence"]["log10_odds"],
-            "held_out_gain": one["evidence"]["held_out_gain"],
-            "held_out_gain_std": one["evidence"]["held_out_gain_std"],
-            **{n: {k: p[k] for k in ("value", "std")} for n, p in one["parameters"].items()},
-        }
-        for one in record["effects"]
-    ]
-    kept = ("verdict", "remainder_p_value", "fit", "seconds")
-    return {"effects": effects, **{key: record[key] for key in kept}}

@@ -72,6 +72,22 @@ class Experiment:
             fill(readme, "SECONDS", how_long(seconds))
         print(f"\nwritten to {self.folder} after {seconds:.0f} s")
 
+    def write_part(self, part: str, results: dict, tables: dict[str, str]) -> None:
+        """Write one part of results.json and its tables in the README; other parts stay."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / "results.json"
+        old = json.loads(path.read_text()) if path.exists() else {"parts": {}, "tables": {}}
+        seconds = round(time.perf_counter() - self.began, 1)
+        parts = old["parts"] | {part: plain({"seconds_by_its_end": seconds} | results)}
+        record = {"experiment": self.home.name, "quick": self.quick, "parts": parts}
+        record |= {"tables": old["tables"] | tables}
+        _replace(path, json.dumps(record, indent=1) + "\n")
+        for key, text in tables.items():
+            print(f"\n{text}")
+            if self.folder == self.home:
+                fill(self.home / "README.md", key, text)
+        self.say(f"{part} written to {self.folder}")
+
 
 def how_long(seconds: float) -> str:
     """What a README says of a full run's time."""
@@ -95,6 +111,20 @@ def experiment(script: str, description: str | None) -> Experiment:
     home = Path(script).resolve().parent
     usual = ROOT / "out" / f"{home.name}-quick" if given.quick else home
     return Experiment(home, (given.output or usual).resolve(), given.quick, time.perf_counter())
+
+
+def experiment_in_parts(
+    script: str, description: str | None, parts: Sequence[str]
+) -> tuple[Experiment, list[str]]:
+    """Read the command line of an experiment that can be run part by part, all by default."""
+    parser = argparse.ArgumentParser(description=str(description).splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[*parts, []], metavar="PART",
+                        help=f"among {', '.join(parts)}; all by default")  # fmt: skip
+    parser.add_argument("-o", "--output", type=Path, help="folder of the results")
+    given = parser.parse_args()
+    home = Path(script).resolve().parent
+    folder = (given.output or home).resolve()
+    return Experiment(home, folder, False, time.perf_counter()), given.parts or list(parts)
 
 
 def compared(

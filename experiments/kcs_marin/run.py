@@ -6,6 +6,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 
+from experiments.harness.diagnosis_tables import names_table, predictions_table, told
 from experiments.harness.real_runs import (
     Case,
     audited,
@@ -16,8 +17,8 @@ from experiments.harness.real_runs import (
     show_audit,
     study,
     write_results,
-    write_summary,
 )
+from experiments.harness.reporting import experiment_in_parts
 
 from diffsea import Trajectory
 
@@ -29,6 +30,7 @@ ROLL = ("phi", "p")
 
 def main() -> None:
     """Diagnose with roll withheld, then with roll given."""
+    run, _ = experiment_in_parts(__file__, __doc__, ["all"])
     runs = load(HERE, "kcs_marin/*.txt")
     findings = audited(runs)
     show_audit("as published", findings)
@@ -46,7 +48,9 @@ def main() -> None:
         for row in found:
             print(f"  {row['name']}: {row['status']}, {row['reason']}")
     write_results("kcs_marin", {"audit": findings, "roll_coupling": roll} | records)
-    write_summary("kcs_marin", records)
+    horizons = {title: one["held_out"]["horizons"] for title, one in records.items()}
+    tables = {"NAMES": names_table(records), "PREDICTIONS": predictions_table(horizons)}
+    run.write_part("all", {title: told(one) for title, one in records.items()}, tables)
 
 
 def without_roll(run: Trajectory) -> Trajectory:

@@ -6,12 +6,12 @@ python -m experiments.kvlcc2_hsva.run rudder terms
 import copy
 import dataclasses
 import re
-import sys
 from pathlib import Path
 
 
 HERE = Path(__file__).resolve().parent
 
+from experiments.harness.diagnosis_tables import names_table, predictions_table, told
 from experiments.harness.real_runs import (
     Case,
     audited,
@@ -23,10 +23,12 @@ from experiments.harness.real_runs import (
     study,
     write_results,
 )
+from experiments.harness.reporting import Experiment, experiment_in_parts, table
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.optimize import least_squares
 
 from diffsea import Trajectory, read_vessel, replay
 from diffsea.vessel.files import Table
@@ -37,6 +39,7 @@ from diffsea.vessel.files import Table
 TRAIN = tuple(f"HSVA_CPMC_KVLCC2_Z_{z}.dat" for z in ("10_10_P", "20_10_S", "20_05"))
 HELD_OUT = tuple(f"HSVA_CPMC_KVLCC2_Z_{z}.dat" for z in ("10_10_S", "25_05"))
 FITTED = "out/real_fits/kvlcc2-innovation.toml"
+FINE = 0.01  # s
 MOVED = np.radians(0.5)  # a rudder that has left its place
 
 LATERAL = ("Y_vvv", "Y_vvr", "Y_vrr", "Y_rrr", "N_vvv", "N_vvr", "N_vrr", "N_rrr")
@@ -47,22 +50,69 @@ DROPPED = {  # hull derivatives to drop, rudder numbers to replace, what should 
     "coupling": (("Y_r", "N_v"), {}, "sway-yaw-coupling"),
     "interaction": ((), ALONE, "rudder-interaction"),
 }
+TITLES = {
+    "nothing": "nothing",
+    "crossflow": "all nonlinear lateral derivatives",
+    "coupling": "Y_r and N_v",
+    "interaction": "rudder interaction (a_H = 0, gamma_R = 1)",
+}
 WEATHER = ("current", "wind", "wave-force")
+
+
+PARTS = ("rudder", "terms")
 
 
 def main() -> None:
     """Run the parts that are named, all by default."""
-    parts = sys.argv[1:] or ["rudder", "terms"]
+    run, parts = experiment_in_parts(__file__, __doc__, PARTS)
     runs = load(HERE, "kvlcc2_hsva/*.dat", "mapping_repaired.toml")
     runs = {name: runs[name] for name in (*TRAIN, *HELD_OUT)}
     document = document_of(FITTED)
     if "rudder" in parts:
-        write_results("kvlcc2_hsva/rudder", steering_gear(document, runs))
-    terms = [what for what in DROPPED if "terms" in parts or what in parts]
-    findings = audited(runs) if terms else []
-    for what in terms:
-        record = without(document, runs, what, findings)
+        _rudder(run, steering_gear(document, runs))
+    if "terms" in parts:
+        findings = audited(runs)
+        _terms(run, {what: without(document, runs, what, findings) for what in DROPPED})
+
+
+def _rudder(run: Experiment, record: dict) -> None:
+    """Write what the diagnosis says of the steering gear beside what the record shows."""
+    write_results("kvlcc2_hsva/rudder", record)
+    recorded = record["recorded_rudder"]
+    rows = [
+        (name, one["executes"], one["slew"], one["delay"], one["ramp"]["slew"],
+         one["ramp"]["delay"])
+        for name, one in recorded.items()
+    ]  # fmt: skip
+    tables = {
+        "RUDDER": names_table({"orders given, rudder withheld": record}),
+        "RECORDED": table(("recorded rudder", "executes", "slew while over, deg/s",
+                           "moves after, s", "as one ramp: slew, deg/s", "dead time, s"), rows),
+        "RUDDER_PREDICTIONS": predictions_table({"": record["held_out"]["horizons"]}),
+    }  # fmt: skip
+    run.write_part("rudder", told(record) | {"recorded_rudder": recorded}, tables)
+
+
+def _terms(run: Experiment, records: dict[str, dict]) -> None:
+    """Write what the diagnoses name once terms have been dropped."""
+    for what, record in records.items():
         write_results(f"kvlcc2_hsva/without_{what}", record)
+    titles = {f"dropped: {TITLES[what]}": record for what, record in records.items()}
+    weather = {what: record["weather"] for what, record in records.items()}
+    rows = [
+        (TITLES[what], *(next((r["log10_odds"] for r in found if r["name"] == name), None)
+                         for name in WEATHER))
+        for what, found in weather.items()
+    ]  # fmt: skip
+    tables = {
+        "TERMS": names_table(titles),
+        "TERMS_PREDICTIONS": predictions_table(
+            {title: record["held_out"]["horizons"] for title, record in titles.items()}
+        ),
+        "WEATHER": table(("log10 odds, one at a time", *WEATHER), rows),
+    }
+    results = {what: told(record) | {"weather": weather[what]} for what, record in records.items()}
+    run.write_part("terms", results, tables)
 
 
 # The steering gear
@@ -73,7 +123,10 @@ def steering_gear(document: Table, runs: dict[str, Trajectory]) -> dict:
     helm = {name: ordered(run) for name, run in runs.items()}
     document = copy.deepcopy(document)
     del document["rudder"][0]["rate_limit"]
-    measured = {name: slew(runs[name], helm[name]) for name in runs}
+    measured = {
+        name: slew(runs[name], helm[name]) | {"ramp": as_one_ramp(runs[name], helm[name])}
+        for name in runs
+    }
     record = study(Case("kvlcc2_hsva/rudder", document, helm, HELD_OUT))
     print("recorded, which the diagnosis never saw:")
     for name, row in measured.items():
@@ -125,6 +178,32 @@ def slew(run: Trajectory, helm: Trajectory) -> dict[str, float]:
         "slew": float(np.degrees(np.median(rate[over]))),
         "delay": float(np.median(delays)),
         "executes": len(delays),
+    }
+
+
+def as_one_ramp(run: Trajectory, helm: Trajectory) -> dict[str, float]:
+    """Dead time (s) and slew rate (deg/s) of a servo that comes nearest to the recorded rudder.
+
+    What two numbers can say of a rudder whose strokes begin and end softly: least squares over
+    all samples.
+    """
+    t, rudder = np.asarray(run.t), np.asarray(run.executed["rudder"])
+    orders = np.asarray(helm.commanded["rudder"])
+    fine = np.arange(t[0], t[-1], FINE)
+
+    def off(at: np.ndarray) -> np.ndarray:
+        dead_time, rate = at
+        given = orders[np.maximum(np.searchsorted(t, fine - dead_time, side="right") - 1, 0)]
+        angle = [given[0]]
+        for order in given[1:]:
+            angle.append(angle[-1] + float(np.clip(order - angle[-1], -rate * FINE, rate * FINE)))
+        return np.interp(t, fine, angle) - rudder
+
+    found = least_squares(off, [0.3, np.radians(15.0)], diff_step=0.02)
+    return {
+        "delay": float(found.x[0]),
+        "slew": float(np.degrees(found.x[1])),
+        "rms": float(np.degrees(np.sqrt(np.mean(found.fun**2)))),
     }
 
 

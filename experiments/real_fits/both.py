@@ -3,13 +3,14 @@
 python -m experiments.real_fits.both kvlcc2
 """
 
-import argparse
 import dataclasses
 import json
 import math
 import sys
 import time
 
+from experiments.harness.diagnosis_tables import predictions_table
+from experiments.harness.reporting import Experiment, experiment_in_parts
 from experiments.real_fits.run import ROOT, SETS, errors, load
 
 import numpy as np
@@ -31,6 +32,7 @@ from diffsea.vessel.files import VesselFile, build, updated_document
 
 
 NUMBERS = ("overshoot_1", "overshoot_2", "peak_yaw_rate")  # of a zig-zag, as a sheet has them
+TITLES = {"log": "the log", "numbers": "the numbers", "both": "both"}
 EXECUTES = 3  # rudder orders of the simulated trial: two overshoots
 
 
@@ -73,9 +75,9 @@ def fitted_vessel(file: VesselFile, objective: AbstractObjective, found: Estimat
     return build(updated_document(file.document, {row.name: row.value for row in rows}, []))
 
 
-def study(name: str) -> None:
+def study(run: Experiment, name: str) -> None:
     """Fit three ways, predict what is held out, print and write."""
-    case, runs, began = CASES[name], load(SETS[name]), time.monotonic()
+    case, runs, began = CASES[name], load(SETS[name]), time.perf_counter()
     file = read_vessel(SETS[name].vessel)
     log = cut(runs[case.logged], 0.0, case.seconds)
     sheet = [sheet_of(runs[one], file.vessel) for one in case.read_off]
@@ -88,7 +90,7 @@ def study(name: str) -> None:
         "numbers": TrialNumbers(file.vessel, parameters, sheet),
         "both": Innovations(with_trial_numbers(problem, sheet)),
     }
-    record: dict[str, object] = {}
+    record: dict[str, dict] = {}
     for way, objective in ways.items():
         found = objective.fit(free)
         vessel = fitted_vessel(file, objective, found)
@@ -100,7 +102,7 @@ def study(name: str) -> None:
             "sources": None if judged is None else judged.as_dict(),
             "numbers": [dataclasses.asdict(n) for n in objective.residuals(found.coordinates)],
         }
-        print(f"[{time.monotonic() - began:5.0f} s] {name}, {way}: {found.outcome.sentence}")
+        print(f"[{time.perf_counter() - began:5.0f} s] {name}, {way}: {found.outcome.sentence}")
         for row in rows:
             told = [
                 f"{quantity} {factor * row['file'][quantity]:.2g} -> "
@@ -121,14 +123,16 @@ def study(name: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(record, indent=1, default=lambda value: np.asarray(value).tolist())
     (out / f"{name}-both.json").write_text(text + "\n", encoding="utf-8")
+    horizons = {f"file -> {TITLES[way]}": record[way]["horizons"] for way in ways}
+    ahead = {f"{name.upper()}_BOTH": predictions_table(horizons, ("file", "fit"))}
+    run.write_part(f"{name}-both", record, ahead)
 
 
 def main() -> None:
     """Study the sets that are named."""
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("sets", nargs="*", default=list(CASES), choices=list(CASES), metavar="SET")
-    for name in parser.parse_args().sets:
-        study(name)
+    run, names = experiment_in_parts(__file__, __doc__, list(CASES))
+    for name in names:
+        study(run, name)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ from diffsea.runtime import prepare_jax
 prepare_jax()
 
 from experiments.check_data import absent, data_folder
+from experiments.harness.diagnosis_tables import predictions_table
+from experiments.harness.reporting import Experiment, table
 
 import numpy as np
 
@@ -55,6 +57,8 @@ class Set:
     train: tuple[str, ...] = ()  # all others if empty
     settings: FitSettings = FitSettings(profiles=())
     left_out: tuple[str, ...] = ()  # channels that are not measurements of their own
+    objectives: tuple[str, ...] = ("innovation", "free-run")
+    shows_numbers: bool = False  # trial numbers of the runs held out
     circles: float | None = None  # approach speed (m/s) of 35 deg circles to predict
 
 
@@ -62,11 +66,11 @@ SETS = {
     "kvlcc2": Set(
         "kvlcc2", "kvlcc2_hsva", "kvlcc2_hsva/*.dat",
         tuple(f"HSVA_CPMC_KVLCC2_Z_{z}.dat" for z in ("10_10_S", "25_05", "30_05")),
-        circles=1.179,
+        shows_numbers=True, circles=1.179,
     ),
     "kcs": Set(
         str(HERE / "kcs.toml"), "kcs_marin", "kcs_marin/*.txt",
-        ("SIMMAN2020_container_KCS_MARIN_zigzag_port_20_FS.txt",),
+        ("SIMMAN2020_container_KCS_MARIN_zigzag_port_20_FS.txt",), shows_numbers=True,
     ),
     "blueboat": Set(
         "blueboat", "blueboat", "blueboat/*.csv",
@@ -80,6 +84,7 @@ SETS = {
          "zigzag_31-Jul-2020_14_03_39.csv", "turn_14-Sep-2020_13_51_45.csv"),
         FitSettings(profiles=(), effects=("current", "wind"), per_recording=True),
         ("u", "v"),  # low-passed: smoother and later than positions and yaw rate allow
+        objectives=("innovation",),  # a free run leaves the priors far behind
     ),
 }  # fmt: skip
 
@@ -91,13 +96,16 @@ def main() -> None:
     parser.add_argument("--objective", choices=("innovation", "free-run"), nargs="+",
                         default=["innovation", "free-run"])  # fmt: skip
     args = parser.parse_args()
+    run = Experiment(HERE, HERE, False, time.perf_counter())
     for name in args.sets:
         for objective in args.objective:
-            settings = dataclasses.replace(SETS[name].settings, objective=objective)
-            study_set(f"{name}-{objective}", dataclasses.replace(SETS[name], settings=settings))
+            if objective in SETS[name].objectives:
+                settings = dataclasses.replace(SETS[name].settings, objective=objective)
+                case = dataclasses.replace(SETS[name], settings=settings)
+                study_set(run, f"{name}-{objective}", case)
 
 
-def study_set(name: str, case: Set) -> None:
+def study_set(run: Experiment, name: str, case: Set) -> None:
     """Fit, predict, print and write one set."""
     began = time.monotonic()
 
@@ -135,6 +143,37 @@ def study_set(name: str, case: Set) -> None:
     (out / f"{name}.toml").write_text(dump(document), encoding="utf-8")
     text = json.dumps(record, indent=1, default=lambda value: np.asarray(value).tolist())
     (out / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    kept = {k: record[k] for k in ("rows", "quality", "noise", "horizons", "numbers", "circles")}
+    run.write_part(name, kept, tables_of(name, case, record))
+
+
+def tables_of(name: str, case: Set, record: dict) -> dict[str, str]:
+    """The tables of a set and an objective, by their place in the README."""
+    place = name.upper().replace("-", "_")
+    horizons = {"file -> fit": record["horizons"]}
+    found = {f"{place}_AHEAD": predictions_table(horizons, ("file", "fit"))}
+    if case.shows_numbers:
+        rows = [(row["run"], *_in_degrees(row)) for row in record["numbers"]]
+        head = ("run", "", "measured", "file", "fit", "unit")
+        found[f"{place}_NUMBERS"] = table(head, rows)
+    if record["circles"]:
+        rows = [
+            ("starboard" if row["side"] > 0 else "port", row["model"], row["advance"],
+             row["tactical_diameter"])
+            for row in record["circles"]
+        ]  # fmt: skip
+        head = ("35 deg circle", "", "advance / L", "tactical diameter / L")
+        found[f"{place}_CIRCLES"] = table(head, rows)
+    return found
+
+
+def _in_degrees(row: dict) -> tuple[str, float, float | None, float, str]:
+    """Number, measured, of the file, of the fit and unit, as people read them."""
+    angle = row["number"].startswith(("overshoot", "peak"))
+    unit = ("deg/s" if row["number"].startswith("peak") else "deg") if angle else "m"
+    factor = math.degrees(1.0) if angle else 1.0
+    file = None if row["file"] is None else factor * row["file"]
+    return row["number"], factor * row["measured"], file, factor * row["fit"], unit
 
 
 def without(run: Trajectory, channels: tuple[str, ...]) -> Trajectory:

@@ -18,14 +18,19 @@ from tests.paths import ROOT
 EXPERIMENTS = ROOT / "experiments"
 # By experiment, numbers that are no results: of a paper, a set-up or the plant.
 OF_NO_RESULT = {
+    "blueboat": set(),
+    "coverage": set(),
     "design_sweep": {"540", "16.54"},
+    "esso_osaka": {"0.135", "0.520"},
     "estimate_check": set(),
-    "kcs_marin": {"16.8"},
+    "kcs_marin": set(),
+    "kvlcc2_hsva": set(),
     "metamodels": {"1983"},
     "null_calibration": set(),
     "online_estimation": {"240"},
     "overshoot_sensitivity": set(),
     "pytheas": {"102", "229.8", "475", "1801"},
+    "real_fits": {"2015"},
     "unberthing": set(),
     "virtual_sea_trials": set(),
     "vrx_wamv": {"0.004422"},
