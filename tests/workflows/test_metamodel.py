@@ -17,6 +17,7 @@ import diffsea
 from diffsea.cli import main
 from diffsea.metamodels.fit import Trials, identify
 from diffsea.metamodels.ideal_zigzag import Zigzag as Ideal
+from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metamodels.validation import predict_trials
 
 
@@ -226,6 +227,69 @@ def test_a_trial_is_predicted_by_the_metamodel_of_the_others_alone(zigzags):
     assert abs(by_all - by_others) > 1e-2
 
 
+def test_a_vessel_is_judged_by_the_metamodel_under_the_same_rudder(logs, tmp_path):
+    """The ship herself follows it best; one whose rudder does two thirds is told."""
+    ship = Norrbin(**TRUE).vessel(100.0, SPEED)
+    weaker = Norrbin(**TRUE | {"b": 2 / 3 * TRUE["b"]}).vessel(100.0, SPEED)
+    told = [
+        diffsea.metamodel(logs, window=WINDOW, most=8, against=vessel) for vessel in (ship, weaker)
+    ]
+    for one, other in zip(*(found.models for found in told), strict=True):
+        assert one.against is not None and other.against is not None
+        assert np.median(one.against.of_metamodel) > 85 > np.median(other.against.of_metamodel) + 20
+        # The winds of the trials are in neither: they part vessel and trial, not the two models.
+        assert np.median(one.against.of_measured) < np.median(one.against.of_metamodel)
+        each = sail_again(one)
+        measured = np.asarray(one.against.r)[:, : each.shape[1]]
+        assert np.abs(measured - each).max() < 1e-3 * np.abs(each).max() + math.radians(0.01)
+    found = told[0]
+    record = found.record()["metamodels"][0]["against"]
+    assert record["metamodel"]["median"] == pytest.approx(
+        np.median(found.models[0].against.of_metamodel)
+    )
+    page = found.html()
+    assert "norrbin by metamodel (%)" in page and "the vessel that is judged" in page
+    assert any("norrbin follows the metamodel to" in note for note in found.notes())
+
+
+def sail_again(model):
+    """Yaw rates under the recorded rudder of each trial from its first one, without wind."""
+    logs = {f"day{seed:02d}.csv": passage(seed) for seed in range(14)}
+    rows, count = [], min(len(one.t) for one in model.used)
+    for trial in model.used:
+        log = logs[trial.log]
+        first = int(np.searchsorted(log["t"], trial.start))
+        t0, r = float(log["t"][first]), float(log["r"][first])
+        times = np.arange(0.0, trial.end - t0 + ROW, STEP)
+        delta = np.interp(t0 + times, log["t"], log["exec_rudder"])
+        rates = [r]
+        for now, then in zip(delta[:-1], delta[1:], strict=True):
+            middle = 0.5 * (now + then)
+            k1 = rate_of_turn(r, now)
+            k2 = rate_of_turn(r + 0.5 * STEP * k1, middle)
+            k3 = rate_of_turn(r + 0.5 * STEP * k2, middle)
+            k4 = rate_of_turn(r + STEP * k3, then)
+            r = r + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            rates.append(r)
+        rows.append(np.interp(trial.start + trial.t[:count], t0 + times, rates))
+    return np.stack(rows)
+
+
+def test_trials_that_are_followed_worst_are_dropped(zigzags):
+    # One trial in which the rudder did nothing for a while, as of a jammed telltale.
+    bad = zigzags[2].copy()
+    bad.loc[bad["t"].between(120, 260), "exec_rudder"] *= 0.3
+    spoilt = [*zigzags[:2], bad, *zigzags[3:]]
+    (whole,) = diffsea.metamodel(spoilt, window=WINDOW).models
+    (one,) = diffsea.metamodel(spoilt, window=WINDOW, drop=1).models
+    assert [trial.start for trial in one.dropped] and len(one.used) == len(whole.used) - 1
+    assert one.dropped[0].log == whole.used[2].log and one.dropped[0] in one.others
+    assert len(one.percent_of_others) == len(whole.percent_of_others) + 1
+    assert one.cross_validation > whole.cross_validation
+    assert abs(float(one.fit.model.b) - TRUE["b"]) < abs(float(whole.fit.model.b) - TRUE["b"])
+    assert one.as_dict()["dropped"][0]["log"] == one.dropped[0].log
+
+
 def test_too_few_trials_are_told(logs, zigzags):
     with pytest.raises(diffsea.UserError, match="no group has the 4 trials"):
         diffsea.metamodel(zigzags[:2], window=WINDOW)
@@ -233,6 +297,13 @@ def test_too_few_trials_are_told(logs, zigzags):
         diffsea.metamodel(logs[5])
     with pytest.raises(diffsea.UserError, match="needs 4 trials"):
         diffsea.metamodel(zigzags, most=3)
+    with pytest.raises(diffsea.UserError, match="not 6 less 3 dropped"):
+        diffsea.metamodel(zigzags, most=6, drop=3)
+    with pytest.raises(diffsea.UserError, match="no group has the 9 trials"):
+        diffsea.metamodel(zigzags, window=WINDOW, drop=5)
+    # A vessel with an actuator of which the logs say nothing.
+    with pytest.raises(diffsea.UserError, match="propeller"):
+        diffsea.metamodel(zigzags, window=WINDOW, against="kvlcc2")
 
 
 def test_a_heading_without_an_angle_is_bad_usage(logs, tmp_path, capsys):

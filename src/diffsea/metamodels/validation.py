@@ -3,10 +3,12 @@
 After Gavrilin and Steen (2017): cross-validation by the normalised root-mean-square fit. The
 corrected average is what remains of measured overshoots after the metamodel has taken out how each
 trial differs from the ideal one; it has neither the metamodel's error of structure nor the
-trials' errors of execution.
+trials' errors of execution. A vessel file is judged by the metamodel under the rudder of the same
+trials, where the wind of each is left out of both.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,8 +20,10 @@ from jaxtyping import Array, Float
 from diffsea.metamodels.fit import Trials, identify
 from diffsea.metamodels.norrbin import Norrbin
 from diffsea.metrics.repeats import fit_percent
-from diffsea.trajectory import Samples
+from diffsea.simulation.replay import replay
+from diffsea.trajectory import Samples, Trajectory
 from diffsea.types import Scalar
+from diffsea.vessel.base import Vessel
 
 
 class TrialPrediction(NamedTuple):
@@ -61,6 +65,43 @@ def leave_one_out(trials: Trials, tie: Scalar) -> TrialPrediction:
         return percent[0], r[0]
 
     return TrialPrediction(*jax.lax.map(one, jnp.arange(number)))
+
+
+class VesselComparison(NamedTuple):
+    """Yaw rates of a vessel under the orders of trials, and how well they follow two others.
+
+    Per cent as in `TrialPrediction`.
+    """
+
+    of_metamodel: Float[np.ndarray, "trial"]
+    of_measured: Float[np.ndarray, "trial"]
+    r: Float[np.ndarray, "trial time"]  # rad/s
+
+
+def compare_vessel(
+    vessel: Vessel,
+    model: Norrbin,
+    trials: Trials,
+    runs: Sequence[Trajectory],
+    starts: Sequence[float],
+) -> VesselComparison:
+    """A vessel beside a metamodel, both under the actuation of the trials, wind left out.
+
+    The vessel begins with the motion that was recorded then, and has the weather of its file.
+
+    Arguments:
+        runs: each trial as recorded.
+        starts: when it begins, s on the clock of its run.
+
+    Raises:
+        UserError: a run has no orders for one of the vessel's actuators.
+    """
+    expected = np.asarray(predict_trials(model, trials).r)
+    times = float(trials.dt) * np.arange(trials.r.shape[1])
+    alone = lambda start, run: np.interp(start + times, run.t, replay(vessel, run).r)
+    r = np.stack([alone(start, run) for start, run in zip(starts, runs, strict=True)])
+    follows = lambda series: np.asarray(fit_percent(series, jnp.asarray(r), trials.known))
+    return VesselComparison(follows(jnp.asarray(expected)), follows(trials.r), r)
 
 
 def overshoots_beyond(

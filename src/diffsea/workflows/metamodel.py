@@ -16,6 +16,8 @@ from diffsea.metamodels.ideal_zigzag import Zigzag, overshoots_with_std
 from diffsea.metamodels.norrbin import in_degrees
 from diffsea.metamodels.validation import (
     TrialPrediction,
+    VesselComparison,
+    compare_vessel,
     leave_one_out,
     overshoots_beyond,
     predict_trials,
@@ -23,6 +25,7 @@ from diffsea.metamodels.validation import (
 from diffsea.metrics.repeats import mean_and_half_width
 from diffsea.progress import Progress, counted, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
+from diffsea.recordings.conditioning import cut
 from diffsea.report.pages.metamodel import metamodel_report
 from diffsea.series import integrate
 from diffsea.trajectory import Trajectory
@@ -75,6 +78,8 @@ class Metamodel:
         asked: the ideal zig-zags, by side.
         ideal: their overshoots and standard errors (rad), by side.
         averages: none without zig-zags.
+        dropped: of the others, those that were left out because they were followed worst.
+        against: a vessel under the orders of the trials used; None where none is judged.
     """
 
     group: str
@@ -87,6 +92,8 @@ class Metamodel:
     asked: dict[str, Zigzag]
     ideal: dict[str, tuple[np.ndarray, np.ndarray]]
     averages: list[CorrectedAverage]
+    dropped: list[ServiceTrial] = dataclasses.field(default_factory=list)
+    against: VesselComparison | None = None
 
     @property
     def cross_validation(self) -> float:
@@ -125,6 +132,8 @@ class Metamodel:
                     "median": float(np.median(others)) if len(others) else None,
                 },
             },
+            "dropped": [_trial_record(one) for one in self.dropped],
+            "against": None if self.against is None else _against_record(self.against),
             "ideal": {
                 side: {
                     "angle": self.asked[side].angle,
@@ -145,6 +154,14 @@ class Metamodel:
                 for one in self.averages
             ],
         }
+
+
+def _against_record(found: VesselComparison) -> dict[str, Any]:
+    told = {"metamodel": found.of_metamodel, "measured": found.of_measured}
+    return {
+        key: {"each": values.tolist(), "median": float(np.median(values))}
+        for key, values in told.items()
+    }
 
 
 def _trial_record(trial: ServiceTrial) -> dict[str, Any]:
@@ -191,6 +208,11 @@ class MetamodelResult(Tabulated):
                     "not used (%)": float(np.median(others)) if len(others) else math.nan,
                 }
             )
+            if one.against is not None:
+                rows[-1] |= {
+                    "vessel by metamodel (%)": float(np.median(one.against.of_metamodel)),
+                    "vessel by trials (%)": float(np.median(one.against.of_measured)),
+                }
         return rows
 
     def notes(self) -> list[str]:
@@ -208,7 +230,20 @@ class MetamodelResult(Tabulated):
                     f"{one.group}: {one.cross_validation:.0f} % in cross-validation is below "
                     f"{BENCHMARK:.0f} %: no benchmark for a simulation model"
                 )
+            if one.against is not None:
+                told.append(self._judgement(one, one.against))
         return [*told, *self.search.notes]
+
+    def _judgement(self, one: Metamodel, found: VesselComparison) -> str:
+        """How well a vessel follows, beside how well the metamodel itself does."""
+        follows = [np.median(percent) for percent in (found.of_metamodel, found.of_measured)]
+        neutral = math.degrees(float(one.fit.model.neutral))
+        return (
+            f"{one.group}: {self.settings['against']} follows the metamodel to {follows[0]:.0f} % "
+            f"and the trials to {follows[1]:.0f} %, which the metamodel of the others follows to "
+            f"{one.cross_validation:.0f} %; it has the rudder as recorded, neutral at "
+            f"{neutral:.2g} deg"
+        )
 
     def record(self) -> dict[str, Any]:
         """The content of metamodel.json."""
@@ -245,6 +280,8 @@ def metamodel(
     own_moments: bool = False,
     zigzag: Zigzag | None = None,
     progress: Progress = no_progress,
+    drop: int = 0,
+    against: Vessel | VesselFile | str | pathlib.Path | None = None,
 ) -> MetamodelResult:
     """Norrbin metamodels from logs of service, as `diffsea metamodel` makes them.
 
@@ -255,31 +292,44 @@ def metamodel(
         own_moments: whether each trial has a steady moment of its own, as of wind or trim.
         zigzag: the ideal trial to ask for, to either side; by default what was ordered, or 10/10
             of turns.
+        drop: so many of these trials, those that the metamodel of all of them follows worst, are
+            left out and count among those not used.
+        against: a vessel that is judged by the metamodels under the orders of their trials.
 
     Raises:
-        UserError: logs that cannot be read, or no group with enough trials.
+        UserError: logs that cannot be read, no group with enough trials, or no orders for an
+            actuator of the vessel that is judged.
     """
-    if most < FEWEST:
-        raise UserError(f"a metamodel needs {FEWEST} trials or more, not {most}")
+    if most - drop < FEWEST:
+        less = f" less {drop} dropped" if drop else ""
+        raise UserError(f"a metamodel needs {FEWEST} trials or more, not {most}{less}")
+    judged = None if against is None else as_vessel(against)
     runs = as_recordings(logs, mapping)
     progress(f"looking for trials in {counted(len(runs), 'log')}")
     boat = None if vessel is None else as_vessel(vessel)
     found = search_logs(runs, boat, window)
-    enough = {name: trials for name, trials in found.groups.items() if len(trials) >= FEWEST}
+    least = FEWEST + drop
+    enough = {name: trials for name, trials in found.groups.items() if len(trials) >= least}
     if not enough:
         counts = ", ".join(f"{len(trials)} {name}" for name, trials in found.groups.items())
         raise UserError(
-            f"no group has the {FEWEST} trials that a metamodel needs: found {counts}; give more "
+            f"no group has the {least} trials that a metamodel needs: found {counts}; give more "
             "logs, or set --window to the time of a quarter turn"
         )
     models = []
     for name, trials in enough.items():
         progress(f"identifying {name}: {min(most, len(trials))} of {len(trials)} trials")
-        models.append(_metamodel(name, trials, found, most, own_moments, zigzag))
+        models.append(_metamodel(name, trials, found, most, own_moments, zigzag, drop))
+    if judged is not None:
+        progress(f"simulating {judged.name} under the orders of the trials")
+        by_name = {run.name: run for run in runs}
+        models = [_judging(one, judged, by_name) for one in models]
     settings = {
         "most": most,
+        "drop": drop,
         "own_moments": own_moments,
         "vessel": None if boat is None else boat.name,
+        "against": None if judged is None else judged.name,
     }
     return MetamodelResult(found, models, runs, settings)
 
@@ -291,12 +341,20 @@ def _metamodel(
     most: int,
     own_moments: bool,
     zigzag: Zigzag | None,
+    drop: int,
 ) -> Metamodel:
     """Identified from the calmest trials of a group, judged by each other and by the rest."""
     used, others = least_side_wind(members, most)
     tie = jnp.asarray(OWN_MOMENTS if own_moments else COMMON_MOMENT)
     trials = _padded(used, found.interval)
-    fit = _identify(trials, tie)
+    fit, dropped = _identify(trials, tie), list[ServiceTrial]()
+    if drop:
+        followed = np.asarray(predict_trials(fit.model, trials).percent)
+        worst = set(np.argsort(followed, kind="stable")[:drop].tolist())
+        dropped = [one for k, one in enumerate(used) if k in worst]
+        used = [one for k, one in enumerate(used) if k not in worst]
+        others, trials = [*others, *dropped], _padded(used, found.interval)
+        fit = _identify(trials, tie)
     percent = np.zeros(0)
     if others:
         percent = np.asarray(predict_trials(fit.model, _padded(others, found.interval)).percent)
@@ -307,7 +365,17 @@ def _metamodel(
         ideal[side] = np.asarray(values), np.asarray(errors)
     crossed = leave_one_out(trials, tie)
     averages = _corrected_averages(used, fit, ideal)
-    return Metamodel(group, used, others, trials, fit, crossed, percent, asked, ideal, averages)
+    return Metamodel(
+        group, used, others, trials, fit, crossed, percent, asked, ideal, averages, dropped
+    )
+
+
+def _judging(one: Metamodel, vessel: Vessel, logs: dict[str, Trajectory]) -> Metamodel:
+    """The metamodel with what it says of a vessel."""
+    runs = [cut(logs[trial.log], trial.start, trial.end) for trial in one.used]
+    starts = [trial.start for trial in one.used]
+    found = compare_vessel(vessel, one.fit.model, one.trials, runs, starts)
+    return dataclasses.replace(one, against=found)
 
 
 def _padded(members: Sequence[ServiceTrial], interval: float) -> Trials:

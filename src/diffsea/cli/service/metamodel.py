@@ -31,6 +31,10 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--most", "N", options.count, most, default=MOST)
     own = "let each trial have a steady moment of its own, as of wind"
     add_flag(parser, "--own-moments", own)
+    drop = "leave out so many of them, those that the metamodel of all follows worst (default: 0)"
+    add_option(parser, "--drop", "N", options.count, drop)
+    against = "vessel to judge by the metamodels, under the orders of their trials"
+    add_option(parser, "--against", "V", str, against)
     group = parser.add_argument_group("the ideal zig-zag to ask for")
     angle = "rudder angle (default: as ordered in zig-zags; 10 of turns)"
     add_option(group, "--angle", "DEG", options.angle, angle)
@@ -46,20 +50,24 @@ def metamodel_command(args: argparse.Namespace) -> None:
     channels are left out; turning motions and zig-zags are found and grouped, turns by place (needs
     scikit-learn) or by side; of each group the trials with the least wind abeam are used. Each
     metamodel is cross-validated, and asked for the overshoots of the ideal zig-zag; of zig-zags
-    that were run there is the corrected average as well.
+    that were run there is the corrected average as well. With --against a vessel file is simulated
+    under the orders of the trials, without their wind, and compared with metamodel and trials.
     Writes metamodel.json and metamodel.html.
 
     examples:
       diffsea metamodel year/*.csv --mapping ferry.toml
       diffsea metamodel zigzags/*.csv --angle 10 --heading 10 --rudder-rate 2.5
       diffsea metamodel patrols/*.csv --vessel usv.toml --window 20
+      diffsea metamodel year/*.csv --against ferry.toml --drop 2
     """
     wanted = _zigzag(args)
     stages = {"reading": 5.0, "looking": 15.0, "identifying": 20.0, "writing": 2.0}
     with Outputs(args.output) as out, StagedProgress(stages) as tell:
         tell("reading")
+        from diffsea.vessel import files
         from diffsea.workflows.metamodel import metamodel
 
+        against = files.read_vessel(args.against) if args.against else None
         vessel = options.read_vessel(args) if args.vessel else None
         found = metamodel(
             options.read_recordings(args.recordings, args),
@@ -69,6 +77,8 @@ def metamodel_command(args: argparse.Namespace) -> None:
             own_moments=args.own_moments,
             zigzag=wanted,
             progress=tell,
+            drop=args.drop or 0,
+            against=against,
         )
         tell("writing")
         out.json("metamodel.json", found.record())

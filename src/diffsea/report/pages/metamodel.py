@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from diffsea.metamodels.fit import Trials
-from diffsea.metamodels.validation import TrialPrediction
+from diffsea.metamodels.validation import TrialPrediction, VesselComparison
 from diffsea.report import plots
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.quantities import interval, is_known, round_to_error, significant, with_error
@@ -34,6 +34,8 @@ class Modelled(Protocol):
     def trials(self) -> Trials: ...
     @property
     def crossed(self) -> TrialPrediction: ...
+    @property
+    def against(self) -> VesselComparison | None: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,15 +77,15 @@ def metamodel_report(
         "metamodel.html.j2",
         title="Metamodels from service",
         subtitle=headline,
-        overview=_overview(entries),
+        overview=_overview(entries, record["settings"].get("against")),
         notes=[Verbatim(note) for note in record["notes"]],
         sections=sections,
         provenance=provenance(source, uses),
     )
 
 
-def _overview(entries: Sequence[Record]) -> Table:
-    """A row for each metamodel."""
+def _overview(entries: Sequence[Record], vessel: str | None) -> Table:
+    """A row for each metamodel, with how well a `vessel` follows where one is judged."""
     rows = []
     for entry in entries:
         crossed = entry["cross_validation"]
@@ -99,6 +101,9 @@ def _overview(entries: Sequence[Record]) -> Table:
                 f"{others:.0f}" if is_known(others) else "",
             ]
         )
+        if entry["against"]:
+            medians = (entry["against"][key]["median"] for key in ("metamodel", "measured"))
+            rows[-1] += [f"{median:.0f}" for median in medians]
     columns = [
         "group",
         "trials used",
@@ -108,6 +113,8 @@ def _overview(entries: Sequence[Record]) -> Table:
         "cross-validation (%)",
         "trials not used (%)",
     ]
+    if vessel:
+        columns += [f"{vessel} by metamodel (%)", f"{vessel} by trials (%)"]
     caption = "Median fit to a trial: 100 % is perfect, 0 % no better than its mean"
     return Table(columns, rows, caption, numeric=range(1, len(columns)))
 
@@ -135,7 +142,7 @@ def _section(entry: Record, model: Modelled, group: str) -> ModelSection:
         ideal=_ideal(entry["ideal"]),
         averages=averages if averages.rows else None,
         plots=_crossed_plots(entry, model, group),
-        trials=_used(entry["used"], crossed["each"]),
+        trials=_used(entry["used"], crossed["each"], entry["against"]),
     )
 
 
@@ -176,15 +183,18 @@ def _averages(rows: Sequence[Record]) -> Table:
     return Table(columns, cells, caption, numeric=(1, 2))
 
 
-def _used(trials: Sequence[Record], percents: Sequence[float]) -> Table:
-    """The trials that a metamodel rests on."""
+def _used(trials: Sequence[Record], percents: Sequence[float], against: Record | None) -> Table:
+    """The trials that a metamodel rests on, and how a vessel that is judged answers each."""
     rows = []
-    for one, percent in zip(trials, percents, strict=True):
+    for k, (one, percent) in enumerate(zip(trials, percents, strict=True)):
         wind = significant(one["side_wind"], 2) if is_known(one["side_wind"]) else ""
         start, end = f"{one['start']:.0f}", f"{one['end']:.0f}"
         rows.append([Verbatim(one["log"]), start, end, wind, f"{percent:.0f}"])
+        if against:
+            rows[-1] += [f"{against[key]['each'][k]:.0f}" for key in ("metamodel", "measured")]
     columns = ["log", "from (s)", "to (s)", "side wind (m/s)", "predicted by the others (%)"]
-    return Table(columns, rows, numeric=range(1, 5))
+    columns += ["vessel by metamodel (%)", "vessel by trial (%)"] if against else []
+    return Table(columns, rows, numeric=range(1, len(columns)))
 
 
 def _crossed_plots(entry: Record, model: Modelled, group: str) -> list[Plot]:
@@ -197,6 +207,8 @@ def _crossed_plots(entry: Record, model: Modelled, group: str) -> list[Plot]:
         used: dict[str, Any] = entry["used"][k]
         what = f"{used['log']} from {used['start']:.0f} s, {percents[k]:.0f} %"
         caption = "Yaw rate measured (grey) and by the metamodel of the others (blue); rudder below"
+        if model.against is not None:
+            caption += "; dotted, the vessel that is judged"
         drawn = _trial_plot(model, k, f"{group}-{k}", what)
         out.append(Plot(drawn, f"Yaw rate of {what}", 330, caption))
     return out
@@ -216,6 +228,10 @@ def _trial_plot(model: Modelled, k: int, group: str, title: str) -> go.Figure:
         ("metamodel", predicted, {"color": plots.DIAGNOSED, "width": 1.5}, "y"),
         ("rudder", rudder, {"color": plots.NOMINAL, "width": 1.5}, "y2"),
     )
+    if model.against is not None:
+        judged = plots.numbers(np.degrees(model.against.r[k][known]))
+        dotted = {"color": plots.DIAGNOSED, "width": 1.5, "dash": "dot"}
+        lines = (*lines, ("vessel", judged, dotted, "y"))
     for name, y, line, axis in lines:
         drawn.add_scatter(x=x, y=y, mode="lines", name=name, line=line, xaxis="x", yaxis=axis)
     drawn.update_layout(
