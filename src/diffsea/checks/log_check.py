@@ -22,6 +22,7 @@ from diffsea.series import stretches
 from diffsea.trajectory import Trajectory
 
 
+REVERSED = ("sign", "swapped-actuators")  # findings of an audit that may be of turning
 TRIALS = ("turning", "zigzag", "coasting", "straight")  # kinds that are listed
 _SHORTEST = 5.0  # s: shorter coasting and straight courses are no trials
 _MOST_GAPS = 400  # of a channel that are told: more is a ragged clock
@@ -76,6 +77,11 @@ class LogCheck:
     missing: tuple[str, ...] = ()
     guesses: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def reversed_turning(self) -> bool:
+        """Whether the audit says that orders turn the vessel to the other side."""
+        return any(one.kind in REVERSED and one.axis == "yaw" for one in self.audit)
 
     @property
     def next(self) -> list[OpenQuestion]:

@@ -19,11 +19,13 @@ class PooledCheck:
         names: of the logs.
         scales: of their orders, in each.
         commanded: whether orders were recorded, rather than executed actuation alone.
+        reversed_turning: whether the audit of any says that orders turn it the other way.
     """
 
     names: tuple[str, ...]
     scales: tuple[dict[str, OrderScale], ...]
     commanded: bool
+    reversed_turning: bool
     answers: Answers
     cannot_tell: tuple[OpenQuestion, ...]
 
@@ -66,6 +68,7 @@ def check_together(checks: Sequence[LogCheck]) -> PooledCheck | None:
         names=tuple(one.name for one in alike),
         scales=tuple(scales),
         commanded=bool(alike[0].run.commanded),
+        reversed_turning=any(one.reversed_turning for one in alike),
         answers=answers,
         cannot_tell=tuple(open_questions(whole, answers, trials, missing, is_judged=True)),
     )

@@ -154,7 +154,7 @@ def _check_text(one: "LogCheck | Finding") -> str:
         *(f"idle: {s.start:.0f} s to {s.end:.0f} s, {s.why}" for s in one.idle),
         *(f"missing: {sentence}" for sentence in one.missing),
         *(f"finding: {finding.kind}: {finding.message}" for finding in heaviest_first(one.audit)),
-        *headlines(one.answers, bool(one.run.commanded)),
+        *headlines(one.answers, bool(one.run.commanded), one.reversed_turning),
     ]
     known = lambda speed: f"{speed:.2f}" if math.isfinite(speed) else ""
     rows = [
@@ -174,7 +174,7 @@ def _together_text(pooled: "PooledCheck") -> str:
     """What several logs show together, for a person at a terminal."""
     from diffsea.report.pages.check import headlines
 
-    told = headlines(pooled.answers, pooled.commanded)
+    told = headlines(pooled.answers, pooled.commanded, pooled.reversed_turning)
     return "\n".join([f"{', '.join(pooled.names)} together:", *told, *_open_lines(pooled)])
 
 

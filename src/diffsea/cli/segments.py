@@ -135,6 +135,6 @@ def _segments_text(run: "Trajectory", found: "list[Segment]", notes: tuple[str, 
         approach = (finite(item.approach.speed, ".3g"), item.approach.verdict)
         side = item.side or ""
         rows.append((str(number), item.kind, *times, side, order, heading, *approach, item.group))
-    lines = [f"{run.name}: {len(found)} segments"]
+    lines = [f"{run.name}: {counted(len(found), 'segment')}"]
     lines += [table(rows, COLUMNS)] if rows else []
     return "\n".join([*lines, *(f"note: {note}" for note in notes)])

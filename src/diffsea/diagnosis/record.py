@@ -311,7 +311,7 @@ def _candidates(diagnosis: Diagnosis) -> list[Record]:
         one = tried.get(name)
         if one is None:
             row |= {"log10_odds": candidate.expected * LOG10_OF_HALF, "status": "screened out"}
-            row["reason"] = "a first look found it too weak to be worth a fit"
+            row["reason"] = "a first look promised far less than others: not fitted"
         else:
             row["log10_odds"] = one.evidence(inflation) * LOG10_OF_HALF
             row["parameters"] = parameter_records(problem, one.estimate, name)[0]

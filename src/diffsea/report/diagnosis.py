@@ -99,6 +99,7 @@ def diagnosis_report(
     columns = ["fault", "recording", "size", "cost in a minute", "what was seen"]
     method = {}
     if chance := {key: null[key] for key in ("draws", "alpha", "threshold") if key in null}:
+        chance["threshold"] = significant(chance["threshold"], 2)
         method["significance from simulated data without effects"] = chance
     if "bootstrap" in null:
         method["the same, every simulated data set fitted anew"] = null["bootstrap"]

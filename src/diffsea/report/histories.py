@@ -13,6 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
+from diffsea.metrics.orders import steers
 from diffsea.report import plots
 from diffsea.trajectory import Trajectory
 
@@ -112,14 +113,19 @@ def _distance_panel(curves: Sequence[Curve], most: int) -> list[Panel]:
 
 
 def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[Panel]:
-    """What was ordered, and below it in dots what was executed, a panel for each unit."""
+    """What was ordered, and below it in dots what was executed, a panel for each unit.
+
+    What was executed without an order on record has a panel, too.
+    """
     counted, panels = run.counted(), []
-    colours = dict(zip(counted.commanded, ORDER_COLOURS * len(counted.commanded), strict=False))
-    for unit in dict.fromkeys(units.get(channel, "") for channel in counted.commanded):
+    channels = list(dict.fromkeys([*counted.commanded, *counted.executed]))
+    colours = dict(zip(channels, ORDER_COLOURS * len(channels), strict=False))
+    unit_of = {c: units.get(c, "rad" if steers(c) else "") for c in channels}
+    for unit in dict.fromkeys(unit_of.values()):
         shown, scale = _ANGLES.get(unit, (unit, 1.0))
         lines: list[Line] = []
         for channel, colour in colours.items():
-            if units.get(channel, "") != unit:
+            if unit_of[channel] != unit:
                 continue
             looks = {"orders": {"shape": "hv", "width": 1.5}, "executed": {"dash": "dot"}}
             given = {"orders": counted.commanded, "executed": counted.executed}
@@ -134,10 +140,11 @@ def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[
         names = [
             f'<span style="color:{colour}">{html.escape(channel)}</span>'
             for channel, colour in colours.items()
-            if units.get(channel, "") == unit
+            if unit_of[channel] == unit
         ]
         in_unit = f" ({shown})" if shown else ""
-        panels.append(Panel("orders", f"orders{in_unit}: {', '.join(names)}", lines))
+        what = "orders" if counted.commanded else "executed"
+        panels.append(Panel(what, f"{what}{in_unit}: {', '.join(names)}", lines))
     return panels
 
 

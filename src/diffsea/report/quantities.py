@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TypeGuard
 
 
+MOST_WITHOUT_EXPONENT = 1e6  # beyond, digits have to be counted
 CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing more
 
 
@@ -87,8 +88,11 @@ def with_error(value: float | None, std: float | None, unit: str = "") -> str:
         return round_to_error(value, None, unit)
     value, name = for_people(value, unit)
     std, _ = for_people(std, unit)
-    decimals = _decimals(std)
-    return f"{_with_decimals(value, decimals)} +- {_with_decimals(std, decimals)} {name}".strip()
+    size = max(abs(value), std)
+    power = _exponent(size, 2) if size >= MOST_WITHOUT_EXPONENT else 0
+    decimals = _decimals(std) + power
+    both = " +- ".join(_with_decimals(one / 10**power, decimals) for one in (value, std))
+    return f"({both})e{power} {name}".strip() if power else f"{both} {name}".strip()
 
 
 def probability(p: float | None) -> str:

@@ -22,6 +22,7 @@ from diffsea.parameters import (
     replace,
     spread_over_places,
 )
+from diffsea.progress import counted
 from diffsea.simulation import planning
 from diffsea.simulation.batches import batch_size, in_batches
 from diffsea.simulation.control import ControlAllocation, throttle_for_thrust
@@ -120,7 +121,7 @@ class Sweeper:
             left = found.possible & unfinished
             if not left.any():
                 break
-            progress(f"{left.sum()} designs take longer; they run again")
+            progress(f"{counted(int(left.sum()), 'design')} not done in that time: run again")
             some, *more = run(following, places, values[left])
             for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(some), strict=True):
                 old[left] = new

@@ -122,9 +122,12 @@ def _parse(path: pathlib.Path) -> Table:
         raise UserError(f"{path} is a folder; name the vessel's TOML file")
     if not path.exists():
         names = ", ".join(shipped_vessels())
+        meant = nearest(path.stem, shipped_vessels())
+        if path.suffix == ".toml":
+            meant = f"; `diffsea new {path}` makes one from length, beam and mass"
         raise UserError(
-            f"{path}: no such vessel file{nearest(path.stem, shipped_vessels())}; "
-            f"give the path of a TOML file or one of the shipped vessels: {names}"
+            f"{path}: no such vessel file{meant}; give the path of a TOML file or one of the "
+            f"shipped vessels: {names}"
         )
     return read_toml(path, "the vessel")
 

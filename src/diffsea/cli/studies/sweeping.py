@@ -13,6 +13,7 @@ from diffsea.cli.progress.staged import StagedProgress
 from diffsea.cli.studies.axes import GRID_FORM, RANGE_FORM, axis, by_name, number_and_ranges
 from diffsea.cli.trial import add_trial_command, trial_plan
 from diffsea.errors import UserError
+from diffsea.progress import counted
 
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ def _do_parts(
             "the version is another; leave --resume out to begin"
         )
     with StagedProgress({"running": 20.0}) as tell:
-        tell(f"running {designs.count} designs in {parts.count} parts")
+        tell(f"running {counted(designs.count, 'design')} in {counted(parts.count, 'part')}")
         shard = args.shard or (1, 1)
         try:
             kept.do_parts(parts, file.vessel, plan, designs, shard, tell, args.cluster)

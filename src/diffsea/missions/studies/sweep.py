@@ -25,7 +25,7 @@ from diffsea.missions.running import (
     run,
     timing,
 )
-from diffsea.progress import Progress, no_progress
+from diffsea.progress import Progress, counted, no_progress
 from diffsea.simulation.batches import batch_size, in_batches
 from diffsea.simulation.designs import Designs, DesignSpace
 from diffsea.simulation.planning import outcome_label
@@ -70,7 +70,7 @@ def closed_loop_sweep(
     found, steps, seconds = _run_designs(mission, designs, quicker(times, stands), progress)
     late = found.outcome == Outcome.TIME_LIMIT
     if late.any() and mission.waypoints:
-        progress(f"{late.sum()} designs take longer; they run again")
+        progress(f"{counted(int(late.sum()), 'design')} not done in that time: run again")
         left = Designs(designs.names, designs.values[late])
         again, *more = _run_designs(mission, left, times, progress)
         for old, new in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):

@@ -83,7 +83,7 @@ def _together(pooled: PooledCheck) -> dict[str, Any]:
     names = enumeration(list(pooled.names))
     return {
         "names": names,
-        "sentences": headlines(pooled.answers, pooled.commanded),
+        "sentences": headlines(pooled.answers, pooled.commanded, pooled.reversed_turning),
         **_answered(pooled.answers, pooled.scales[0], pooled.cannot_tell, pooled.next),
     }
 
@@ -127,7 +127,7 @@ def _log(one: LogCheck | Finding, told: str) -> dict[str, Any]:
         "tone": "ambiguous" if faults or one.missing or one.guesses else "consistent",
         "verdict": verdict,
         "lead": f"{capital(one.craft)}. {duration:.0f} s recorded, {used:.0f} s of it used.",
-        "sentences": headlines(one.answers, bool(one.run.commanded)),
+        "sentences": headlines(one.answers, bool(one.run.commanded), one.reversed_turning),
         "warnings": [*map(guess_sentence, one.guesses), *one.missing, *one.notes],
         "quality": quality_plot(one),
         "quality_key": _QUALITY_KEY,
@@ -146,8 +146,14 @@ def guess_sentence(guess: str) -> str:
     return f"guessed, look at it first: {guess}"
 
 
-def headlines(answers: Answers, commanded: bool) -> list[str]:
-    """What logs show, in sentences; `commanded` tells whether orders were recorded."""
+def headlines(answers: Answers, commanded: bool, reversed_turning: bool = False) -> list[str]:
+    """What logs show, in sentences.
+
+    Arguments:
+        commanded: whether orders were recorded.
+        reversed_turning: whether the audit says that orders turn it the other way. A controller
+            that holds a course turns against the motion, too: the answer alone does not tell.
+    """
     told = []
     fastest = max(answers.speed, key=lambda point: point.order, default=None)
     if fastest is not None and fastest.order > LEAST_AHEAD:
@@ -160,7 +166,7 @@ def headlines(answers: Answers, commanded: bool) -> list[str]:
         if delay.low > 0:
             begins = f"It begins to turn {significant(delay.value, 2)} s after {after} ({span})."
             told.append(begins)
-        if answers.lag_of_turning.opposite:
+        if answers.lag_of_turning.opposite and reversed_turning:
             told.append("A positive order turns it to port: the sign, or the sides, are exchanged.")
     if answers.asymmetry is not None:
         told += _asymmetry_sentences(answers.asymmetry, answers.paired)

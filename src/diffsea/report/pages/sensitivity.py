@@ -45,7 +45,7 @@ def sensitivity_page(
         size = relative[strongest[1]][strongest[2]]
         lead = (
             f"One per cent more {strongest[2]} changes the {number_words(strongest[1])} by "
-            f"{significant(size, 2)} %: the strongest influence."
+            f"{significant(size, 2)} %: the strongest influence on what is drawn."
         )
     return render(
         "sections.html.j2",

@@ -76,7 +76,8 @@ def prediction_sentence(summary: Record) -> str:
     quantity = known_quantities(row, MODELS)[0]
     old, new = (row[model][quantity] for model in MODELS)
     before, after = (two_digits(value, QUANTITIES[quantity]) for value in (old, new))
-    what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead is"
+    once = " (one prediction)" if row.get("starts") == 1 else ""
+    what = f"{on}, the {quantity} predicted {row['seconds']:g} s ahead{once} is"
     if not found:
         return f"{what} off by {after}."
     if before == after or abs(new - old) < 0.02 * old:

@@ -9,7 +9,7 @@ import equinox as eqx
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Onset, Size
+from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Bound, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
@@ -175,6 +175,19 @@ def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
 
 
+def _largest_coupling(vessel: Vessel) -> float:
+    """The most that added mass can couple sway and yaw, kg m.
+
+    The kinetic energy of the water is not negative: |Y_rdot| <= sqrt(Y_vdot N_rdot) (Newman 1977,
+    section 4.13). Of a vessel without these added masses, that of all its mass.
+    """
+    water, body = vessel.added_mass, vessel.rigid_body
+    sway, yaw = -float(water.Y_vdot), -float(water.N_rdot)
+    if not (sway > 0 and yaw > 0):
+        sway, yaw = sway + float(body.mass), yaw + float(body.I_z)
+    return math.sqrt(max(sway, 0.0) * max(yaw, 0.0))
+
+
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
     def is_possible(vessel: Vessel) -> bool:
         return float(vessel.added_mass.Y_rdot) == 0 and float(vessel.added_mass.N_vdot) == 0
@@ -185,7 +198,10 @@ def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
 
     def bounds(name: str, vessel: Vessel) -> Bound:
         end = LEVER_BOUND * float(vessel.rigid_body.length)
-        return (-end, end) if name == "x_G" else ANY
+        if name == "x_G":
+            return (-end, end)
+        most = _largest_coupling(vessel)
+        return (-most, most)
 
     @hull_effect(
         f"added-mass-coupling{variant}",

@@ -124,7 +124,7 @@ def outline_of(known: Known) -> Outline:
             raise UserError(
                 f"a {known.form} of {known.length:g} m by {known.beam:g} m would float at "
                 f"{draught:.2g} m draught with {mass:g} kg, hulls {hull_beam:.2g} m wide; check "
-                "mass (kg) and dimensions (m), or give the draught"
+                f"mass (kg) and dimensions (m), or {_otherwise(known, form)}"
             )
         assumed["draught"] = f"draught = {draught:.3g} m, what displaces the mass"
     floated = mass / (plan * draught)
@@ -132,8 +132,8 @@ def outline_of(known: Known) -> Outline:
         raise UserError(
             f"a {known.form} of {known.length:g} m by {known.beam:g} m and {draught:.3g} m draught "
             f"would have a block coefficient of {floated:.2g} to displace {mass:g} kg, and hulls "
-            f"have {LEAST_BLOCK:g} to {MOST_BLOCK:g}; check the mass (kg) and the dimensions (m)"
-            + (", or give the beam of one demihull" if form.hulls == 2 else "")
+            f"have {LEAST_BLOCK:g} to {MOST_BLOCK:g}; check the mass (kg) and the dimensions (m), "
+            f"or {_otherwise(known, form)}"
         )
     if known.block_coefficient is not None and abs(floated / block - 1) > BLOCK_MISMATCH:
         raise UserError(
@@ -159,6 +159,17 @@ def outline_of(known: Known) -> Outline:
         top,
         assumed,
     )
+
+
+def _otherwise(known: Known, form: Form) -> str:
+    """What else may be given where a vessel of this form cannot float so, as options say it."""
+    ways = ["the draught (--draught)"] if known.draught is None else []
+    if form.hulls == 2:
+        ways += ["the beam of one demihull (--hull-beam)"] if known.hull_beam is None else []
+        ways += ["another hull form (--hull monohull, barge, ship)"]
+    else:
+        ways += ["another hull form (--hull)"]
+    return f"give {' or '.join(ways)}"
 
 
 def _hull_beam(known: Known, form: Form, assumed: dict[str, str]) -> float:

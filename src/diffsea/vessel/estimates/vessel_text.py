@@ -66,6 +66,7 @@ def _sources(hull: Mapping[str, DerivativeEstimate]) -> dict[str, str]:
 
 def _body_lines(outline: Outline) -> list[str]:
     said = lambda key: "assumed, see above" if key in outline.assumed else "as given"
+    in_hulls = ", half the mass in the demihulls" if outline.spacing else ""
     rows = (
         ("water_density", outline.water_density, "kg/m^3"),
         ("length", outline.length, "m, as given"),
@@ -73,7 +74,7 @@ def _body_lines(outline: Outline) -> list[str]:
         ("draught", outline.draught, f"m, {said('draught')}"),
         ("mass", outline.mass, f"kg, {said('mass')}"),
         ("x_G", 0.0, "m, assumed amidships"),
-        ("I_z", outline.I_z, "kg m^2, assumed: radius of gyration 0.25 L, half the mass in hulls"),
+        ("I_z", outline.I_z, f"kg m^2, assumed: radius of gyration 0.25 L{in_hulls}"),
     )
     return [_line(*row) for row in rows]
 
