@@ -19,30 +19,50 @@ def following_commands(
     checked: "Sequence[Checked]",
     mappings: Mapping[pathlib.Path, pathlib.Path],
 ) -> list[str]:
-    """The commands; logs that are read through one mapping go into one of them.
+    """The commands; logs of one boat go into one of them.
 
-    None for a boat that `diffsea new` has no drive for.
+    Where these are read through several mappings, it names the folder that has one for each. None
+    for a boat that `diffsea new` has no drive for.
 
     Arguments:
         checked: the logs that could be read.
         mappings: the file by which a log is read, where it needs one; of logs that are read alike
             the same file.
     """
-    alike: dict[pathlib.Path | None, list[Checked]] = {}
+    alike: dict[str | None, list[Checked]] = {}
     for path, one in checked:
-        alike.setdefault(mappings.get(path), []).append((path, one))
+        boat = _new_boat(one, path) if path in mappings else None
+        alike.setdefault(boat, []).append((path, one))
     lines: list[str] = []
     boats: dict[str, str] = {}
-    for mapping, logs in alike.items():
+    for logs in alike.values():
         first, one = logs[0]
         new = _new_boat(one, first)
         if not new:
             continue
         boat = boats.setdefault(new, f"boat{len(boats) + 1 if boats else ''}.toml")
-        words = ["diffsea", "diagnose", boat, *(str(path) for path, _ in logs)]
-        words += [] if mapping is None else ["--mapping", str(mapping)]
-        lines += [f"diffsea new {boat} {new}", shlex.join([*words, *reading_options(args)])]
+        lines.append(f"diffsea new {boat} {new}")
+        for mapping, paths in _by_mapping([path for path, _ in logs], mappings).items():
+            words = ["diffsea", "diagnose", boat, *map(str, paths)]
+            words += [] if mapping is None else ["--mapping", str(mapping)]
+            lines.append(shlex.join([*words, *reading_options(args)]))
     return list(dict.fromkeys(lines))
+
+
+def _by_mapping(
+    paths: Sequence[pathlib.Path], mappings: Mapping[pathlib.Path, pathlib.Path]
+) -> dict[pathlib.Path | None, list[pathlib.Path]]:
+    """Logs by what is named with them: the mapping of all, or the folder that has one for each."""
+    files = {path: mappings.get(path) for path in paths}
+    given = set(files.values())
+    folders = {file.parent for file in given if file is not None}
+    told_by_name = None not in given and len({path.stem for path in paths}) == len(paths)
+    if told_by_name and len(given) > 1 and len(folders) == 1:
+        return {folders.pop(): list(paths)}
+    found: dict[pathlib.Path | None, list[pathlib.Path]] = {}
+    for path, file in files.items():
+        found.setdefault(file, []).append(path)
+    return found
 
 
 def reading_options(args: argparse.Namespace) -> list[str]:

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import math
 import pathlib
+import shlex
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -334,4 +335,23 @@ def diagnose_command(args: argparse.Namespace) -> None:
             out.json("diagnosis.json", found.record)
             out.text("vessel.toml", dump(found.diagnosed.document))
             out.text("report.html", found.html())
-    out.present(args, verdict_text(found.record))
+    out.present(args, f"{verdict_text(found.record)}\n\n{_next(args, out, found.record)}".rstrip())
+
+
+def _next(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]") -> str:
+    """The command that goes on from a diagnosis: first put right how recordings are read."""
+    from diffsea.report.wording.findings import misread_sentences
+    from diffsea.report.wording.words import named_effects
+
+    if misread_sentences(record):
+        words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test])]
+        words += ["--mapping", str(args.mapping)] if args.mapping else []
+        repaired = out.folder / "repaired"
+        return (
+            "next: as they are read now, nothing of this counts; put that right\n"
+            f"      {shlex.join([*words, '--repair', '-o', str(repaired)])}\n"
+            f"      and diagnose what it writes into {repaired}"
+        )
+    if named_effects(record):
+        return f"next: diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"
+    return ""

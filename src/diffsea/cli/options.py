@@ -111,7 +111,10 @@ def add_recordings(parser: argparse.ArgumentParser, several: bool = True) -> Non
 
 def add_reading(parser: Parser) -> None:
     """How recordings are read: `--mapping`, `--start` and `--end`."""
-    mapping = "TOML file that says which columns are which, and in which unit (default: by content)"
+    mapping = (
+        "TOML file that says which columns are which, and in which unit, or a folder with "
+        "NAME.mapping.toml for each recording (default: by content)"
+    )
     add_option(parser, "--mapping", "M", pathlib.Path, mapping)
     add_option(parser, "--start", "S", number, "leave out what is before, s on the clock recorded")
     limit = "bytes to which a file may expand, such as 4GB (default: 1GB)"
@@ -273,7 +276,9 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
     from diffsea import recordings
     from diffsea.recordings.mappings import check_span
 
-    mapping = None if args.mapping is None else recordings.read_mapping(args.mapping)
+    mapping = args.mapping
+    if mapping is not None and not mapping.is_dir():
+        mapping = recordings.read_mapping(mapping)
     check_span(args.start, args.end, "what is to be read:")
     runs = []
     for path in paths:

@@ -19,6 +19,7 @@ from diffsea.progress import PartialProgress, counted
 
 if TYPE_CHECKING:
     from diffsea.recordings import Finding
+    from diffsea.recordings.mapping_proposal import Proposal
     from diffsea.trajectory import Trajectory
 
 
@@ -83,6 +84,9 @@ def metrics_command(args: argparse.Namespace) -> None:
         found = {
             run.name: recording_metrics(run, length, args.manoeuvre, args.scale) for run in thrusts
         }
+        if vessel is not None:
+            for item in found.values():
+                item["notes"].append(f"the length is that of {vessel.name}, {length:g} m")
         (first, *others) = found.values()
         out.json("metrics.json", {"runs": found} if others else first)
         by_name = {run.name: run for run in runs}
@@ -151,22 +155,33 @@ def _audit_or_propose(
     """
     from diffsea.recordings import Finding, read_mapping
     from diffsea.recordings.mapping_proposal import foreign_layouts
+    from diffsea.recordings.mappings import mapping_for
     from diffsea.workflows.audits import audit_readable, read_readable
+    from diffsea.workflows.checks import propose_by_axes
 
     paths: Sequence[pathlib.Path] = args.recordings
     if len(set(paths)) < len(paths):
         raise UserError("a recording is named twice; name each only once")
     tell(f"reading {counted(len(paths), 'recording')}")
     layouts = foreign_layouts(paths) if args.mapping is None else []
-    mappings = {} if args.mapping is None else dict.fromkeys(paths, read_mapping(args.mapping))
+    mappings = {path: mapping_for(args.mapping, path) for path in paths} if args.mapping else {}
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
     texts = []
-    for group in layouts:
-        found, text, written = _read_through_proposal(group, out, args)
-        read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
-        if written is not None:
+    for layout in layouts:
+        try:
+            proposals = propose_by_axes(layout)
+        except UserError as error:
+            for path in layout:
+                one = read[path]
+                if isinstance(one, Finding):
+                    why = f"{one.message}; no mapping could be proposed: {error}"
+                    read[path] = dataclasses.replace(one, message=why)
+            continue
+        for group, proposal in proposals:
+            found, text, written = _read_through_proposal(group, proposal, out, args)
+            read |= {path: _under_the_same_name(read[path], one) for path, one in found.items()}
             mappings |= dict.fromkeys(group, read_mapping(written))
-        texts.append(text)
+            texts.append(text)
     runs = {one.name: one for one in read.values() if not isinstance(one, Finding)}
     options.tell_mappings(list(runs.values()))
     tell("looking for faults")
@@ -187,30 +202,15 @@ def _under_the_same_name(
 
 
 def _read_through_proposal(
-    paths: "Sequence[pathlib.Path]", out: Outputs, args: argparse.Namespace
-) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str, pathlib.Path | None]":
+    paths: "Sequence[pathlib.Path]", proposal: "Proposal", out: Outputs, args: argparse.Namespace
+) -> "tuple[dict[pathlib.Path, Trajectory | Finding], str, pathlib.Path]":
     """Files of one foreign layout through the mapping that is proposed, and what was proposed.
 
-    With them the file of that mapping. Where none can be, or without a time, each file has a
-    finding instead, and the text is empty.
+    With them the file of that mapping. Without a time each file has a finding instead.
     """
-    from diffsea.recordings import Finding, unreadable
-    from diffsea.recordings.mapping_proposal import propose_mapping
+    from diffsea.recordings import Finding
     from diffsea.workflows.audits import read_readable
 
-    try:
-        proposal = propose_mapping(paths)
-    except UserError as error:
-        refused = zip(paths, read_readable(paths), strict=True)
-        return (
-            {
-                path: unreadable(path.name, f"{one.message}; no mapping could be proposed: {error}")
-                for path, one in refused
-                if isinstance(one, Finding)
-            },
-            "",
-            None,
-        )
     name = f"{paths[0].stem}.mapping.toml"
     if out.folder / name in out.files:
         name = f"{paths[0].stem}.{len(out.files) + 1}.mapping.toml"
@@ -240,9 +240,10 @@ def _read_through_proposal(
 
 def _repair(args: argparse.Namespace) -> None:
     """Write recordings, and mappings where they can say it, in which what is certain is right."""
-    from diffsea.recordings import read_mapping, write_recording
+    from diffsea.recordings import write_recording
     from diffsea.recordings.auditing.mapping_rows import mapping_text
     from diffsea.recordings.auditing.repair import repair
+    from diffsea.recordings.mappings import mapping_for
 
     stems = [path.stem for path in args.recordings]
     inputs = {path.resolve() for path in args.recordings}
@@ -252,7 +253,7 @@ def _repair(args: argparse.Namespace) -> None:
             raise UserError(f"{written} would be written over a recording; choose a folder with -o")
         if stems.count(stem) > 1:
             raise UserError(f"two recordings would be repaired into {written}; do them in turn")
-    mapping = read_mapping(args.mapping) if args.mapping else None
+    mappings = [mapping_for(args.mapping, path) for path in args.recordings]
     with Outputs(args.output) as out, StagedProgress({"reading": 1.0, "repairing": 5.0}) as tell:
         tell("reading")
         runs = options.read_recordings(args.recordings, args)
@@ -260,7 +261,7 @@ def _repair(args: argparse.Namespace) -> None:
         for number, run in enumerate(runs):
             stage = f"repairing {counted(len(runs), 'recording')}"
             tell(PartialProgress(run.name, number / len(runs), stage))
-            repairs.append(repair(run, mapping))
+            repairs.append(repair(run, mappings[number]))
         alike = all(one.mapping == repairs[0].mapping for one in repairs)
         records, texts = [], []
         for stem, one in zip(stems, repairs, strict=True):

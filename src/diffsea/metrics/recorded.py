@@ -141,7 +141,9 @@ def recording_metrics(
     notes += [f"{name} is missing: {why}" for name, why in _missing_numbers(unknown, run)]
     result = {name: value for name, value in result.items() if name not in unknown}
     if length is None:
-        notes.append("the length is not known: no value over L and no IMO verdict")
+        notes.append(
+            "the length is not known (--length, or a --vessel): no value over L and no IMO verdict"
+        )
         return {**result, "imo": {}, "notes": notes}
     imo = imo_verdicts(
         {name: v * scale if name in LENGTHS else v for name, v in result.items()},

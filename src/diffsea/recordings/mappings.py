@@ -242,6 +242,29 @@ def read_mapping(path: str | Path) -> Mapping:
     return mapping_from(read_toml(path, "the mapping"), path)
 
 
+def mapping_for(given: "Mapping | str | Path | None", recording: str | Path) -> Mapping | None:
+    """The mapping by which a recording is read.
+
+    Arguments:
+        given: a mapping, its file, or a folder that has `STEM.mapping.toml` for each recording, as
+            `diffsea check` writes them.
+
+    Raises:
+        UserError: the folder has none for this recording, or as `read_mapping`.
+    """
+    if given is None or isinstance(given, Mapping):
+        return given
+    if not Path(given).is_dir():
+        return read_mapping(given)
+    own = Path(given) / f"{Path(recording).stem}.mapping.toml"
+    if not own.exists():
+        raise UserError(
+            f"{given} has no {own.name}, by which {Path(recording).name} would be read: "
+            f"`diffsea check {recording}` writes one, or name a mapping file"
+        )
+    return read_mapping(own)
+
+
 def mapping_from(table: dict[str, Any], path: Path) -> Mapping:
     """The mapping in the tables of a mapping file; `path` is its place in messages and its name.
 

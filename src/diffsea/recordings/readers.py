@@ -31,6 +31,7 @@ from diffsea.recordings.mappings import (
     Mapping,
     check_span,
     is_channel,
+    mapping_for,
     native_channels,
     read_mapping,
     with_channels,
@@ -75,13 +76,16 @@ def read_recording(
     rows of one time stamp become one, of the last value of each channel: an order that changes at
     an instant counts from that instant on. The provenance says how many, and so does `read`.
 
-    Numbers beyond 1e100 are missing samples.
+    Numbers beyond 1e100 are missing samples. A mapping may be a folder that has
+    `STEM.mapping.toml` for each file.
 
     Raises `UserError` naming file, line and column for anything that cannot be read as a
     recording: no time, no motion, cells that are no numbers, time that runs backwards.
     """
-    if isinstance(mapping, str | Path):
-        mapping = read_mapping(mapping)
+    if isinstance(source, pd.DataFrame):
+        mapping = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    else:
+        mapping = mapping_for(mapping, source)
     if mapping is not None:
         start = mapping.start if start is None else start
         end = mapping.end if end is None else end

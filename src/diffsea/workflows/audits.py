@@ -15,6 +15,7 @@ from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
 from diffsea.recordings.auditing.mapping_rows import with_rows_of_mapping
 from diffsea.recordings.idle import used_parts
+from diffsea.recordings.mappings import mapping_for
 from diffsea.trajectory import Trajectory
 
 
@@ -152,7 +153,7 @@ def read_readable(
     Raises:
         UserError: the mapping cannot be read.
     """
-    if isinstance(mapping, str | pathlib.Path):
+    if isinstance(mapping, str | pathlib.Path) and not pathlib.Path(mapping).is_dir():
         mapping = read_mapping(mapping)
     several, read = list(given), []
     for one in several:
@@ -219,9 +220,13 @@ def audit(
         UserError: no recording can be read, or the mapping cannot.
     """
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if isinstance(mapping, str | pathlib.Path):
-        mapping = read_mapping(mapping)
-    through = [None if isinstance(one, Trajectory) else mapping for one in several]
-    judged = audit_readable(read_readable(several, mapping), through)
+    read = read_readable(several, mapping)
+
+    def through(one: Recording, done: Trajectory | Finding) -> Mapping | None:
+        if isinstance(one, Trajectory) or isinstance(done, Finding):
+            return None
+        return mapping_for(mapping, one if isinstance(one, str | pathlib.Path) else "a DataFrame")
+
+    judged = audit_readable(read, list(map(through, several, read)))
     found = [finding for _, findings in judged for finding in findings]
     return Findings(found, [name for name, _ in judged])

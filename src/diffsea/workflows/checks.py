@@ -1,5 +1,6 @@
 """Logs checked as they are, without a mapping or a vessel."""
 
+import contextlib
 import dataclasses
 import re
 import tomllib
@@ -19,8 +20,13 @@ from diffsea.recordings import (
     unreadable,
 )
 from diffsea.recordings.known import Recognised, recognise
-from diffsea.recordings.mapping_proposal import foreign_layouts, propose_mapping
-from diffsea.recordings.mappings import CHANNEL_DIMENSIONS, COLUMNS_NOT_USED, mapping_from
+from diffsea.recordings.mapping_proposal import Proposal, foreign_layouts, propose_mapping
+from diffsea.recordings.mappings import (
+    CHANNEL_DIMENSIONS,
+    COLUMNS_NOT_USED,
+    mapping_for,
+    mapping_from,
+)
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
 
@@ -63,8 +69,9 @@ def choose_mappings(
         UserError: the mapping that is given cannot be read.
     """
     if mapping is not None:
-        given = read_mapping(mapping)
-        return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
+        given = None if mapping.is_dir() else read_mapping(mapping)
+        by = lambda path: given or mapping_for(mapping, path)
+        return {path: ChosenMapping(by(path), None, f"through {mapping}") for path in paths}
     chosen: dict[Path, ChosenMapping | Finding] = {}
     for path in paths:
         if not path.exists():
@@ -82,25 +89,61 @@ def choose_mappings(
         else:
             columns = "without a mapping" if logs.is_log(path) else "native columns"
             chosen[path] = ChosenMapping(None, None, columns)
-    for group in foreign_layouts([p for p in paths if isinstance(chosen[p], ChosenMapping)]):
+    for layout in foreign_layouts([p for p in paths if isinstance(chosen[p], ChosenMapping)]):
         try:
-            proposal = propose_mapping(group)
+            proposals = propose_by_axes(layout)
         except UserError as error:
-            chosen |= {path: unreadable(path.name, str(error)) for path in group}
+            chosen |= {path: unreadable(path.name, str(error)) for path in layout}
             continue
-        if not proposal.timed:
-            why = (
-                "the file has no time, and nothing tells its sampling interval: propose a mapping "
-                f"by `diffsea audit {group[0]}`, put the interval (s) into its [file] time_step, "
-                "and name it with --mapping"
-            )
-            chosen |= {path: unreadable(path.name, why) for path in group}
-            continue
-        table = mapping_from(tomllib.loads(proposal.text), Path("the proposed mapping"))
-        told = "through a mapping proposed from names and kinematics:\n" + proposal.summary
-        how = ChosenMapping(table, proposal.text, told, guesses=proposal.guesses)
-        chosen |= dict.fromkeys(group, how)
+        for group, proposal in proposals:
+            if not proposal.timed:
+                why = (
+                    "the file has no time, and nothing tells its sampling interval: propose a "
+                    f"mapping by `diffsea audit {group[0]}`, put the interval (s) into its [file] "
+                    "time_step, and name it with --mapping"
+                )
+                chosen |= {path: unreadable(path.name, why) for path in group}
+                continue
+            told = "through a mapping proposed from names and kinematics:\n" + proposal.summary
+            if len(proposals) > 1:
+                axes = {"earth": "north and east", "body": "along the vessel and to starboard"}
+                told = f"velocities {axes[_table_of(proposal).velocity_axes]}, {told}"
+            how = ChosenMapping(_table_of(proposal), proposal.text, told, guesses=proposal.guesses)
+            chosen |= dict.fromkeys(group, how)
     return chosen
+
+
+def _table_of(proposal: Proposal) -> Mapping:
+    return mapping_from(tomllib.loads(proposal.text), Path("the proposed mapping"))
+
+
+def propose_by_axes(files: Sequence[Path]) -> list[tuple[Sequence[Path], Proposal]]:
+    """Mappings proposed for files of one layout: one for all, unless their velocities differ.
+
+    Recorders change between axes of the vessel and of the earth from one day to another. Where
+    the audit finds the axes wrong in some of the files that are read alike, each is asked alone.
+
+    Raises:
+        UserError: nothing can be proposed.
+    """
+    together = propose_mapping(files)
+    if len(files) == 1 or not together.timed or not _has_wrong_axes(files, _table_of(together)):
+        return [(files, together)]
+    by_axes: dict[str, list[Path]] = {}
+    for path in files:
+        by_axes.setdefault(_table_of(propose_mapping(path)).velocity_axes, []).append(path)
+    if len(by_axes) < 2:
+        return [(files, together)]
+    return [(group, propose_mapping(group)) for group in by_axes.values()]
+
+
+def _has_wrong_axes(files: Sequence[Path], mapping: Mapping) -> bool:
+    """Whether the audit finds velocities in other axes, in any file that can be read so."""
+    runs = []
+    for path in files:
+        with contextlib.suppress(UserError):  # told by who reads them in earnest
+            runs.append(read_recording(path, mapping))
+    return any(one.kind == "axes" for found in audit_set(runs) for one in found)
 
 
 @one_blas_thread

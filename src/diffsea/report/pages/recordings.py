@@ -112,8 +112,11 @@ def metrics_page(
         runs: the recordings by name.
     """
     criteria = _criteria_table(found)
+    unjudged = all("imo" not in one for one in found.values())
     failed = sum(row[-1] == "fail" for row in criteria.rows)
     word, lead = "", f"No criterion of IMO MSC.137(76) applies to {count_recordings(len(found))}."
+    if unjudged:
+        lead = "Without the vessel's length no criterion of IMO MSC.137(76) can be judged."
     if criteria.rows:
         word = "fail" if failed else "pass"
         lead = f"{len(criteria.rows) - failed} of {len(criteria.rows)} criteria are met."
