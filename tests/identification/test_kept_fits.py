@@ -56,6 +56,14 @@ def interrupted(problem, folder, **options):
     return found, said
 
 
+def test_a_fit_that_is_asked_for_twice_is_none_of_earlier_work(problem, calls, tmp_path):
+    told = []
+    with fits_kept(tmp_path / "parts", told.append) as kept:
+        first = estimate(problem, FREE)
+        second = estimate(problem, FREE)
+    assert len(calls) == 1 and same(first, second) and kept.found == 0 and told == []
+
+
 def test_a_fit_of_interrupted_work_is_taken_from_there_to_the_last_bit(problem, calls, tmp_path):
     folder, again, told = tmp_path / "parts", [], []
     first, said = interrupted(problem, folder)

@@ -52,7 +52,8 @@ class KeptFits:
     def __init__(self, folder: Path, tell: Progress = no_progress):
         """Nothing is written yet. `tell` is told that fits were there, or that none can be kept."""
         self.folder, self.tell = folder, tell
-        self.found = 0
+        self.found = 0  # fits of earlier work that were taken
+        self._own = set[Path]()  # files of this work, which asks for some fits again
         self.writes = True
 
     def get(
@@ -64,9 +65,9 @@ class KeptFits:
         """
         file = self.folder / f"fit-{_key(problem, settings)}.npz"
         if (kept := _read(file)) is not None:
-            self.found += 1
-            if self.found == 1:
+            if file not in self._own and not self.found:
                 self.tell(Remark(f"fits that were done before are taken from {self.folder}"))
+            self.found += file not in self._own
             for message in kept.said:
                 to(message)
             return kept.fit
@@ -78,6 +79,7 @@ class KeptFits:
 
         made = fit(follow)
         if self.writes and made.outcome is not FitOutcome.OUT_OF_TIME:
+            self._own.add(file)
             self._write(file, KeptFit(made, said))
         return made
 
