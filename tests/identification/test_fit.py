@@ -392,6 +392,21 @@ def test_products_with_correlations_are_those_of_their_matrix():
     np.testing.assert_allclose(variance_inflation(columns, correlation), np.maximum(ratio, 1.0))
 
 
+def test_added_mass_couples_no_more_than_the_water_allows(document):
+    """|N_vdot| <= sqrt(Y_vdot N_rdot): the water's kinetic energy is not negative."""
+    vessel, effect = build(document), EFFECTS["added-mass-coupling:N_vdot"]
+    hull = document["hull"]
+    ((low, high),) = effect.bounds(vessel)
+    assert high == pytest.approx(np.sqrt(hull["Y_vdot"] * hull["N_rdot"])) and low == -high
+    water = np.array([[-hull["Y_vdot"], -high], [-high, -hull["N_rdot"]]])
+    assert np.linalg.eigvalsh(water)[0] == pytest.approx(0.0, abs=1e-9 * np.trace(water))
+    bare = build(document | {"hull": hull | {"Y_vdot": 0.0}})
+    ((_, most),) = effect.bounds(bare)
+    body = bare.rigid_body
+    inertia = float(body.mass) * (float(body.I_z) - hull["N_rdot"])
+    assert most == pytest.approx(np.sqrt(inertia))
+
+
 def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
     """Y_rdot + N_vdot so large that a vessel would speed up against a force predicts nothing."""
     effect = EFFECTS["added-mass-coupling:Y_rdot"]

@@ -112,3 +112,19 @@ def test_a_turns_numbers_are_marked_where_the_heading_has_changed_so_far():
     assert first.text == "advance 1.00 m, transfer 1.00 m"
     assert (first.x, first.y) == (pytest.approx(1.0, abs=0.02), pytest.approx(1.0, abs=0.02))
     assert second.text == "tactical diameter 2.00 m" and second.x == pytest.approx(2.0, abs=0.02)
+
+
+def test_what_was_executed_without_an_order_is_drawn():
+    t = np.arange(0.0, 30.0)
+    helm = np.radians(10.0 * np.sign(np.sin(t / 5)))
+    nothing = {name: np.zeros(t.size) for name in ("x", "y", "psi", "u", "v", "r")}
+    run = Trajectory(
+        t, **nothing, commanded={}, executed={"rudder": helm}, extra={},
+        valid=np.ones(t.size, bool), name="zigzag",
+    )  # fmt: skip
+    drawn, names = compared_histories([("measured", run, LINE)], "run", 100)
+    assert names[-1] == "executed"
+    titles = [note.text for note in drawn.layout.annotations]
+    assert any(title.startswith("executed (deg): ") and "rudder" in title for title in titles)
+    (line,) = [trace for trace in drawn.data if trace.name == "executed, rudder"]
+    assert max(line.y) == pytest.approx(10.0)

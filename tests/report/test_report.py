@@ -807,6 +807,10 @@ def test_every_effect_has_a_phrase(name):
         (5.0, math.nan, "s", "5.00 s"),
         (None, None, "s", "not known"),
         (9.99, 0.0996, "m", "10.0 +- 0.1 m"),
+        (5.8e8, 1.1e8, "N m/rad", "(5.8 +- 1.1)e8 N m/rad"),
+        (-4.81e6, 1.6e6, "N/rad", "(-4.8 +- 1.6)e6 N/rad"),
+        (999999.0, 20000.0, "N", "1000000 +- 20000 N"),
+        (300.0, 4e6, "N", "(0 +- 4)e6 N"),
     ],
 )
 def test_rounding_with_error(value, std, unit, text):

@@ -288,6 +288,10 @@ def test_headlines_say_only_what_is_told_from_nothing():
     seen = LagOfAnswer(estimate(0.4, 0.3, 0.5), constant, 0.9)
     told = headlines(Answers(lag_of_turning=seen, asymmetry=estimate(0.01, -0.2, 0.2)), True)
     assert told == ["It begins to turn 0.40 s after the order (0.30 to 0.50 s)."]
+    # A controller turns against the motion: which way orders act, the audit says.
+    against = Answers(lag_of_turning=dataclasses.replace(seen, opposite=True))
+    assert len(headlines(against, True)) == 1
+    assert "turns it to port" in headlines(against, True, reversed_turning=True)[1]
     told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02), paired=True), True)
     assert told == ["Port and starboard differ by less than 4 %."]
     told = headlines(Answers(asymmetry=estimate(0.001, -0.01, 0.02)), True)

@@ -353,6 +353,8 @@ def _limit(problem: Problem, name: str, limit: float | None) -> Record:
         "unit": effect.place.unit_on(problem.base, effect.units[effect.stated_key]),
         "limit": limit,
     }
+    if variant := name.partition(":")[2]:
+        row["variant"] = variant
     if limit is None:
         row["note"] = "these runs would not have shown it at any plausible size"
     elif effect.stated_inversely:

@@ -7,6 +7,7 @@ sure that is.
 import dataclasses
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -229,7 +230,10 @@ def found_effects(summary: Record) -> list[FoundEffect]:
             "log10_odds": ("Odds in favour, against no effect: {}.", against_none),
             "log10_odds_next": ("Odds in favour, against the next best name: {}.", next_best),
             "p_value": ("p, if nothing were missing: {}.", chance),
-            "cost_drop": ("It removes {} of the squared prediction errors.", f"{removed:.0f} %"),
+            "cost_drop": (
+                "It removes {} of the squared prediction errors.",
+                f"{round(removed)} %",
+            ),
             "held_out_gain": ("Held-out gain in -2 log likelihood: {}.", gain),
         }
         evidence = [
@@ -379,14 +383,14 @@ def unseen_table(summary: Record) -> Table | None:
     limits = summary.get("detection_limits")
     if limits is None:
         return None
+    plain = Counter(words.as_words(one["name"]) + words.acted_on(one) for one in limits)
     rows = []
     for one in sorted(limits, key=lambda one: is_known(one.get("limit"))):
         size, limit = "not at any plausible size", one.get("limit")
         if is_known(limit):
             size = round_to_error(abs(limit), 0.1 * abs(limit), one.get("unit", ""))
-        name = words.as_words(one["name"].replace(":", ", ").replace("_", " ")) + words.acted_on(
-            one
-        )
+        name = words.as_words(one["name"]) + words.acted_on(one)
+        name = candidate_label(one) if plain[name] > 1 else name
         parameter = words.parameter_words(str(one.get("parameter") or ""))
         rows.append([name, parameter, size, one.get("note") or ""])
     return Table(["candidate", "parameter", "smallest size that would show", "note"], rows)

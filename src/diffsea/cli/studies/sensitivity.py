@@ -70,12 +70,16 @@ def sensitivity_command(args: argparse.Namespace) -> None:
         named = vessel.name, plan.manoeuvre
         page = sensitivity_page(relative, found.numbers, named, options.source_of(args))
         out.text("sensitivity.html", page)
+    from diffsea.report.pages.campaign import number_unit
+    from diffsea.report.quantities import for_people
+
     rows = []
     for number, row in relative.items():
+        value, unit = for_people(found.numbers[number], number_unit(number))
         strongest = sorted(row, key=lambda name: -abs(row[name]))[:STRONGEST]
         parts = [f"{name} {row[name]:+.3g}" for name in strongest if abs(row[name]) > WEAKEST]
-        rows.append((number, f"{found.numbers[number]:.4g}", ", ".join(parts) or "-"))
-    header = ("number", "value (SI)", "% change per 1 % of the strongest parameters")
+        rows.append((number, f"{value:.4g}", unit, ", ".join(parts) or "-"))
+    header = ("number", "value", "", "% change per 1 % of the strongest parameters")
     out.present(args, table(rows, header))
 
 

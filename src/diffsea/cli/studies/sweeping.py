@@ -262,16 +262,22 @@ def _write_results(
     return summary
 
 
+_ENDS = ("least", "median", "most")
+
+
 def _summary_text(summary: dict[str, Any]) -> str:
     """sweep.json for a person."""
+    from diffsea.report.pages.campaign import number_unit
+    from diffsea.report.quantities import for_people
+
     outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
     lines = [f"{summary['designs']} designs ({outcomes})"]
-    rows = [
-        (name, *(f"{column[key]:.4g}" for key in ("least", "median", "most")))
-        for name, column in summary["metrics"].items()
-        if math.isfinite(column["median"])
-    ]
-    lines += [table(rows, ("number (SI)", "least", "median", "most"))] if rows else []
+    rows = []
+    for name, column in summary["metrics"].items():
+        if math.isfinite(column["median"]):
+            ends = [for_people(column[key], number_unit(name)) for key in _ENDS]
+            rows.append((name, *(f"{value:.4g}" for value, _ in ends), ends[0][1]))
+    lines += [table(rows, ("number", *_ENDS, ""))] if rows else []
     for name, verdict in summary["imo"].items():
         lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
     if "front" in summary:

@@ -84,7 +84,8 @@ FORMATS = (
         folder.streams,
         time_is_mapped=True,
         is_folder=folder.is_folder,
-        told="a folder of tables (name the tables where each is a run of its own); as one run it",
+        told="a folder of tables (where each is a run of its own, name them: {path}/*.csv); as one "
+        "run it",
     ),
 )
 # What a field for the example may be called, by the channel; the first that a log has is shown.
@@ -242,8 +243,9 @@ def _how_to_map(path: Path, form: LogFormat) -> str:
     row = example or 'psi = { column = "topic:field", unit = "rad" }'
     clock = shared[0] if shared else "..."
     time = f'  t = {{ column = "{clock}", unit = "s" }}\n' if form.time_is_mapped else ""
+    what = form.told.format(path=path)
     return (
-        f"{path} is {form.told} needs a mapping that says which fields are which channels. "
+        f"{path} is {what} needs a mapping that says which fields are which channels. "
         f"Topics and fields:\n{list_fields(found)}\nWrite, for instance in log.mapping.toml,\n"
         f"  [columns]\n{time}  {row}\n"
         "with a line per channel and its unit in the log, and name it with "

@@ -107,7 +107,11 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         if _level(sure) != "sure":
             checks.append(f"{guess.channel} ({name}): {guess.why}")
         if _level(sure) == "guess":
-            doubtful.append(f"{guess.channel} is {name!r} ({100 * sure:.0f} %): {guess.why}")
+            why = guess.why
+            if guess.channel.startswith("exec_"):
+                order = guess.channel.replace("exec_", "cmd_", 1)
+                why += f"; an order is {order} in the mapping: only an order is answered late"
+            doubtful.append(f"{guess.channel} is {name!r} ({100 * sure:.0f} %): {why}")
     for guess in doubted:
         summary.append(f"  {guess.channel:15s} none   {guess.sure:5.2f}  {guess.column.column}")
         checks.append(_why_not_written(evidence, guess, guesses))
