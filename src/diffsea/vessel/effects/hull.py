@@ -176,15 +176,12 @@ def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
 
 
 def _largest_coupling(vessel: Vessel) -> float:
-    """The most that added mass can couple sway and yaw, kg m.
+    """The most that inertia can couple sway and yaw, kg m.
 
-    The kinetic energy of the water is not negative: |Y_rdot| <= sqrt(Y_vdot N_rdot) (Newman 1977,
-    section 4.13). Of a vessel without these added masses, that of all its mass.
+    The kinetic energy of vessel and water is positive: |M_23| < sqrt(M_22 M_33).
     """
-    water, body = vessel.added_mass, vessel.rigid_body
-    sway, yaw = -float(water.Y_vdot), -float(water.N_rdot)
-    if not (sway > 0 and yaw > 0):
-        sway, yaw = sway + float(body.mass), yaw + float(body.I_z)
+    body, water = vessel.rigid_body, vessel.added_mass
+    sway, yaw = float(body.mass - water.Y_vdot), float(body.I_z - water.N_rdot)
     return math.sqrt(max(sway, 0.0) * max(yaw, 0.0))
 
 
