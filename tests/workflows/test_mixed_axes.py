@@ -110,3 +110,27 @@ def test_a_log_without_a_mapping_in_the_folder_is_told(files, checked, tmp_path)
     other.write_bytes(files[0].read_bytes())
     with pytest.raises(diffsea.UserError, match=r"has no d\.mapping\.toml.*diffsea check"):
         diffsea.read_recording(other, checked)
+
+
+def test_every_command_that_reads_takes_the_folder(files, checked, tmp_path, capsys):
+    through = ["--mapping", str(checked), "-o"]
+    assert main(["check", *map(str, files), *through, str(tmp_path / "check")]) == 0
+    assert main(["segment", *map(str, files), *through, str(tmp_path / "segment")]) == 0
+    record = json.loads((tmp_path / "segment" / "segments.json").read_text())["recordings"]
+    used = [one["source"]["mapping"]["file"] for one in record]
+    assert used == [f"{path.stem}.mapping.toml" for path in files]
+    assert main(["metrics", *map(str, files), *through, str(tmp_path / "metrics")]) == 0
+    repaired = ["audit", *map(str, files), "--repair", *through, str(tmp_path / "repaired")]
+    assert main(repaired) == 0
+    assert len(list((tmp_path / "repaired").glob("*.repaired.csv"))) == 3
+
+
+def test_a_log_that_the_folder_lacks_is_a_row_and_stops_no_other(files, checked, tmp_path, capsys):
+    other = pathlib.Path(files[0]).with_name("e.csv")
+    other.write_bytes(files[0].read_bytes())
+    for command in ("check", "audit"):
+        out = tmp_path / command
+        words = [command, str(files[0]), str(other), "--mapping", str(checked), "-o", str(out)]
+        assert main(words) == 0
+        text = (out / f"{command}.json").read_text()
+        assert "has no e.mapping.toml" in text and "Traceback" not in capsys.readouterr().err

@@ -89,8 +89,7 @@ def check_command(args: argparse.Namespace) -> None:
     texts = [_check_text(one) for one in checks]
     if together is not None:
         texts.append(_together_text(together))
-    texts.append("\n".join(f"{'      ' if k else 'next: '}{one}" for k, one in enumerate(commands)))
-    out.present(args, "\n\n".join(filter(None, texts)))
+    out.present(args, "\n\n".join(filter(None, texts)), commands)
 
 
 def _write_mappings(

@@ -335,11 +335,11 @@ def diagnose_command(args: argparse.Namespace) -> None:
             out.json("diagnosis.json", found.record)
             out.text("vessel.toml", dump(found.diagnosed.document))
             out.text("report.html", found.html())
-    out.present(args, f"{verdict_text(found.record)}\n\n{_next(args, out, found.record)}".rstrip())
+    out.present(args, verdict_text(found.record), _following(args, out, found.record))
 
 
-def _next(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]") -> str:
-    """The command that goes on from a diagnosis: first put right how recordings are read."""
+def _following(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]") -> list[str]:
+    """What goes on from a diagnosis: first put right how recordings are read."""
     from diffsea.report.wording.findings import misread_sentences
     from diffsea.report.wording.words import named_effects
 
@@ -347,11 +347,14 @@ def _next(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]") -> s
         words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test])]
         words += ["--mapping", str(args.mapping)] if args.mapping else []
         repaired = out.folder / "repaired"
-        return (
-            "next: as they are read now, nothing of this counts; put that right\n"
-            f"      {shlex.join([*words, '--repair', '-o', str(repaired)])}\n"
-            f"      and diagnose what it writes into {repaired}"
-        )
-    if named_effects(record):
-        return f"next: diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"
-    return ""
+        return [
+            "as they are read now, nothing of this counts; put that right",
+            shlex.join([*words, "--repair", "-o", str(repaired)]),
+            f"and diagnose what it writes into {repaired}",
+        ]
+    return [_prediction_of(out)] if named_effects(record) else []
+
+
+def _prediction_of(out: Outputs) -> str:
+    """The command that tries a vessel file of the results on a run that it has not seen."""
+    return f"diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"

@@ -141,16 +141,21 @@ class Outputs:
         replace_for_good([*moves, *elsewhere.items()])
         self.files += elsewhere.values()
 
-    def present(self, args: argparse.Namespace, summary: str) -> None:
+    def present(
+        self, args: argparse.Namespace, summary: str, following: Sequence[str] = ()
+    ) -> None:
         """Print the result: JSON alone with `--json`, else the summary and the files' names.
 
-        Called after the block: by then the files lie in their folder.
+        Called after the block: by then the files lie in their folder. `following` are the commands
+        that go on from here, a line each.
         """
         if args.json:
             print(self._result)
         else:
             written = ", ".join(str(file) for file in self.files)
-            print(printable(f"{summary}\n\nwritten: {written}"))
+            lines = [f"{'      ' if k else 'next: '}{one}" for k, one in enumerate(following)]
+            parts = [summary, "\n".join(lines), f"written: {written}"]
+            print(printable("\n\n".join(filter(None, parts))))
 
 
 def json_text(data: Any) -> str:

@@ -164,8 +164,9 @@ def _audit_or_propose(
         raise UserError("a recording is named twice; name each only once")
     tell(f"reading {counted(len(paths), 'recording')}")
     layouts = foreign_layouts(paths) if args.mapping is None else []
-    mappings = {path: mapping_for(args.mapping, path) for path in paths} if args.mapping else {}
     read = dict(zip(paths, read_readable(paths, args.mapping, args.start, args.end), strict=True))
+    readable = [path for path, one in read.items() if not isinstance(one, Finding)]
+    mappings = {path: mapping_for(args.mapping, path) for path in readable} if args.mapping else {}
     texts = []
     for layout in layouts:
         try:
@@ -373,7 +374,9 @@ def predict_command(args: argparse.Namespace) -> None:
         source = options.source_of(args)
         page = prediction_page(recording, drawn, result, source, vessel.units)
         out.text("predict.html", page)
-    out.present(args, _prediction_text(result))
+    words = ["diffsea", "diagnose", str(args.vessel), str(args.recording)]
+    words += ["--mapping", str(args.mapping)] if args.mapping else []
+    out.present(args, _prediction_text(result), [f"{shlex.join(words)}  # what the model lacks"])
 
 
 def _prediction_text(result: dict[str, Any]) -> str:

@@ -59,6 +59,7 @@ def segment_command(args: argparse.Namespace) -> None:
       diffsea segment log.csv --mapping boat.toml --vessel otter
       diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
     """
+    from diffsea.recordings.mappings import mapping_file
     from diffsea.report.pages.recordings import segments_page
     from diffsea.report.pictures import save_segments
     from diffsea.segments import SegmentSettings, group_repeats
@@ -74,6 +75,8 @@ def segment_command(args: argparse.Namespace) -> None:
         tell(f"reading {counted(len(args.recordings), 'recording')}")
         runs = options.read_recordings(args.recordings, args)
         stems = _different_stems(runs)
+        of_run = lambda path: mapping_file(args.mapping, path) if args.mapping else None
+        mappings = [of_run(path) for path in args.recordings]
         tell("looking for trials")
         signals = [signals_of(run, vessel) for run in runs]
         scales = [with_window(one, settings) for one in signals]
@@ -93,7 +96,7 @@ def segment_command(args: argparse.Namespace) -> None:
             entries.append(
                 {
                     "recording": run.name,
-                    "source": source_of(args.recordings[k], args.mapping),
+                    "source": source_of(args.recordings[k], mappings[k]),
                     "vessel": None if vessel is None else vessel.name,
                     "actuation": signals[k].origin,
                     "steering": signals[k].channel,
@@ -106,7 +109,9 @@ def segment_command(args: argparse.Namespace) -> None:
             shown.append((run, chosen, signals[k].notes))
         out.json("segments.json", record(entries))
         out.text("segments.html", segments_page(shown, options.source_of(args)))
-    out.present(args, "\n\n".join(texts))
+    has_any = any(entry["segments"] for entry in entries)
+    following = [f"diffsea metrics {out.folder}/*{suffix}"] if has_any else []
+    out.present(args, "\n\n".join(texts), following)
 
 
 def _different_stems(runs: "list[Trajectory]") -> list[str]:

@@ -243,26 +243,33 @@ def read_mapping(path: str | Path) -> Mapping:
 
 
 def mapping_for(given: "Mapping | str | Path | None", recording: str | Path) -> Mapping | None:
-    """The mapping by which a recording is read.
-
-    Arguments:
-        given: a mapping, its file, or a folder that has `STEM.mapping.toml` for each recording, as
-            `diffsea check` writes them.
+    """The mapping by which a recording is read: one that is given, or that of `mapping_file`.
 
     Raises:
-        UserError: the folder has none for this recording, or as `read_mapping`.
+        UserError: as `mapping_file` and `read_mapping` do.
     """
     if given is None or isinstance(given, Mapping):
         return given
+    return read_mapping(mapping_file(given, recording))
+
+
+def mapping_file(given: str | Path, recording: str | Path) -> Path:
+    """The mapping's file: the one given, or of a folder `STEM.mapping.toml`.
+
+    `diffsea check` writes such a file for each log.
+
+    Raises:
+        UserError: the folder has none for this recording.
+    """
     if not Path(given).is_dir():
-        return read_mapping(given)
+        return Path(given)
     own = Path(given) / f"{Path(recording).stem}.mapping.toml"
     if not own.exists():
         raise UserError(
             f"{given} has no {own.name}, by which {Path(recording).name} would be read: "
             f"`diffsea check {recording}` writes one, or name a mapping file"
         )
-    return read_mapping(own)
+    return own
 
 
 def mapping_from(table: dict[str, Any], path: Path) -> Mapping:

@@ -69,9 +69,17 @@ def choose_mappings(
         UserError: the mapping that is given cannot be read.
     """
     if mapping is not None:
-        given = None if mapping.is_dir() else read_mapping(mapping)
-        by = lambda path: given or mapping_for(mapping, path)
-        return {path: ChosenMapping(by(path), None, f"through {mapping}") for path in paths}
+        told = f"through {mapping}"
+        if not mapping.is_dir():
+            given = read_mapping(mapping)
+            return {path: ChosenMapping(given, None, told) for path in paths}
+        own: dict[Path, ChosenMapping | Finding] = {}
+        for path in paths:
+            try:
+                own[path] = ChosenMapping(mapping_for(mapping, path), None, told)
+            except UserError as error:
+                own[path] = unreadable(path.name, str(error))
+        return own
     chosen: dict[Path, ChosenMapping | Finding] = {}
     for path in paths:
         if not path.exists():

@@ -166,7 +166,8 @@ def sweep_command(args: argparse.Namespace) -> None:
         search = _search(file.vessel, plan, designs, wanted) if wanted else None
         parts = _do_parts(args, designs, file, plan)
         summary = _write_results(parts, out, goals, search)
-    out.present(args, _summary_text(summary))
+    more = "the same with --front NAME ... for designs no other beats, --wanted NAME=VALUE for one"
+    out.present(args, _summary_text(summary), [] if goals or wanted else [more])
 
 
 def _planned(args: argparse.Namespace, designs: "DesignSpace") -> "tuple[VesselFile, TrialPlan]":
