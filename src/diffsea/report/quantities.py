@@ -62,12 +62,15 @@ def round_to_error(value: float | None, std: float | None = None, unit: str = ""
 
     Arguments:
         value: in SI units; None or not finite is `not known`.
-        std: its standard error; three significant digits where there is none.
+        std: its standard error; three significant digits where there is none, and a whole number
+            without a unit of error zero is a count.
         unit: of both; radians become degrees.
     """
     if not is_known(value):
         return UNKNOWN
     value, name = for_people(value, unit)
+    if unit == "1" and std == 0 and float(value).is_integer():
+        return f"{value:.0f}"  # a count
     if not is_known(std) or std <= 0:
         return f"{significant(value, 3)} {name}".strip()
     # In a sentence two digits are enough, or all those before the point.
@@ -85,7 +88,7 @@ def with_error(value: float | None, std: float | None, unit: str = "") -> str:
         unit: of both; radians become degrees.
     """
     if not is_known(value) or not is_known(std) or std <= 0:
-        return round_to_error(value, None, unit)
+        return round_to_error(value, std, unit)
     value, name = for_people(value, unit)
     std, _ = for_people(std, unit)
     size = max(abs(value), std)

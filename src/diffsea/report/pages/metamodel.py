@@ -102,19 +102,18 @@ def _overview(entries: Sequence[Record], vessel: str | None) -> Table:
             ]
         )
         if entry["against"]:
-            medians = (entry["against"][key]["median"] for key in ("metamodel", "measured"))
-            rows[-1] += [f"{median:.0f}" for median in medians]
+            rows[-1].append(f"{entry['against']['metamodel']['median']:.0f}")
     columns = [
         "group",
         "trials used",
         "T (s)",
         "K (1/s)",
-        "neutral rudder (deg)",
+        "neutral (deg)",
         "cross-validation (%)",
         "trials not used (%)",
     ]
     if vessel:
-        columns += [f"{vessel} by metamodel (%)", f"{vessel} by trials (%)"]
+        columns.append(f"{vessel} by metamodel (%)")
     caption = "Median fit to a trial: 100 % is perfect, 0 % no better than its mean"
     return Table(columns, rows, caption, numeric=range(1, len(columns)))
 
