@@ -93,8 +93,7 @@ def _finding_table(found: Sequence[tuple[str, Sequence[Finding]]]) -> Table:
     rows = []
     for name, findings in found:
         for one in heaviest_first(findings):
-            unit = one.unit
-            size = with_error(one.value, one.std, unit) if math.isfinite(one.value) else ""
+            size = with_error(one.value, one.std, one.unit) if math.isfinite(one.value) else ""
             channels = Verbatim(", ".join(one.channels))
             what = Verbatim(name), as_words(one.kind), channels
             rows.append([*what, size, cost_words(one.cost), one.repair or ""])
