@@ -73,9 +73,8 @@ def main() -> None:
         return
     home = Path(__file__).resolve().parent
     kept = {"cases": args.cases, "first_seed": args.first_seed, "coverage": found}
-    reporting.Experiment(home, home, False, started).write_part(
-        label, kept, {label.upper(): coverage_table(found)}
-    )
+    tables = {} if args.no_gusts else {label.upper(): coverage_table(found)}
+    reporting.Experiment(home, home, False, started).write_part(label, kept, tables)
 
 
 def coverage_table(found: dict[str, dict]) -> str:

@@ -292,16 +292,22 @@ def show(record: dict) -> None:
 
 
 def wind_table(record: dict) -> str:
-    """How well winds are inferred, from all channels and without those that are smoothed."""
-    asked = {
-        "direction, median error, deg": ("median_direction_error", 1.0, "20"),
-        "speed, median error, %": ("median_speed_error", 100.0, "25"),
-        "rank correlation of speeds": ("rank_correlation", 1.0, "ranking right"),
-    }
-    rows = [
-        (what, *(factor * one["wind"][key] for one in record.values()), limit)
-        for what, (key, factor, limit) in asked.items()
-    ]
+    """How well winds are inferred, in the runs that were fitted and in those that were not."""
+    parts = {"fitted": True, "not fitted": False}
+    rows = []
+    for what, key, factor, limit in (
+        ("direction, median error, deg", "direction_error", 1.0, "20"),
+        ("speed, median error, %", "speed_ratio", 100.0, "25"),
+    ):
+        for part, fitted in parts.items():
+            cells = []
+            for one in record.values():
+                own = [row for row in one["wind"]["rows"] if row["fitted"] == fitted]
+                less = 1.0 if key == "speed_ratio" else 0.0
+                cells.append(factor * float(np.median([abs(row[key] - less) for row in own])))
+            rows.append((f"{what}, runs {part}", *cells, limit))
+    ranks = [one["wind"]["rank_correlation"] for one in record.values()]
+    rows.append(("rank correlation of speeds, all runs", *ranks, "ranking right"))
     for what, key in (("measured wind, hull refitted", "informed"), ("inferred wind", "blind")):
         gains = [one["gain"][key] for one in record.values()]
         rows.append((f"held-out gain in -2 log likelihood, {what}", *gains, ""))

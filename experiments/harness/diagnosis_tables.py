@@ -55,7 +55,10 @@ def audit_table(audits: Mapping[str, Sequence[Record]]) -> str:
             what = f"{one['kind']} ({', '.join(one['channels'])})"
             kinds.setdefault(what, []).append(one)
         for k, (what, found) in enumerate(kinds.items()):
-            values = [float(one["value"]) for one in found]
+            values = [float(one["value"]) for one in found if one["value"] is not None]
+            if not values:
+                rows.append((title if k == 0 else "", what, len(found), ""))
+                continue
             unit = str(found[0]["unit"])
             ends = [
                 round_to_error(end, None, unit)
@@ -76,7 +79,8 @@ _OF_CANDIDATES = (
 
 def labelled(row: Record) -> str:
     """A name, what it acts on, and the run if it has one."""
-    where = row.get("actuators") or row.get("channels") or []
+    where = [*filter(None, [row.get("variant", "").replace("_", " ")])]
+    where += row.get("actuators") or row.get("channels") or []
     if row.get("recording"):
         where = [*where, row["recording"]]
     return f"{row['name']} ({', '.join(where)})" if where else row["name"]

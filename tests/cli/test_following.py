@@ -62,6 +62,15 @@ def test_a_boat_that_no_drive_fits_is_left_alone():
     assert following_commands(NO_SPAN, checked, {}) == []
 
 
+def test_logs_of_one_boat_through_one_mapping_go_into_one_command():
+    args = argparse.Namespace(start=None, end=None)
+    paths = [pathlib.Path(name) for name in ("a.bin", "b.bin")]
+    twin, mapping = log(("port", "starboard"), form="ardupilot-bin"), pathlib.Path("boat.toml")
+    checked = [(path, twin) for path in paths]
+    _, diagnose = following_commands(args, checked, dict.fromkeys(paths, mapping))
+    assert diagnose == "diffsea diagnose boat.toml a.bin b.bin --mapping boat.toml"
+
+
 def test_span_mapping_and_log_are_passed_on_and_boats_told_apart():
     args = argparse.Namespace(start=5.0, end=100.0)
     paths = [pathlib.Path(name) for name in ("a.bin", "b.csv", "c.csv")]

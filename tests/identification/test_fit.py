@@ -392,17 +392,6 @@ def test_products_with_correlations_are_those_of_their_matrix():
     np.testing.assert_allclose(variance_inflation(columns, correlation), np.maximum(ratio, 1.0))
 
 
-def test_added_mass_couples_no_more_than_inertia_allows(document):
-    """|N_vdot| < sqrt(M_22 M_33): the kinetic energy of vessel and water is positive."""
-    vessel, effect = build(document), EFFECTS["added-mass-coupling:N_vdot"]
-    hull, body = document["hull"], vessel.rigid_body
-    ((low, high),) = effect.bounds(vessel)
-    inertia = np.array([float(body.mass) - hull["Y_vdot"], float(body.I_z) - hull["N_rdot"]])
-    assert high == pytest.approx(np.sqrt(inertia.prod())) and low == -high
-    energy = np.diag(inertia) - high * np.array([[0.0, 1.0], [1.0, 0.0]])
-    assert np.linalg.eigvalsh(energy)[0] == pytest.approx(0.0, abs=1e-9 * inertia.sum())
-
-
 def test_a_fit_cannot_end_in_an_impossible_vessel(document, recordings):
     """Y_rdot + N_vdot so large that a vessel would speed up against a force predicts nothing."""
     effect = EFFECTS["added-mass-coupling:Y_rdot"]

@@ -72,6 +72,18 @@ def test_late_positions_are_off_by_the_way_of_the_delay():
     assert cost(found, run) == pytest.approx(0.5 * SPEED, rel=1e-6)
 
 
+def test_a_speed_that_is_stuck_costs_no_way_that_it_kept():
+    run = straight(60.0)
+    found = fault("stuck", ("u",), Blank(("u",), ((20.0, 40.0),)))
+    assert cost(found, run) == pytest.approx(0.0, abs=1e-9) or np.isnan(cost(found, run))
+
+
+def test_late_velocities_at_a_steady_speed_cost_nothing():
+    run = straight(30.0)
+    late = cost(fault("sensor-latency", ("u", "v"), Shift(("u", "v"), 1.0)), run)
+    assert np.isnan(late) or late < 1e-9
+
+
 def test_a_run_shorter_than_a_minute_is_taken_whole():
     run = straight(30.0, u=lambda u: 1.1 * u)
     found = fault("scale", ("u",), Affine(("u",), 1 / 1.1))

@@ -714,7 +714,7 @@ def test_faults_that_differ_are_not_put_together():
     text = " ".join(verdict_text(summary).split())
     assert "turned (in A). Repair: offset = -0.1." in text
     assert "turned (in B). Repair: offset = 1.5." in text
-    assert "axes in C: turned gap in A: cut off gap in A: a clock gap" in text
+    assert "gap in A: cut off gap in A: a clock gap axes in C: turned" in text
 
 
 def test_what_is_needed_only_together_and_what_little_is_left_are_told():
@@ -823,6 +823,8 @@ def test_rounding_alone():
     assert round_to_error(2.1, 0.01, "rad") == "120 deg"
     assert with_error(0.2513, 0.004, "rad per s") == "14.4 +- 0.2 deg/s"  # of a rudder
     assert round_to_error(2.15, 0.01, "rad") == "123 deg"
+    assert round_to_error(5.8e8, 1.1e8, "N m/rad") == "5.8e8 N m/rad"
+    assert typeset("(5.8 +- 1.1)e8 N") == "(5.8 ± 1.1)×10⁸ N"
     assert round_to_error(1234.0, 30.0, "kg") == "1230 kg"
     assert significant(0.0, 3) == "0" and significant(1.3e-9, 2) == "1.3e-9"
     assert significant(12345678.0, 3) == "1.23e7" and significant(999.6, 3) == "1000"

@@ -105,11 +105,42 @@ def test_an_audit_without_a_mapping_proposes_two(files, tmp_path, capsys):
     ]  # fmt: skip
 
 
-def test_a_log_without_a_mapping_in_the_folder_is_told(files, checked, tmp_path):
+def test_a_log_without_a_mapping_in_the_folder_is_told(files, checked):
     other = pathlib.Path(files[0]).with_name("d.csv")
     other.write_bytes(files[0].read_bytes())
-    with pytest.raises(diffsea.UserError, match=r"has no d\.mapping\.toml.*diffsea check"):
+    with pytest.raises(diffsea.UserError, match=r"no column 't'.*has no d\.mapping\.toml for it"):
         diffsea.read_recording(other, checked)
+    with pytest.raises(diffsea.UserError, match="a DataFrame has none"):
+        diffsea.read_recording(pd.read_csv(other), checked)
+
+
+def test_a_table_that_needs_no_mapping_is_read_without_one(files, checked, tmp_path):
+    native = tmp_path / "native.csv"
+    diffsea.write_recording(diffsea.read_recording(files[0], checked), native)
+    both = [diffsea.read_recording(path, checked) for path in (native, files[0])]
+    np.testing.assert_allclose(both[0].u, both[1].u, atol=1e-9)
+
+
+def test_two_logs_of_one_name_are_not_read_through_one_mapping(files, checked, tmp_path, capsys):
+    twin = tmp_path / "other" / "a.csv"
+    twin.parent.mkdir()
+    twin.write_bytes(files[2].read_bytes())
+    for command in ("audit", "check", "metrics"):
+        words = [command, str(files[0]), str(twin), "--mapping", str(checked)]
+        assert main([*words, "-o", str(tmp_path / command)]) == 1
+        assert "one a.mapping.toml for" in capsys.readouterr().err
+    # Nor is the folder named where a check had to number its mappings.
+    assert main(["check", *map(str, files), str(twin), "-o", str(tmp_path / "four")]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "diagnose boat" in line]
+    assert len(told) == 2 and all(line.endswith(".mapping.toml") for line in told)
+
+
+def test_a_file_that_is_too_short_to_be_asked_alone_goes_with_the_others(files, tmp_path):
+    short = tmp_path / "short.csv"
+    short.write_text("".join(files[0].read_text().splitlines(keepends=True)[:40]))
+    chosen = choose_mappings([*files, short])
+    axes = {path.stem: getattr(how, "mapping", None) for path, how in chosen.items()}
+    assert axes["a"].velocity_axes == "earth" and axes["c"].velocity_axes == "body"
 
 
 def test_every_command_that_reads_takes_the_folder(files, checked, tmp_path, capsys):
@@ -125,12 +156,12 @@ def test_every_command_that_reads_takes_the_folder(files, checked, tmp_path, cap
     assert len(list((tmp_path / "repaired").glob("*.repaired.csv"))) == 3
 
 
-def test_a_log_that_the_folder_lacks_is_a_row_and_stops_no_other(files, checked, tmp_path, capsys):
+def test_a_log_that_the_folder_lacks_stops_no_other(files, checked, tmp_path, capsys):
     other = pathlib.Path(files[0]).with_name("e.csv")
     other.write_bytes(files[0].read_bytes())
-    for command in ("check", "audit"):
-        out = tmp_path / command
-        words = [command, str(files[0]), str(other), "--mapping", str(checked), "-o", str(out)]
-        assert main(words) == 0
-        text = (out / f"{command}.json").read_text()
-        assert "has no e.mapping.toml" in text and "Traceback" not in capsys.readouterr().err
+    words = [str(files[0]), str(other), "--mapping", str(checked), "-o"]
+    assert main(["audit", *words, str(tmp_path / "audit")]) == 0
+    assert "has no e.mapping.toml" in (tmp_path / "audit" / "audit.json").read_text()
+    # A check proposes one for it.
+    assert main(["check", *words, str(tmp_path / "check")]) == 0
+    assert (tmp_path / "check" / "e.mapping.toml").exists()

@@ -80,8 +80,17 @@ class LogCheck:
 
     @property
     def reversed_turning(self) -> bool:
-        """Whether the audit says that orders turn the vessel to the other side."""
-        return any(one.kind in REVERSED and one.axis == "yaw" for one in self.audit)
+        """Whether the audit says that orders turn the vessel to the other side.
+
+        Reversed or exchanged actuators do, and motion whose axes are mirrored.
+        """
+
+        def turns_back(one: Finding) -> bool:
+            actuators = any(name.startswith(("cmd_", "exec_")) for name in one.channels)
+            mirrored = one.kind in ("axes", "sign") and bool({"psi", "r"} & set(one.channels))
+            return (one.kind in REVERSED and actuators) or mirrored
+
+        return any(map(turns_back, self.audit))
 
     @property
     def next(self) -> list[OpenQuestion]:

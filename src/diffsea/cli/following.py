@@ -31,7 +31,7 @@ def following_commands(
     """
     alike: dict[str | None, list[Checked]] = {}
     for path, one in checked:
-        boat = _new_boat(one, path) if path in mappings else None
+        boat = _drive(one) if path in mappings else None
         alike.setdefault(boat, []).append((path, one))
     lines: list[str] = []
     boats: dict[str, str] = {}
@@ -56,13 +56,19 @@ def _by_mapping(
     files = {path: mappings.get(path) for path in paths}
     given = set(files.values())
     folders = {file.parent for file in given if file is not None}
-    told_by_name = None not in given and len({path.stem for path in paths}) == len(paths)
+    told_by_name = None not in given and len({path.stem for path in mappings}) == len(mappings)
     if told_by_name and len(given) > 1 and len(folders) == 1:
         return {folders.pop(): list(paths)}
     found: dict[pathlib.Path | None, list[pathlib.Path]] = {}
     for path, file in files.items():
         found.setdefault(file, []).append(path)
     return found
+
+
+def read_so(args: argparse.Namespace) -> list[str]:
+    """The words by which another command reads the same: mapping and stretch."""
+    mapping = [] if args.mapping is None else ["--mapping", str(args.mapping)]
+    return [*mapping, *reading_options(args)]
 
 
 def reading_options(args: argparse.Namespace) -> list[str]:
@@ -73,18 +79,20 @@ def reading_options(args: argparse.Namespace) -> list[str]:
 
 def _new_boat(one: "LogCheck", path: pathlib.Path) -> str:
     """The options by which `diffsea new` makes a vessel that takes a log's orders, or nothing."""
+    drive = _drive(one)
+    log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
+    return f"--length M --beam M --mass KG {drive}{log}" if drive else ""
+
+
+def _drive(one: "LogCheck") -> str:
+    """The options of what drives and steers the boat of a log, or nothing where none fits."""
     orders = {name.lower() for name in (*one.run.commanded, *one.run.executed)}
     unit = _unit_option(one)
     if orders == {"port", "starboard"}:
-        drive = f"--thrusters M{unit}"
-    elif orders == {"rudder", "motor"}:
-        drive = f"--rudder{unit}"
-    elif orders in ({"rudder", "propeller"}, {"rudder"}):
-        drive = "--hull ship"
-    else:
-        return ""
-    log = f" --log {shlex.quote(str(path))}" if one.log.startswith("ardupilot") else ""
-    return f"--length M --beam M --mass KG {drive}{log}"
+        return f"--thrusters M{unit}"
+    if orders == {"rudder", "motor"}:
+        return f"--rudder{unit}"
+    return "--hull ship" if orders in ({"rudder", "propeller"}, {"rudder"}) else ""
 
 
 def _unit_option(one: "LogCheck") -> str:

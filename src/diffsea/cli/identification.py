@@ -9,6 +9,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
+from diffsea.cli.following import read_so
 from diffsea.cli.options import add_choice, add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
@@ -344,17 +345,13 @@ def _following(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]")
     from diffsea.report.wording.words import named_effects
 
     if misread_sentences(record):
-        words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test])]
-        words += ["--mapping", str(args.mapping)] if args.mapping else []
+        words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test]), *read_so(args)]
         repaired = out.folder / "repaired"
         return [
             "as they are read now, nothing of this counts; put that right",
             shlex.join([*words, "--repair", "-o", str(repaired)]),
-            f"and diagnose what it writes into {repaired}",
+            f"and diagnose what it writes into {repaired}, the same runs held out",
         ]
-    return [_prediction_of(out)] if named_effects(record) else []
-
-
-def _prediction_of(out: Outputs) -> str:
-    """The command that tries a vessel file of the results on a run that it has not seen."""
-    return f"diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"
+    if not named_effects(record):
+        return []
+    return [f"diffsea predict {shlex.quote(str(out.folder / 'vessel.toml'))} ANOTHER_RUN"]

@@ -274,9 +274,10 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
     import dataclasses
 
     from diffsea import recordings
-    from diffsea.recordings.mappings import check_span
+    from diffsea.recordings.mappings import check_span, check_stems
 
     mapping = args.mapping
+    check_stems(mapping, paths)
     if mapping is not None and not mapping.is_dir():
         mapping = recordings.read_mapping(mapping)
     check_span(args.start, args.end, "what is to be read:")
@@ -285,7 +286,8 @@ def read_recordings(paths: Sequence[pathlib.Path], args: argparse.Namespace) -> 
         try:
             runs.append(recordings.read_recording(path, mapping, args.start, args.end))
         except UserError as error:
-            alike = [] if mapping is not None else _foreign_like(path, paths)
+            by_name = mapping is None or isinstance(mapping, pathlib.Path)
+            alike = _foreign_like(path, paths) if by_name else []
             if not alike or isinstance(error.__cause__, OSError):
                 raise
             raise UserError(_how_to_map(alike, len(paths))) from error
@@ -313,7 +315,8 @@ def _how_to_map(paths: Sequence[pathlib.Path], count: int) -> str:
     """
     files = " ".join(shlex.quote(str(path)) for path in paths)
     which = f"{paths[0]} has" if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more have"
-    mapping = pathlib.Path("out") / "check" / f"{paths[0].stem}.mapping.toml"
+    folder = pathlib.Path("out") / "check"
+    mapping = folder / f"{paths[0].stem}.mapping.toml" if len(paths) == 1 else folder
     return (
         f"{which} not diffsea's columns (t, x, y, psi, ..., cmd_...) between commas: "
         f"`diffsea check {files}` proposes a mapping and says how sure it is of each; look at it, "

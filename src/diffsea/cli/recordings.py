@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from diffsea.cli import options
+from diffsea.cli.following import read_so
 from diffsea.cli.options import add_flag, add_option
 from diffsea.cli.outputs import Outputs, table
 from diffsea.cli.progress.staged import StagedProgress
@@ -90,7 +91,7 @@ def metrics_command(args: argparse.Namespace) -> None:
         (first, *others) = found.values()
         out.json("metrics.json", {"runs": found} if others else first)
         by_name = {run.name: run for run in runs}
-        out.text("metrics.html", metrics_page(found, by_name, options.source_of(args)))
+        out.text("metrics.html", metrics_page(found, by_name, options.source_of(args), length))
     out.present(args, "\n\n".join(f"{n}: {metrics_text(item)}" for n, item in found.items()))
 
 
@@ -374,8 +375,7 @@ def predict_command(args: argparse.Namespace) -> None:
         source = options.source_of(args)
         page = prediction_page(recording, drawn, result, source, vessel.units)
         out.text("predict.html", page)
-    words = ["diffsea", "diagnose", str(args.vessel), str(args.recording)]
-    words += ["--mapping", str(args.mapping)] if args.mapping else []
+    words = ["diffsea", "diagnose", str(args.vessel), str(args.recording), *read_so(args)]
     out.present(args, _prediction_text(result), [f"{shlex.join(words)}  # what the model lacks"])
 
 

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,7 +60,7 @@ def segment_command(args: argparse.Namespace) -> None:
       diffsea segment log.csv --mapping boat.toml --vessel otter
       diffsea segment day1.csv --kind zigzag,turning --interval 0.1 -o trials
     """
-    from diffsea.recordings.mappings import mapping_file
+    from diffsea.recordings.mappings import mapping_path
     from diffsea.report.pages.recordings import segments_page
     from diffsea.report.pictures import save_segments
     from diffsea.segments import SegmentSettings, group_repeats
@@ -75,7 +76,7 @@ def segment_command(args: argparse.Namespace) -> None:
         tell(f"reading {counted(len(args.recordings), 'recording')}")
         runs = options.read_recordings(args.recordings, args)
         stems = _different_stems(runs)
-        of_run = lambda path: mapping_file(args.mapping, path) if args.mapping else None
+        of_run = lambda path: mapping_path(args.mapping, path) if args.mapping else None
         mappings = [of_run(path) for path in args.recordings]
         tell("looking for trials")
         signals = [signals_of(run, vessel) for run in runs]
@@ -110,7 +111,7 @@ def segment_command(args: argparse.Namespace) -> None:
         out.json("segments.json", record(entries))
         out.text("segments.html", segments_page(shown, options.source_of(args)))
     has_any = any(entry["segments"] for entry in entries)
-    following = [f"diffsea metrics {out.folder}/*{suffix}"] if has_any else []
+    following = [f"diffsea metrics {shlex.quote(str(out.folder))}/*{suffix}"] if has_any else []
     out.present(args, "\n\n".join(texts), following)
 
 

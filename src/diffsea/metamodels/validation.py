@@ -94,7 +94,7 @@ def compare_vessel(
         starts: when it begins, s on the clock of its run.
 
     Raises:
-        UserError: a run has no orders for one of the vessel's actuators.
+        UserError: a run has no orders for one of the vessel's actuators, or no speed.
     """
     expected = np.asarray(predict_trials(model, trials).r)
     times = float(trials.dt) * np.arange(trials.r.shape[1])

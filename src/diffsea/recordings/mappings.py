@@ -38,7 +38,7 @@ import dataclasses
 import math
 import string
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -243,33 +243,36 @@ def read_mapping(path: str | Path) -> Mapping:
 
 
 def mapping_for(given: "Mapping | str | Path | None", recording: str | Path) -> Mapping | None:
-    """The mapping by which a recording is read: one that is given, or that of `mapping_file`.
-
-    Raises:
-        UserError: as `mapping_file` and `read_mapping` do.
-    """
+    """The mapping by which a recording is read: one that is given, or that of `mapping_path`."""
     if given is None or isinstance(given, Mapping):
         return given
-    return read_mapping(mapping_file(given, recording))
+    file = mapping_path(given, recording)
+    return None if file is None else read_mapping(file)
 
 
-def mapping_file(given: str | Path, recording: str | Path) -> Path:
-    """The mapping's file: the one given, or of a folder `STEM.mapping.toml`.
+def mapping_path(given: str | Path, recording: str | Path) -> Path | None:
+    """The mapping's file: the one given, or of a folder `STEM.mapping.toml` where it has that.
 
-    `diffsea check` writes such a file for each log.
-
-    Raises:
-        UserError: the folder has none for this recording.
+    `diffsea check` writes such a file for each log that needs one; others are read without.
     """
     if not Path(given).is_dir():
         return Path(given)
     own = Path(given) / f"{Path(recording).stem}.mapping.toml"
-    if not own.exists():
-        raise UserError(
-            f"{given} has no {own.name}, by which {Path(recording).name} would be read: "
-            f"`diffsea check {recording}` writes one, or name a mapping file"
-        )
-    return own
+    return own if own.exists() else None
+
+
+def check_stems(given: "Mapping | str | Path | None", recordings: Iterable[str | Path]) -> None:
+    """Raise `UserError` where a folder of mappings could not tell two recordings apart."""
+    if not isinstance(given, str | Path) or not Path(given).is_dir():
+        return
+    seen: dict[str, Path] = {}
+    for path in map(Path, recordings):
+        other = seen.setdefault(path.stem, path)
+        if other != path:
+            raise UserError(
+                f"{given} has one {path.stem}.mapping.toml for {other} and {path}: read them in "
+                "turn, each with its own mapping file, or give them unlike names"
+            )
 
 
 def mapping_from(table: dict[str, Any], path: Path) -> Mapping:

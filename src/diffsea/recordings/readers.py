@@ -77,20 +77,29 @@ def read_recording(
     an instant counts from that instant on. The provenance says how many, and so does `read`.
 
     Numbers beyond 1e100 are missing samples. A mapping may be a folder that has
-    `STEM.mapping.toml` for each file.
+    `STEM.mapping.toml` for each file that needs one.
 
     Raises `UserError` naming file, line and column for anything that cannot be read as a
     recording: no time, no motion, cells that are no numbers, time that runs backwards.
     """
-    if isinstance(source, pd.DataFrame):
-        mapping = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
-    else:
+    folder = mapping if isinstance(mapping, str | Path) and Path(mapping).is_dir() else None
+    if not isinstance(source, pd.DataFrame):
         mapping = mapping_for(mapping, source)
+    elif folder is not None:
+        raise UserError(f"{folder} is a folder of mappings by file name; a DataFrame has none")
+    elif isinstance(mapping, str | Path):
+        mapping = read_mapping(mapping)
     if mapping is not None:
         start = mapping.start if start is None else start
         end = mapping.end if end is None else end
     check_span(start, end, "what is to be read:")
-    whole = _read_whole(source, mapping)
+    try:
+        whole = _read_whole(source, mapping)
+    except UserError as error:
+        if isinstance(source, pd.DataFrame) or folder is None or mapping is not None:
+            raise
+        told = f"{error}; {folder} has no {Path(source).stem}.mapping.toml for it"
+        raise UserError(told) from error
     if mapping is not None and mapping.constants:
         whole = _with_constants(whole, mapping)
     return cut_between(whole, start, end)

@@ -143,7 +143,8 @@ def _order_panels(run: Trajectory, most: int, units: Mapping[str, str]) -> list[
             if unit_of[channel] == unit
         ]
         in_unit = f" ({shown})" if shown else ""
-        what = "orders" if counted.commanded else "executed"
+        ordered = any(unit_of[channel] == unit for channel in counted.commanded)
+        what = "orders" if ordered else "executed"
         panels.append(Panel(what, f"{what}{in_unit}: {', '.join(names)}", lines))
     return panels
 

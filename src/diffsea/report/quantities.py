@@ -12,7 +12,7 @@ CERTAIN = 6.0  # decimal logarithm of odds from which their size tells nothing m
 
 _DEGREES = {"rad": "deg", "rad/s": "deg/s", "rad per s": "deg/s"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_EXPONENT = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)e(-?\d+)(?!\w)")
+_EXPONENT = re.compile(r"(?:(?<![\w.])(-?\d+(?:\.\d+)?)|(?<=\)))e(-?\d+)(?!\w)")
 _MINUS = re.compile(r"(?<![\w.\-])-(?=\d)")
 UNKNOWN = "not known"
 
@@ -57,6 +57,11 @@ def _decimals(std: float) -> int:
     return digits - 1 - _exponent(std, digits)
 
 
+def _power(size: float) -> int:
+    """The power of ten that is written out; zero where the number can be read without."""
+    return _exponent(size, 2) if size >= MOST_WITHOUT_EXPONENT else 0
+
+
 def round_to_error(value: float | None, std: float | None = None, unit: str = "") -> str:
     """A value alone, rounded as its error suggests: `0.30 m/s`.
 
@@ -76,7 +81,9 @@ def round_to_error(value: float | None, std: float | None = None, unit: str = ""
     # In a sentence two digits are enough, or all those before the point.
     enough = max(1 - _exponent(value, 2), 0) if value else 0
     decimals = min(_decimals(for_people(std, unit)[0]), enough)
-    return f"{_with_decimals(value, decimals)} {name}".strip()
+    power = _power(abs(value))
+    mantissa = _with_decimals(value / 10**power, decimals + power)
+    return f"{mantissa}{f'e{power}' if power else ''} {name}".strip()
 
 
 def with_error(value: float | None, std: float | None, unit: str = "") -> str:
@@ -91,8 +98,7 @@ def with_error(value: float | None, std: float | None, unit: str = "") -> str:
         return round_to_error(value, std, unit)
     value, name = for_people(value, unit)
     std, _ = for_people(std, unit)
-    size = max(abs(value), std)
-    power = _exponent(size, 2) if size >= MOST_WITHOUT_EXPONENT else 0
+    power = _power(max(abs(value), std))
     decimals = _decimals(std) + power
     both = " +- ".join(_with_decimals(one / 10**power, decimals) for one in (value, std))
     return f"({both})e{power} {name}".strip() if power else f"{both} {name}".strip()
@@ -150,6 +156,7 @@ def duration(seconds: float) -> str:
 def typeset(text: str) -> str:
     """The same text with the signs of print: plus-minus, minus, powers of ten, degrees."""
     out = text.replace("+-", "±").replace("->", "→").replace("^2", "²").replace("^3", "³")
-    out = _EXPONENT.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(_SUPERSCRIPTS)}", out)
+    power = lambda m: f"{m[1] or ''}×10{str(int(m[2])).translate(_SUPERSCRIPTS)}"
+    out = _EXPONENT.sub(power, out)
     out = _MINUS.sub("−", out)
     return out.replace(" deg/s", "°/s").replace(" deg", "°")

@@ -15,7 +15,7 @@ from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
 from diffsea.recordings.auditing.mapping_rows import with_rows_of_mapping
 from diffsea.recordings.idle import used_parts
-from diffsea.recordings.mappings import mapping_for
+from diffsea.recordings.mappings import check_stems, mapping_for
 from diffsea.trajectory import Trajectory
 
 
@@ -153,9 +153,10 @@ def read_readable(
     Raises:
         UserError: the mapping cannot be read.
     """
+    several, read = list(given), []
+    check_stems(mapping, (one for one in several if isinstance(one, str | pathlib.Path)))
     if isinstance(mapping, str | pathlib.Path) and not pathlib.Path(mapping).is_dir():
         mapping = read_mapping(mapping)
-    several, read = list(given), []
     for one in several:
         try:
             read.append(as_recording(one, mapping, start, end))
@@ -225,7 +226,7 @@ def audit(
     def through(one: Recording, done: Trajectory | Finding) -> Mapping | None:
         if isinstance(one, Trajectory) or isinstance(done, Finding):
             return None
-        return mapping_for(mapping, one if isinstance(one, str | pathlib.Path) else "a DataFrame")
+        return mapping_for(mapping, one if isinstance(one, str | pathlib.Path) else "")
 
     judged = audit_readable(read, list(map(through, several, read)))
     found = [finding for _, findings in judged for finding in findings]

@@ -20,12 +20,13 @@ from diffsea.recordings import (
     unreadable,
 )
 from diffsea.recordings.known import Recognised, recognise
-from diffsea.recordings.mapping_proposal import Proposal, foreign_layouts, propose_mapping
+from diffsea.recordings.mapping_proposal import SURE, Proposal, foreign_layouts, propose_mapping
 from diffsea.recordings.mappings import (
     CHANNEL_DIMENSIONS,
     COLUMNS_NOT_USED,
-    mapping_for,
+    check_stems,
     mapping_from,
+    mapping_path,
 )
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import Trajectory
@@ -69,17 +70,17 @@ def choose_mappings(
         UserError: the mapping that is given cannot be read.
     """
     if mapping is not None:
-        told = f"through {mapping}"
         if not mapping.is_dir():
             given = read_mapping(mapping)
-            return {path: ChosenMapping(given, None, told) for path in paths}
-        own: dict[Path, ChosenMapping | Finding] = {}
-        for path in paths:
-            try:
-                own[path] = ChosenMapping(mapping_for(mapping, path), None, told)
-            except UserError as error:
-                own[path] = unreadable(path.name, str(error))
-        return own
+            return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
+        check_stems(mapping, paths)
+        own = {path: mapping_path(mapping, path) for path in paths}
+        rest = choose_mappings([path for path, file in own.items() if file is None])
+        return rest | {
+            path: ChosenMapping(read_mapping(file), None, f"through {file}")
+            for path, file in own.items()
+            if file is not None
+        }
     chosen: dict[Path, ChosenMapping | Finding] = {}
     for path in paths:
         if not path.exists():
@@ -129,17 +130,24 @@ def propose_by_axes(files: Sequence[Path]) -> list[tuple[Sequence[Path], Proposa
     """Mappings proposed for files of one layout: one for all, unless their velocities differ.
 
     Recorders change between axes of the vessel and of the earth from one day to another. Where
-    the audit finds the axes wrong in some of the files that are read alike, each is asked alone.
+    velocities are no more than likely, or the audit finds the axes wrong in some of the files that
+    are read alike, each is asked alone.
 
     Raises:
         UserError: nothing can be proposed.
     """
     together = propose_mapping(files)
-    if len(files) == 1 or not together.timed or not _has_wrong_axes(files, _table_of(together)):
+    if len(files) == 1 or not together.timed:
+        return [(files, together)]
+    doubted = any(together.sure.get(channel, SURE) < SURE for channel in ("u", "v"))
+    if not doubted and not _has_wrong_axes(files, _table_of(together)):
         return [(files, together)]
     by_axes: dict[str, list[Path]] = {}
     for path in files:
-        by_axes.setdefault(_table_of(propose_mapping(path)).velocity_axes, []).append(path)
+        axes = _table_of(together).velocity_axes
+        with contextlib.suppress(UserError):  # too little of it to be asked alone: as the others
+            axes = _table_of(propose_mapping(path)).velocity_axes
+        by_axes.setdefault(axes, []).append(path)
     if len(by_axes) < 2:
         return [(files, together)]
     return [(group, propose_mapping(group)) for group in by_axes.values()]

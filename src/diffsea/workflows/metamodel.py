@@ -217,8 +217,9 @@ class MetamodelResult(Tabulated):
 
     def notes(self) -> list[str]:
         told = [f"left out: {name}: {why}" for name, why in self.search.excluded.items()]
-        few = [name for name, trials in self.search.groups.items() if len(trials) < FEWEST]
-        told += [f"fewer than {FEWEST} trials: {', '.join(few)}"] if few else []
+        least = FEWEST + self.settings["drop"]
+        few = [name for name, trials in self.search.groups.items() if len(trials) < least]
+        told += [f"fewer than {least} trials: {', '.join(few)}"] if few else []
         for one in self.models:
             if float(one.fit.model.b) < 0:
                 told.append(
@@ -237,6 +238,8 @@ class MetamodelResult(Tabulated):
     def _judgement(self, one: Metamodel, found: VesselComparison) -> str:
         """How well a vessel follows, beside how well the metamodel itself does."""
         follows = [np.median(percent) for percent in (found.of_metamodel, found.of_measured)]
+        if not np.isfinite(follows).all():
+            return f"{one.group}: {self.settings['against']} diverges under these orders"
         neutral = math.degrees(float(one.fit.model.neutral))
         return (
             f"{one.group}: {self.settings['against']} follows the metamodel to {follows[0]:.0f} % "
@@ -300,11 +303,13 @@ def metamodel(
         UserError: logs that cannot be read, no group with enough trials, or no orders for an
             actuator of the vessel that is judged.
     """
+    if drop < 0:
+        raise UserError(f"{drop} trials cannot be dropped")
     if most - drop < FEWEST:
         less = f" less {drop} dropped" if drop else ""
         raise UserError(f"a metamodel needs {FEWEST} trials or more, not {most}{less}")
     judged = None if against is None else as_vessel(against)
-    runs = as_recordings(logs, mapping)
+    runs = _named_apart(as_recordings(logs, mapping))
     progress(f"looking for trials in {counted(len(runs), 'log')}")
     boat = None if vessel is None else as_vessel(vessel)
     found = search_logs(runs, boat, window)
@@ -312,8 +317,10 @@ def metamodel(
     enough = {name: trials for name, trials in found.groups.items() if len(trials) >= least}
     if not enough:
         counts = ", ".join(f"{len(trials)} {name}" for name, trials in found.groups.items())
+        needed = f"the {FEWEST} trials that a metamodel needs"
+        needed += f" and {drop} to drop" if drop else ""
         raise UserError(
-            f"no group has the {least} trials that a metamodel needs: found {counts}; give more "
+            f"no group has {needed}: found {counts}; give more "
             "logs, or set --window to the time of a quarter turn"
         )
     models = []
@@ -368,6 +375,13 @@ def _metamodel(
     return Metamodel(
         group, used, others, trials, fit, crossed, percent, asked, ideal, averages, dropped
     )
+
+
+def _named_apart(runs: Sequence[Trajectory]) -> list[Trajectory]:
+    """The logs, those of one name numbered: trials say by its name which log they are of."""
+    names = [run.name for run in runs]
+    number = lambda k: f" ({names[: k + 1].count(names[k])})" if names.count(names[k]) > 1 else ""
+    return [dataclasses.replace(run, name=f"{run.name}{number(k)}") for k, run in enumerate(runs)]
 
 
 def _judging(one: Metamodel, vessel: Vessel, logs: dict[str, Trajectory]) -> Metamodel:

@@ -31,7 +31,7 @@ def register(commands: options.Commands) -> None:
     add_option(parser, "--most", "N", options.count, most, default=MOST)
     own = "let each trial have a steady moment of its own, as of wind"
     add_flag(parser, "--own-moments", own)
-    drop = "leave out so many of them, those that the metamodel of all follows worst (default: 0)"
+    drop = "leave out so many of them, which the metamodel of all follows worst (default: none)"
     add_option(parser, "--drop", "N", options.count, drop)
     against = "vessel to judge by the metamodels, under the orders of their trials"
     add_option(parser, "--against", "V", str, against)

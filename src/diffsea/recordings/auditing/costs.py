@@ -80,8 +80,7 @@ def _velocity(motion: MeasuredMotion) -> Complex[np.ndarray, "time"]:
     """Ahead + i to starboard, m/s; where none is measured by the positions, and all of it ahead."""
     if not motion.has("u"):
         return np.abs(np.gradient(motion.place, motion.t)) + 0j
-    ahead, aside = (np.where(motion.known[c], motion.values[c], 0.0) for c in ("u", "v"))
-    return ahead + 1j * aside
+    return motion.values["u"] + 1j * motion.values["v"]  # straight across what is not known
 
 
 def _reckoned_way(motion: MeasuredMotion, first: _Rows, last: _Rows) -> _Ways:

@@ -9,6 +9,7 @@ May import the readers, mappings and the audit, whose tests of actuators it uses
 
 from diffsea.recordings.mapping_proposal.names import Suggestion as Suggestion
 from diffsea.recordings.mapping_proposal.names import suggest_labels as suggest_labels
+from diffsea.recordings.mapping_proposal.proposal import SURE as SURE
 from diffsea.recordings.mapping_proposal.proposal import Proposal as Proposal
 from diffsea.recordings.mapping_proposal.proposal import foreign_layouts as foreign_layouts
 from diffsea.recordings.mapping_proposal.proposal import is_foreign as is_foreign

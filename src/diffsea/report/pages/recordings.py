@@ -102,19 +102,22 @@ def _finding_table(found: Sequence[tuple[str, Sequence[Finding]]]) -> Table:
 
 
 def metrics_page(
-    found: Mapping[str, Record], runs: Mapping[str, Trajectory], source: Record
+    found: Mapping[str, Record],
+    runs: Mapping[str, Trajectory],
+    source: Record,
+    length: float | None,
 ) -> str:
     """Numbers of recorded trials, with the criteria that they are judged by.
 
     Arguments:
         found: by recording, the content of metrics.json.
         runs: the recordings by name.
+        length: of the vessel, m; without one no criterion can be judged.
     """
     criteria = _criteria_table(found)
-    unjudged = all("imo" not in one for one in found.values())
     failed = sum(row[-1] == "fail" for row in criteria.rows)
     word, lead = "", f"No criterion of IMO MSC.137(76) applies to {count_recordings(len(found))}."
-    if unjudged:
+    if length is None:
         lead = "Without the vessel's length no criterion of IMO MSC.137(76) can be judged."
     if criteria.rows:
         word = "fail" if failed else "pass"

@@ -41,9 +41,9 @@ def heaviest_first(found: Iterable[Found]) -> list[Found]:
     """Findings in the order in which they matter, as `WEIGHED` says; costs not known come last."""
 
     def weight(one: Finding | Record) -> tuple[bool, float]:
-        made = isinstance(one, Finding)
-        kind, known = (one.kind, one.cost) if made else (one["kind"], one.get("cost"))
-        return kind in MAPPING_KINDS, known if is_known(known) else -1.0
+        record = one.as_dict() if isinstance(one, Finding) else one
+        known = one.cost if isinstance(one, Finding) else one.get("cost")
+        return is_misread(record), known if is_known(known) else -1.0
 
     return sorted(found, key=weight, reverse=True)
 

@@ -9,7 +9,7 @@ import equinox as eqx
 from diffsea.scales import GRAVITY, froude_speed
 from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
-from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, Bound, Onset, Size
+from diffsea.vessel.effects.coordinates import ALL_LOST_AT_MOST, ANY, Bound, Onset, Size
 from diffsea.vessel.effects.entry import (
     CoordinateValues,
     Effect,
@@ -175,16 +175,6 @@ def drag_change(vessel: Vessel, at: CoordinateValues) -> Vessel:
     return add_force(vessel, "drag-change", Change(at[0], at[1], "resistance"))
 
 
-def _largest_coupling(vessel: Vessel) -> float:
-    """The most that inertia can couple sway and yaw, kg m.
-
-    The kinetic energy of vessel and water is positive: |M_23| < sqrt(M_22 M_33).
-    """
-    body, water = vessel.rigid_body, vessel.added_mass
-    sway, yaw = float(body.mass - water.Y_vdot), float(body.I_z - water.N_rdot)
-    return math.sqrt(max(sway, 0.0) * max(yaw, 0.0))
-
-
 def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
     def is_possible(vessel: Vessel) -> bool:
         return float(vessel.added_mass.Y_rdot) == 0 and float(vessel.added_mass.N_vdot) == 0
@@ -195,10 +185,7 @@ def _added_mass_coupling(variant: str, units: dict[str, str]) -> Effect:
 
     def bounds(name: str, vessel: Vessel) -> Bound:
         end = LEVER_BOUND * float(vessel.rigid_body.length)
-        if name == "x_G":
-            return (-end, end)
-        most = _largest_coupling(vessel)
-        return (-most, most)
+        return (-end, end) if name == "x_G" else ANY
 
     @hull_effect(
         f"added-mass-coupling{variant}",
