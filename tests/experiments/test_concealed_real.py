@@ -76,7 +76,7 @@ def test_what_the_page_says_of_cases_run_again_is_what_was_found():
         assert line["revision"] != before[key]["revision"]
     told = (
         f"of the {len(wrong[True])} with a wrong name {sum(wrong[True])} have one still, and of "
-        f"the {len(wrong[False])} others {sum(wrong[False])} has got one"
+        f"the {len(wrong[False])} others {sum(wrong[False])} have got one"
     )
     assert told in " ".join(text.split()) and f"Of these cases {len(again)} have been" in text
 
