@@ -280,6 +280,24 @@ def test_a_bias_that_is_not_certain_stays_and_is_said():
     assert check.notes[0].startswith("what is told of the answer to orders rests on r, and that")
 
 
+@pytest.mark.parametrize(
+    "kind, channels, told",
+    [
+        ("sign", ("exec_rudder",), True),
+        ("swapped-actuators", ("cmd_port", "cmd_starboard"), True),
+        ("axes", ("y", "psi", "v", "r"), True),  # mirrored as a whole
+        ("sign", ("r",), True),
+        ("axes", ("u", "v"), False),
+        ("sign", ("v",), False),
+        ("sensor-latency", ("r",), False),
+    ],
+)
+def test_the_audit_says_whether_orders_turn_the_boat_the_other_way(kind, channels, told):
+    check = check_run(recorded(noisy(drive(DELAY))), (), ("csv", "a table", "vessel"), {})
+    found = Finding(kind, 1.0, 0.1, "1", "", channels=channels)
+    assert dataclasses.replace(check, audit=(found,)).reversed_turning is told
+
+
 def test_headlines_say_only_what_is_told_from_nothing():
     estimate = lambda value, low, high: IntervalEstimate(value, low, high, "s")
     constant = estimate(1.0, 0.9, 1.1)
