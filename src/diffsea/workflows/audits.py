@@ -13,6 +13,7 @@ import pandas as pd
 from diffsea.errors import UserError
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Finding, Mapping, audit_set, read_mapping, read_recording, unreadable
+from diffsea.recordings.auditing.finding import weight
 from diffsea.recordings.auditing.mapping_rows import with_rows_of_mapping
 from diffsea.recordings.idle import used_parts
 from diffsea.recordings.mappings import check_stems, mapping_for
@@ -65,7 +66,7 @@ Recording = Trajectory | pd.DataFrame | str | pathlib.Path
 
 
 class Findings(Tabulated, Sequence[Finding]):
-    """What an audit found, run by run."""
+    """What an audit found, run by run; its table and notes have what matters most first."""
 
     def __init__(self, findings: Iterable[Finding], runs: Sequence[str]):
         self._findings = tuple(findings)
@@ -90,12 +91,17 @@ class Findings(Tabulated, Sequence[Finding]):
                 "value": one.value,
                 "+-": one.std,
                 "unit": one.unit,
+                "off in a minute (m)": one.cost,
             }
-            for one in self._findings
+            for one in self._by_weight()
         ]
 
     def notes(self) -> list[str]:
-        return [f"{one.recording}: {one.message}" for one in self._findings]
+        return [f"{one.recording}: {one.message}" for one in self._by_weight()]
+
+    def _by_weight(self) -> list[Finding]:
+        key = lambda one: weight(one.kind, one.doubt, one.cost)
+        return sorted(self._findings, key=key, reverse=True)
 
 
 def as_recording(

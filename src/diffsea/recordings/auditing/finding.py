@@ -75,6 +75,16 @@ class Finding:
         }
 
 
+def weight(kind: str, doubt: str | None, cost: float | None) -> tuple[bool, float]:
+    """By what findings are put in order, the greatest first.
+
+    What is wrong with how the recording is read, without a doubt, comes before all else; then
+    what costs most, and last what is not known to cost anything.
+    """
+    known = cost is not None and math.isfinite(cost)
+    return kind in MAPPING_KINDS and not doubt, cost if known and cost is not None else -1.0
+
+
 _TEXT = importlib.resources.files("diffsea.recordings.auditing") / "findings.toml"
 _CATALOGUE = tomllib.loads(_TEXT.read_text(encoding="utf-8"))
 CAUSES: dict[str, str] = _CATALOGUE.pop("causes")  # names of causes in messages

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 from diffsea.recordings import MAPPING_KINDS, Finding
+from diffsea.recordings.auditing.finding import weight
 from diffsea.report.quantities import is_known, round_to_error, significant
 from diffsea.report.wording.words import Record, as_words, count_recordings
 
@@ -40,12 +41,12 @@ WEIGHED = (
 def heaviest_first(found: Iterable[Found]) -> list[Found]:
     """Findings in the order in which they matter, as `WEIGHED` says; costs not known come last."""
 
-    def weight(one: Finding | Record) -> tuple[bool, float]:
-        record = one.as_dict() if isinstance(one, Finding) else one
-        known = one.cost if isinstance(one, Finding) else one.get("cost")
-        return is_misread(record), known if is_known(known) else -1.0
+    def key(one: Finding | Record) -> tuple[bool, float]:
+        if isinstance(one, Finding):
+            return weight(one.kind, one.doubt, one.cost)
+        return weight(one["kind"], one.get("doubt"), one.get("cost"))
 
-    return sorted(found, key=weight, reverse=True)
+    return sorted(found, key=key, reverse=True)
 
 
 def cost_words(cost: float | None) -> str:
