@@ -19,7 +19,7 @@ EXPERIMENTS = ROOT / "experiments"
 # By experiment, numbers that are no results: of a paper, a set-up or the plant.
 OF_NO_RESULT = {
     "blueboat": set(),
-    "coverage": set(),
+    "coverage": {"3000"},
     "design_sweep": {"540", "16.54"},
     "esso_osaka": {"0.135", "0.520"},
     "estimate_check": set(),
@@ -30,7 +30,7 @@ OF_NO_RESULT = {
     "online_estimation": {"240"},
     "overshoot_sensitivity": set(),
     "pytheas": {"102", "229.8", "475", "1801"},
-    "real_fits": {"2015"},
+    "real_fits": {"2015", "3.25", "3.34"},
     "unberthing": set(),
     "virtual_sea_trials": set(),
     "vrx_wamv": {"0.004422"},
@@ -55,11 +55,16 @@ def _numbers(content):
 
 
 def _results(folder):
-    """All numbers of the results files, by factor, sorted."""
+    """All numbers of the results files, by factor, sorted.
+
+    Of an experiment in parts, whose files are large, those of the tables in its README alone.
+    """
     found = set()
     for file in folder.rglob("*"):
         if file.suffix == ".json":
-            found.update(_numbers(json.loads(file.read_text())))
+            content = json.loads(file.read_text())
+            in_parts = isinstance(content, dict) and "parts" in content
+            found.update(_numbers(content["tables"] if in_parts else content))
         elif file.suffix == ".jsonl":
             found.update(_numbers([json.loads(line) for line in file.read_text().splitlines()]))
         elif file.suffix == ".csv":
