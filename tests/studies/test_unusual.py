@@ -69,6 +69,7 @@ def test_a_mass_ten_times_too_large_is_unusual():
     [
         ({"top_speed": 44.3}, "Froude number of the top speed: 10, 11 times the most"),
         ({"turning_diameter": 100.0}, "tactical diameter over length: 50, 7.8 times the most"),
+        ({"top_speed": 4.08}, "0.921, 1.03 times the most"),
         ({"surge_time": 0.01}, "time constant of its speed in sqrt(L / g): 0.0221, 0.031 times"),
         ({"course_times": (-0.5, 0.9)}, "fall, times sqrt(L / g): -0.903, 8.4 times the least"),
         ({"top_speed": float("inf"), "turning_diameter": None}, ""),

@@ -86,7 +86,9 @@ def _compared(value: float, limit: float, word: str) -> str:
     """A number beside the limit that it passes, with their ratio where that means something."""
     text = f"{value:.3g}"
     if value * limit > 0 and abs(value) > 0.01 * abs(limit):
-        return f"{text}, {value / limit:.3g} times the {word} of the vessels that ship, {limit:.3g}"
+        ratio = value / limit
+        times = f"{ratio:.2g}" if abs(ratio - 1) >= 0.05 else f"{ratio:.3g}"
+        return f"{text}, {times} times the {word} of the vessels that ship, {limit:.3g}"
     return f"{text}, where the {word} of the vessels that ship is {limit:.3g}"
 
 
