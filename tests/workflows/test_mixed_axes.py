@@ -110,6 +110,9 @@ def test_a_log_without_a_mapping_in_the_folder_is_told(files, checked):
     other.write_bytes(files[0].read_bytes())
     with pytest.raises(diffsea.UserError, match=r"no column 't'.*has no d\.mapping\.toml for it"):
         diffsea.read_recording(other, checked)
+    with pytest.raises(diffsea.UserError) as missing:
+        diffsea.read_recording(other.with_name("nowhere.csv"), checked)
+    assert "mapping" not in str(missing.value)
     with pytest.raises(diffsea.UserError, match="a DataFrame has none"):
         diffsea.read_recording(pd.read_csv(other), checked)
 

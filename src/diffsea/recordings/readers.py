@@ -98,6 +98,8 @@ def read_recording(
     except UserError as error:
         if isinstance(source, pd.DataFrame) or folder is None or mapping is not None:
             raise
+        if not Path(source).exists():
+            raise
         told = f"{error}; {folder} has no {Path(source).stem}.mapping.toml for it"
         raise UserError(told) from error
     if mapping is not None and mapping.constants:
