@@ -12,6 +12,7 @@ from diffsea.runtime import prepare_jax
 prepare_jax()
 
 from experiments.check_data import absent, data_folder
+from experiments.harness.diagnosis_tables import labelled
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -138,7 +139,7 @@ def show(title: str, record: dict) -> None:
           f"misfit over noise {record['fit']}")  # fmt: skip
     for row in record["candidates"][:SHOWN]:
         values = ", ".join(_valued(*item) for item in row.get("parameters", {}).items())
-        told = f"  {label(row)}: {row['status']} ({row['reason']}), log10 odds "
+        told = f"  {labelled(row)}: {row['status']} ({row['reason']}), log10 odds "
         told += f"{row['log10_odds']:.1f}"
         if "held_out_gain" in row:
             told += f", held-out {row['held_out_gain']:.0f} +- {row['held_out_gain_std']:.0f}"
@@ -153,15 +154,9 @@ def _valued(name: str, entry: dict) -> str:
     return f"{name} {entry['value']:.3g} +- {entry['std']:.2g} {entry['unit']}"
 
 
-def label(row: dict) -> str:
-    """A candidate's name and what it acts on."""
-    where = row.get("actuators") or row.get("channels") or []
-    return f"{row['name']} ({', '.join(where)})" if where else row["name"]
-
-
 def named(record: dict) -> list[str]:
     """Names that a diagnosis gave, each once."""
-    return list(dict.fromkeys(label(effect) for effect in record["effects"]))
+    return list(dict.fromkeys(labelled(effect) for effect in record["effects"]))
 
 
 def plot_candidates(name: str, records: dict[str, dict]) -> None:
@@ -173,11 +168,11 @@ def plot_candidates(name: str, records: dict[str, dict]) -> None:
     for axes, (title, record) in zip(rows, records.items(), strict=True):
         shown = record["candidates"][:SHOWN][::-1]
         axes.barh(
-            [f"{k} {label(row)}" for k, row in enumerate(shown)],
+            [f"{k} {labelled(row)}" for k, row in enumerate(shown)],
             [row["log10_odds"] for row in shown],
             color=[colours.get(row["status"], "#b8c0c8") for row in shown],
         )
-        axes.set_yticks(range(len(shown)), [label(row) for row in shown], fontsize=7)
+        axes.set_yticks(range(len(shown)), [labelled(row) for row in shown], fontsize=7)
         axes.set_xscale("symlog")
         axes.set_title(f"{title}: {record['verdict']}", fontsize=9, loc="left")
     rows[-1].set_xlabel("log10 odds of the effect against the nominal model, one at a time")

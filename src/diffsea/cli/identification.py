@@ -348,7 +348,7 @@ def _following(args: argparse.Namespace, out: Outputs, record: "dict[str, Any]")
         words = ["diffsea", "audit", *map(str, [*args.recordings, *args.test]), *read_so(args)]
         repaired = out.folder / "repaired"
         return [
-            "as they are read now, nothing of this counts; put that right",
+            "put right first how the recordings are read, on which all of this rests",
             shlex.join([*words, "--repair", "-o", str(repaired)]),
             f"and diagnose what it writes into {repaired}, the same runs held out",
         ]

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import TypeVar
 
-from diffsea.recordings import MAPPING_KINDS, Finding
+from diffsea.recordings import Finding
 from diffsea.recordings.auditing.finding import weight
 from diffsea.report.quantities import is_known, round_to_error, significant
 from diffsea.report.wording.words import Record, as_words, count_recordings
@@ -27,7 +27,7 @@ def misread_sentences(summary: Record) -> list[str]:
 
 def is_misread(finding: Record) -> bool:
     """Whether what is wrong, without a doubt, is how a recording is read."""
-    return finding["kind"] in MAPPING_KINDS and not finding.get("doubt")
+    return weight(finding["kind"], finding.get("doubt"), None)[0]
 
 
 Found = TypeVar("Found", Finding, Record)
