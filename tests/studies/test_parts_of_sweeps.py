@@ -134,6 +134,26 @@ def test_parts_of_a_sweep_have_columns_of_their_own_and_the_table_has_all(whole)
     assert list(table)[-1] == "outcome" and list(table)[:3] == ["mass", "N_r", "I_z"]
 
 
+@pytest.mark.slow
+def test_the_designs_of_the_least_and_the_most_are_named(whole):
+    table = pd.read_parquet(whole / "whole" / "sweep.parquet")
+    summary = json.loads((whole / "whole" / "sweep.json").read_text())
+    for name, column in summary["metrics"].items():
+        for end in ("least", "most"):
+            design = pd.Series(column[f"{end}_design"])
+            assert list(design.index) == ["mass", "N_r", "I_z"]
+            [row] = table[(table[list(design.index)] == design).all(axis=1)].to_dict("records")
+            assert row[name] == column[end]
+
+
+def test_a_number_that_no_design_has_names_none(tmp_path):
+    table = tmp_path / "sweep.parquet"
+    rows = {"mass": [60.0, 80.0], "period": [np.nan, np.nan], "outcome": ["impossible"] * 2}
+    pd.DataFrame(rows).to_parquet(table)
+    found = merging.summarise(table, ["mass"])["metrics"]["period"]
+    assert found["least_design"] is None and found["most_design"] is None
+
+
 @pytest.mark.parametrize("shard", ["0/2", "3/2", "1", "a/b"])
 def test_a_shard_that_cannot_be_is_bad_usage(shard, tmp_path, capsys):
     assert main(["sweep", "otter", *ORDERED, *GRID, "--shard", shard, "-o", str(tmp_path)]) == 2

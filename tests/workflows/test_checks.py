@@ -12,6 +12,7 @@ from tests.recordings.driven_boat import FULL, NEUTRAL, drive, noisy
 
 from diffsea.checks import check_run, check_together
 from diffsea.checks.answers import Answers, IntervalEstimate, LagOfAnswer, answers_of
+from diffsea.checks.open_questions import open_questions
 from diffsea.checks.shares import in_shares, order_scales
 from diffsea.cli import main
 from diffsea.recordings import Finding, audit, write_recording
@@ -222,7 +223,29 @@ def test_what_is_not_in_a_log_is_asked_for_within_three_minutes(checked):
     assert "how fast it answers an order to turn" in asked
     assert "steady turning to port, and so drift" in asked
     assert "resistance by speed" not in asked
-    assert sum(one.seconds for one in part.next) <= 180
+    assert part.answers.stayed > 8  # for it hardly turned
+    assert sum(one.seconds for one in part.next) <= part.as_dict()["next"]["seconds"] == 180
+
+
+def test_a_vessel_that_turns_slowly_is_given_longer():
+    quick = recorded(noisy(drive(dock=0.0, after=0.0).every(0.02)))
+    part = quick.rows((quick.t > 20) & (quick.t < 300))
+    longer = 30.0  # times as long for everything, at the same speeds
+    stretched = {name: longer * getattr(part, name) for name in ("t", "x", "y")}
+    slow = dataclasses.replace(part, r=part.r / longer, **stretched)
+    small, ship = (check_run(run, (), ("csv", "a table", "vessel"), {}) for run in (part, slow))
+    seconds = {one.what: one.seconds for one in small.cannot_tell}
+    assert ship.answers.stayed > 8 * small.answers.stayed
+    slowness = ship.answers.stayed / small.answers.stayed
+    both = [one for one in ship.cannot_tell if 0 < seconds.get(one.what, 0) < np.inf]
+    assert both
+    for one in both:
+        assert one.seconds == pytest.approx(slowness * seconds[one.what])
+    assert ship.as_dict()["next"]["seconds"] == pytest.approx(180 * slowness)
+    courses = open_questions([slow], dataclasses.replace(ship.answers, speed=()), (), (), True)
+    [legs] = [one.record for one in courses if one.what == "resistance by speed"]
+    leg = float(re.search(r"(\d+) s each", legs)[1])
+    assert leg == pytest.approx(20 * slowness, rel=0.05)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.8])

@@ -23,6 +23,7 @@ from diffsea.trajectory import Samples, Trajectory
 
 DRAWS = 400
 LEVEL = 0.9  # of the intervals
+STAYED = 8.0  # s for which an order of a small boat has stood before she is steady
 _FINEST = 0.05  # s, of the clock on which answers are compared
 _CONSTANTS = 24  # time constants looked for
 _BIN = 0.1  # of full order
@@ -76,7 +77,7 @@ def _time_scales_of(run: Trajectory) -> TimeScales:
         interval=max(motion.interval, _FINEST, window / 100),
         latest=max(4.0, 0.5 * window),
         slowest=max(20.0, 4 * window),
-        stayed=max(8.0, window),
+        stayed=max(STAYED, window),
         block=max(20.0, window),
     )
 
@@ -142,6 +143,7 @@ class Answers:
         asymmetry: `ratio` of the thrusts of port and starboard, (1 - ratio) : (1 + ratio); of a
             rudder, of the turning rates by orders to starboard and to port.
         paired: whether it is that of a pair of thrusters.
+        stayed: s for which an order has stood before speed or rate count as steady.
         ahead, turn, speeds, rates: the samples behind these, on one clock of all used spans.
     """
 
@@ -155,6 +157,7 @@ class Answers:
     speeds: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     rates: Samples = dataclasses.field(default_factory=lambda: np.empty(0))
     paired: bool = False
+    stayed: float = STAYED
 
     def as_dict(self) -> dict[str, object]:
         """As it stands in check.json: all but the samples."""
@@ -182,7 +185,7 @@ def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]])
     parts = [cut(run, *span) for run, spans in runs for span in spans]
     pieces = [piece for part in parts if (piece := _piece(part, scales)) is not None]
     if not pieces:
-        return Answers()
+        return Answers(stayed=scales.stayed)
     ahead = np.concatenate([piece.orders.ahead for piece in pieces])
     speeds = np.concatenate([piece.speed for piece in pieces])
     rates = np.concatenate([piece.rate for piece in pieces])
@@ -213,6 +216,7 @@ def answers_of(runs: Sequence[tuple[Trajectory, Sequence[tuple[float, float]]]])
         speeds=speeds,
         rates=rates,
         paired=any(piece.orders.sides is not None for piece in pieces),
+        stayed=scales.stayed,
     )
 
 

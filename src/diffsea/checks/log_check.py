@@ -8,7 +8,7 @@ import numpy as np
 
 from diffsea.checks.answers import Answers, answers_of
 from diffsea.checks.corrections import correct_motion
-from diffsea.checks.open_questions import MINUTES, OpenQuestion, next_minutes, open_questions
+from diffsea.checks.open_questions import OpenQuestion, next_length, next_minutes, open_questions
 from diffsea.checks.shares import OrderScale, in_shares, order_scales, orders_of
 from diffsea.errors import UserError
 from diffsea.recordings import Finding
@@ -94,8 +94,8 @@ class LogCheck:
 
     @property
     def next(self) -> list[OpenQuestion]:
-        """What to record in the next three minutes."""
-        return next_minutes(self.cannot_tell)
+        """What to record in the next minutes."""
+        return next_minutes(self.cannot_tell, next_length(self.answers))
 
     def as_dict(self) -> dict[str, object]:
         """The content of check.json."""
@@ -114,7 +114,10 @@ class LogCheck:
             "trials": [_trial_record(one) for one in self.trials],
             "shows": self.answers.as_dict(),
             "cannot_tell": [one.as_dict() for one in self.cannot_tell],
-            "next": {"seconds": MINUTES, "record": [one.record for one in self.next]},
+            "next": {
+                "seconds": next_length(self.answers),
+                "record": [one.record for one in self.next],
+            },
             "notes": list(self.notes),
         }
 

@@ -1,4 +1,7 @@
-"""What logs cannot tell, and which three minutes would."""
+"""What logs cannot tell, and which minutes would.
+
+Three of a small boat; of a slower vessel as many more as she takes longer to become steady.
+"""
 
 import dataclasses
 import math
@@ -6,19 +9,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsea.checks.answers import Answers
+from diffsea.checks.answers import STAYED, Answers
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
 
 
-MINUTES = 180.0  # s, the length of what is proposed
+LENGTH = 180.0  # s, of what is proposed to a small boat
 _FULL = 0.8  # of full order, from which on it is nearly full
 _ASTERN = -0.15  # of full order
-_HELD = 8.0  # s
 _LEVELS = 3  # speeds that a curve of resistance needs
 _TURNED = 0.1  # of full order, from which on an order turns
 _HEADINGS = math.radians(120)  # of the circle, that headings must range over
-_VAGUE = 0.6  # s, width of the interval of a dead time that is not well known
+_VAGUE = 0.6  # s, width of the interval of a small boat's dead time that is not well known
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +75,29 @@ def open_questions(
     else:
         found += [*_of_turning(answers, trials), *_of_speed(answers)]
     found += _of_surroundings(runs)
-    return found
+    slowness = _slowness(answers)
+    return [dataclasses.replace(one, seconds=slowness * one.seconds) for one in found]
+
+
+def next_length(answers: Answers) -> float:
+    """How long (s) what is proposed may last."""
+    return LENGTH * _slowness(answers)
+
+
+def next_minutes(questions: Sequence[OpenQuestion], length: float) -> list[OpenQuestion]:
+    """What to record in the next `length` s: what matters most and still fits, each once."""
+    chosen: list[OpenQuestion] = []
+    left = length
+    for one in questions:
+        if one.record and one.seconds <= left and one.record not in [c.record for c in chosen]:
+            chosen.append(one)
+            left -= one.seconds
+    return chosen
+
+
+def _slowness(answers: Answers) -> float:
+    """How many times longer than a small boat she takes; one where no order was seen to turn her."""
+    return 1.0 if answers.lag_of_turning is None else answers.stayed / STAYED
 
 
 def _of_turning(answers: Answers, trials: Sequence[Segment]) -> list[OpenQuestion]:
@@ -85,14 +109,14 @@ def _of_turning(answers: Answers, trials: Sequence[Segment]) -> list[OpenQuestio
     if lag is None:
         why = "less than 30 % of the turning rate's variance follows the orders"
         found.append(OpenQuestion("how fast it answers an order to turn", why, zigzags, 60.0))
-    elif lag.delay.high - lag.delay.low > _VAGUE:
+    elif lag.delay.high - lag.delay.low > _VAGUE * _slowness(answers):
         why = f"the dead time is known to between {lag.delay.low:.1f} and {lag.delay.high:.1f} s"
         found.append(OpenQuestion("how late it answers", why, zigzags, 60.0))
     orders = [point.order for point in answers.turning]
     circles = [one.side for one in trials if one.kind == "turning"]
     for side, sign in (("starboard", 1.0), ("port", -1.0)):
         if not any(sign * order > _TURNED for order in orders) and side not in circles:
-            why = f"no order to {side} stood for {_HELD:.0f} s"
+            why = f"no order to {side} stood for {answers.stayed:.0f} s"
             record = f"a full circle to {side} at half ahead"
             found.append(OpenQuestion(f"steady turning to {side}, and so drift", why, record, 45.0))
     return found
@@ -104,7 +128,8 @@ def _of_speed(answers: Answers) -> list[OpenQuestion]:
     if len(orders) < _LEVELS:
         courses = f"straight courses at {len(orders)} order{'s' * (len(orders) > 1)}"
         why = f"{courses if orders else 'no straight course at an order'} that stood"
-        record = "straight ahead at three orders, 20 s each"
+        leg = _two_digits(20.0 * _slowness(answers))
+        record = f"straight ahead at three orders, {leg} s each"
         found.append(OpenQuestion("resistance by speed", why, record, 60.0))
     elif max(orders) < _FULL:
         why = f"the largest order that stood is {100 * max(orders):.0f} % of full"
@@ -136,12 +161,6 @@ def _of_surroundings(runs: Sequence[Trajectory]) -> list[OpenQuestion]:
     return found
 
 
-def next_minutes(questions: Sequence[OpenQuestion]) -> list[OpenQuestion]:
-    """What to record in the next three minutes: what matters most and still fits, each once."""
-    chosen: list[OpenQuestion] = []
-    left = MINUTES
-    for one in questions:
-        if one.record and one.seconds <= left and one.record not in [c.record for c in chosen]:
-            chosen.append(one)
-            left -= one.seconds
-    return chosen
+def _two_digits(seconds: float) -> int:
+    """Seconds to two digits, as people time a leg."""
+    return int(round(seconds, 1 - math.floor(math.log10(seconds))))

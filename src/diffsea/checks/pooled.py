@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from diffsea.checks.answers import Answers, answers_of
 from diffsea.checks.log_check import LogCheck
-from diffsea.checks.open_questions import MINUTES, OpenQuestion, next_minutes, open_questions
+from diffsea.checks.open_questions import OpenQuestion, next_length, next_minutes, open_questions
 from diffsea.checks.shares import OrderScale, in_shares, joint_scales, orders_of
 from diffsea.recordings.conditioning import cut
 
@@ -31,8 +31,8 @@ class PooledCheck:
 
     @property
     def next(self) -> list[OpenQuestion]:
-        """What to record in the next three minutes."""
-        return next_minutes(self.cannot_tell)
+        """What to record in the next minutes."""
+        return next_minutes(self.cannot_tell, next_length(self.answers))
 
     def as_dict(self) -> dict[str, object]:
         """As it stands in check.json, in `together`."""
@@ -40,7 +40,10 @@ class PooledCheck:
             "logs": list(self.names),
             "shows": self.answers.as_dict(),
             "cannot_tell": [one.as_dict() for one in self.cannot_tell],
-            "next": {"seconds": MINUTES, "record": [one.record for one in self.next]},
+            "next": {
+                "seconds": next_length(self.answers),
+                "record": [one.record for one in self.next],
+            },
         }
 
 

@@ -36,7 +36,7 @@ def register(commands: options.Commands) -> None:
 def check_command(args: argparse.Namespace) -> None:
     """Says what is in logs of one boat, without a mapping and without a vessel: craft and format,
     channels, gaps and faults, idle stretches that are left out, trials, speed and turning rate by
-    order, lag, difference of the sides, what the logs cannot tell and which three minutes would.
+    order, lag, difference of the sides, what the logs cannot tell and which minutes would.
     Writes check.json, check.html, and where a mapping was chosen or proposed STEM.mapping.toml.
     With several logs check.json holds {"logs": {name: ...}}, and what they show together in
     "together". A log that cannot be read is a row.
@@ -179,7 +179,10 @@ def _together_text(pooled: "PooledCheck") -> str:
 
 def _open_lines(one: "LogCheck | PooledCheck") -> list[str]:
     """What cannot be told, and what to record next."""
+    from diffsea.report.quantities import duration
+
     lines = [f"cannot tell {q.what}: {q.why}" for q in one.cannot_tell]
     if one.next:
-        lines.append("the next three minutes: " + "; ".join(q.record or "" for q in one.next))
+        length = duration(sum(q.seconds for q in one.next))
+        lines.append(f"record next, in {length}: " + "; ".join(q.record or "" for q in one.next))
     return lines

@@ -80,7 +80,8 @@ def _schema(parts: Parts) -> pa.Schema:
 
 def summarise(table: Path, parameters: list[str]) -> dict[str, Any]:
     """The content of sweep.json but what was swept: counts of outcomes and of IMO verdicts; least,
-    median and most of each number, and the ends of each parameter, in SI units."""
+    median and most of each number, with the designs of its ends, and the ends of each parameter, in
+    SI units."""
     file = pq.ParquetFile(table)
 
     def values(name: str) -> Chunks:
@@ -109,7 +110,10 @@ def summarise(table: Path, parameters: list[str]) -> dict[str, Any]:
         "designs": file.metadata.num_rows,
         "parameters": {n: {"from": one["least"], "to": one["most"]} for n, one in ends.items()},
         "outcomes": dict(counts("outcome").most_common()),
-        "metrics": {name: extent(values(name)) for name in numbers},
+        "metrics": {
+            name: extent(values(name)) | _designs_of_ends(file, name, parameters)
+            for name in numbers
+        },
         "imo": {
             name.removeprefix("imo_"): {word: found[word] for word in ("pass", "fail")}
             for name, found in verdicts.items()
@@ -144,6 +148,25 @@ def extent(chunks: Chunks) -> dict[str, Any]:
         "most": float(high),
         "designs": count,
     }
+
+
+def _designs_of_ends(
+    file: pq.ParquetFile, number: str, parameters: list[str]
+) -> dict[str, dict[str, float] | None]:
+    """The parameters of the designs with the least and the most of a number, the first of several.
+
+    None where no design has it.
+    """
+    found: dict[str, tuple[float, dict[str, float]]] = {}
+    for batch in file.iter_batches(columns=[number, *parameters]):
+        rows = batch.to_pandas().dropna(subset=[number])
+        for end, sign in (("least", 1.0), ("most", -1.0)):
+            if len(rows) == 0:
+                continue
+            row = rows.iloc[int(np.argmin(sign * rows[number].to_numpy()))]
+            if end not in found or sign * row[number] < sign * found[end][0]:
+                found[end] = float(row[number]), {name: float(row[name]) for name in parameters}
+    return {f"{end}_design": found[end][1] if end in found else None for end in ("least", "most")}
 
 
 def _of_rank(chunks: Chunks, rank: int, low: float, high: float) -> float:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 PART = 4096  # as the library has it, which would import JAX to be asked
 MAPPED = 100_000  # designs that are drawn at most
+TOLD_PARAMETERS = 2  # that a line of a terminal has room for, twice
 MERGE = "merge"  # in the place of a vessel
 WANTED_FORM = "NAME=VALUE"
 
@@ -269,16 +270,19 @@ _ENDS = ("least", "median", "most")
 def _summary_text(summary: dict[str, Any]) -> str:
     """sweep.json for a person."""
     from diffsea.report.pages.campaign import number_unit
+    from diffsea.report.pages.sweep import DESIGNS_OF_ENDS, design_words
     from diffsea.report.quantities import for_people
 
     outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
     lines = [f"{summary['designs']} designs ({outcomes})"]
-    rows = []
+    rows, told = [], DESIGNS_OF_ENDS if len(summary["parameters"]) <= TOLD_PARAMETERS else ()
     for name, column in summary["metrics"].items():
         if math.isfinite(column["median"]):
             ends = [for_people(column[key], number_unit(name)) for key in _ENDS]
-            rows.append((name, *(f"{value:.4g}" for value, _ in ends), ends[0][1]))
-    lines += [table(rows, ("number", *_ENDS, ""))] if rows else []
+            designs = [design_words(column[key]) for key in told]
+            rows.append((name, *(f"{value:.4g}" for value, _ in ends), ends[0][1], *designs))
+    head = ("number", *_ENDS, "", *("least in", "most in")[: len(told)])
+    lines += [table(rows, head)] if rows else []
     for name, verdict in summary["imo"].items():
         lines.append(f"IMO {name}: {verdict['pass']} pass, {verdict['fail']} fail")
     if "front" in summary:

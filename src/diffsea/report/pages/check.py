@@ -25,7 +25,7 @@ from diffsea.report.plots import (
     figure,
     numbers,
 )
-from diffsea.report.quantities import for_people, round_to_error, significant
+from diffsea.report.quantities import duration, for_people, round_to_error, significant
 from diffsea.report.wording.findings import WEIGHED, cost_words, heaviest_first
 from diffsea.report.wording.words import Record, capital, enumeration
 from diffsea.scales import HARD_OVER
@@ -101,7 +101,7 @@ def _answered(
         "scales": _scale_sentence(scales),
         "questions": _question_table(cannot_tell),
         "next": [capital(question.record or "") + "." for question in next_records],
-        "next_seconds": f"{sum(question.seconds for question in next_records):.0f}",
+        "next_length": duration(sum(question.seconds for question in next_records)),
     }
 
 

@@ -16,6 +16,7 @@ from diffsea.report.wording.words import Record, enumeration
 from diffsea.studies.inverse import MET
 
 
+DESIGNS_OF_ENDS = ("least_design", "most_design")  # in sweep.json, of each number
 SHOWN_NUMBERS = 6  # of a trial, the most informative ones, that are drawn
 NO_INFLUENCE = 1e-6  # of a number: rounding, and how steady an approach is
 DRAWN_DESIGNS = 4000  # of a cloud: more cannot be told apart, and make the page long
@@ -256,6 +257,13 @@ def extent_table(metrics: Mapping[str, Record]) -> Table:
             continue
         scale, unit = for_people(1.0, number_unit(name))
         ends = [significant(scale * column[key], 3) for key in ("least", "median", "most")]
-        rows.append([number_words(name), *ends, unit, str(column["designs"])])
+        designs = [Verbatim(design_words(column[key])) for key in DESIGNS_OF_ENDS]
+        rows.append([number_words(name), *ends, unit, str(column["designs"]), *designs])
     columns = ["number", "least", "median", "most", "unit", "designs that have it"]
+    columns += ["least in", "most in"]
     return Table(columns, rows, numeric=(1, 2, 3, 5))
+
+
+def design_words(design: Mapping[str, float]) -> str:
+    """The parameters of a design, as options have them: `mass=60 thrust=200`."""
+    return " ".join(f"{name}={value:.4g}" for name, value in design.items())
