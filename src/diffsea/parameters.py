@@ -261,16 +261,33 @@ _LETTER_UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "d": "rad"}
 _UNITS = {"mass": "kg", "I_z": "kg m^2", "water_density": "kg/m^3"}
 _UNITS |= dict.fromkeys(("x_G", "length", "beam", "draught"), "m")
 _UNITS |= {"X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m", "N_vdot": "kg m", "N_rdot": "kg m^2"}
+# Of actuators, sensors and surroundings, by the last part of the name.
+_UNITS_OF_PARTS = dict.fromkeys(
+    ("x", "y", "x_H", "l_R", "hull_lever", "height", "diameter", "lever_x", "lever_y"), "m"
+)
+_UNITS_OF_PARTS |= dict.fromkeys(("area", "frontal_area", "lateral_area"), "m^2")
+_UNITS_OF_PARTS |= dict.fromkeys(("time_constant", "delay", "payload_time"), "s")
+_UNITS_OF_PARTS |= {
+    f"latency_{channel}": "s" for channel in ("position", "heading", "velocity", "yaw_rate")
+}
+_UNITS_OF_PARTS |= dict.fromkeys(
+    ("angle", "heading_offset", "hard_iron_cos", "hard_iron_sin", "heel"), "rad"
+)
+_UNITS_OF_PARTS |= dict.fromkeys(("fading_speed", "reference_speed"), "m/s")
+_UNITS_OF_PARTS |= {f"{of}_{to}": "m/s" for of in ("current", "wind") for to in ("north", "east")}
+_UNITS_OF_PARTS |= {"gyro_bias": "rad/s", "payload": "kg", "air_density": "kg/m^3"}
+_UNITS_OF_PARTS |= {"full_thrust": "N", "with_speed": "s/m", "in_turns": "s/rad"}
 
 
 def parameter_unit(name: str, nondimensional: bool = False) -> str:
-    """SI unit of a hull parameter; an empty string where none is known."""
+    """SI unit of a parameter of a vessel file; an empty string where none is known."""
     if nondimensional and _DERIVATIVE.fullmatch(name) and not name.endswith("dot"):
         return "1"
     if name in _UNITS:
         return _UNITS[name]
-    if name.endswith(".full_thrust"):
-        return "N"
+    stem = name.rsplit(".", 1)[-1]
+    if stem in _UNITS_OF_PARTS:
+        return _UNITS_OF_PARTS[stem]
     match = re.fullmatch(r"([XYN])_([uvrd]+)", name)
     if match is None:
         return ""

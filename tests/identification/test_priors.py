@@ -41,6 +41,12 @@ def test_drag_keeps_its_sign_and_couplings_need_not():
 def test_units_and_meanings():
     assert parameter_unit("N_rr") == "N m / (rad/s) (rad/s)" and parameter_unit("N_rr", True) == "1"
     assert parameter_unit("X_udot", True) == "kg"
+    assert parameter_unit("rudder.area") == "m^2" and parameter_unit("port.y") == "m"
+    assert (
+        parameter_unit("port.time_constant") == "s"
+        and parameter_unit("sensors.gyro_bias") == "rad/s"
+    )
+    assert parameter_unit("rudder.N_d") == "" and parameter_unit("propeller.wake_fraction") == ""
     assert parameter_meaning("N_rr") == "quadratic damping in yaw"
     assert parameter_meaning("Y_vvr") == "sway force from v v r"
     assert parameter_meaning("N_v") == "yaw moment from v"

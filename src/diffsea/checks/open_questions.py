@@ -96,7 +96,7 @@ def next_minutes(questions: Sequence[OpenQuestion], length: float) -> list[OpenQ
 
 
 def _slowness(answers: Answers) -> float:
-    """How many times longer than a small boat she takes; one where no order was seen to turn her."""
+    """How many times longer than a small boat she takes; one where no order turned her."""
     return 1.0 if answers.lag_of_turning is None else answers.stayed / STAYED
 
 

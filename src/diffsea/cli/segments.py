@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KINDS = ("turning", "zigzag", "straight", "coasting", "station", "unknown")  # as the library has
 FORMATS = ("csv", "parquet")
-COLUMNS = ",kind,onset s,end s,side,order deg,heading deg,approach m/s,,group".split(",")
+COLUMNS = ",kind,onset s,end s,side,order deg,turned deg,approach m/s,,group".split(",")
 
 
 def register(commands: options.Commands) -> None:

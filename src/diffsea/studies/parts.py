@@ -24,6 +24,7 @@ from diffsea.outside.cluster import RETRIES, Failed, connected
 from diffsea.outside.documents import read_json
 from diffsea.outside.durable import written_beside
 from diffsea.outside.unfinished import clear_abandoned
+from diffsea.parameters import parameter_unit
 from diffsea.progress import PartialProgress, Progress, no_progress
 from diffsea.simulation.designs import OF_THE_TRIAL, DesignSpace, check_count
 from diffsea.simulation.standard import TrialPlan
@@ -112,7 +113,7 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 def _units(vessel: Vessel, names: Sequence[str]) -> dict[str, str]:
     """Units of what is swept, empty where there is none."""
     known = {name: prior.unit for name, prior in default_priors(vessel).items()} | OF_THE_TRIAL
-    return {name: known.get(name, "") for name in names}
+    return {name: known.get(name) or parameter_unit(name) for name in names}
 
 
 def parts_of(
