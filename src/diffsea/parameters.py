@@ -262,7 +262,7 @@ _UNITS = {"mass": "kg", "I_z": "kg m^2", "water_density": "kg/m^3"}
 _UNITS |= dict.fromkeys(("x_G", "length", "beam", "draught"), "m")
 _UNITS |= {"X_udot": "kg", "Y_vdot": "kg", "Y_rdot": "kg m", "N_vdot": "kg m", "N_rdot": "kg m^2"}
 # Of actuators, sensors and surroundings, by the last part of the name.
-_UNITS_OF_PARTS = dict.fromkeys(
+_UNITS_OF_PARTS: dict[str, str] = dict.fromkeys(
     ("x", "y", "x_H", "l_R", "hull_lever", "height", "diameter", "lever_x", "lever_y"), "m"
 )
 _UNITS_OF_PARTS |= dict.fromkeys(("area", "frontal_area", "lateral_area"), "m^2")

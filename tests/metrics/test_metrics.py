@@ -521,6 +521,7 @@ def twin(angle):
         ("executed", None, math.radians(15)),
         ("executed", None, math.radians(5)),
         ("commanded", twin, None),
+        ("commanded", lambda angle: {"Helm": angle, "port_engine": 9 + 0 * angle}, None),
         ("executed", lambda angle: {"thruster_left": 3 + angle, "thruster_right": 3 - angle}, None),
         ("commanded", lambda angle: {"pod.force": 0 * angle + 9, "pod.angle": angle}, None),
     ],

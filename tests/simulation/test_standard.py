@@ -9,6 +9,7 @@ import pytest
 
 from diffsea import Outcome, UserError, read_vessel, shipped_vessels
 from diffsea.metrics import stopping_metrics, turning_metrics, zigzag_metrics
+from diffsea.metrics.numbers import numbers_of, trial_unit
 from diffsea.simulation import planning
 from diffsea.simulation.control import full_throttle, speed_for, throttle_for, throttle_for_thrust
 from diffsea.vessel.files import build
@@ -30,7 +31,24 @@ def measured(boat, manoeuvre, **options):
     plan = planning.plan_trial(boat, manoeuvre, speed=2.0, step=0.1, **options)
     trial, numbers = planning.run_and_measure(boat, plan)
     assert int(trial.trajectory.outcome) == Outcome.COMPLETED
-    return planning.summarise_trial(boat, plan, trial, numbers)
+    found = planning.summarise_trial(boat, plan, trial, numbers)
+    floats = {name for name, value in found.items() if isinstance(value, float)}
+    known = list(numbers_of(found))
+    assert floats - {one.name for one in known} == {
+        f"{one.name}_over_L" for one in known if one.unit == "m"
+    }
+    return found
+
+
+@pytest.mark.parametrize(
+    ("number", "unit"),
+    [("time_to_half_speed", "s"), ("time_to_check_yaw_2", "s"), ("time_to_90", "s")]
+    + [("period", "s"), ("peak_yaw_rate", "rad/s"), ("yaw_rate_3", "rad/s"), ("speed_loss", "1")]
+    + [("heading_change", "rad"), ("overshoot_12", "rad"), ("final_speed", "m/s")]
+    + [("head_reach", "m"), ("vessel", None), ("number", None), ("overshoot_1_over_L", None)],
+)
+def test_numbers_of_trials_have_their_units(number, unit):
+    assert trial_unit(number) == unit
 
 
 def test_acceleration_is_a_first_order_lag(boat):

@@ -349,6 +349,11 @@ def test_headlines_say_only_what_is_told_from_nothing():
         (("rudder.port", "rudder.starboard", "propeller"), "a propeller and two rudders"),
         (("pod.angle", "pod.thrust", "bow"), "an azimuth thruster and an actuator (bow)"),
         (("rudder",), "a rudder"),
+        (("port.angle", "port.force", "stbd.angle", "stbd.force"), "two azimuth thrusters"),
+        (
+            ("helm", "port_engine", "starboard_engine"),
+            "two thrusters, port and starboard and a rudder",
+        ),
     ],
 )
 def test_a_craft_is_called_what_its_channels_say(actuators, craft):

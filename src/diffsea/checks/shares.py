@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diffsea.metrics.orders import steers
+from diffsea.channels import is_azimuth, side_pair, steers
 from diffsea.recordings.known import Output
 from diffsea.scales import HARD_OVER
 from diffsea.series import hold_last
@@ -18,7 +18,6 @@ _NEAR_NEUTRAL = 60.0  # us: a pulse that stands for a twentieth of the time ther
 _COMMON = 0.05
 _ROUNDING = 1.05  # of full order, that normalised orders may exceed
 _LARGEST = 0.995  # quantile of sizes that stands for the largest order
-PORT_WORDS, STARBOARD_WORDS = ("port", "left"), ("starboard", "stbd", "right")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,21 +129,18 @@ def orders_of(run: Trajectory) -> OrderShares | None:
         for name, series in (run.commanded or run.executed).items()
         if np.any(np.isfinite(np.asarray(series, float)))
     }
-    if any(name.lower().endswith(".angle") for name in group):
+    if any(map(is_azimuth, group)):
         return None
     rudders = [series for name, series in group.items() if steers(name)]
     driving = {name: series for name, series in group.items() if not steers(name)}
-    sides = [
-        next((driving[n] for n in driving if any(word in n.lower() for word in side)), None)
-        for side in (PORT_WORDS, STARBOARD_WORDS)
-    ]
     if not group:
         return None
     none = np.zeros(run.t.shape)
     ahead = np.mean(list(driving.values()), axis=0) if driving else none
     if rudders:
         return OrderShares(ahead, np.mean(rudders, axis=0) / HARD_OVER, None)
-    port, starboard = sides
-    if port is not None and starboard is not None:
+    pair = side_pair(driving)
+    if pair is not None:
+        port, starboard = (driving[name] for name in pair)
         return OrderShares(ahead, (port - starboard) / 2, (port, starboard))
     return OrderShares(ahead, None, None)

@@ -1,7 +1,6 @@
 """`diffsea trial` and `diffsea campaign`: standard trials, and the options that describe one."""
 
 import argparse
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -231,31 +230,19 @@ def metrics_text(metrics: dict[str, Any]) -> str:
 
     A table of numbers, a line for each criterion of IMO MSC.137(76), then the notes.
     """
+    from diffsea.metrics.numbers import numbers_of
+    from diffsea.report.quantities import for_people
+
     head = [metrics["manoeuvre"], metrics.get("side"), metrics.get("outcome")]
     lines = [", ".join(part for part in head if part)]
     rows = []
-    for name, value in metrics.items():
-        if isinstance(value, float) and not name.endswith("_over_L"):
-            over = metrics.get(f"{name}_over_L")
-            in_lengths = "" if over is None else f"{over:.3g} L"
-            rows.append((name, *_number_and_unit(name, value), in_lengths))
+    for one in numbers_of(metrics):
+        value, unit = for_people(one.value, one.unit)
+        in_lengths = "" if one.over_length is None else f"{one.over_length:.3g} L"
+        rows.append((one.name, f"{value:.4g}", unit, in_lengths))
     lines.append(table(rows))
     for name, item in metrics["imo"].items():
-        scale, unit = (math.degrees(1.0), "deg") if item["unit"] == "rad" else (1.0, item["unit"])
-        value, limit = (f"{scale * item[key]:.3g} {unit}" for key in ("value", "limit"))
+        told = (for_people(item[key], item["unit"]) for key in ("value", "limit"))
+        value, limit = (f"{size:.3g} {unit}" for size, unit in told)
         lines.append(f"IMO {item['criterion']}: {name} {value}, limit {limit}: {item['verdict']}")
     return "\n".join([*lines, *(f"note: {note}" for note in metrics["notes"])])
-
-
-def _number_and_unit(name: str, value: float) -> tuple[str, str]:
-    """A number of metrics.json and its unit, for a person."""
-    unit = "m/s" if "speed" in name else "m"
-    if name == "speed_loss":
-        unit = ""
-    elif "yaw_rate" in name:
-        value, unit = math.degrees(value), "deg/s"
-    elif "time" in name or name == "period":
-        unit = "s"
-    elif any(word in name for word in ("overshoot", "angle", "heading")):
-        value, unit = math.degrees(value), "deg"
-    return f"{value:.4g}", unit

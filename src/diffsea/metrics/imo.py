@@ -8,6 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 
+from diffsea.metrics.numbers import trial_unit
 from diffsea.scales import HARD_OVER
 
 
@@ -114,7 +115,7 @@ def imo_verdicts(
     for name, (limit, section) in criteria(trial).items() if criteria else ():
         if not math.isfinite(metrics.get(name, math.nan)):
             continue
-        is_angle = name.startswith("overshoot")
+        is_angle = trial_unit(name) == "rad"
         value = float(metrics[name]) if is_angle else float(metrics[name]) / length
         verdicts[name] = {
             "value": value,

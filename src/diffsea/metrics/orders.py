@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from diffsea.channels import is_azimuth, is_rudder, side_pair, steers
 from diffsea.scales import HARD_OVER
 from diffsea.series import hold_last, stretches
 from diffsea.statistics import noise_scale
@@ -29,7 +30,6 @@ from diffsea.trajectory import Samples, Trajectory
 _PLATEAU_BAND = 0.08
 _SMALLEST_ORDER = math.radians(1)  # no trial is run at less
 _NEUTRAL = 0.3  # of the order: steering within it is that of a straight course
-_PORT, _STARBOARD = ("port", "left"), ("starboard", "stbd", "right")
 _OUTLIER_ROWS = 5  # of the median filter that removes outliers
 _NARROWEST_BAND = math.radians(0.5)  # what rudder indicators resolve
 _INSIDE_SHARE = 0.9  # of the rows of a plateau that lie within its band
@@ -86,33 +86,24 @@ class Plateau:
         return t[self.last] - t[self.first]
 
 
-def steers(channel: str) -> bool:
-    """Whether a channel is an angle of steering by its name."""
-    return "rudder" in channel.lower() or channel.lower().endswith(".angle")
-
-
 def steering_angle(trajectory: Trajectory) -> tuple[Samples, SteeringSource] | None:
     """Steering angle (rad) in every row and the channels it is from; none if not recorded.
 
-    Commands come before executed values. A channel with "rudder" in its name is taken
-    first, then a pair named port / starboard or left / right, then an azimuth angle. Of a pair,
+    Commands come before executed values. A rudder is taken first, by its name,
+    then a pair of port and starboard, then an azimuth angle. Of a pair,
     whose thrusts are in one unit, it is the equivalent angle, positive to starboard, with the sum
     in its denominator kept above a twentieth of the largest thrust.
     """
     for kind, group in (("commanded", trajectory.commanded), ("executed", trajectory.executed)):
         channels = _held_channels(group)
-        rudders = [name for name in channels if "rudder" in name.lower()]
-        port, starboard = (
-            next((n for n in channels if any(w in n.lower() for w in side) and not steers(n)), None)
-            for side in (_PORT, _STARBOARD)
-        )
-        if not rudders and port and starboard:
-            left, right = channels[port], channels[starboard]
+        rudders, pair = [name for name in channels if is_rudder(name)], side_pair(channels)
+        if not rudders and pair is not None:
+            left, right = (channels[name] for name in pair)
             # Turning on the spot has no equivalent: only its side and order of magnitude are right.
             least = 0.05 * max(np.max(np.abs(left)), np.max(np.abs(right)), 1e-12)
             angle = HARD_OVER * (left - right) / np.maximum(np.abs(left + right), least)
-            return angle, SteeringSource(kind, (port, starboard), pair=True)
-        angles = rudders or [name for name in channels if name.lower().endswith(".angle")]
+            return angle, SteeringSource(kind, pair, pair=True)
+        angles = rudders or [name for name in channels if is_azimuth(name)]
         if angles:
             angle = np.mean([channels[n] for n in angles], axis=0)
             return angle, SteeringSource(kind, tuple(angles))

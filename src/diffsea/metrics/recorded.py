@@ -28,6 +28,7 @@ from diffsea.metrics.manoeuvres import (
     turning_metrics,
     zigzag_metrics,
 )
+from diffsea.metrics.numbers import LENGTHS, over_length
 from diffsea.metrics.orders import (
     Orders,
     find_orders,
@@ -50,20 +51,6 @@ _PULL_OUT = math.radians(20)  # least change of heading before the rudder is rel
 _STRAIGHT = math.radians(15)  # a straight run's heading stays within this
 _RECORD_SHARE = 0.4  # of the record: orders that fill more are what it was made for
 _NEUTRAL_SHARE = 0.7  # of the rest: as much near zero means that little else was ordered
-# Numbers that are distances: m, also given over L, and scaled with a model.
-LENGTHS = (
-    "advance",
-    "transfer",
-    "tactical_diameter",
-    "max_advance",
-    "max_transfer",
-    "steady_turning_diameter",
-    "initial_turning_distance",
-    "track_reach",
-    "head_reach",
-    "lateral_deviation",
-    "distance",
-)
 _WHY_MISSING = {
     "advance": "the heading did not change by 90 deg under the order",
     "tactical_diameter": "the heading did not change by 180 deg under the order",
@@ -156,11 +143,6 @@ def recording_metrics(
     if "overshoot_2" in imo and length * scale < SHORTEST_SHIP:
         notes.append("the IMO limits are for the recorded size; give the scale of a model")
     return {**result, **over_length(result, length), "imo": imo, "notes": notes}
-
-
-def over_length(numbers: dict[str, Any], length: float) -> dict[str, float]:
-    """The distances among some numbers in lengths, as `<name>_over_L`."""
-    return {f"{name}_over_L": numbers[name] / length for name in LENGTHS if name in numbers}
 
 
 def _missing_numbers(unknown: list[str], run: Trajectory) -> list[tuple[str, str]]:

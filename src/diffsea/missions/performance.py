@@ -29,21 +29,21 @@ HEADING_SCALE = math.radians(10.0)  # an error that counts as much as one ship l
 SPEED_SCALE = 0.1  # of the mission's speed, likewise
 _AT_LIMIT = 1e-6  # of the room between both limits: nearer is at the limit
 
-NUMBERS = (  # that a run may have, the likeliest to be looked at first
-    "path_rms",
-    "path_largest",
-    "position_rms",
-    "position_largest",
-    "heading_rms",
-    "heading_largest",
-    "speed_rms",
-    "speed_largest",
-    "missed",
-    "time",
-    "distance",
-    "effort",
-    "at_limit",
-)
+NUMBERS = {  # that a run may have, and their units; the likeliest to be looked at first
+    "path_rms": "m",
+    "path_largest": "m",
+    "position_rms": "m",
+    "position_largest": "m",
+    "heading_rms": "rad",
+    "heading_largest": "rad",
+    "speed_rms": "m/s",
+    "speed_largest": "m/s",
+    "missed": "1",
+    "time": "s",
+    "distance": "m",
+    "effort": "1",
+    "at_limit": "1",
+}
 
 
 class Performance(eqx.Module):

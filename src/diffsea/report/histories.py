@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
-from diffsea.metrics.orders import steers
+from diffsea.channels import steers
 from diffsea.report import plots
 from diffsea.trajectory import Trajectory
 

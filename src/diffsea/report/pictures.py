@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from diffsea.channels import is_rudder
 from diffsea.metrics.orders import as_thrust, steering_angle
 from diffsea.simulation.trials import Trial
 from diffsea.trajectory import Trajectory
@@ -123,8 +124,8 @@ def save_trial_series(trial: Trial, path: Path, title: str, vessel: Vessel) -> N
     heading.plot(t, np.degrees(run.psi), color=BLUE, label="heading")
     steered = steering_angle(as_thrust(run, vessel.thrusts_at_rest))
     if steered is not None:
-        is_rudder = any("rudder" in name for name in steered[1].channels)
-        label = "rudder" if is_rudder else "rudder-equivalent order"
+        by_rudder = any(map(is_rudder, steered[1].channels))
+        label = "rudder" if by_rudder else "rudder-equivalent order"
         heading.step(t, np.degrees(steered[0]), where="post", color=ORANGE, label=label)
     heading.set_ylabel("deg")
     heading.set_title(title, loc="left")

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from diffsea.channels import side_of, steers
 from diffsea.errors import UserError
-from diffsea.metrics.orders import SteeringSource, propulsion, steering_angle, steers
+from diffsea.metrics.orders import SteeringSource, propulsion, steering_angle
 from diffsea.recordings.motion import MeasuredMotion, motion_of
 from diffsea.series import integrate, median_interval, strictly_later
 from diffsea.simulation.actuation import executed_by, recorded_actuation
@@ -26,7 +27,6 @@ MEASURED, RECONSTRUCTED, ORDERED, NOTHING = "measured", "reconstructed", "comman
 _FEWEST_ROWS = 20  # in which a trial can be found
 _HOLE = 5.0  # median time steps: a longer one is a hole in the recording
 _USUAL_PUSH = 0.98  # quantile of push that stands for the largest: orders have peaks
-_SIDES = ("port", "left", "starboard", "stbd", "right")
 _SLACK = 0.1  # of the largest thrust: below it a pair of thrusters does not steer
 
 
@@ -244,7 +244,7 @@ def _group_angle(
 def _push(run: Trajectory, grouped: dict[str, Samples]) -> Samples | None:
     """Sum of the push of a group, about one at its largest; None where nothing pushes."""
     driving = {n: s for n, s in grouped.items() if not steers(n) and np.isfinite(s).any()}
-    if len(driving) == 2 and all(any(w in n.lower() for w in _SIDES) for n in driving):
+    if len(driving) == 2 and all(map(side_of, driving)):
         push = np.nan_to_num(sum(driving.values()))  # one unit: what is more to port is push too
     else:
         push = propulsion(dataclasses.replace(run, commanded=driving, executed={}))

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsea.errors import UserError
 from diffsea.metrics import imo_verdicts
-from diffsea.metrics.recorded import over_length
+from diffsea.metrics.numbers import over_length
 from diffsea.scales import froude_speed, time_scale
 from diffsea.simulation.control import (
     ControlAllocation,

@@ -7,8 +7,8 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from diffsea.channels import is_azimuth, is_rudder, side_of
 from diffsea.checks import LogCheck, check_run
-from diffsea.checks.shares import PORT_WORDS, STARBOARD_WORDS
 from diffsea.errors import UserError, nearest
 from diffsea.recordings import (
     Finding,
@@ -230,7 +230,7 @@ def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
     """Which columns of a table may be the orders, where none is known as one, or what drives."""
     unused = [note for note in run.provenance if note.startswith(COLUMNS_NOT_USED)]
     known = {name.lower() for name in (*run.commanded, *run.executed)}
-    if known and all("rudder" in name for name in known):
+    if known and all(map(is_rudder, known)):
         return (
             "no column is known as the order of a propeller or motor; where it never changed, say "
             "so under [columns] of the mapping, in rev/s or the unit of the motor: "
@@ -260,12 +260,11 @@ def _format_of(path: Path, how: ChosenMapping, run: Trajectory) -> tuple[str, st
 def craft_of(actuators: Iterable[str]) -> str:
     """The kind of vessel by the names of its actuators."""
     names = {name.lower() for name in actuators}
-    has = lambda *words: {name for name in names if any(word in name for word in words)}
-    rudders = has("rudder")
-    shafts = has("propeller", "shaft") - rudders
-    sides = [has(*words) - rudders - shafts for words in (PORT_WORDS, STARBOARD_WORDS)]
-    azimuths = {name.removesuffix(".angle") for name in names if name.endswith(".angle")}
+    rudders = set(filter(is_rudder, names))
+    shafts = {n for n in names if any(word in n for word in ("propeller", "shaft"))} - rudders
+    azimuths = {name.removesuffix(".angle") for name in filter(is_azimuth, names)}
     others = {n for n in names if n.partition(".")[0] not in azimuths} - rudders - shafts
+    sides = [{n for n in others if side_of(n) == side} for side in ("port", "starboard")]
     parts = []
     if all(len(side) == 1 for side in sides):
         parts.append("two thrusters, port and starboard")

@@ -207,7 +207,7 @@ def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str,
             name: {"from": axis[0], "to": axis[1]}
             for name, axis in zip(names, space.axes.values(), strict=True)
         },
-        "metrics": {name: _extent(table[name].to_numpy(float)) for name in numeric},
+        "metrics": {name: _extent(table, name, names) for name in numeric},
         "judged_by": judged_by,
         "source": {"mission": mission.name, "seed": mission.seed, "designs": space.as_dict()},
     }
@@ -222,11 +222,19 @@ def _closed_loop_record(found: ClosedLoopSweep, space: DesignSpace) -> dict[str,
     return record
 
 
-def _extent(column: np.ndarray) -> dict[str, Any]:
-    known = column[np.isfinite(column)]
-    ends = {"least": np.min, "median": np.median, "most": np.max}
-    told = {name: float(end(known)) if len(known) else math.nan for name, end in ends.items()}
-    return told | {"designs": len(known)}
+def _extent(table: pd.DataFrame, number: str, parameters: Sequence[str]) -> dict[str, Any]:
+    """Least, median and most of a number, and the designs of its ends."""
+    values = table[number].to_numpy(float)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) == 0:
+        nothing = dict.fromkeys(("least", "median", "most"), math.nan)
+        return nothing | {"designs": 0, "least_design": None, "most_design": None}
+    rows = known[np.argsort(values[known], kind="stable")]
+    told: dict[str, Any] = {"median": float(np.median(values[known])), "designs": len(known)}
+    for end, row in (("least", rows[0]), ("most", rows[-1])):
+        told[end] = float(values[row])
+        told[f"{end}_design"] = {name: float(table[name].iloc[row]) for name in parameters}
+    return told
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from diffsea.errors import UserError
+from diffsea.metrics.numbers import numbers_of
 from diffsea.outside.durable import working_folder
 from diffsea.progress import Progress, no_progress
 from diffsea.recordings import Mapping as ColumnMapping
@@ -60,9 +61,8 @@ class TrialResult(Tabulated):
             for name, item in self.metrics["imo"].items()
         }
         return [
-            {"number": name, "SI": value, "IMO": verdicts.get(name, "")}
-            for name, value in self.metrics.items()
-            if isinstance(value, float) and not name.endswith("_over_L")
+            {"number": one.name, "SI": one.value, "IMO": verdicts.get(one.name, "")}
+            for one in numbers_of(self.metrics)
         ]
 
     def notes(self) -> list[str]:

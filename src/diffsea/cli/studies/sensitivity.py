@@ -47,6 +47,7 @@ def sensitivity_command(args: argparse.Namespace) -> None:
     """
     from diffsea.report.pages.sensitivity import sensitivity_page
     from diffsea.report.pictures import save_tornado
+    from diffsea.report.wording.numbers import number_unit
     from diffsea.simulation.planning import run_and_measure
     from diffsea.studies.sensitivity import parameter_names, sensitivities
 
@@ -70,7 +71,6 @@ def sensitivity_command(args: argparse.Namespace) -> None:
         named = vessel.name, plan.manoeuvre
         page = sensitivity_page(relative, found.numbers, named, options.source_of(args))
         out.text("sensitivity.html", page)
-    from diffsea.report.pages.campaign import number_unit
     from diffsea.report.quantities import for_people
 
     rows = []

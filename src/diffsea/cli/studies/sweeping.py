@@ -269,9 +269,9 @@ _ENDS = ("least", "median", "most")
 
 def _summary_text(summary: dict[str, Any]) -> str:
     """sweep.json for a person."""
-    from diffsea.report.pages.campaign import number_unit
     from diffsea.report.pages.sweep import DESIGNS_OF_ENDS, design_words
     from diffsea.report.quantities import for_people
+    from diffsea.report.wording.numbers import number_unit
 
     outcomes = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
     lines = [f"{summary['designs']} designs ({outcomes})"]

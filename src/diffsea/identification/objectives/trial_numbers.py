@@ -55,6 +55,7 @@ from diffsea.identification.least_squares import (
 )
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, NumberResidual
+from diffsea.metrics.numbers import OVER_LENGTH
 from diffsea.outside.documents import read_toml
 from diffsea.parameters import Parameter, file_parameters, replace
 from diffsea.progress import Progress, no_progress
@@ -167,8 +168,8 @@ def _read_number(
         if str(entry["unit"]) not in _UNITS:
             raise UserError(f"{where}: unknown unit {entry['unit']!r}; use {', '.join(_UNITS)}")
         factor = _UNITS[str(entry["unit"])]
-    if name.endswith("_over_L"):
-        name, factor = name.removesuffix("_over_L"), length
+    if name.endswith(OVER_LENGTH):
+        name, factor = name.removesuffix(OVER_LENGTH), length
     value = factor * _finite_number(entry.get("value"), where)
     std = factor * _finite_number(entry["std"], where) if "std" in entry else relative * abs(value)
     if not std > 0:

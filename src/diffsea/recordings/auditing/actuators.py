@@ -7,6 +7,7 @@ compared with each other, and it is asked whether they can be what they are call
 import numpy as np
 from jaxtyping import Float
 
+from diffsea.channels import is_rudder
 from diffsea.recordings.auditing.edits import ExecutedToCommanded
 from diffsea.recordings.auditing.finding import (
     Finding,
@@ -39,8 +40,7 @@ _LEAST_READINGS = 8  # from which on it is said how old readings are
 
 _Settled = Float[np.ndarray, "order"]
 
-_RUDDERS = ("rudder", "helm", "delta")  # angles that never go round
-_ANGLES = ("rudder", "delta", "angle", "azimuth", "helm")
+_ANGLES = ("angle", "azimuth")
 _RATIOS = {180 / np.pi: "deg", 60.0: "rpm", 100.0: "%", 1e3: "thousandths", 2 * np.pi: "rad/s"}
 
 
@@ -56,7 +56,7 @@ def actuation_findings(trajectory: Trajectory) -> list[Finding]:
         for name, series in group.items():
             channel, angles = prefix + name, np.asarray(series, dtype=float)
             angles = angles[np.isfinite(angles)]
-            if not any(word in channel.lower() for word in _RUDDERS) or angles.size < 3:
+            if not is_rudder(name) or angles.size < 3:  # one that never goes round
                 continue
             largest = float(np.max(np.abs(angles)))
             if largest > np.pi:
@@ -236,7 +236,7 @@ def order_findings(trajectory: Trajectory) -> list[Finding]:
     run, stale = trajectory.counted(), stale_feedback(trajectory)
     found = []
     for name, values in run.executed.items():
-        angle = any(word in name.lower() for word in _ANGLES)
+        angle = is_rudder(name) or any(word in name.lower() for word in _ANGLES)
         ordered, channels = run.commanded.get(name), (f"exec_{name}",)
         edit = ExecutedToCommanded(name)
         if name in stale:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from diffsea.channels import is_rudder, side_of
 from diffsea.recordings.auditing.edits import Affine, Swap
 from diffsea.recordings.auditing.finding import Finding, finding_of, words_and_names, wrong_sign
 from diffsea.recordings.auditing.thrust_axes import thrust_axes_findings
@@ -24,9 +25,6 @@ from diffsea.recordings.motion import MeasuredMotion
 from diffsea.trajectory import Samples, Trajectory
 
 
-_PORT = ("port", "left")
-_STARBOARD = ("starboard", "stbd", "right")
-_STEERING = ("rudder", "helm", "delta")
 _PROPELLERS = ("propeller", "prop", "engine")
 _ANGLES = ("angle", "azimuth")
 
@@ -196,11 +194,10 @@ def _group_findings(motion: MeasuredMotion, series: dict[str, Samples]) -> list[
     stern to port.
     """
     found = []
-    port = [name for name in series if _has(name, _PORT) and not _has(name, _STEERING)]
-    starboard = [name for name in series if _has(name, _STARBOARD) and not _has(name, _STEERING)]
+    port, starboard = ([n for n in series if side_of(n) == side] for side in ("port", "starboard"))
     for name, values in series.items():
         stern = _has(name, ("stern",))
-        if _has(name, _STEERING):
+        if is_rudder(name):
             found += _rudder(motion, name, values, alone=not port)
         elif _has(name, _ANGLES):
             continue

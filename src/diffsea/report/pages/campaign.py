@@ -9,10 +9,12 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Float
 
+from diffsea.metrics.numbers import TrialNumber, numbers_of
 from diffsea.report import plots
 from diffsea.report.page import Plot, RunPlots, Table, Verbatim, provenance, render
 from diffsea.report.pages.trial_marks import mark_crossings, mark_overshoots
 from diffsea.report.quantities import for_people, significant
+from diffsea.report.wording.numbers import number_unit, number_words
 from diffsea.report.wording.words import Record, capital
 from diffsea.trajectory import Samples, Trajectory
 
@@ -24,19 +26,6 @@ _PANELS = (
     ("delta_exec", "executed steering (deg), order thin", math.degrees(1.0)),
     ("r", "yaw rate (deg/s)", math.degrees(1.0)),
     ("u", "speed ahead u (m/s)", 1.0),
-)
-_NUMBER_UNITS = (  # of a number of metrics.json by a word in its name, the first that fits
-    ("speed_loss", "1"),
-    ("at_limit", "1"),
-    ("effort", "1"),
-    ("missed", "1"),
-    ("speed", "m/s"),
-    ("yaw_rate", "rad/s"),
-    ("time", "s"),
-    ("period", "s"),
-    ("overshoot", "rad"),
-    ("angle", "rad"),
-    ("heading", "rad"),
 )
 _CONDITIONS = ("order_angle", "switching_heading", "execute_time")  # no results of the trial
 
@@ -99,11 +88,6 @@ def _verdict_sentence(record: Record) -> str:
     )
 
 
-def number_words(number: str) -> str:
-    """The name of a number of metrics.json in words."""
-    return number.replace("_", " ")
-
-
 def _criteria_table(criteria: Sequence[Record]) -> Table:
     run = {side for row in criteria for side in row["values"]}
     sides = [side for side in SIDE_COLOURS if side in run] or ["ahead"]
@@ -133,33 +117,23 @@ def _only(row: Record) -> tuple[float, str]:
     return next(iter(row["values"].values())), row["unit"]
 
 
-def number_unit(name: str) -> str:
-    """The SI unit of a number of metrics.json: `m` where its name says no other."""
-    return next((unit for word, unit in _NUMBER_UNITS if word in name), "m")
-
-
 def _number_table(trial: str, sides: Mapping[str, Record]) -> Table:
     """Numbers of a trial to each side, and over the ship's length where that is a number."""
-    names = dict.fromkeys(
-        name
-        for metrics in sides.values()
-        for name, value in metrics.items()
-        if isinstance(value, float) and not name.endswith("_over_L") and name not in _CONDITIONS
-    )
+    found = [{one.name: one for one in numbers_of(metrics)} for metrics in sides.values()]
+    names = dict.fromkeys(name for numbers in found for name in numbers if name not in _CONDITIONS)
     rows = []
     for name in names:
         unit = for_people(0.0, number_unit(name))[1]
-        cells = [_number_cell(metrics, name) for metrics in sides.values()]
-        rows.append([number_words(name), *cells, unit])
+        rows.append([number_words(name), *(_number_cell(one.get(name)) for one in found), unit])
     columns = ["number", *sides, "unit"]
     return Table(columns, rows, trial, range(1, len(sides) + 1))
 
 
-def _number_cell(metrics: Record, name: str) -> str:
-    if not isinstance(metrics.get(name), float):
+def _number_cell(number: TrialNumber | None) -> str:
+    if number is None:
         return ""
-    text = significant(for_people(metrics[name], number_unit(name))[0], 3)
-    over = metrics.get(f"{name}_over_L")
+    text = significant(for_people(number.value, number.unit)[0], 3)
+    over = number.over_length
     return text if over is None else f"{text} ({significant(over, 3)} L)"
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from diffsea.channels import steers
 from diffsea.checks import Answers, LogCheck, PooledCheck
 from diffsea.checks.answers import IntervalEstimate, LagOfAnswer, SteadyPoint
 from diffsea.checks.open_questions import OpenQuestion
 from diffsea.checks.shares import OrderScale
-from diffsea.metrics.orders import steers
 from diffsea.recordings import Finding
 from diffsea.report.page import Plot, Table, Verbatim, provenance, render
 from diffsea.report.plots import (

@@ -6,7 +6,6 @@ import pandas as pd
 
 from diffsea.missions import MissionRun
 from diffsea.report.page import Section, Table, Verbatim, provenance, render
-from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pages.mission import error_sentences, order_table, run_plots, source_of_run
 from diffsea.report.pages.sweep import (
     axis_table,
@@ -16,6 +15,7 @@ from diffsea.report.pages.sweep import (
     number_plot,
 )
 from diffsea.report.quantities import for_people, significant
+from diffsea.report.wording.numbers import number_unit, number_words
 from diffsea.report.wording.words import Record, enumeration
 
 
@@ -146,9 +146,8 @@ def _path_table(paths: Sequence[Record]) -> Table:
     rows = []
     for one in paths:
         for name in one["before"]:
-            values = [_told(one[when][name], name) for when in ("before", "after")]
-            if name == "cost":
-                values = [significant(one[when][name], 3) for when in ("before", "after")]
+            tell = (lambda value, _: significant(value, 3)) if name == "cost" else _told
+            values = [tell(one[when][name], name) for when in ("before", "after")]
             role = "tuned on" if one["tuned_on"] else "judges"
             rows.append([Verbatim(one["name"]), role, number_words(name), *values])
     return Table(["path", "role", "number", "before", "after"], rows, numeric=(3, 4))

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from diffsea.metrics.numbers import numbers_of
 from diffsea.recordings import Finding
 from diffsea.report import plots
 from diffsea.report.histories import Curve, compared_histories
 from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, render
-from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pictures import SEGMENT_COLOURS
 from diffsea.report.predictions import (
     PANEL_HEIGHT,
@@ -20,6 +20,7 @@ from diffsea.report.predictions import (
 from diffsea.report.quantities import for_people, significant, with_error
 from diffsea.report.tracks import compared_tracks
 from diffsea.report.wording.findings import WEIGHED, cost_words, heaviest_first
+from diffsea.report.wording.numbers import number_words
 from diffsea.report.wording.words import Record, as_words, capital, count_recordings
 from diffsea.segments import Segment
 from diffsea.trajectory import Trajectory
@@ -156,13 +157,11 @@ def _criteria_table(found: Mapping[str, Record]) -> Table:
 def _number_table(found: Mapping[str, Record]) -> Table:
     rows = []
     for name, metrics in found.items():
-        for number, value in metrics.items():
-            if not isinstance(value, float) or number.endswith("_over_L"):
-                continue
-            size, unit = for_people(value, number_unit(number))
-            over = metrics.get(f"{number}_over_L")
-            lengths = "" if over is None else significant(over, 3)
-            rows.append([Verbatim(name), number_words(number), significant(size, 4), unit, lengths])
+        for one in numbers_of(metrics):
+            size, unit = for_people(one.value, one.unit)
+            lengths = "" if one.over_length is None else significant(one.over_length, 3)
+            told = [number_words(one.name), significant(size, 4), unit, lengths]
+            rows.append([Verbatim(name), *told])
     return Table(["recording", "number", "value", "unit", "ship lengths"], rows, numeric=(2, 4))
 
 

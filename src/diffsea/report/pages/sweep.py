@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 
 from diffsea.report import plots
 from diffsea.report.page import Plot, Section, Table, Verbatim, provenance, render
-from diffsea.report.pages.campaign import number_unit, number_words
 from diffsea.report.pictures import most_informative
 from diffsea.report.quantities import for_people, significant
+from diffsea.report.wording.numbers import number_unit, number_words
 from diffsea.report.wording.words import Record, enumeration
 from diffsea.studies.inverse import MET
 
