@@ -109,6 +109,7 @@ class ReadReport:
     recognised: tuple[str, ...] = ()
     # Samples per second by channel, of logs whose topics have clocks of their own.
     rates: dict[str, float] = dataclasses.field(default_factory=dict)
+    unused_columns: tuple[str, ...] = ()  # of a table, by name
     cut_off: str = ""  # that the file ends within a row or message, in words
 
 

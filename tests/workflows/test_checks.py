@@ -5,6 +5,7 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from tests import chromium
 from tests.recordings import driven_boat
@@ -416,6 +417,24 @@ def test_a_place_that_is_hidden_is_in_nothing_that_is_written(logs, tmp_path):
     hidden = written("hidden")
     assert re.search(place, written("told")) and not re.search(place, hidden)
     assert "there is no velocity (XKF1)" in hidden
+
+
+def test_a_table_with_fixes_hides_its_place_too(tmp_path):
+    boat = recorded(noisy(drive(DELAY, WEAKER)))
+    degrees = {"lat": 63.43 + boat.x / 111_000, "lon": 10.39 + boat.y / 49_800}
+    columns = {"time_s": boat.t, **degrees, "heading_deg": np.degrees(boat.psi) % 360}
+    columns |= {"yaw_rate": boat.r, "rpm_spare": 0 * boat.t + np.sin(boat.t)}
+    table = tmp_path / "boat.csv"
+    pd.DataFrame(columns).to_csv(table, index=False)
+    written = {}
+    for flag in ("--json", "--hide-place"):
+        out = tmp_path / flag.strip("-")
+        assert main(["check", str(table), flag, "-o", str(out)]) == 0
+        written[flag] = "".join(file.read_text() for file in out.iterdir())
+    place = r"63\.4[34]\d*, 10\.[34]\d*"
+    assert re.search(place, written["--json"]) and "origin = " in written["--json"]
+    assert not re.search(place, written["--hide-place"])
+    assert "origin = " not in written["--hide-place"] and "latitude = " in written["--hide-place"]
 
 
 def test_a_log_that_is_broken_is_a_row_and_all_broken_an_error(logs, tmp_path, capsys):

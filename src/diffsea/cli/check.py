@@ -103,15 +103,16 @@ def _write_mappings(
     first.
     """
     from diffsea.recordings import Finding
-    from diffsea.workflows.checks import mapping_file
 
     written: dict[pathlib.Path, str] = {}
     needed: dict[pathlib.Path, pathlib.Path] = {}
     for path, how in chosen.items():
-        text = None if isinstance(how, Finding) else mapping_file(how, args.hide_place)
         if args.mapping is not None:
             needed[path] = args.mapping
-        if isinstance(how, Finding) or text is None:
+        if isinstance(how, Finding):
+            continue
+        text = how.text_without_place if args.hide_place else how.text
+        if text is None:
             continue
         name = f"{path.stem}.mapping.toml"
         if written.get(out.folder / name, text) != text:

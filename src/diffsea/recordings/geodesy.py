@@ -12,6 +12,10 @@ _FLATTENING = 1 / 298.257223563
 _E2 = _FLATTENING * (2 - _FLATTENING)
 
 
+class PlaceNote(str):
+    """A note of a provenance that tells where on the earth a run was."""
+
+
 def local_position(
     latitude: Samples, longitude: Samples, origin: tuple[float, float]
 ) -> tuple[Samples, Samples]:
@@ -42,7 +46,7 @@ def local_position(
 
 def place_fixes(
     latitude: Samples, longitude: Samples, origin: tuple[float, float] | None, where: str
-) -> tuple[Samples, Samples, str]:
+) -> tuple[Samples, Samples, PlaceNote]:
     """North and east (m) of the origin, by default the first valid fix, and a note on it.
 
     Angles in rad. Raises `UserError`, beginning with `where`, for angles that are none or where
@@ -64,4 +68,5 @@ def place_fixes(
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]))
     north, east = local_position(latitude, longitude, origin)
     place = ", ".join(f"{np.degrees(angle):.9g}" for angle in origin)
-    return north, east, f"x, y are metres north and east of {source}, {place} deg (WGS84)"
+    note = PlaceNote(f"x, y are metres north and east of {source}, {place} deg (WGS84)")
+    return north, east, note

@@ -81,7 +81,6 @@ ACTUATOR_PREFIXES = ("cmd_", "exec_")
 # The first words of the notes of the provenance on rows that reading left out.
 REPEATED_TIMES = "merged rows whose time stamp repeats the row before"
 EMPTY_ROWS = "dropped empty rows"
-COLUMNS_NOT_USED = "columns not used"  # and of those on columns
 
 
 # What a mapping may name besides, and what becomes of it: x and y.

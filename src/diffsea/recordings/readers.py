@@ -5,9 +5,8 @@ file's labels are right; whether they are is for the audit to find out.
 """
 
 import dataclasses
-import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ import pandas as pd
 from jaxtyping import Int
 
 from diffsea.errors import UserError, nearest
+from diffsea.outside.digests import content_digest
 from diffsea.outside.durable import written_beside
 from diffsea.recordings import logs
 from diffsea.recordings.conditioning import cut_between
@@ -23,7 +23,6 @@ from diffsea.recordings.known import recognise
 from diffsea.recordings.mappings import (
     ACTUATOR_PREFIXES,
     CHANNEL_DIMENSIONS,
-    COLUMNS_NOT_USED,
     EMPTY_ROWS,
     EXTRA_CHANNELS,
     REPEATED_TIMES,
@@ -117,14 +116,14 @@ def _read_whole(source: str | Path | pd.DataFrame, mapping: Mapping | None) -> T
     path = Path(source)
     if not logs.is_log(path):
         found = read_table(path, mapping)
-        notes = [f"read {path.name}, sha256 {_digest(path)}", *through]
+        notes = [f"read {path.name}, sha256 {content_digest(path)}", *through]
         notes += [found.cut_off] if found.cut_off else []
         run = _from_table(found.table, mapping, str(path), found.first_line, notes, path.name)
         return dataclasses.replace(run, read=dataclasses.replace(run.read, cut_off=found.cut_off))
     known = recognise(path) if mapping is None else None
     log = logs.read_log(path, known.mapping if known else mapping)
     told = (known.sentence, *known.others, *known.missing) if known else ()
-    notes = [f"read {path.name}, sha256 {_digest(path)}", *through, *told, *log.notes]
+    notes = [f"read {path.name}, sha256 {content_digest(path)}", *through, *told, *log.notes]
     run = _assemble(log.values, str(path), 1, notes, path.name, log.repeated_times)
     return dataclasses.replace(
         run,
@@ -184,15 +183,6 @@ def write_recording(trajectory: Trajectory, path: str | Path) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _digest(path: Path) -> str:
-    """SHA-256 of a file; of a folder, that of the names and digests of the files in it."""
-    if path.is_dir():
-        parts = [f"{item.name} {_digest(item)}\n" for item in sorted(path.iterdir())]
-        return hashlib.sha256("".join(parts).encode()).hexdigest()
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _from_table(
     table: pd.DataFrame,
     mapping: Mapping | None,
@@ -214,9 +204,9 @@ def _from_table(
     used = {name for column in channels.values() for name in column.names}
     unused = [str(name) for name in table.columns if name not in used and str(name).strip()]
     if unused:
-        notes.append(f"{COLUMNS_NOT_USED}: " + ", ".join(unused))
+        notes.append(f"columns not used: {', '.join(unused)}")
     if mapping is None:
-        return _assemble(values, place, first_line, notes, name)
+        return _with_unused(_assemble(values, place, first_line, notes, name), unused)
     if mapping.time_step is not None:
         values["t"] = np.arange(len(table)) * mapping.time_step
     if mapping.frame != "NED":
@@ -225,7 +215,12 @@ def _from_table(
         fixes = values.pop("latitude"), values.pop("longitude")
         values["x"], values["y"], note = place_fixes(*fixes, mapping.origin, place)
         notes.append(note)
-    return _with_mapped_repairs(_assemble(values, place, first_line, notes, name), mapping)
+    run = _with_mapped_repairs(_assemble(values, place, first_line, notes, name), mapping)
+    return _with_unused(run, unused)
+
+
+def _with_unused(run: Trajectory, unused: Sequence[str]) -> Trajectory:
+    return dataclasses.replace(run, read=dataclasses.replace(run.read, unused_columns=(*unused,)))
 
 
 def _listed(names: Iterable[object]) -> str:

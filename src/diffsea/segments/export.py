@@ -5,7 +5,6 @@ does not keep stands beside them, in the record of the export.
 """
 
 import dataclasses
-import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from diffsea.errors import UserError
+from diffsea.outside.digests import content_digest
 from diffsea.recordings import cut, resample, write_recording
 from diffsea.segments.segments import Segment
 from diffsea.segments.traceability import Check
@@ -71,7 +71,7 @@ def export(
         entries.append(
             {
                 "file": path.name,
-                "sha256": digest(path),
+                "sha256": content_digest(path),
                 **dataclasses.asdict(segment),
                 "steady": segment.steady,
                 "steps": list(piece.provenance),
@@ -83,11 +83,15 @@ def export(
 
 def source_of(path: Path, mapping: Path | None) -> dict[str, Any]:
     """What a recording was read from: file and mapping, each with its hash."""
-    source: dict[str, Any] = {"file": Path(path).name, "sha256": digest(path), "mapping": None}
+    source: dict[str, Any] = {
+        "file": Path(path).name,
+        "sha256": content_digest(path),
+        "mapping": None,
+    }
     if mapping is not None:
         text = Path(mapping).read_text(encoding="utf-8")
         name = Path(mapping).name
-        source["mapping"] = {"file": name, "sha256": digest(mapping), "text": text}
+        source["mapping"] = {"file": name, "sha256": content_digest(mapping), "text": text}
     return source
 
 
@@ -98,13 +102,3 @@ def record(recordings: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "diffsea": importlib.metadata.version("diffsea"),
         "recordings": list(recordings),
     }
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file, or of the files of a folder in the order of their names."""
-    path = Path(path)
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    total = hashlib.sha256()
-    for file in files:
-        total.update(file.read_bytes())
-    return total.hexdigest()

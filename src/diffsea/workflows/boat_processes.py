@@ -18,6 +18,7 @@ from typing import Any
 
 from diffsea.errors import UserError
 from diffsea.outside.cluster import RETRIES, Failed, Workers
+from diffsea.outside.digests import content_digest
 from diffsea.outside.durable import working_folder, written_beside
 from diffsea.vessel.files import shipped_vessels
 
@@ -33,7 +34,7 @@ def part_key(task: dict[str, Any]) -> str:
     """
 
     def inside(path: str | None) -> str:
-        return "" if path is None else _content_hash(pathlib.Path(path))
+        return "" if path is None else _digest(pathlib.Path(path))
 
     vessel = shipped_vessels().get(task["vessel"], task["vessel"])
     content = {
@@ -49,15 +50,10 @@ def part_key(task: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _content_hash(path: pathlib.Path) -> str:
-    """Of a file, or of all files of a folder; empty where nothing can be read."""
+def _digest(path: pathlib.Path) -> str:
+    """Of what can be read; else empty."""
     try:
-        if not path.is_dir():
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        inside = sorted(one for one in path.rglob("*") if one.is_file())
-        parts = [f"{one.relative_to(path)}\0{_content_hash(one)}\n" for one in inside]
-        return hashlib.sha256("".join(parts).encode()).hexdigest()
+        return content_digest(path)
     except OSError:
         return ""
 

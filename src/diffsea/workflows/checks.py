@@ -2,8 +2,6 @@
 
 import contextlib
 import dataclasses
-import re
-import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -19,13 +17,12 @@ from diffsea.recordings import (
     read_recording,
     unreadable,
 )
+from diffsea.recordings.geodesy import PlaceNote
 from diffsea.recordings.known import Recognised, recognise
 from diffsea.recordings.mapping_proposal import SURE, Proposal, foreign_layouts, propose_mapping
 from diffsea.recordings.mappings import (
     CHANNEL_DIMENSIONS,
-    COLUMNS_NOT_USED,
     check_stems,
-    mapping_from,
     mapping_path,
 )
 from diffsea.runtime import one_blas_thread
@@ -34,10 +31,6 @@ from diffsea.trajectory import Trajectory
 
 _SI = {"time": "s", "length": "m", "angle": "rad", "angular rate": "rad/s", "speed": "m/s"}
 _SI |= {"ratio": "1"}
-_PLACES = re.compile(
-    r"^.*(of the first valid fix|of \[file\] origin|First fix|first fix).*$\n?", re.M
-)
-_ORIGIN = re.compile(r"^origin *=.*$\n?", re.M)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +40,7 @@ class ChosenMapping:
     Attributes:
         mapping: None of a table with native columns.
         text: the mapping as a file, None where the user or nobody gave it.
+        text_without_place: the same without where on the earth the log is from.
         told: which it is, for people.
         known: what the log was recognised as.
         guesses: channels of a proposed mapping that are no more than guessed, and why.
@@ -54,6 +48,7 @@ class ChosenMapping:
 
     mapping: Mapping | None
     text: str | None
+    text_without_place: str | None
     told: str
     known: Recognised | None = None
     guesses: tuple[str, ...] = ()
@@ -72,12 +67,12 @@ def choose_mappings(
     if mapping is not None:
         if not mapping.is_dir():
             given = read_mapping(mapping)
-            return {path: ChosenMapping(given, None, f"through {mapping}") for path in paths}
+            return {path: ChosenMapping(given, None, None, f"through {mapping}") for path in paths}
         check_stems(mapping, paths)
         own = {path: mapping_path(mapping, path) for path in paths}
         rest = choose_mappings([path for path, file in own.items() if file is None])
         return rest | {
-            path: ChosenMapping(read_mapping(file), None, f"through {file}")
+            path: ChosenMapping(read_mapping(file), None, None, f"through {file}")
             for path, file in own.items()
             if file is not None
         }
@@ -94,10 +89,11 @@ def choose_mappings(
             chosen[path] = unreadable(path.name, str(error))
             continue
         if known is not None:
-            chosen[path] = ChosenMapping(known.mapping, known.text, known.sentence, known)
+            text = known.text  # of any log of this kind
+            chosen[path] = ChosenMapping(known.mapping, text, text, known.sentence, known)
         else:
             columns = "without a mapping" if logs.is_log(path) else "native columns"
-            chosen[path] = ChosenMapping(None, None, columns)
+            chosen[path] = ChosenMapping(None, None, None, columns)
     for layout in foreign_layouts([p for p in paths if isinstance(chosen[p], ChosenMapping)]):
         try:
             proposals = propose_by_axes(layout)
@@ -116,14 +112,11 @@ def choose_mappings(
             told = "through a mapping proposed from names and kinematics:\n" + proposal.summary
             if len(proposals) > 1:
                 axes = {"earth": "north and east", "body": "along the vessel and to starboard"}
-                told = f"velocities {axes[_table_of(proposal).velocity_axes]}, {told}"
-            how = ChosenMapping(_table_of(proposal), proposal.text, told, guesses=proposal.guesses)
+                told = f"velocities {axes[proposal.mapping.velocity_axes]}, {told}"
+            texts = proposal.text, proposal.text_without_place
+            how = ChosenMapping(proposal.mapping, *texts, told, guesses=proposal.guesses)
             chosen |= dict.fromkeys(group, how)
     return chosen
-
-
-def _table_of(proposal: Proposal) -> Mapping:
-    return mapping_from(tomllib.loads(proposal.text), Path("the proposed mapping"))
 
 
 def propose_by_axes(files: Sequence[Path]) -> list[tuple[Sequence[Path], Proposal]]:
@@ -140,13 +133,13 @@ def propose_by_axes(files: Sequence[Path]) -> list[tuple[Sequence[Path], Proposa
     if len(files) == 1 or not together.timed:
         return [(files, together)]
     doubted = any(together.sure.get(channel, SURE) < SURE for channel in ("u", "v"))
-    if not doubted and not _has_wrong_axes(files, _table_of(together)):
+    if not doubted and not _has_wrong_axes(files, together.mapping):
         return [(files, together)]
     by_axes: dict[str, list[Path]] = {}
     for path in files:
-        axes = _table_of(together).velocity_axes
+        axes = together.mapping.velocity_axes
         with contextlib.suppress(UserError):  # too little of it to be asked alone: as the others
-            axes = _table_of(propose_mapping(path)).velocity_axes
+            axes = propose_mapping(path).mapping.velocity_axes
         by_axes.setdefault(axes, []).append(path)
     if len(by_axes) < 2:
         return [(files, together)]
@@ -203,21 +196,14 @@ def check_logs(
         outputs = how.known.outputs if how.known else ()
         missing = how.known.missing if how.known else _unmapped_orders(run)
         named = _format_of(path, how, run)
-        sources = _sources(run, how)
+        sources = _sources(how)
         checks.append(check_run(run, next(judged), named, sources, outputs, missing, how.guesses))
     return checks
 
 
-def mapping_file(how: ChosenMapping, hide_place: bool) -> str | None:
-    """The text of the mapping that was chosen, without the origin where the place is hidden."""
-    if how.text is None or not hide_place:
-        return how.text
-    return _ORIGIN.sub("", _PLACES.sub("", how.text))
-
-
 def _without_place(run: Trajectory) -> Trajectory:
     """The run from where it began, without the origin among its notes."""
-    notes = tuple(note for note in run.provenance if not _PLACES.match(note + "\n"))
+    notes = tuple(note for note in run.provenance if not isinstance(note, PlaceNote))
     moved = {}
     for axis in ("x", "y"):
         series = getattr(run, axis)
@@ -228,7 +214,7 @@ def _without_place(run: Trajectory) -> Trajectory:
 
 def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
     """Which columns of a table may be the orders, where none is known as one, or what drives."""
-    unused = [note for note in run.provenance if note.startswith(COLUMNS_NOT_USED)]
+    unused = run.read.unused_columns
     known = {name.lower() for name in (*run.commanded, *run.executed)}
     if known and all(map(is_rudder, known)):
         return (
@@ -240,7 +226,7 @@ def _unmapped_orders(run: Trajectory) -> tuple[str, ...]:
         return ()
     why = "no column is known as an order or as executed actuation"
     how = "if one is, name it in the mapping as cmd_port, cmd_starboard, cmd_rudder"
-    return (f"{why}; {unused[0]}; {how}",)
+    return (f"{why}; columns not used: {', '.join(unused)}; {how}",)
 
 
 def _format_of(path: Path, how: ChosenMapping, run: Trajectory) -> tuple[str, str, str]:
@@ -289,7 +275,7 @@ def _counted(number: int, word: str) -> str:
     return f"{counted} {word}{'s' * (number > 1)}"
 
 
-def _sources(run: Trajectory, how: ChosenMapping) -> dict[str, tuple[str, str]]:
+def _sources(how: ChosenMapping) -> dict[str, tuple[str, str]]:
     """Column and unit of each channel, as they stand in the log, or that it never changed."""
     if how.mapping is None:
         return {name: (name, _SI.get(unit, "")) for name, unit in CHANNEL_DIMENSIONS.items()}

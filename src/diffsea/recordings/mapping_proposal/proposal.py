@@ -4,9 +4,11 @@ The proposal is a mapping file to edit: every line with why, and how sure it is.
 """
 
 import dataclasses
+import functools
 import json
 import math
 import textwrap
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from diffsea.recordings.mapping_proposal.evidence import (
 from diffsea.recordings.mapping_proposal.hypotheses import NED, QUANTITIES
 from diffsea.recordings.mapping_proposal.names import LABELS, NAMED
 from diffsea.recordings.mapping_proposal.table_layout import sniff_layout
-from diffsea.recordings.mappings import Column, is_channel
+from diffsea.recordings.mappings import Column, Mapping, is_channel, mapping_from
 from diffsea.runtime import one_blas_thread
 from diffsea.trajectory import MOTION_CHANNELS
 
@@ -64,6 +66,7 @@ class Proposal:
 
     Attributes:
         text: TOML that `read_mapping` accepts.
+        text_without_place: the same without the origin of a geographic position.
         sure: by channel, the probability that its column, unit and sign are right.
         summary: what to tell, a line per channel.
         checks: what to look at before anybody relies on the mapping.
@@ -73,11 +76,17 @@ class Proposal:
     """
 
     text: str
+    text_without_place: str
     sure: dict[str, float]
     summary: str
     checks: tuple[str, ...]
     guesses: tuple[str, ...] = ()
     timed: bool = True
+
+    @functools.cached_property
+    def mapping(self) -> Mapping:
+        """What `text` says."""
+        return mapping_from(tomllib.loads(self.text), Path("the proposed mapping"))
 
 
 @one_blas_thread
@@ -117,6 +126,9 @@ def propose_mapping(paths: str | Path | Sequence[str | Path]) -> Proposal:
         checks.append(_why_not_written(evidence, guess, guesses))
     return Proposal(
         text=_mapping_text(evidence, guesses, doubted, files[0].name),
+        text_without_place=_mapping_text(
+            dataclasses.replace(evidence, origin=None), guesses, doubted, files[0].name
+        ),
         sure={guess.channel: guess.sure for guess in guesses},
         summary="\n".join(summary),
         checks=tuple(checks),
