@@ -38,7 +38,9 @@ def designs(*axes: int) -> tuple[pd.DataFrame, dict]:
     table["imo_overshoot_1"] = np.where(table["mass"] > 150, "fail", "pass")
     table["outcome"] = "completed"
     fails = list(table["imo_overshoot_1"]).count("fail")
-    extent = {"least": 0.1, "median": 0.15, "most": 0.2, "designs": len(table)}
+    first = dict.fromkeys(names, 100.0)
+    ends = {"least_design": first, "most_design": dict.fromkeys(names, 200.0)}
+    extent = {"least": 0.1, "median": 0.15, "most": 0.2, "designs": len(table)} | ends
     summary = {
         "vessel": "boat <1>", "manoeuvre": "zigzag", "designs": len(table),
         "parameters": {
