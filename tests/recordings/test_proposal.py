@@ -172,6 +172,29 @@ def test_a_position_is_written_whole_or_not_at_all(runs, tmp_path, monkeypatch):
     assert not {"x", "y"} & set(read_mapping(tmp_path / "a.toml").channels)
 
 
+def test_actuation_and_batteries_are_no_velocity_where_none_was_logged(runs, tmp_path):
+    """GPS, compass and motors: something always rises as the boat moves ahead."""
+    for number, (port, starboard) in enumerate(
+        [("pwm_left_us", "pwm_right_us"), ("thr_left", "thr_right"), ("port [%]", "starboard [%]")]
+    ):
+        native = runs["zigzag-fast"]
+        columns = {"time_s": native["t"], "North": native["x"], "East": native["y"]}
+        columns |= {"compass_deg": np.degrees(native["psi"]) % 360, "gyro z": native["r"]}
+        full = max(native["cmd_port"].abs().max(), native["cmd_starboard"].abs().max())
+        scale, offset = (400.0, 1500.0) if "us" in port else (100.0, 0.0)
+        columns |= {port: offset + scale * native["cmd_port"] / full}
+        columns |= {starboard: offset + scale * native["cmd_starboard"] / full}
+        columns["batt_V"] = 12.6 - 0.001 * np.arange(len(native)) - 1e-4 * columns[port]
+        path = tmp_path / f"boat{number}.csv"
+        pd.DataFrame(columns).to_csv(path, index=False)
+        proposal = propose_mapping(path)
+        channels = proposal.mapping.channels
+        assert {"x", "y", "psi", "r", "cmd_port", "cmd_starboard"} <= channels.keys()
+        assert not {"u", "v"} & channels.keys()
+        assert [channels[name].column for name in "xy"] == ["North", "East"]
+        assert channels["cmd_port"].unit is None
+
+
 def test_orders_are_told_from_what_was_realised(runs, tmp_path):
     table = runs["random-fast"].rename(columns={"t": "time"})
     smooth = table["cmd_port"].ewm(span=12).mean()

@@ -181,6 +181,20 @@ def test_decimal_commas_and_trailing_delimiters(place):
     np.testing.assert_array_equal(run.x, [1.25, 2.5])
 
 
+def test_a_delimiter_within_quotes_parts_no_names(place):
+    """Every column after `Supply, V` would be read as its neighbour."""
+    table = place('t,"Supply, V", "x" ,y,"rudder (deg, + port)"\n0,12.1,1,2,3\n1,12.2,4,5,6\n')
+    run = read_recording(table)
+    np.testing.assert_array_equal(run.x, [1, 4])
+    np.testing.assert_array_equal(run.y, [2, 5])
+    mapping = '[columns]\nt = "t"\nx = "y"\ncmd_rudder = { column = "rudder (deg, + port)" }\n'
+    mapped = read_recording(table, place(mapping, "map.toml"))
+    np.testing.assert_array_equal(mapped.x, [2, 5])
+    np.testing.assert_array_equal(mapped.commanded["rudder"], [3, 6])
+    with pytest.raises(UserError, match="line that begins 't,\"xx.* cannot be read"):
+        read_recording(place(f't,"{"x" * 200_000}",x\n0,1,2\n'))
+
+
 def test_commands_hold_through_empty_cells_and_are_unknown_before_the_first(place):
     run = read_recording(place("t,x,cmd_a,cmd_b\n0,1,,\n1,1,2,\n2,1,,\n3,1,5,\n"))
     np.testing.assert_array_equal(run.commanded["a"], [np.nan, 2, 2, 5])

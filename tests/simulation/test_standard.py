@@ -45,10 +45,18 @@ def measured(boat, manoeuvre, **options):
     [("time_to_half_speed", "s"), ("time_to_check_yaw_2", "s"), ("time_to_90", "s")]
     + [("period", "s"), ("peak_yaw_rate", "rad/s"), ("yaw_rate_3", "rad/s"), ("speed_loss", "1")]
     + [("heading_change", "rad"), ("overshoot_12", "rad"), ("final_speed", "m/s")]
-    + [("head_reach", "m"), ("vessel", None), ("number", None), ("overshoot_1_over_L", None)],
+    + [("head_reach", "m")],
 )
 def test_numbers_of_trials_have_their_units(number, unit):
     assert trial_unit(number) == unit
+
+
+@pytest.mark.parametrize("name", ["vessel", "number", "overshoot_1_over_L"])
+def test_a_number_without_a_unit_is_no_length(name):
+    with pytest.raises(KeyError, match=name):
+        trial_unit(name)
+    with pytest.raises(KeyError, match="number"):
+        list(numbers_of({"overshoot_1": 0.1, "number": 2.0}))
 
 
 def test_acceleration_is_a_first_order_lag(boat):

@@ -40,9 +40,16 @@ class TrialNumber(NamedTuple):
     over_length: float | None
 
 
-def trial_unit(name: str) -> str | None:
-    """The SI unit of a number of a trial, `1` where it has none; None of an unknown name."""
-    return _UNITS.get(name) or _UNITS.get(_COUNTED.sub("", name))
+def trial_unit(name: str) -> str:
+    """The SI unit of a number of a trial, `1` where it has none.
+
+    Raises:
+        KeyError: no number of a trial is called so.
+    """
+    unit = _UNITS.get(name) or _UNITS.get(_COUNTED.sub("", name))
+    if unit is None:
+        raise KeyError(f"{name}: give the number its unit in diffsea.metrics.numbers")
+    return unit
 
 
 def over_length(numbers: Mapping[str, Any], length: float) -> dict[str, float]:
@@ -51,8 +58,12 @@ def over_length(numbers: Mapping[str, Any], length: float) -> dict[str, float]:
 
 
 def numbers_of(metrics: Mapping[str, Any]) -> Iterator[TrialNumber]:
-    """The numbers among the entries of `metrics.json`."""
+    """The numbers among the entries of `metrics.json`.
+
+    Raises:
+        KeyError: one has no unit.
+    """
     for name, value in metrics.items():
-        unit = trial_unit(name)
-        if unit is not None and isinstance(value, float):
-            yield TrialNumber(name, value, unit, metrics.get(f"{name}{OVER_LENGTH}"))
+        if isinstance(value, float) and not name.endswith(OVER_LENGTH):
+            over = metrics.get(f"{name}{OVER_LENGTH}")
+            yield TrialNumber(name, value, trial_unit(name), over)

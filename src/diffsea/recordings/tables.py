@@ -1,5 +1,6 @@
 """Tables as they stand in files: names, rows and numbers, before anybody knows what they mean."""
 
+import csv
 import itertools
 import mmap
 import re
@@ -224,6 +225,22 @@ def _empty_error(path: Path) -> UserError:
     return UserError(f"{path} is empty; a recording has a line of names and rows of numbers")
 
 
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """The cells of a line without their quotes; a delimiter within quotes parts none.
+
+    Raises:
+        UserError: a cell in quotes that is longer than any text of a table.
+    """
+    if '"' in line and len(delimiter) == 1:
+        try:
+            cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        except csv.Error as error:
+            raise UserError(f"the line that begins {line[:40]!r} cannot be read: {error}") from None
+    else:
+        cells = line.split(None if delimiter == "whitespace" else delimiter)
+    return [cell.strip().strip('"').strip() for cell in cells]
+
+
 def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     """Column names, and how many lines stand before the first row of numbers.
 
@@ -234,15 +251,14 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
     if mapping.columns is not None:
         return list(mapping.columns), mapping.header_lines or 0
     count = 1 if mapping.header_lines is None else mapping.header_lines
-    separator = None if mapping.delimiter == "whitespace" else mapping.delimiter
     try:
         with path.open(encoding=mapping.encoding) as file:
-            first = [line.split(separator) for line in itertools.islice(file, count + 1)]
+            first = list(itertools.islice(file, count + 1))
     except UnicodeError as error:
         raise _encoding_error(path, mapping, error) from error
     if not first:
         raise _empty_error(path)
-    lines = [[cell.strip().strip('"').strip() for cell in cells] for cells in first]
+    lines = [split_cells(line, mapping.delimiter) for line in first]
     mapped = (column.names for column in mapping.channels.values())
     wanted = set(itertools.chain(*mapped)) or CHANNEL_DIMENSIONS
     hits = [sum(name in wanted for name in names) for names in lines]
@@ -270,9 +286,8 @@ def _ends_within_a_row(path: Path, delimiter: str, encoding: str) -> bool:
         last = file.read().decode(encoding, errors="replace").split("\n")[-2:]
     if len(last) < 2 or not last[1]:
         return False
-    separator = None if delimiter == "whitespace" else delimiter
-    before, cut = (line.split(separator) for line in last)
-    return len(cut) < len(before) or (not cut[-1].strip() and bool(before[-1].strip()))
+    before, cut = (split_cells(line, delimiter) for line in last)
+    return len(cut) < len(before) or (not cut[-1] and bool(before[-1]))
 
 
 def _check_exponents(path: Path) -> None:

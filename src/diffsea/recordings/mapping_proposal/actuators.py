@@ -186,8 +186,10 @@ def _actuator(
 ) -> ActuatorColumn:
     """The column in a role that it has with some chance, with its unit and its push."""
     ordered, reason, sure = _is_order(column, suggestion, runs)
-    unit = suggestion.unit if suggestion.unit in UNITS else ""
-    if not unit:
+    # A pulse width is no time, and a share has no unit in a mapping: both are taken as they stand.
+    plain = suggestion.unit in UNITS and UNITS[suggestion.unit][0] in ("time", "ratio")
+    unit = suggestion.unit if suggestion.unit in UNITS and not plain else ""
+    if not unit and not plain:
         largest = max(float(np.nanmax(np.abs(run.commanded[column]))) for run in runs)
         if role == "rudder":
             unit = "deg" if largest > _LARGEST_RADIANS else "rad"

@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from diffsea.recordings.mapping_proposal.actuators import ROLES
 from diffsea.recordings.mapping_proposal.columns import (
     ColumnWindows,
     IntegralRelation,
@@ -198,6 +199,12 @@ class ColumnScreening:
         straight = self.prior.label(u, *north) + self.prior.label(v, *east)
         return max(straight, self.prior.label(v, *north) + self.prior.label(u, *east))
 
+    def _may_be_velocity(self, name: str) -> bool:
+        """Whether a column is no order, and not called an actuator or anything beside motion."""
+        told = self.prior.suggestions[name]
+        beside = max(told.weights[label] for label in (*ROLES, "other"))
+        return not told.ordered and (told.is_over_ground or beside <= NAMED)
+
     def _evidence_of_velocities(
         self, heading: HeadingCandidate
     ) -> dict[Velocities, dict[str, float]]:
@@ -213,10 +220,11 @@ class ColumnScreening:
         targets = np.stack([self.windows.of("increments", name) for name in free], axis=1)
         totals = np.maximum(np.sum(targets**2, axis=0), 1e-300)
         options: list[tuple[tuple[str, ...], bool]] = []
+        moving = [name for name in free if self._may_be_velocity(name)]
         if heading.column is not None:
-            options = [((u,), False) for u in free]
-            options += [(pair, False) for pair in itertools.combinations(free, 2)]
-        options += [(pair, True) for pair in itertools.combinations(free, 2)]
+            options = [((u,), False) for u in moving]
+            options += [(pair, False) for pair in itertools.combinations(moving, 2)]
+        options += [(pair, True) for pair in itertools.combinations(moving, 2)]
         for velocities, earth in options:
             regressors = []
             for name in velocities:

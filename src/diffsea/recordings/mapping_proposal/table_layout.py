@@ -21,6 +21,7 @@ from diffsea.recordings.tables import (
     LARGEST_QUANTITY,
     PARQUET_SUFFIXES,
     read_table,
+    split_cells,
     stamp_seconds,
     to_numbers,
 )
@@ -122,11 +123,6 @@ def _first_lines(path: Path) -> tuple[list[str], str]:
     return text.splitlines()[: _JUDGED_LINES + _LONGEST_HEADER], encoding
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
-    separator = None if delimiter == "whitespace" else delimiter
-    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
-
-
 class _WayToParse(NamedTuple):
     """What the lines of a file are under a delimiter and a decimal sign."""
 
@@ -141,7 +137,7 @@ def _parse_as(lines: list[str], delimiter: str, decimal: str) -> _WayToParse:
     failed = _WayToParse(delimiter, decimal)
     if delimiter == decimal:
         return failed
-    rows = [_cells(line, delimiter) for line in lines]
+    rows = [split_cells(line, delimiter) for line in lines]
     numeric = [[_NUMBER[decimal].fullmatch(cell) is not None for cell in row] for row in rows]
     full = [sum(flags) for flags in numeric]
     widths = [len(row) for row, count in zip(rows, full, strict=True) if count >= 2]
@@ -180,7 +176,7 @@ def _layout_of_header(header: list[str], way: _WayToParse, encoding: str) -> Tab
             units = [own or unit_in(cell) or cell for own, cell in zip(units, below, strict=True)]
         names = _unique_names(named[index])
         # A mapping finds the line of names by the names that it uses; several may have them.
-        listed = _cells(header[index], way.delimiter) != names
+        listed = split_cells(header[index], way.delimiter) != names
     else:
         names, units, listed = _unique_names([""] * way.width), [""] * way.width, True
     mapping = Mapping(
@@ -197,11 +193,11 @@ def _layout_of_header(header: list[str], way: _WayToParse, encoding: str) -> Tab
 def _header_cells(line: str, way: _WayToParse) -> list[str] | None:
     """The cells of a header line, one per column, or None where it does not split so."""
     line = line.strip().lstrip("#%!").strip() if line.lstrip()[:1] in "#%!" else line
-    splits = [_cells(line, way.delimiter)]
+    splits = [split_cells(line, way.delimiter)]
     if way.delimiter == "whitespace":
         splits.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line.strip())])
         splits.append(re.sub(r"\s+(?=[\[(])", "", line).split())
-    splits += [_cells(line, other) for other in ",;\t|"]
+    splits += [split_cells(line, other) for other in ",;\t|"]
     for cells in splits:
         if len(cells) == way.width and sum(bool(cell) for cell in cells) >= 0.5 * way.width:
             return cells

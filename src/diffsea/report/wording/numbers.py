@@ -15,10 +15,4 @@ def number_unit(name: str) -> str:
     Raises:
         KeyError: no such number.
     """
-    return NUMBERS[name] if name in NUMBERS else _known(trial_unit(name), name)
-
-
-def _known(unit: str | None, name: str) -> str:
-    if unit is None:
-        raise KeyError(f"{name} is no number of a trial or a mission")
-    return unit
+    return NUMBERS.get(name) or trial_unit(name)
