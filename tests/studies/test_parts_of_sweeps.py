@@ -142,8 +142,18 @@ def test_the_designs_of_the_least_and_the_most_are_named(whole):
         for end in ("least", "most"):
             design = pd.Series(column[f"{end}_design"])
             assert list(design.index) == ["mass", "N_r", "I_z"]
-            [row] = table[(table[list(design.index)] == design).all(axis=1)].to_dict("records")
-            assert row[name] == column[end]
+            [value] = table.loc[(table[list(design.index)] == design).all(axis=1), name]
+            assert value == column[end]
+
+
+def test_ends_are_found_beyond_the_first_batch_of_rows(tmp_path):
+    mass = np.arange(140_000.0)
+    period = np.where(mass == 70_001, -1.0, np.where(mass == 139_999, 9.0, 1.0 + mass % 2))
+    rows = pd.DataFrame({"mass": mass, "period": period, "outcome": "completed"})
+    rows.to_parquet(tmp_path / "sweep.parquet")
+    found = merging.summarise(tmp_path / "sweep.parquet", ["mass"])["metrics"]["period"]
+    assert found["least_design"] == {"mass": 70_001.0}
+    assert found["most_design"] == {"mass": 139_999.0}
 
 
 def test_a_number_that_no_design_has_names_none(tmp_path):
