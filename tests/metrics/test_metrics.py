@@ -653,6 +653,21 @@ def test_preparation_keeps_what_is_clean():
     np.testing.assert_array_equal(same.commanded["rudder"], run.commanded["rudder"])
 
 
+def test_velocities_are_derived_from_samples_and_not_from_lines_between_them():
+    """Noisy fixes in every fourth row: what lies between two predicts itself, noise and all."""
+    t, rng = np.arange(0.0, 60.0, 0.05), np.random.default_rng(4)
+    psi = 0.6 * np.sin(0.2 * t)
+    u, v = 1.2 + 0.2 * np.cos(0.15 * t), 0.1 * np.sin(0.2 * t)
+    velocity = (u + 1j * v) * np.exp(1j * psi)
+    place = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t))])
+    fix = place + 0.03 * (rng.normal(size=t.size) + 1j * rng.normal(size=t.size))
+    fix[np.arange(t.size) % 4 != 1] = np.nan * (1 + 1j)
+    gone = np.full_like(t, np.nan)
+    prepared, _ = prepare_recording(trajectory(t, fix.real, fix.imag, psi, gone, gone, gone))
+    assert np.sqrt(np.mean((prepared.u - u) ** 2)) < 0.05
+    assert np.sqrt(np.mean((prepared.v - v) ** 2)) < 0.05
+
+
 def test_impossible_requests_are_told_as_such():
     run = turning_recording()
     gone = np.full_like(run.t, np.nan)

@@ -48,7 +48,8 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
             from positions too large to calculate with.
     """
     run = _measured_rows(trajectory)
-    t, motion = run.t, dict(run.motion)
+    t, sampled = run.t, run.motion
+    motion = {name: interpolate_missing(t, values) for name, values in sampled.items()}
     steps: list[Derivation] = []
 
     def note(text: str) -> None:
@@ -60,7 +61,7 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
         motion["psi"] = turned + 0.0
         # Of the start that velocities and positions agree on best.
         if _has_values(motion["x"]) and _has_values(motion["y"]):
-            over_ground = _time_derivative(t, motion["x"]) + 1j * _time_derivative(t, motion["y"])
+            over_ground = _time_derivative(t, sampled["x"]) + 1j * _time_derivative(t, sampled["y"])
             body = np.ones(len(t), complex)
             if _has_values(motion["u"]) and _has_values(motion["v"]):
                 body = motion["u"] + 1j * motion["v"]
@@ -73,16 +74,16 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
                     "leave these rows out"
                 )
             motion["psi"] = turned + float(start)
-    steps += _smooth_noise(t, motion)
+    steps += _smooth_noise(t, sampled, motion)
     if not _has_values(motion["r"]):
         note("yaw rate was not recorded: it is the derivative of the heading")
-        motion["r"] = _time_derivative(t, motion["psi"])
+        motion["r"] = _time_derivative(t, sampled["psi"])
     missing = [name for name in ("u", "v") if not _has_values(motion[name])]
     if missing:
         what = " and ".join(missing)
         velocity = {"u": motion["u"], "v": np.zeros_like(t)}
         if _has_values(motion["x"]) and _has_values(motion["y"]):
-            north, east = _time_derivative(t, motion["x"]), _time_derivative(t, motion["y"])
+            north, east = _time_derivative(t, sampled["x"]), _time_derivative(t, sampled["y"])
             velocity = dict(zip("uv", to_body(north, east, motion["psi"]), strict=True))
             note(f"{what} not recorded: derived from the positions")
         else:
@@ -92,7 +93,7 @@ def prepare_recording(trajectory: Trajectory) -> tuple[Trajectory, list[Derivati
 
 
 def _measured_rows(trajectory: Trajectory) -> Trajectory:
-    """The rows between the first and last heading, gaps in their motion interpolated."""
+    """The rows between the first and last heading, gaps in their motion left as they are."""
     if not (trajectory.has("psi") or trajectory.has("r")):
         raise UserError(
             f"{trajectory.name} has neither heading (psi) nor yaw rate (r): no number of a "
@@ -109,23 +110,21 @@ def _measured_rows(trajectory: Trajectory) -> Trajectory:
     run = trajectory.rows(rows)
     finite = np.isfinite(run.psi)
     run.psi[finite] = np.unwrap(run.psi[finite])
-    motion = {name: interpolate_missing(run.t, values) for name, values in run.motion.items()}
-    return dataclasses.replace(run, **motion)
+    return run
 
 
 def _has_values(values: Samples) -> bool:
     return bool(np.isfinite(values).any())
 
 
-def _smooth_noise(t: Samples, motion: dict[str, Samples]) -> list[Derivation]:
-    """Replace noisy channels, in place, by parabolas over what a fast turn by 5 deg takes."""
-    noisy = [
-        name
-        for name, values in motion.items()
-        if len(values) >= 8
-        and _has_values(values)
-        and noise_scale(values) > _NOISE_SHARE * np.ptp(values)
-    ]
+def _smooth_noise(
+    t: Samples, sampled: dict[str, Samples], motion: dict[str, Samples]
+) -> list[Derivation]:
+    """Replace noisy channels of `motion`, in place, by parabolas over a fast turn by 5 deg.
+
+    Noise is that of the samples: a line between two of them has none.
+    """
+    noisy = [name for name, values in sampled.items() if _is_noisy(values[np.isfinite(values)])]
     psi, lag = motion["psi"], max(1, len(t) // 50)
     duration = np.maximum(t[lag:] - t[:-lag], 1e-12)
     fast = np.quantile(np.abs(psi[lag:] - psi[:-lag]) / duration, 0.9)
@@ -139,18 +138,26 @@ def _smooth_noise(t: Samples, motion: dict[str, Samples]) -> list[Derivation]:
     return [Derivation("smoothed", note)]
 
 
+def _is_noisy(samples: Samples) -> bool:
+    return len(samples) >= 8 and noise_scale(samples) > _NOISE_SHARE * np.ptp(samples)
+
+
 def _time_derivative(t: Samples, values: Samples) -> Samples:
-    """Slope of local parabolas over as many rows as predict left-out samples best.
+    """Slope, in every row, of local parabolas over as many samples as predict one left out best.
 
     Differences of two samples would have the noise of both over one interval: of positions to
-    0.1 m at 5 Hz, 0.7 m/s.
+    0.1 m at 5 Hz, 0.7 m/s. Rows without a sample have no say: what was interpolated is predicted
+    best by its two neighbours, noise and all.
     """
+    rows, (t, values) = t, (one[np.isfinite(values)] for one in (t, values))
     counts = [count for count in _RATE_ROWS if count <= len(t)]
     if not counts or np.any(np.diff(t) <= 0):
-        return np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
-    fits = [_local_parabolas(t, values, count) for count in counts]
-    missed = [np.sum(((values - fit.value) / (1 - fit.leverage)) ** 2) for fit in fits]
-    return fits[int(np.argmin(missed))].slope
+        found = np.asarray(slopes(jnp.asarray(t), jnp.asarray(values)), float)
+    else:
+        fits = [_local_parabolas(t, values, count) for count in counts]
+        missed = [np.sum(((values - fit.value) / (1 - fit.leverage)) ** 2) for fit in fits]
+        found = fits[int(np.argmin(missed))].slope
+    return found if len(t) == len(rows) else np.interp(rows, t, found)
 
 
 class _LocalParabolas(NamedTuple):
