@@ -72,7 +72,8 @@ def noise(true: dict) -> Noise:
     """The simulator's own."""
     std = gust_scale(true)
     sensor = [part.noise for part in sensors.suite().values()]
-    return Noise(*(jnp.log(jnp.asarray(x)) for x in (1e-3 * std, std, [5.0, 5.0, 3.0], sensor)))
+    scales = 1e-3 * std, std, [5.0, 5.0, 3.0], sensor, [1e-9]
+    return Noise(*(jnp.log(jnp.asarray(x)) for x in scales))
 
 
 @eqx.filter_jit

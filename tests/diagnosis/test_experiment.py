@@ -200,7 +200,7 @@ def estimated(train, effect, physical: tuple[float, ...]):
     coordinates = np.zeros(train.layout.size)
     place = train.layout.indices((effect.name,))
     coordinates[place] = np.array(physical) / effect.sizes(train.base)
-    noise = Noise.of(np.log([*[1e-6] * 3, *[1e-6] * 3, *[1.0] * 3, *[SENSOR] * 6]))
+    noise = Noise.of(np.log([*[1e-6] * 3, *[1e-6] * 3, *[1.0] * 3, *[SENSOR] * 6, 1e-9]))
     index = np.array([0, *place])
     free = (*FREE, effect.name)
     fitted = posterior_estimate(

@@ -165,7 +165,7 @@ def test_a_refit_starts_without_what_is_not_in_the_model_any_more():
     np.testing.assert_array_equal(start_beside(problem, better, one), bare.coordinates)
 
 
-NOISE, OTHER_NOISE = (Noise.of(np.full(15, level)) for level in (-3.0, -2.0))
+NOISE, OTHER_NOISE = (Noise.of(np.full(16, level)) for level in (-3.0, -2.0))
 
 
 def fitted_at(problem: Problem, noise: Noise, **values: float) -> Estimate:

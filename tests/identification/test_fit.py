@@ -182,7 +182,7 @@ def test_a_random_walk_seen_late_is_followed_as_one_seen_at_once(rows):
 @pytest.mark.parametrize("dt", [0.0, 0.02, 0.5, 3.0])
 def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
     """Van Loan's matrix exponential of d(speed) = a dt + g dw, d a = -a dt / T + b dw'."""
-    noise = Noise.of(np.log([0.03, 0.02, 0.01, 0.2, 0.1, 0.05, 0.4, 3.0, 12.0, *np.ones(6)]))
+    noise = Noise.of(np.log([0.03, 0.02, 0.01, 0.2, 0.1, 0.05, 0.4, 3.0, 12.0, *np.ones(6), 0.5]))
     gusts, Q = gust_propagation(noise, jnp.array([dt]))
     for k in range(3):
         g, s, T = (math.exp(part[k]) for part in (noise.gust, noise.slow, noise.memory))
@@ -193,6 +193,9 @@ def test_gusts_over_a_row_are_the_integrals_of_their_equation(dt):
         assert 2 * gusts.half[0, k] == pytest.approx(F[0, 1])
         both = np.ix_([3 + k, 6 + k], [3 + k, 6 + k])
         np.testing.assert_allclose(np.asarray(Q[0])[both], F @ block[:2, 2:], rtol=1e-6, atol=1e-15)
+    # Fixes walk independently of all that, on two axes, and headings do not.
+    np.testing.assert_allclose(np.diag(Q[0])[:3], [0.25 * dt, 0.25 * dt, 0.0])
+    assert not np.triu(Q[0], 1)[:3].any()
 
 
 def test_a_residual_without_derivatives_is_the_same_residual(fitted):
@@ -214,7 +217,7 @@ def test_the_linearised_filter_repeats_the_filter_it_was_made_from(fitted):
     np.testing.assert_allclose(white, run.white, atol=1e-9)
     np.testing.assert_allclose(variance, run.variance, rtol=1e-9)
     # With other noise it is another filter's, but for the curvature of the motion.
-    other = Noise.of(result.noise.scales + 0.3 * np.resize([1.0, -1.0], 15))
+    other = Noise.of(result.noise.scales + 0.3 * np.resize([1.0, -1.0], 16))
     again = problem.run_filter(result.coordinates, other)
     white, variance = rerun_linearised(run, times, other)
     np.testing.assert_allclose(white, again.white, atol=0.05)

@@ -49,7 +49,7 @@ class Gusty(NamedTuple):
     def noise(self) -> Noise:
         """The library's scales; those of channels that are not seen do not matter."""
         scales = [self.white, 0.1, 0.1, self.lasting, 0.1, 0.1, self.memory, 3.0, 3.0]
-        return Noise.of(np.log([*scales, 1.0, 1.0, 1.0, self.sensor, 1.0, 1.0]))
+        return Noise.of(np.log([*scales, 1.0, 1.0, 1.0, self.sensor, 1.0, 1.0, 1e-9]))
 
 
 def covariance(gusty: Gusty, damping: float, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -86,7 +86,7 @@ def _recorded(sim, seed: int, scale: float = 1.0, seconds: float = SECONDS) -> T
 def _noise(true: dict) -> Noise:
     """What the simulator's gusts and sensors are."""
     std = gust_scale(true)
-    return Noise(*(jnp.log(jnp.asarray(x)) for x in (1e-3 * std, std, [5.0, 5.0, 3.0], STD)))
+    return Noise(*(jnp.log(jnp.asarray(x)) for x in (1e-3 * std, std, [5.0, 5.0, 3.0], STD, [1e-9])))
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_on_a_linear_vessel_it_is_the_kalman_filter(document):
     force = next(name for name in named(made) if name.endswith("bias_north"))
     inertia, damping, g, scale = 180.0 + 12.0, 52.0, 0.02, 15.0
     noise = Noise(*(jnp.log(jnp.asarray(x)) for x in
-                    ([g] * 3, [1e-9] * 3, [5.0] * 3, STD)))  # fmt: skip
+                    ([g] * 3, [1e-9] * 3, [5.0] * 3, STD, [1e-9])))  # fmt: skip
     filter = kalman_filter(made, [Parameter(force, 0.0, scale)], noise, drift=0.01)
     belief = filter.init(State(0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     length = 4.9

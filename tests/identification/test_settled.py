@@ -13,7 +13,7 @@ from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.fit import RESTART_DISTANCE, RESTARTS, Start, settled
 
 
-NOISE = Noise.of(np.zeros(15))
+NOISE = Noise.of(np.zeros(16))
 # Two coordinates of which the data tell the sum a hundred times as well as the difference.
 INFORMATION = np.array([[1.0, 1.0], [1.0, 1.0]]) * 5000 + np.array([[1.0, -1.0], [-1.0, 1.0]]) / 2
 

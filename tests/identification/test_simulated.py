@@ -19,6 +19,7 @@ STEP, ROWS = 0.2, 15000
 MASSES, DRAGS = (22.0, 30.0, 12.0), (11.0, 18.0, 6.0)
 WHITE, SLOW, MEMORY = (0.03, 0.02, 0.015), (0.03, 0.025, 0.02), (3.0, 2.0, 1.5)
 SENSOR = (0.3, 0.2, 0.02, 0.03, 0.04, 0.01)
+WALK = 0.05
 DOCUMENT = {
     "format": 1, "name": "buoy", "source": "none",
     "hull": {"length": 2.0, "beam": 1.0, "draught": 0.2, "mass": 20.0, "I_z": 10.0, "x_G": 0.0,
@@ -43,7 +44,7 @@ def at_rest(rows: int) -> Trajectory:
 def setting():
     problem = make_problem(build(DOCUMENT), [at_rest(ROWS), at_rest(200)], ("X_u",))
     log = lambda values: jnp.log(jnp.asarray(values))
-    noise = Noise(log(WHITE), log(SLOW), log(MEMORY), log(SENSOR))
+    noise = Noise(log(WHITE), log(SLOW), log(MEMORY), log(SENSOR), log([WALK]))
     fitted = posterior_estimate(
         ("X_u",), np.zeros(1), 0.0, np.array([0]), np.ones(1), np.eye(1), state=noise
     )
@@ -87,7 +88,7 @@ def test_gusts_last_as_long_as_they_should(drawn):
 def test_what_gusts_add_to_speed_and_acceleration_goes_together(setting):
     problem, fitted = setting
     white, memory = jnp.log(jnp.full(3, 1e-3)), jnp.log(jnp.full(3, 0.3))
-    quiet = Noise(white, fitted.noise.slow, memory, fitted.noise.sensor)
+    quiet = dataclasses.replace(fitted.noise, gust=white, memory=memory)
     found = draw_process_noise(quiet, problem.dataset, np.random.default_rng(3))[: ROWS - 1]
     for k in range(3):
         # Covariance of (speed, acceleration) after a step by Van Loan's exponential (1978).
@@ -98,7 +99,8 @@ def test_what_gusts_add_to_speed_and_acceleration_goes_together(setting):
         drawn = np.cov(found[:, [3 + k, 6 + k]].T)
         scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
         assert np.max(np.abs(drawn - exact) / scale) < 0.04
-    assert not found[:, :3].any()
+    assert np.std(found[:, :2]) == pytest.approx(WALK * np.sqrt(STEP), rel=0.03)
+    assert not found[:, 2].any()
 
 
 def test_readings_have_their_own_noise(drawn):

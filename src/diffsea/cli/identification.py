@@ -222,17 +222,17 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 
     from diffsea.trajectory import MOTION_CHANNELS
 
-    scales = {}
-    for name, logarithms in dataclasses.asdict(study.noise).items():
-        channels = MOTION_CHANNELS[-len(logarithms) :]
-        scales[name] = dict(zip(channels, np.exp(logarithms).tolist(), strict=True))
-    measured = np.asarray(study.recorded.dataset.known).any(0)
-    sensors = np.array(MOTION_CHANNELS)[measured]
+    noise = {name: np.exp(one).tolist() for name, one in dataclasses.asdict(study.noise).items()}
+    measured = study.recorded.dataset.recorded_channels
+    motion = {
+        title: dict(zip(MOTION_CHANNELS[3:], noise[name], strict=True))
+        for title, name in (("gust", "gust"), ("lasting_gust", "slow"), ("gust_memory", "memory"))
+    }
+    sensors = zip(MOTION_CHANNELS, noise["sensor"], measured, strict=True)
     return {
-        "gust": scales["gust"],
-        "lasting_gust": scales["slow"],
-        "gust_memory": scales["memory"],
-        "sensor": {name: scales["sensor"][name] for name in sensors},
+        **motion,
+        "sensor": {name: scale for name, scale, seen in sensors if seen},
+        "position_walk": {"position": noise["walk"][0]} if measured[:2].any() else {},
     }
 
 

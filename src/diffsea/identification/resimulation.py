@@ -55,18 +55,18 @@ def resimulate(problem: Problem, fitted: Estimate, rng: np.random.Generator) -> 
 def draw_process_noise(
     noise: Noise, dataset: Dataset, rng: np.random.Generator
 ) -> Float[np.ndarray, "row 9"]:
-    """What gusts add to the filter's state over each row, at random."""
+    """What gusts and the walk of fixes add to the filter's state over each row, at random."""
     Q = np.asarray(gust_propagation(noise, dataset.dt)[1])
-    speed, left, both = (
+    walk, speed, left, both = (
         np.diagonal(Q[:, a : a + 3, b : b + 3], axis1=1, axis2=2)
-        for a, b in ((3, 3), (6, 6), (3, 6))
+        for a, b in ((0, 0), (3, 3), (6, 6), (3, 6))
     )
-    one, other = rng.standard_normal((2, len(Q), 3))
+    walked, one, other = rng.standard_normal((3, len(Q), 3))
     spread = np.sqrt(np.maximum(speed, 1e-300))
     along = both / spread
     across = np.sqrt(np.maximum(left - along**2, 0.0))
-    still = np.zeros_like(one)
-    return np.concatenate([still, spread * one, along * one + across * other], axis=1)
+    shaken = spread * one, along * one + across * other
+    return np.concatenate([np.sqrt(walk) * walked, *shaken], axis=1)
 
 
 @eqx.filter_jit

@@ -216,13 +216,14 @@ def noise_of_fit(path: str | pathlib.Path, guess: Noise) -> Noise:
     """Gust and sensor noise as `diffsea fit` wrote them.
 
     Arguments:
-        guess: stands where the fit had no such sensor.
+        guess: stands where the fit had no such sensor, or no positions that may wander.
 
     Raises:
         UserError: the file cannot be read, or has no noise.
     """
     try:
         scales = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))["noise"]
+        scales = {"position_walk": {}} | scales
         parts = [
             [scales[key].get(c, math.exp(float(old))) for c, old in zip(names, was, strict=True)]
             for key, names, was in (
@@ -230,6 +231,7 @@ def noise_of_fit(path: str | pathlib.Path, guess: Noise) -> Noise:
                 ("lasting_gust", MOTION_CHANNELS[3:], guess.slow),
                 ("gust_memory", MOTION_CHANNELS[3:], guess.memory),
                 ("sensor", MOTION_CHANNELS, guess.sensor),
+                ("position_walk", ("position",), guess.walk),
             )
         ]
         return Noise(*(jnp.log(jnp.asarray(part, float)) for part in parts))

@@ -5,6 +5,11 @@ first-order Gauss-Markov processes, besides gusts that are white. Were lasting g
 white ones, the fit would bend the vessel until its own dynamics had their autocorrelation (a
 thruster's lag comes out a quarter too short).
 
+Fixes err slowly, too: those of a satellite receiver wander by decimetres within a minute. As no
+force depends on the position, the position of the filter is the one that the fixes wander with: a
+random walk is added to it, which is what an error of a first-order Gauss-Markov process does in
+less than its memory. Taken for motion, it would bend the vessel with intervals far too narrow.
+
 Time and measurement updates are in Joseph's form, one measured channel at a time, so that no
 matrix is inverted.
 """
@@ -24,17 +29,19 @@ class Noise(eqx.Module):
     gust: Float[Array, "3"]  # white, of u (m/s), v (m/s), r (rad/s), per square root of a second
     slow: Float[Array, "3"]  # lasting, standard deviation of the acceleration (m/s^2, rad/s^2)
     memory: Float[Array, "3"]  # time constant (s) of the lasting ones
-    sensor: Float[Array, "6"]  # of x, y (m), psi (rad), u, v (m/s), r (rad/s)
+    sensor: Float[Array, "6"]  # white, of x, y (m), psi (rad), u, v (m/s), r (rad/s)
+    walk: Float[Array, "1"]  # random walk of fixes on either axis, m per square root of a second
 
     @staticmethod
-    def of(scales: Float[Array, "15"] | Float[np.ndarray, "15"]) -> "Noise":
+    def of(scales: Float[Array, "16"] | Float[np.ndarray, "16"]) -> "Noise":
         """From all logarithms in one array."""
-        return Noise(*(jnp.asarray(part) for part in jnp.split(jnp.asarray(scales), (3, 6, 9))))
+        parts = jnp.split(jnp.asarray(scales), (3, 6, 9, 15))
+        return Noise(*(jnp.asarray(part) for part in parts))
 
     @property
-    def scales(self) -> Float[Array, "15"]:
+    def scales(self) -> Float[Array, "16"]:
         """All logarithms in one array."""
-        return jnp.concatenate([self.gust, self.slow, self.memory, self.sensor])
+        return jnp.concatenate([self.gust, self.slow, self.memory, self.sensor, self.walk])
 
 
 class GustPropagation(eqx.Module):
@@ -47,10 +54,11 @@ class GustPropagation(eqx.Module):
 def gust_propagation(
     noise: Noise, dt: Float[Array, "row"]
 ) -> tuple[GustPropagation, Float[Array, "row 9 9"]]:
-    """Propagation of lasting gusts over each row, and the covariance that all gusts add.
+    """Propagation of lasting gusts over each row, and the covariance that is added.
 
     Exact integrals of a first-order Gauss-Markov acceleration and of the speed it gives
     (Jazwinski 1970, section 4.9); as the memory shrinks they become those of white noise.
+    Positions walk with the fixes.
     """
     memory = jnp.exp(noise.memory)
     share = dt[:, None] / memory
@@ -61,7 +69,8 @@ def gust_propagation(
     both = power * memory * (1 - decay) ** 2
     left = power * (1 - decay**2)
     still = jnp.zeros_like(speed)
-    diagonal = jnp.concatenate([still, speed, left], axis=1)
+    walk = jnp.array([1.0, 1.0, 0.0]) * jnp.exp(2 * noise.walk) * dt[:, None]
+    diagonal = jnp.concatenate([walk, speed, left], axis=1)
     beside = jnp.concatenate([still, both], axis=1)
     upper = jax.vmap(lambda row: jnp.diag(row, 3))(beside)
     Q = jax.vmap(jnp.diag)(diagonal) + upper + upper.mT

@@ -4,6 +4,7 @@ The filter is linearised once along its own run; the likelihood as a function of
 then needs no vessel model any more, and to search along it is cheap.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -35,14 +36,15 @@ from diffsea.vessel.base import Vessel
 EXCERPT_ROWS = 8192  # from which noise is estimated: a hundredth of each scale is its error
 BLOCK_ROWS = 1024  # of the excerpt that follow one another
 LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is not noise
-PLAUSIBLE_GUSTS = 2.0  # standard deviations of the prior, above which a gust is a missing force
+PLAUSIBLE = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 LINE_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, of which the best is taken
 ENOUGH_OF_PROMISE = 0.5  # of what a whole step should gain: with so much it is taken
 FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
 TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
-ISOTROPIC = np.insert(np.eye(14), TIED, np.eye(14)[TIED - 1], axis=0)  # all from those that move
-SCALES_AT_ONCE = 5  # that the likelihood is differentiated by: twice as fast as all fifteen
+ISOTROPIC = np.insert(np.eye(15), TIED, np.eye(15)[TIED - 1], axis=0)  # all from those that move
+SCALES_AT_ONCE = 4  # that the likelihood is differentiated by: twice as fast as all sixteen
+WALK_TIME = 10.0  # in sqrt(L / g): in it fixes are expected to wander by as much as they scatter
 SMALLEST = float(np.finfo(float).tiny)  # a bound that is no step at all
 ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
 
@@ -62,19 +64,20 @@ Excerpt = tuple[FilterRun, RowTimes]  # some of a run's rows, block after block
 class NoisePrior(NamedTuple):
     """Normal prior on the logarithms, in the order of `Noise.scales`."""
 
-    mean: Float[np.ndarray, "15"]
-    spread: Float[np.ndarray, "15"]
+    mean: Float[np.ndarray, "scale"]
+    spread: Float[np.ndarray, "scale"]
 
     @property
-    def lowest(self) -> Float[np.ndarray, "15"]:
+    def lowest(self) -> Float[np.ndarray, "scale"]:
         """Below which a scale is rounding."""
         return self.mean - LARGEST_FALL
 
     @property
-    def highest(self) -> Float[np.ndarray, "15"]:
-        """Above which a gust, or its memory, is none but a force that has a cause."""
-        gusts = np.arange(self.mean.size) < self.mean.size - len(MOTION_CHANNELS)
-        return np.where(gusts, self.mean + PLAUSIBLE_GUSTS * self.spread, np.inf)
+    def highest(self) -> Float[np.ndarray, "scale"]:
+        """Above which a gust, its memory or a walk of fixes is none, but has a cause."""
+        highest = Noise.of(self.mean + PLAUSIBLE * self.spread)
+        unbounded = jnp.full_like(highest.sensor, jnp.inf)
+        return np.asarray(dataclasses.replace(highest, sensor=unbounded).scales)
 
 
 def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
@@ -84,7 +87,8 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     sqrt(L / g), give or take a factor of e. Lasting gusts remember five times as long and are
     as strong in the long run, each give or take a factor of e, and at most of e^2: a force that is
     stronger, or lasts longer, has a cause that is to be found. Sensor noise from second
-    differences, which white noise dominates: a rough guess, give or take a factor of e^2.
+    differences, which white noise dominates: a rough guess, give or take a factor of e^2. So is that
+    fixes wander by as much within ten sqrt(L / g).
     """
     length = float(vessel.rigid_body.length)
     time = time_scale(length)
@@ -92,8 +96,10 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     gusts = np.array([gust, gust, 2 * gust / length])
     memory = np.full(3, 5 * time)
     slow = gusts / np.sqrt(2 * memory)
-    scales = np.concatenate([gusts, slow, memory, _sensor_scales(dataset, length)])
-    return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 6]))
+    sensor = _sensor_scales(dataset, length)
+    walk = sensor[:1] / np.sqrt(WALK_TIME * time)
+    scales = np.concatenate([gusts, slow, memory, sensor, walk])
+    return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 7]))
 
 
 def _sensor_scales(dataset: Dataset, length: float) -> Float[np.ndarray, "6"]:
@@ -214,7 +220,7 @@ def rerun_linearised(
 
 
 def _terms(
-    run: FilterRun, times: RowTimes, log: Float[Array, "15"]
+    run: FilterRun, times: RowTimes, log: Float[Array, "scale"]
 ) -> tuple[Float[Array, "row 6"], Float[Array, "row 6"]]:
     """Whitened innovations of all rows, and the logarithms of their variances."""
     white, variance = rerun_linearised(run, times, Noise.of(log))
@@ -223,7 +229,7 @@ def _terms(
 
 @jax.jit
 def _deviance(
-    run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
+    run: FilterRun, times: RowTimes, log: Float[Array, "scale"], prior: NoisePrior
 ) -> Float[Array, ""]:
     """Deviance of all rows with prior."""
     white, log_variance = _terms(run, times, log)
@@ -233,8 +239,8 @@ def _deviance(
 
 @jax.jit
 def _expected_curvature(
-    run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
-) -> Float[Array, "15 15"]:
+    run: FilterRun, times: RowTimes, log: Float[Array, "scale"], prior: NoisePrior
+) -> Float[Array, "scale scale"]:
     """The deviance's, by Fisher's information of the scales."""
     (white, _), (d_white, d_log) = value_and_jacobian(
         lambda at: _terms(run, times, at), log, SCALES_AT_ONCE
@@ -247,8 +253,8 @@ def _expected_curvature(
 
 @jax.jit
 def _slope(
-    run: FilterRun, times: RowTimes, log: Float[Array, "15"], prior: NoisePrior
-) -> tuple[Float[Array, ""], Float[Array, "15"]]:
+    run: FilterRun, times: RowTimes, log: Float[Array, "scale"], prior: NoisePrior
+) -> tuple[Float[Array, ""], Float[Array, "scale"]]:
     """The same and its gradient."""
     return jax.value_and_grad(lambda at: _deviance(run, times, at, prior))(log)
 
@@ -266,7 +272,7 @@ class RefinedNoise(NamedTuple):
     """Noise after some steps of its search, and what another one near by may borrow."""
 
     noise: Noise
-    curvature: Float[np.ndarray, "14 14"] | None  # of the deviance; None where the run diverges
+    curvature: Float[np.ndarray, "free free"] | None  # of the deviance; None where the run diverges
 
 
 def refine_noise(
@@ -275,7 +281,7 @@ def refine_noise(
     noise: Noise,
     prior: NoisePrior,
     steps: int,
-    borrowed: Float[np.ndarray, "14 14"] | None = None,
+    borrowed: Float[np.ndarray, "free free"] | None = None,
 ) -> RefinedNoise:
     """The scales after so many steps from `noise`, fewer where nothing is gained any more.
 
@@ -292,17 +298,17 @@ def refine_noise(
     excerpt = take_excerpt(run, times)
     log = np.delete(np.asarray(noise.scales), TIED)
 
-    def at(log: Float[np.ndarray, "14"]) -> tuple[FilterRun, RowTimes, Array, NoisePrior]:
+    def at(log: Float[np.ndarray, "free"]) -> tuple[FilterRun, RowTimes, Array, NoisePrior]:
         return *excerpt, jnp.asarray(ISOTROPIC @ log), prior
 
-    def expected_at(log: Float[np.ndarray, "14"]) -> Float[np.ndarray, "14 14"]:
+    def expected_at(log: Float[np.ndarray, "free"]) -> Float[np.ndarray, "free free"]:
         curvature = ISOTROPIC.T @ np.asarray(_expected_curvature(*at(log))) @ ISOTROPIC
         return 0.5 * (curvature + curvature.T)
 
-    def deviance_at(log: Float[np.ndarray, "14"]) -> float:
+    def deviance_at(log: Float[np.ndarray, "free"]) -> float:
         return float(_deviance(*at(log)))
 
-    def slope_at(log: Float[np.ndarray, "14"]) -> tuple[float, Float[np.ndarray, "14"]]:
+    def slope_at(log: Float[np.ndarray, "free"]) -> tuple[float, Float[np.ndarray, "free"]]:
         value, gradient = map(np.asarray, _slope(*at(log)))
         return float(value), ISOTROPIC.T @ gradient
 
@@ -332,7 +338,7 @@ def refine_noise(
     return RefinedNoise(Noise.of(ISOTROPIC @ log), curvature if is_known else None)
 
 
-def _learning(curvature: Float[np.ndarray, "14 14"]) -> BFGS:
+def _learning(curvature: Float[np.ndarray, "free free"]) -> BFGS:
     """A curvature that changes of the gradient correct."""
     learnt = BFGS(init_scale=curvature)  # pyright: ignore[reportArgumentType]
     learnt.initialize(len(curvature), "hess")
@@ -340,9 +346,9 @@ def _learning(curvature: Float[np.ndarray, "14 14"]) -> BFGS:
 
 
 def _share_of_step(
-    deviance: Callable[[Float[np.ndarray, "14"]], float],
-    log: Float[np.ndarray, "14"],
-    step: Float[np.ndarray, "14"],
+    deviance: Callable[[Float[np.ndarray, "free"]], float],
+    log: Float[np.ndarray, "free"],
+    step: Float[np.ndarray, "free"],
     value: float,
     promised: float,
 ) -> tuple[float, float]:
@@ -355,11 +361,11 @@ def _share_of_step(
 
 
 def _bounded_step(
-    log: Float[np.ndarray, "14"],
-    gradient: Float[np.ndarray, "14"],
-    curvature: Float[np.ndarray, "14 14"],
+    log: Float[np.ndarray, "free"],
+    gradient: Float[np.ndarray, "free"],
+    curvature: Float[np.ndarray, "free free"],
     prior: NoisePrior,
-) -> Float[np.ndarray, "14"]:
+) -> Float[np.ndarray, "free"]:
     """To where the quadratic model has its minimum within its bounds.
 
     A step that is cut off at them afterwards may lead nowhere.
