@@ -218,7 +218,7 @@ def test_what_is_stronger_than_weather_is_no_gust(data, right, wrong):
     train = data.train
     prior = train.prior._replace(mean=train.prior.mean - np.repeat([3.0, 0.0], [9, 7]))
     dataset = train.dataset
-    times = RowTimes(dataset.dt, dataset.starts, dataset.run, first_variance(train.base))
+    times = RowTimes(dataset.dt, dataset.run, first_variance(train.base))
     run = train.run_filter(wrong.coordinates, right.noise)
     found = np.asarray(refine_noise(run, times, Noise.of(prior.mean), prior, 15).noise.scales)
     off = (found - prior.mean)[:9] / prior.spread[:9]

@@ -18,17 +18,12 @@ from tests.oracle.simulator import load
 from tests.paths import ORACLE
 from tests.runs import varied
 
-from diffsea import EFFECTS, Environment, Trajectory
+from diffsea import EFFECTS, Trajectory
 from diffsea.identification.filter.covariance import Noise
-from diffsea.identification.filter.kalman import (
-    FilterRow,
-    deviance,
-    expected_measurements,
-    measurement_jacobian,
-)
+from diffsea.identification.filter.kalman import FilterRun, deviance, measurement_jacobian
+from diffsea.identification.filter.latency import shown_samples
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import build
-from diffsea.vessel.servo import Response
 
 
 MASS, DRAG, LENGTH = 180.0 + 12.0, 52.0, 4.9  # kg with added mass, N s/m, m
@@ -112,57 +107,49 @@ def run_at(problem: Problem, rows: float, gusty: Gusty):
 def kalman(push: np.ndarray, shown: np.ndarray, gusty: Gusty, rows: float) -> tuple:
     """Innovations and their variances by a filter of (u, a) whose sensor is `rows` rows late.
 
-    A state of the past is wrong by what has been found since, less what its rate was wrong by for
-    so long; the first speed held before the run. What gusts have added since the past is unknown
-    to the sensor: of the variance now, a share P / (P + rows Q) was there then.
+    Each sample is used at the next row, from as many rows before the run on as it is late; what is
+    left of the delay times the acceleration since the last row, and knows nothing of that share of
+    the gusts since. Before the run the first thrust acts.
     """
-    lag, (F, Q) = rows * STEP, covariance(gusty, 0.0, STEP)
+    whole, F, Q = int(rows), *covariance(gusty, 0.0, STEP)
     gain_a = F[0, 1] / 2  # half the speed that a gives goes before and half after the motion
     left = math.exp(-C * STEP)
-    whole = np.array([[left, (1 + left) * gain_a], [0.0, F[1, 1]]])
-    reach = lag + 0.5 * C * lag**2  # a late value as its polynomial: u - reach u', u'' = -c u'
-    h = np.array([1 + C * reach, -reach])
+    A = np.array([[left, (1 + left) * gain_a], [0.0, F[1, 1]]])
     state, P = np.array([shown[0], 0.0]), np.diag([0.25 * 9.81 * LENGTH, gusty.lasting**2])
-    states, steps, out = [], [], []
-    for k, force in enumerate(push):
-        states.append(state[0])
-        back, part = int(rows), rows % 1
-        past = [found(states, steps, k - b, k) for b in (back, back + 1)]
-        nu = shown[k] - ((1 - part) * past[0] + part * past[1])
-        since = rows * h @ Q @ h
-        now = h @ P @ h
-        old = now / (now + since)
-        s = now + gusty.sensor**2 / old
-        K = P @ h / s
-        out.append((nu, s * old))
-        P = P - np.outer(K, h @ P) + (1 - old) * np.outer(K, h @ P)
+    acceleration, out = 0.0, []
+    for force, value in zip(np.concatenate([push[:1].repeat(whole), push]), shown, strict=False):
+        nu = value - (state[0] - (rows - whole) * STEP * acceleration)
+        cross = P[:, 0] - (rows - whole if out else 0.0) * Q[:, 0]
+        s = cross[0] + gusty.sensor**2
+        K = cross / s
+        out.append((nu, s))
+        P = P - np.outer(K, cross)
         state = state + K * nu
-        states[-1] = state[0]
-        steps.append(K * nu)
-        u = left * (state[0] + gain_a * state[1]) + (1 - left) * force / DRAG
+        before = state[0]
+        u = left * (before + gain_a * state[1]) + (1 - left) * force / DRAG
         state = np.array([u + gain_a * state[1], F[1, 1] * state[1]])
-        P = whole @ P @ whole.T + Q
+        acceleration = (state[0] - before) / STEP
+        P = A @ P @ A.T + Q
     return tuple(np.array(out).T)
 
 
-def found(states: list, steps: list, at: int, now: int) -> float:
-    """u of an earlier row, or before the run, with all that has been found since."""
-    since = range(max(at + 1, 0), now)
-    return states[max(at, 0)] + sum(steps[j][0] + (at - j) * STEP * steps[j][1] for j in since)
+def of_samples(problem: Problem, run: FilterRun, values: np.ndarray) -> np.ndarray:
+    """Values of u at the rows where its samples are used, in the order of these."""
+    return np.asarray(values)[np.asarray(run.gains.placement.source)[:, 3] >= 0, 3]
 
 
 LASTING = Gusty(white=0.01, lasting=0.1)
 
 
 @pytest.mark.parametrize("gusty", [Gusty(), LASTING], ids=["white gusts", "lasting gusts"])
-@pytest.mark.parametrize("rows", [1.5, 1.999, 2.0, 2.001, 2.5])
+@pytest.mark.parametrize("rows", [0.0, 1.5, 1.999, 2.001, 2.5])
 def test_a_filter_of_two_states_has_the_same_innovations(vessel, rows, gusty):
     push, shown = recorded(np.random.default_rng(0), 240, gusty, 2)
-    run = run_at(problem_of(vessel, push, shown), rows, gusty)
+    problem = problem_of(vessel, push, shown)
+    run = run_at(problem, rows, gusty)
     nu, variance = kalman(push, shown, gusty, rows)
-    np.testing.assert_allclose(np.asarray(run.innovation)[:240, 3], nu, atol=1e-6)
-    # The last row of a run has no length, and no gusts by which it could count its delay.
-    np.testing.assert_allclose(np.asarray(run.variance)[:239, 3], variance[:239], rtol=1e-6)
+    np.testing.assert_allclose(of_samples(problem, run, run.innovation), nu, atol=1e-6)
+    np.testing.assert_allclose(of_samples(problem, run, run.variance), variance, rtol=1e-6)
 
 
 @pytest.mark.parametrize("gusty", [Gusty(), LASTING], ids=["white gusts", "lasting gusts"])
@@ -201,7 +188,8 @@ def test_innovations_of_a_late_channel_are_white_at_the_truth_alone(vessel, seed
     gusty = Gusty()
     push, shown = recorded(np.random.default_rng(seed), 2000, gusty, 2)
     problem = problem_of(vessel, push, shown)
-    white = {r: np.asarray(run_at(problem, r, gusty).white)[5:2000, 3] for r in (1, 2, 3)}
+    runs = {r: run_at(problem, r, gusty) for r in (1, 2, 3)}
+    white = {r: of_samples(problem, run, run.white)[5:] for r, run in runs.items()}
     first, chance = portmanteau(white[2])
     assert abs(first) < 3 and chance > 0.01
     assert np.mean(white[2] ** 2) == pytest.approx(1.0, abs=0.15)
@@ -210,26 +198,56 @@ def test_innovations_of_a_late_channel_are_white_at_the_truth_alone(vessel, seed
         assert first > 6 and chance < 1e-20
 
 
-@pytest.mark.parametrize(("lag", "off"), [(0.0, 1e-12), (0.2, 0.02)])
-def test_what_is_shown_depends_on_the_present_as_its_derivative_says(lag, off):
+@pytest.mark.parametrize("late", [0.0, 0.2])
+def test_what_is_shown_depends_on_the_present_as_its_derivative_says(late):
     boat = build(load(str(ORACLE / "usv.toml")))
-    late = {"latency_yaw_rate": lag, "latency_heading": lag, "latency_velocity": lag / 2}
-    boat = dataclasses.replace(boat, sensors=dataclasses.replace(boat.sensors, **late))
-    z = jnp.array([3.0, 1.0, 0.7, 1.1, -0.2, 0.15, 0.01, -0.02, 0.005])
-    response = {c: Response(40.0 * k, *[40.0 * k] * 3) for k, c in enumerate(boat.channels)}
-    nothing, never = jnp.zeros(6), jnp.array(False)
-    row = FilterRow(
-        Environment(),
-        jnp.array(0.2),
-        jnp.array(0.0),
-        nothing,
-        jnp.zeros(6, bool),
-        never,
-        nothing,
-        response,
-    )
-    found = measurement_jacobian(boat, z, row)
-    nudge = lambda k, by: np.asarray(expected_measurements(boat, z.at[k].add(by), row))
+    lags = {"latency_yaw_rate": late, "latency_heading": late, "latency_velocity": late / 2}
+    boat = dataclasses.replace(boat, sensors=dataclasses.replace(boat.sensors, **lags))
+    x, acceleration = jnp.array([3.0, 1.0, 0.7, 1.1, -0.2, 0.15]), jnp.array([0.1, 0.05, -0.02])
+    moved = jnp.array([0.0, 0.1, -0.1, 0.05, 0.2, 0.1])
+    shown = lambda at: np.asarray(shown_samples(boat, at, acceleration, moved))
+    found = measurement_jacobian(boat, x, acceleration, moved)
     step = 1e-5
-    slopes = np.stack([(nudge(k, step) - nudge(k, -step)) / (2 * step) for k in range(9)], 1)
-    np.testing.assert_allclose(found, slopes, atol=max(off, 1e-9) * np.abs(slopes).max())
+    slopes = [(shown(x.at[k].add(step)) - shown(x.at[k].add(-step))) / (2 * step) for k in range(6)]
+    np.testing.assert_allclose(found[:, :6], np.stack(slopes, 1), atol=1e-9)
+
+
+def test_a_channel_is_shown_where_it_was_on_a_turning_circle():
+    """A steady turn, of which the past is known in closed form."""
+    speed, rate, lag = 1.2, 0.3, 0.25
+    boat = build(load(str(ORACLE / "usv.toml")))
+    late = dataclasses.replace(boat.sensors, latency_position=lag, latency_heading=lag)
+    boat = dataclasses.replace(boat, sensors=late)
+    x = jnp.array([0.0, 0.0, 0.4, speed, 0.0, rate])
+    found = np.asarray(shown_samples(boat, x, jnp.zeros(3), jnp.zeros(6)))
+    before = 0.4 - rate * lag
+    north = speed / rate * (math.sin(before) - math.sin(0.4))
+    east = -speed / rate * (math.cos(before) - math.cos(0.4))
+    np.testing.assert_allclose(found[:3], [north, east, before], atol=speed * rate**2 * lag**3 / 6)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3, 0.77, 1.9, 30.0])
+def test_every_sample_has_a_row_near_its_time_and_none_is_lost(vessel, late):
+    """Two runs, the second with a gap: samples keep their order, their run and their part."""
+    push, shown = recorded(np.random.default_rng(1), 120, Gusty(), 0)
+    first, second = seen(push, shown), seen(push, shown)
+    t = second.t + np.where(np.arange(120) >= 60, 40.0, 0.0)
+    problem = make_problem(vessel, [first, dataclasses.replace(second, t=t)], ("X_u",), (LATE,))
+    data = problem.dataset
+    placement = run_at(problem, late / STEP, Gusty()).gains.placement
+    source = np.asarray(placement.source)[:, 3]
+    rows = np.flatnonzero(source >= 0)
+    known = np.flatnonzero(np.asarray(data.known)[:, 3])
+    np.testing.assert_array_equal(source[rows], known)
+    part, time = np.asarray(data.part), np.asarray(data.t)
+    np.testing.assert_array_equal(part[rows], part[source[rows]])
+    assert min(np.bincount(part[np.asarray(data.dt) > 0])) > 60
+    if late < 2:  # the lead-in reaches as far
+        left = time[rows] - (time[source[rows]] - late)
+        assert left.min() > -1e-9 and left.max() < STEP + 1e-9
+    # The filter begins anew in every row of a part up to that of its first sample.
+    restarts = np.asarray(placement.restarts)
+    for k in range(3):
+        own = np.flatnonzero(part == k)
+        begin = rows[part[rows] == k][0]
+        np.testing.assert_array_equal(restarts[own], own <= begin)

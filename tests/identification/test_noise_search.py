@@ -29,7 +29,7 @@ def found(late_orders_fitted):
 def search(problem, found):
     """A run of the filter, its rows, and its deviance by the scales of the noise, x and y alike."""
     data = problem.dataset
-    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    times = RowTimes(data.dt, data.run, first_variance(problem.base))
     _, noise = problem.start()
     run = problem.run_filter(found.coordinates, noise)
 

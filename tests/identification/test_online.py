@@ -86,7 +86,9 @@ def _recorded(sim, seed: int, scale: float = 1.0, seconds: float = SECONDS) -> T
 def _noise(true: dict) -> Noise:
     """What the simulator's gusts and sensors are."""
     std = gust_scale(true)
-    return Noise(*(jnp.log(jnp.asarray(x)) for x in (1e-3 * std, std, [5.0, 5.0, 3.0], STD, [1e-9])))
+    return Noise(
+        *(jnp.log(jnp.asarray(x)) for x in (1e-3 * std, std, [5.0, 5.0, 3.0], STD, [1e-9]))
+    )
 
 
 @pytest.fixture(scope="module")

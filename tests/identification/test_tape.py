@@ -14,6 +14,7 @@ from diffsea import EFFECTS, Trajectory, UserError
 from diffsea.identification.descent import filter_at
 from diffsea.identification.filter.covariance import GustPropagation
 from diffsea.identification.filter.kalman import FilterRun, Gains, deviance
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.filter.noise_fit import RowTimes, take_excerpt
 from diffsea.identification.fit import estimate
 from diffsea.identification.holdout import split_data
@@ -172,11 +173,11 @@ def excerpt_times(lengths: dict[int, int], rows: int) -> dict[int, set[float]]:
     used = np.repeat(np.arange(rows)[:, None] < sum(lengths.values()), 6, axis=1)
     six, three = np.zeros((rows, 6)), np.zeros((rows, 3))
     square, wide = np.zeros((rows, 6, 6)), np.zeros((rows, 6, 9))
-    gains = Gains(wide.transpose(0, 2, 1), square, used, GustPropagation(three, three))
+    gusts = GustPropagation(three, three)
+    placement = SamplePlacement(np.zeros((rows, 6), int), np.zeros(rows, bool))
+    gains = Gains(wide.transpose(0, 2, 1), square, used, gusts, placement)
     filtered = FilterRun(gains, six, six, six, six, square, wide, three, three, six)
-    part, clock = take_excerpt(
-        filtered, RowTimes(dt, np.zeros(rows, bool), run.astype(int), np.ones(6))
-    )
+    part, clock = take_excerpt(filtered, RowTimes(dt, run.astype(int), np.ones(6)))
     counted = np.asarray(part.gains.used).any(-1)
     chosen, found = np.asarray(clock.dt)[counted], np.asarray(clock.run)[counted]
     assert len(np.unique(chosen)) == chosen.size

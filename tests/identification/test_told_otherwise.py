@@ -94,7 +94,7 @@ def test_noise_stays_as_it_is_where_the_model_diverges(boat, runs):
     at, noise = problem.start()
     data = problem.dataset
     run = problem.run_filter(np.full_like(at, np.nan), noise)
-    times = RowTimes(data.dt, data.starts, data.run, first_variance(boat))
+    times = RowTimes(data.dt, data.run, first_variance(boat))
     kept = refine_noise(run, times, noise, problem.prior, 3).noise
     np.testing.assert_array_equal(kept.scales, noise.scales)
 

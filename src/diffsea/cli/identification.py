@@ -224,7 +224,7 @@ def _noise_record(study: "Study") -> dict[str, dict[str, float]]:
 
     noise = {name: np.exp(one).tolist() for name, one in dataclasses.asdict(study.noise).items()}
     measured = study.recorded.dataset.recorded_channels
-    motion = {
+    motion: dict[str, dict[str, float]] = {
         title: dict(zip(MOTION_CHANNELS[3:], noise[name], strict=True))
         for title, name in (("gust", "gust"), ("lasting_gust", "slow"), ("gust_memory", "memory"))
     }

@@ -65,7 +65,7 @@ def compile_programs(problem: Problem, screened: bool = False) -> None:
     shapes = eqx.filter_eval_shape(problem.run_filter, coordinates, noise)
     run = jax.tree.map(lambda one: jnp.ones(one.shape, one.dtype), shapes)
     data = problem.dataset
-    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    times = RowTimes(data.dt, data.run, first_variance(problem.base))
     calls = [
         lambda: linearise(problem, run.gains, coordinates, ()),
         lambda: problem.run_filter(coordinates, noise),
@@ -84,7 +84,7 @@ def noise_at(problem: Problem, coordinates: Coordinates, noise: Noise | None = N
     """
     data = problem.dataset
     noise = problem.start()[1] if noise is None else noise
-    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    times = RowTimes(data.dt, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     for _ in range(NOISE_ROUNDS):
         better, _ = refine_noise(now.run, times, now.noise, problem.prior, FIRST_NOISE_STEPS)
@@ -138,7 +138,7 @@ def _search(
     """
     index = np.array(problem.layout.indices(free), int)
     data = problem.dataset
-    times = RowTimes(data.dt, data.starts, data.run, first_variance(problem.base))
+    times = RowTimes(data.dt, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     path, outcome, curvature = [now.deviance], FitOutcome.STEP_LIMIT, None
     step = Descent(now, np.zeros(len(index)))

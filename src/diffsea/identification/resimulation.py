@@ -15,10 +15,16 @@ from diffsea.identification.data.batching import batched_scan
 from diffsea.identification.data.dataset import Dataset
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.covariance import Noise, gust_propagation
-from diffsea.identification.filter.kalman import filter_rows, propagate, restart, with_impulse
+from diffsea.identification.filter.kalman import (
+    filter_rows,
+    mean_acceleration,
+    propagate,
+    restart,
+    with_impulse,
+)
 from diffsea.identification.filter.latency import (
-    StateHistory,
-    shown_measurements,
+    SamplePlacement,
+    shown_samples,
     without_time_errors,
 )
 from diffsea.identification.problem import Problem
@@ -33,20 +39,30 @@ def resimulate(problem: Problem, fitted: Estimate, rng: np.random.Generator) -> 
     measurements that are not finite.
     """
     dataset, noise = problem.dataset, fitted.noise
-    starts = np.asarray(dataset.starts)
-    first = np.asarray(fitted.filter_run(problem).state)[starts][np.cumsum(starts) - 1]
-    error = np.exp(np.asarray(noise.sensor)) * rng.standard_normal((len(starts), 6))
-    begin = np.exp(np.asarray(noise.slow)) * rng.standard_normal((len(starts), 3))
-    measured = _shown_in_gusts(
+    run, part = fitted.filter_run(problem), np.asarray(dataset.part)
+    placement = run.gains.placement
+    # The last row at which the filter begins anew in each part is that of the first sample.
+    begins = np.zeros(part[-1] + 1, int)
+    restarts = np.flatnonzero(np.asarray(placement.restarts))
+    begins[part[restarts]] = restarts
+    error = np.exp(np.asarray(noise.sensor)) * rng.standard_normal((len(part), 6))
+    begin = np.exp(np.asarray(noise.slow)) * rng.standard_normal((len(part), 3))
+    placed = _shown_in_gusts(
         problem.base,
         problem.layout,
-        eqx.tree_at(lambda d: d.first, dataset, jnp.asarray(first)),
+        eqx.tree_at(lambda d: d.first, dataset, run.state[begins[part]]),
+        placement,
         jnp.asarray(fitted.coordinates),
         noise,
         jnp.asarray(begin),
         jnp.asarray(draw_process_noise(noise, dataset, rng)),
     )
-    measured = jnp.where(dataset.known, measured + error, 0.0)
+    source, shown = np.asarray(placement.source), np.asarray(placed) + error
+    measured = np.array(dataset.measured)
+    for k in range(6):
+        at = source[:, k] >= 0
+        measured[source[at, k], k] = shown[at, k]
+    measured = jnp.asarray(measured)
     return dataclasses.replace(
         problem, dataset=eqx.tree_at(lambda d: d.measured, dataset, measured)
     )
@@ -74,6 +90,7 @@ def _shown_in_gusts(
     base: Vessel,
     layout: CoordinateLayout,
     dataset: Dataset,
+    placement: SamplePlacement,
     coordinates: Float[Array, "coordinate"],
     noise: Noise,
     begin: Float[Array, "row 3"],
@@ -84,17 +101,17 @@ def _shown_in_gusts(
     vessel, dataset = without_time_errors(vessel, dataset)
     gusts, _ = gust_propagation(noise, dataset.dt)
 
-    def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:
+    def body(carry: tuple[Float[Array, "9"], Float[Array, "3"]], inputs: tuple) -> tuple:
         row, gust, blown, shock = inputs
-        z, history = restart(*carry, row, dataset.memory)
+        z, acceleration = restart(*carry, row)
         z = z + jnp.where(row.starts, 1.0, 0.0) * jnp.concatenate([jnp.zeros(6), blown])
-        seen = shown_measurements(vessel, z[:6], row.run_time, history)
-        history = history.append(z[:6], row.run_time, row.dt)
+        seen = shown_samples(vessel, z[:6], acceleration, row.moved)
         impulse = gust.half * z[6:]
-        x = propagate(vessel, with_impulse(z[:6], impulse), row, dataset.substeps)
-        z = jnp.concatenate([with_impulse(x, impulse), gust.decay * z[6:]]) + shock
-        return (z, history), seen
+        x = with_impulse(
+            propagate(vessel, with_impulse(z[:6], impulse), row, dataset.substeps), impulse
+        )
+        acceleration = mean_acceleration(row, z, x)
+        return (jnp.concatenate([x, gust.decay * z[6:]]) + shock, acceleration), seen
 
-    inputs = filter_rows(vessel, flows, dataset), gusts, begin, process_noise
-    start = jnp.zeros(9), StateHistory.before_run(jnp.zeros(6), dataset.memory)
-    return batched_scan(body, start, inputs, dataset.batches)
+    inputs = filter_rows(vessel, flows, dataset, placement), gusts, begin, process_noise
+    return batched_scan(body, (jnp.zeros(9), jnp.zeros(3)), inputs, dataset.batches)

@@ -35,7 +35,7 @@ LONGEST_STEP = 0.45  # of sqrt(L / g), that is integrated in one: thinning comes
 LONGEST_GAP = 3.0  # usual rows, or sqrt(L / g) where longer, without any: the filter begins anew
 PADDING = 256  # rows are padded to a multiple, so that similar cases share a program
 LEAST_ROWS = 10  # of a run: with fewer nothing can be estimated
-LONGEST_DELAY = 1.5  # of a channel, in sqrt(L / g), within which its past state is known
+LEAD_IN = 3.0  # sqrt(L / g) before each part, of which a delayed channel's first samples are
 FIRST_VALUES = 20  # of a position, from which a first velocity is estimated
 
 
@@ -68,8 +68,9 @@ class Dataset(eqx.Module):
     measured: Float[Array, "row 6"]  # x, y, psi, u, v, r; zero where missing
     known: Bool[Array, "row 6"]
     run: Int[Array, "row"]
-    starts: Bool[Array, "row"]  # first row of a run, or after a gap in it
-    first: Float[Array, "row 6"]  # the first state since then, a rough guess
+    part: Int[Array, "row"]  # of a run without long gaps; its lead-in has no samples of that time
+    starts: Bool[Array, "row"]  # first recorded row of a part
+    first: Float[Array, "row 6"]  # the part's first state, a rough guess
     heel: Float[Array, "row"]  # rad, as predicted from before; zero where none was recorded
     orders: dict[str, Float[Array, "row"]]
     executed: dict[str, Float[Array, "row"]]  # measured actuation; only channels that have it
@@ -78,13 +79,17 @@ class Dataset(eqx.Module):
     batches: BatchLayout
     runs: int = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
-    memory: int = eqx.field(static=True)  # rows that delayed channels may reach back
     orders_within_rows: bool = eqx.field(static=True)  # whether any is given within a row
 
     @property
     def recorded_rows(self) -> Bool[np.ndarray, "row"]:
         """Which rows have any measurement; the others fill the data set up."""
         return np.count_nonzero(np.asarray(self.known), axis=1) > 0
+
+    @property
+    def lead_in(self) -> Bool[np.ndarray, "row"]:
+        """Which rows come before the first recorded one of their part."""
+        return np.cumsum(np.asarray(self.starts)) <= np.asarray(self.part)
 
     @property
     def shows_turning(self) -> Bool[Array, "run"]:
@@ -150,8 +155,11 @@ def make_dataset(
     time = time_scale(float(vessel.rigid_body.length))
     runs = [_rows_of_run(vessel, recording, k) for k, recording in enumerate(recordings)]
     apart = max(SEPARATION, *(2 * float(np.ptp(run.columns["t"])) for run in runs))
-    for number, run in enumerate(runs, start=1):
-        run.columns["t"] = run.columns["t"] + apart * number
+    begins, parts = [apart * number for number in range(1, len(runs) + 1)], 0
+    for begin, run in zip(begins, runs, strict=True):
+        run.columns["t"] = run.columns["t"] + begin
+        run.columns["part"] = run.columns["part"] + parts
+        parts = int(run.columns["part"][-1]) + 1
     longest = max(float(np.median(run.columns["dt"][:-1])) for run in runs)
     used = sum(len(run.columns["t"]) for run in runs)
     spare = max(least.rows, used + PADDING - used % PADDING) - used
@@ -168,7 +176,6 @@ def make_dataset(
     channels = vessel.channels
     measured = [c for c in channels if all(c in run.executed for run in runs)]
     room = ORDERS_PER_ROW * (used + spare) + count
-    begins = [float(run.columns["t"][0]) for run in runs]
     tables = {
         c: order_table(zip(begins, (run.given[c] for run in runs), strict=True), room)
         for c in channels
@@ -183,8 +190,6 @@ def make_dataset(
         batches=batch_layout(whole, used + spare, (least.steps, least.batches)),
         runs=count,
         substeps=max(1, math.ceil(longest / (LONGEST_STEP * time) - 1e-9)),
-        # Eight or sixteen, so that programs are shared.
-        memory=8 if LONGEST_DELAY * time <= 8 * longest else 16,
         orders_within_rows=least.orders_within_rows
         or any(given.within_rows for run in runs for given in run.given.values()),
     )
@@ -229,23 +234,47 @@ def _rows_of_run(vessel: Vessel, recording: Trajectory, number: int) -> _RunRows
     firsts = [_first_state(t[part == k], motion[part == k]) for k in range(part[-1] + 1)]
     orders, executed = recorded_actuation(vessel, recording)
     executed = over_rows(recording, orders, executed)
+    row, ahead = _with_lead_ins(t, starts, LEAD_IN * time)
+    recorded = ahead == 0
+    steps = np.where(np.append(starts[1:], True), 0.0, np.append(steps, 0.0))[row]
     columns = {
-        "t": t - t[0],
-        "run_time": t,
-        "dt": np.where(np.append(starts[1:], True), 0.0, np.append(steps, 0.0)),
-        "measured": np.where(known, motion, 0.0),
-        "known": known,
-        "run": np.full(len(t), number),
-        "starts": starts,
-        "first": np.stack(firsts)[part],
-        "heel": means_of_rows(all_times, predicted_heel(recording), keep),
+        "t": t[row] - ahead - t[0],
+        "run_time": t[row] - ahead,
+        "dt": np.where(recorded, steps, ahead - np.append(ahead[1:], 0.0)),
+        "measured": np.where(known[row] & recorded[:, None], motion[row], 0.0),
+        "known": known[row] & recorded[:, None],
+        "run": np.full(len(row), number),
+        "part": part[row],
+        "starts": starts[row] & recorded,
+        "first": np.stack(firsts)[part[row]],
+        "heel": means_of_rows(all_times, predicted_heel(recording), keep)[row],
     }
     return _RunRows(
         columns,
-        {c: means_of_rows(all_times, one, keep) for c, one in orders.items()},
-        {c: means_of_rows(all_times, one, keep) for c, one in executed.items()},
+        {c: means_of_rows(all_times, one, keep)[row] for c, one in orders.items()},
+        {c: means_of_rows(all_times, one, keep)[row] for c, one in executed.items()},
         {c: orders_given(all_times, one, keep) for c, one in orders.items()},
     )
+
+
+def _with_lead_ins(
+    t: Float[np.ndarray, "row"], starts: Bool[np.ndarray, "row"], seconds: float
+) -> tuple[Int[np.ndarray, "longer"], Float[np.ndarray, "longer"]]:
+    """Rows with so many seconds more before each start, spaced as rows are; none into the last row.
+
+    The recorded row that each is a copy of, and how long (s) before it.
+    """
+    step = float(np.median(np.diff(t)))
+    rows, ahead = [], []
+    for first in np.flatnonzero(starts):
+        room = seconds if first == 0 else min(seconds, t[first] - t[first - 1] - step)
+        count = max(0, math.ceil(room / step - 1e-9))
+        rows.append(np.full(count, first))
+        ahead.append(step * np.arange(count, 0, -1))
+    before = np.concatenate(rows)
+    place = np.searchsorted(np.arange(len(t)), before)
+    row = np.insert(np.arange(len(t)), place, before)
+    return row, np.insert(np.zeros(len(t)), place, np.concatenate(ahead))
 
 
 def _rows_in_one(step: float) -> int:

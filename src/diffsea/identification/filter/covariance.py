@@ -120,31 +120,31 @@ def scalar_update(
     noise: Float[Array, ""],
     used: Bool[Array, ""],
     Q: Float[Array, "9 9"],
-    rows_late: Float[Array, ""],
+    late: Float[Array, ""],
 ) -> ScalarUpdate:
     """Kalman's measurement update by one channel, in Joseph's form.
 
-    A delayed channel knows nothing of the process noise since, `Q` in each row of its delay. Of
-    the variance of what it measures, P now, only a share P / (P + rows Q) was there then: its
-    innovation varies by as much less, and its noise counts as that much larger. Of what the
-    state's variance would lose by the update, the share that is newer stays: in the steady state
-    of a random walk measured late, gain and variance are exactly those of one measured at once.
+    A sample of before the update knows nothing of the process noise since, with which the state is
+    correlated (Bar-Shalom, Li and Kirubarajan 2001, section 8.3). The walk of fixes is no such
+    noise: a receiver adds it when it shows them.
 
     Arguments:
         noise: variance of the channel's noise.
+        Q: what the last row added.
+        late: share of that row that the sample lies before its end.
     """
     h = jnp.where(used, h, 0.0)
-    Ph = jnp.sum(P * h, axis=1)
-    now, since = jnp.sum(h * Ph), rows_late * jnp.sum(h * jnp.sum(Q * h, axis=1))
-    old = jnp.where(since > 0, now / jnp.where(since > 0, now + since, 1.0), 1.0)
-    noise = noise / old
-    s = jnp.where(used, now + noise, 1.0)
-    gain = Ph / s
+    Ph, moving = jnp.sum(P * h, axis=1), jnp.concatenate([jnp.zeros(2), h[2:]])
+    since = late * jnp.sum(Q * moving, axis=1)
+    missing = jnp.sum(moving * since)
+    s = jnp.where(used, jnp.sum(h * Ph) - missing + noise, 1.0)
+    gain = (Ph - since) / s
     # Joseph form: stays positive definite however small the sensor noise.
     left = P - gain[:, None] * Ph[None, :]
-    spare = jnp.sum(left * h, axis=1) - noise * gain
-    P = left - gain[:, None] * (spare - (1 - old) * Ph)[None, :]
-    return ScalarUpdate(h, gain, P, jnp.where(used, s * old, 1.0))
+    beside = since - missing * gain
+    spare = jnp.sum(left * h, axis=1) - (noise + missing) * gain - beside
+    P = left - spare[:, None] * gain[None, :] + gain[:, None] * beside[None, :]
+    return ScalarUpdate(h, gain, P, s)
 
 
 def measurement_update(
@@ -153,9 +153,9 @@ def measurement_update(
     R: Float[Array, "6"],
     used: Bool[Array, "6"],
     Q: Float[Array, "9 9"],
-    rows_late: Float[Array, "6"],
+    late: Float[Array, "6"],
 ) -> MeasurementUpdate:
-    """Kalman's measurement update, one channel after the other.
+    """Kalman's measurement update, one channel after the other, as `scalar_update` has it.
 
     Sensors are independent, so six scalar updates equal the joint one (Bierman 1977), and their
     innovations are the whitened ones, without any factorisation. The correction by the joint
@@ -164,13 +164,13 @@ def measurement_update(
 
     def update_by_channel(carry: tuple[Array, Array], channel: tuple[Array, ...]) -> tuple:
         C, P = carry
-        h, noise, known, unit, late = channel
-        one = scalar_update(P, h, noise, known, Q, late)
+        h, noise, known, unit, part = channel
+        one = scalar_update(P, h, noise, known, Q, part)
         fresh = jnp.where(known, unit - jnp.sum(one.h[:, None] * C, axis=0), 0.0)
         C = C + one.gain[:, None] * fresh[None, :]
         return (C, one.covariance), (fresh / jnp.sqrt(one.variance), one.variance)
 
-    channels = H, R, used, jnp.eye(6), rows_late
+    channels = H, R, used, jnp.eye(6), late
     start = jnp.zeros((9, 6)), P
     (C, P), (whitening, variances) = jax.lax.scan(update_by_channel, start, channels)
     return MeasurementUpdate(C, whitening, P, variances)

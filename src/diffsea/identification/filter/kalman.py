@@ -32,11 +32,11 @@ from diffsea.identification.filter.covariance import (
     time_update,
 )
 from diffsea.identification.filter.latency import (
-    StateHistory,
+    SamplePlacement,
     channel_latencies,
-    correct_with_history,
-    relative_latencies,
-    shown_measurements,
+    place_samples,
+    placed_samples,
+    shown_samples,
     without_time_errors,
 )
 from diffsea.identification.least_squares import value_and_jacobian
@@ -63,6 +63,7 @@ class Gains(eqx.Module):
     whitening: Float[Array, "row 6 6"]  # innovation to unit covariance; zero where missing
     used: Bool[Array, "row 6"]
     gusts: GustPropagation
+    placement: SamplePlacement
 
 
 class FilterRun(eqx.Module):
@@ -77,7 +78,7 @@ class FilterRun(eqx.Module):
     H: Float[Array, "row 6 9"]  # the filter's state to measurement
     gust_impulse: Float[Array, "row 3"]  # speeds by lasting gusts before and again after the row
     gust_acceleration: Float[Array, "row 3"]  # by lasting gusts, before the row's measurements
-    rows_late: Float[Array, "row 6"]  # rows that each channel is delayed
+    late: Float[Array, "row 6"]  # share of the row before, that each sample lies before its end
 
 
 class FilterRow(eqx.Module):
@@ -90,6 +91,7 @@ class FilterRow(eqx.Module):
     known: Bool[Array, "*row 6"]
     starts: Bool[Array, "*row"]
     first: Float[Array, "*row 6"]
+    moved: Float[Array, "*row 6"]  # s, stamps of the samples less the time of their row
     response: dict[str, Response]
     straight: Bool[Array, "*row"] | bool = False  # nothing tells of drift, heading or turning
 
@@ -99,17 +101,21 @@ class FilterRow(eqx.Module):
         return {channel: response.start for channel, response in self.response.items()}
 
 
-def filter_rows(vessel: Vessel, flows: Environment, dataset: Dataset) -> FilterRow:
-    """All rows of a data set, with what the actuators do in them."""
+def filter_rows(
+    vessel: Vessel, flows: Environment, dataset: Dataset, placement: SamplePlacement
+) -> FilterRow:
+    """All rows of a data set with their samples, and with what the actuators do in them."""
     flow = jax.tree.map(lambda leaf: leaf[dataset.run], flows)
+    samples = placed_samples(dataset, placement)
     return FilterRow(
         with_heel(flow, flow.heel + dataset.heel),
         dataset.dt,
         dataset.run_time,
-        dataset.measured,
-        dataset.known,
-        dataset.starts,
+        samples.measured,
+        samples.known,
+        placement.restarts,
         dataset.first,
+        samples.moved,
         {channel: _actuator_response(vessel, channel, dataset) for channel in vessel.channels},
         ~dataset.shows_turning[dataset.run],
     )
@@ -197,47 +203,25 @@ def _part_of(response: Response, start: float, share: float) -> Response:
 
 
 def expected_measurements(
-    vessel: Vessel, z: Float[Array, "9"], row: FilterRow
+    vessel: Vessel, x: Float[Array, "6"], row: FilterRow
 ) -> Float[Array, "6"]:
-    """What the sensors should show in a state, delayed channels by a Taylor polynomial.
-
-    It says how what is shown depends on the present state, which a history does not. Lasting
-    gusts are part of the rate at which the present was reached.
-    """
-    state = State(*z[:6])
-    lasting = State(0.0, 0.0, 0.0, *z[6:])
-
-    def rate(at: State) -> State:
-        own = vessel.rate(at, row.actuation, row.flow, row.run_time)
-        return jax.tree.map(jnp.add, own, lasting)
-
-    state = jax.tree.map(jnp.asarray, state)
+    """What the sensors should show in a state, delayed channels by a Taylor polynomial."""
+    rate = lambda at: vessel.rate(at, row.actuation, row.flow, row.run_time)
+    state = jax.tree.map(jnp.asarray, State(*x))
     first, second = jax.jvp(rate, (state,), (rate(state),))
     return vessel.sensors.measure(state, first, second)
 
 
 def measurement_jacobian(
-    vessel: Vessel, z: Float[Array, "9"], row: FilterRow
+    vessel: Vessel,
+    x: Float[Array, "6"],
+    acceleration: Float[Array, "3"],
+    moved: Float[Array, "6"],
 ) -> Float[Array, "6 9"]:
-    """How `expected_measurements` depend on the state, its rate taken as linear there."""
-
-    def rate(at: Float[Array, "6"]) -> Float[Array, "6"]:
-        found = vessel.rate(State(*at), row.actuation, row.flow, row.run_time)
-        return jnp.stack(jax.tree.leaves(found))
-
-    own, by_motion = _by_motion(rate, z[:6])
-    A = jnp.concatenate([jnp.zeros((6, 2)), by_motion], axis=1)
-    now = own + jnp.concatenate([jnp.zeros(3), z[6:]])
-    first = jnp.concatenate([A, jnp.eye(6)[:, 3:]], axis=1)
-    motion = z[:6], now, matrix_vector(A, now)
-    moved = jnp.eye(6, 9), first, matrix_product(A, first)
-
-    def measure(*given: Float[Array, "6"]) -> Float[Array, "6"]:
-        state, rate, second = (State(*one) for one in given)
-        return vessel.sensors.measure(state, rate, second)
-
-    along = lambda *change: jax.jvp(measure, motion, change)[1]
-    return jax.vmap(along, in_axes=1, out_axes=1)(*moved)
+    """How `shown_samples` depend on the filter's state; the accelerations are taken as known."""
+    by_position = jnp.eye(6)[:, :2]
+    shown = lambda at: shown_samples(vessel, at, acceleration, moved)
+    return jnp.concatenate([by_position, _by_motion(shown, x)[1], jnp.zeros((6, 3))], axis=1)
 
 
 def innovation_of(row: FilterRow, expected: Float[Array, "6"]) -> Float[Array, "6"]:
@@ -249,12 +233,26 @@ def innovation_of(row: FilterRow, expected: Float[Array, "6"]) -> Float[Array, "
 
 
 def restart(
-    z: Float[Array, "9"], history: StateHistory, row: FilterRow, memory: int
-) -> tuple[Float[Array, "9"], StateHistory]:
-    """State and history, those of a run's beginning where the row is its first."""
+    z: Float[Array, "9"], acceleration: Float[Array, "3"], row: FilterRow
+) -> tuple[Float[Array, "9"], Float[Array, "3"]]:
+    """State and acceleration, those of a run's beginning where the row is its first."""
     z = jnp.where(row.starts, jnp.concatenate([row.first, jnp.zeros(3)]), z)
-    fresh = StateHistory.before_run(z[:6], memory)
-    return z, jax.tree.map(lambda new, old: jnp.where(row.starts, new, old), fresh, history)
+    return z, jnp.where(row.starts, 0.0, acceleration)
+
+
+def shares_of_rows(vessel: Vessel, rows: FilterRow) -> Float[Array, "row 6"]:
+    """How long before their row samples are of, as share of the row before it: up to all of it."""
+    before = jnp.roll(rows.dt, 1)[:, None]
+    share = (channel_latencies(vessel) - rows.moved) / jnp.where(before > 0, before, jnp.inf)
+    return jnp.where(rows.starts[:, None], 0.0, jnp.clip(share, 0.0, 1.0))
+
+
+def mean_acceleration(
+    row: FilterRow, before: Float[Array, "9"], after: Float[Array, "6"]
+) -> Float[Array, "3"]:
+    """Of the speeds over a row; zero where no time passes."""
+    passes = row.dt > 0
+    return jnp.where(passes, (after[3:] - before[3:6]) / jnp.where(passes, row.dt, 1.0), 0.0)
 
 
 def with_impulse(x: Float[Array, "6"], impulse: Float[Array, "3"]) -> Float[Array, "6"]:
@@ -277,25 +275,22 @@ def whitened_innovations(
     """
     vessel, flows = vessel_at(base, layout, coordinates)
     vessel, dataset = without_time_errors(vessel, dataset)
-    late = relative_latencies(vessel)
 
-    def body(carry: tuple[Float[Array, "9"], StateHistory], inputs: tuple) -> tuple:
-        row, correction, whitening, gusts, acceleration = inputs
-        z, history = restart(*carry, row, dataset.memory)
-        innovation = innovation_of(row, shown_measurements(vessel, z[:6], row.run_time, history))
-        z, history = correct_with_history(
-            z, history, correction, innovation, late, row.run_time, row.dt
-        )
-        impulse = gusts.half * z[6:] + 0.5 * row.dt * acceleration
+    def body(carry: tuple[Float[Array, "9"], Float[Array, "3"]], inputs: tuple) -> tuple:
+        row, correction, whitening, gusts, pulse = inputs
+        z, acceleration = restart(*carry, row)
+        innovation = innovation_of(row, shown_samples(vessel, z[:6], acceleration, row.moved))
+        z = z + matrix_vector(correction, innovation)
+        impulse = gusts.half * z[6:] + 0.5 * row.dt * pulse
         x = propagate(vessel, with_impulse(z[:6], impulse), row, dataset.substeps)
-        z = jnp.concatenate([with_impulse(x, impulse), gusts.decay * z[6:]])
-        return (z, history), matrix_vector(whitening, innovation)
+        x = with_impulse(x, impulse)
+        carry = jnp.concatenate([x, gusts.decay * z[6:]]), mean_acceleration(row, z, x)
+        return carry, matrix_vector(whitening, innovation)
 
     pulses = jnp.zeros((dataset.t.size, 3)) if pulses is None else pulses
-    rows = filter_rows(vessel, flows, dataset)
+    rows = filter_rows(vessel, flows, dataset, gains.placement)
     inputs = rows, gains.correction, gains.whitening, gains.gusts, pulses
-    start = jnp.zeros(9), StateHistory.before_run(jnp.zeros(6), dataset.memory)
-    return batched_scan(body, start, inputs, dataset.batches)
+    return batched_scan(body, (jnp.zeros(9), jnp.zeros(3)), inputs, dataset.batches)
 
 
 def run_filter(
@@ -312,41 +307,43 @@ def run_filter(
     the likelihood. A value further than `gate` standard deviations off is left out.
     """
     vessel, flows = vessel_at(base, layout, coordinates)
+    placement = place_samples(vessel, dataset)
     vessel, dataset = without_time_errors(vessel, dataset)
     R = jnp.exp(2 * noise.sensor)
     P0 = jnp.diag(jnp.concatenate([first_variance(vessel), jnp.exp(2 * noise.slow)]))
-    lag, late = channel_latencies(vessel), relative_latencies(vessel)
 
     def body(carry: tuple, inputs: tuple) -> tuple:
-        row, gust, Q = inputs
-        z, history, P = carry
-        z, history = restart(z, history, row, dataset.memory)
+        row, gust, Q, Q_before, late = inputs
+        z, acceleration, P = carry
+        z, acceleration = restart(z, acceleration, row)
         P = jnp.where(row.starts, P0, P)
-        innovation = innovation_of(row, shown_measurements(vessel, z[:6], row.run_time, history))
+        innovation = innovation_of(row, shown_samples(vessel, z[:6], acceleration, row.moved))
         lasting = z[6:]
-        H = measurement_jacobian(vessel, z, row)
+        H = measurement_jacobian(vessel, z[:6], acceleration, row.moved)
         spread = jnp.sqrt(jnp.sum(H * matrix_product(H, P), axis=1) + R)
         # What a filter that diverged makes of a value is no outlier: it must spoil the likelihood.
         near = (jnp.abs(innovation) < gate * spread) | ~jnp.isfinite(innovation / spread)
         used = row.known & (near | row.starts)
         innovation = jnp.where(used, innovation, 0.0)
-        rows_late = lag / jnp.where(row.dt > 0, row.dt, 1.0)
-        K, W, P, variance = measurement_update(P, H, R, used, Q, rows_late)
-        z, history = correct_with_history(z, history, K, innovation, late, row.run_time, row.dt)
+        K, W, P, variance = measurement_update(P, H, R, used, Q_before, late)
+        z = z + matrix_vector(K, innovation)
         impulse = gust.half * z[6:]
         x = with_impulse(z[:6], impulse)
         x, F = propagation_jacobian(vessel, x, row, dataset.substeps)
         P = time_update(P, F, gust, Q)
         x = with_impulse(x, impulse)
         white = matrix_vector(W, innovation)
-        out = (K, W, used, z[:6], innovation, white, variance, F, H, impulse, lasting, rows_late)
-        return (jnp.concatenate([x, gust.decay * z[6:]]), history, P), out
+        out = (K, W, used, z[:6], innovation, white, variance, F, H, impulse, lasting)
+        z, acceleration = jnp.concatenate([x, gust.decay * z[6:]]), mean_acceleration(row, z, x)
+        return (z, acceleration, P), out
 
     gusts, Q = gust_propagation(noise, dataset.dt)
-    start = jnp.zeros(9), StateHistory.before_run(jnp.zeros(6), dataset.memory), P0
-    _, found = jax.lax.scan(body, start, (filter_rows(vessel, flows, dataset), gusts, Q))
+    rows = filter_rows(vessel, flows, dataset, placement)
+    late = shares_of_rows(vessel, rows)
+    inputs = rows, gusts, Q, jnp.roll(Q, 1, axis=0), late
+    _, found = jax.lax.scan(body, (jnp.zeros(9), jnp.zeros(3), P0), inputs)
     correction, whitening, used, *rest = found
-    return FilterRun(Gains(correction, whitening, used, gusts), *rest)
+    return FilterRun(Gains(correction, whitening, used, gusts, placement), *rest, late)
 
 
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:

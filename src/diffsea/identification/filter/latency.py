@@ -1,7 +1,9 @@
 """Delayed sensors in a Kalman filter, clocks that are not those of the orders, and steps.
 
-A delayed channel measures a past state. The filter keeps the states of the rows before, predicts
-a delayed channel from them, and corrects them in retrodiction by what has been found since.
+A sample is used at the first row after the time that it is of, not at the one of its stamp: the
+filter knows no delay, and no delay is too long for it. What is left, less than a row, is bridged by
+the motion since the row before. Which row that is stays as it is while a fit takes a step, whatever
+becomes of the delay: the innovations must not jump.
 """
 
 import dataclasses
@@ -9,73 +11,46 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from diffsea.identification.data.dataset import Dataset
-from diffsea.identification.filter.covariance import matrix_vector
 from diffsea.kinematics import to_earth
 from diffsea.simulation.actuation import values_between_rows
 from diffsea.trajectory import MOTION_CHANNELS
-from diffsea.types import Scalar
 from diffsea.vessel.base import Vessel
 from diffsea.vessel.effects.actuators import change_servos
 
 
-BEFORE_RUN_STEP = 0.1  # s from row to row of the history that is made up before a run
+SAME_TIME = 1e-6  # s: times nearer to one another are one
 
 
-class StateHistory(eqx.Module):
-    """States of the rows before, from which delayed channels are predicted.
+class SamplePlacement(eqx.Module):
+    """At which rows a filter uses the samples, and where it begins anew.
 
-    An innovation of a delayed channel corrects the present state by dx and its rate by dv. In
-    retrodiction a state that is s seconds old is corrected by dx - s dv. The sum of all such
-    corrections is linear in time, level + t slope; it is kept apart, and the states without it,
-    so that no row of the history need be touched.
+    It does so in every row of a part until there is a sample.
     """
 
-    states: Float[Array, "memory 6"]  # the latest first, less the corrections
-    ages: Float[Array, "memory"]  # s
-    level: Float[Array, "6"]  # of the corrections at time zero
-    slope: Float[Array, "6"]  # per s
+    source: Int[Array, "row 6"]  # the row of the recording whose sample is used here; -1 for none
+    restarts: Bool[Array, "row"]
 
     @staticmethod
-    def before_run(x: Float[Array, "6"], memory: int) -> "StateHistory":
-        """The history of a run's first state: straight ahead with its velocities."""
-        ages = BEFORE_RUN_STEP * jnp.arange(1.0, memory + 1)
-        north, east = to_earth(x[3], x[4], x[2])
-        rate = jnp.stack([north, east, x[5], *(jnp.zeros(3))])
-        return StateHistory(x - ages[:, None] * rate, ages, jnp.zeros(6), jnp.zeros(6))
+    def as_stamped(dataset: Dataset) -> "SamplePlacement":
+        """Every sample at the row of its stamp."""
+        rows = jnp.arange(dataset.t.size)[:, None]
+        return SamplePlacement(jnp.where(dataset.known, rows, -1), dataset.starts)
 
-    def retrodict(self, step: Float[Array, "9"], psi: Scalar, t: Scalar) -> "StateHistory":
-        """Corrected by a step of the filter's state that delayed channels caused at time `t`."""
-        north, east = to_earth(step[3], step[4], psi)
-        rate = jnp.stack([north, east, step[5], *step[6:]])
-        level = self.level + step[:6] - t * rate
-        return StateHistory(self.states, self.ages, level, self.slope + rate)
+    @property
+    def is_sampled(self) -> Bool[Array, "row 6"]:
+        """Which rows have a sample of which channel."""
+        return self.source >= 0
 
-    def append(self, x: Float[Array, "6"], t: Scalar, dt: Scalar) -> "StateHistory":
-        """With the state at time `t`, as seen `dt` s later."""
-        kept = x - self.level - t * self.slope
-        states = jnp.concatenate([kept[None], self.states[:-1]])
-        ages = jnp.concatenate([jnp.zeros(1), self.ages[:-1]]) + dt
-        return StateHistory(states, ages, self.level, self.slope)
 
-    def delayed_state(
-        self, x: Float[Array, "6"], lag: Float[Array, "6"], t: Scalar
-    ) -> Float[Array, "6"]:
-        """Each number of the state as it was `lag` s before `t`: linear between rows.
+class PlacedSamples(eqx.Module):
+    """The samples that rows have."""
 
-        Beyond the last row, and for negative lags, on with the slope there.
-        """
-        ages = jnp.concatenate([jnp.zeros(1), self.ages])[:, None]
-        states = jnp.concatenate([(x - self.level - t * self.slope)[None], self.states])
-        gap = jnp.where(ages[1:] - ages[:-1] > 1e-6, ages[1:] - ages[:-1], 1.0)
-        share = (lag - ages[:-1]) / gap
-        ends = np.arange(len(gap))[:, None]
-        share = jnp.where((share < 0) & (ends > 0), 0.0, share)
-        share = jnp.where((share >= 1) & (ends < len(gap) - 1), 1.0, share)
-        return x - lag * self.slope + jnp.sum(share * (states[1:] - states[:-1]), axis=0)
+    measured: Float[Array, "row 6"]
+    known: Bool[Array, "row 6"]
+    moved: Float[Array, "row 6"]  # s, the stamp of each less the time of its row
 
 
 def channel_latencies(vessel: Vessel) -> Float[Array, "6"]:
@@ -84,34 +59,58 @@ def channel_latencies(vessel: Vessel) -> Float[Array, "6"]:
     return jnp.stack([jnp.asarray(lags[channel], float) for channel in MOTION_CHANNELS])
 
 
-def relative_latencies(vessel: Vessel) -> Float[Array, "6"]:
-    """Latencies over the longest one, 0 to 1: how far a channel measures the past."""
-    lag = jax.lax.stop_gradient(channel_latencies(vessel))
-    latest = jnp.max(lag)
-    return jnp.where(latest > 0, jnp.maximum(lag, 0.0) / jnp.where(latest > 0, latest, 1.0), 0.0)
+def place_samples(vessel: Vessel, dataset: Dataset) -> SamplePlacement:
+    """Each sample at the first row after the time that it is of, one to a row, in their order."""
+    t, part, rows = dataset.t, dataset.part, jnp.arange(dataset.t.size)
+    first, end = (_index(jnp.searchsorted(part, part, side=side)) for side in ("left", "right"))
+
+    def source_of(known: Bool[Array, "row"], lag: Float[Array, ""]) -> Int[Array, "row"]:
+        next_row = _index(jnp.searchsorted(t, t - lag - SAME_TIME))
+        # Those before take each a row of their own: what is left is behind their last one.
+        number = _index(jnp.cumsum(known))
+        free = jnp.clip(next_row, first, end - 1) - number + rows.size * part
+        row = jax.lax.cummax(jnp.where(known, free, -1)) + number - rows.size * part
+        row = jnp.where(known & (row < end), row, rows.size)
+        return jnp.full(rows.size, -1, rows.dtype).at[row].set(rows, mode="drop")
+
+    lags = channel_latencies(vessel)
+    source = jax.vmap(source_of, (1, 0), 1)(dataset.known, lags)
+    sampled = jnp.cumsum(jnp.any(source >= 0, axis=1))
+    before = jnp.where(rows > 0, jnp.roll(sampled, 1), 0)
+    return SamplePlacement(source, before == before[first])
 
 
-def shown_measurements(
-    vessel: Vessel, x: Float[Array, "6"], t: Scalar, history: StateHistory
+def _index(found: Int[Array, "row"]) -> Int[Array, "row"]:
+    return found.astype(int)
+
+
+def placed_samples(dataset: Dataset, placement: SamplePlacement) -> PlacedSamples:
+    """The samples of all rows as they are placed."""
+    source = jnp.maximum(placement.source, 0)
+    measured = jnp.take_along_axis(dataset.measured, source, axis=0)
+    moved = dataset.run_time[source] - dataset.run_time[:, None]
+    known = placement.is_sampled
+    return PlacedSamples(measured, known, jnp.where(known, moved, 0.0))
+
+
+def shown_samples(
+    vessel: Vessel,
+    x: Float[Array, "6"],
+    acceleration: Float[Array, "3"],
+    moved: Float[Array, "6"],
 ) -> Float[Array, "6"]:
-    """What the sensors should show at time `t` in a state with this history."""
-    past = history.delayed_state(x, channel_latencies(vessel), t)
+    """What the sensors should show in a state, of samples with stamps that much later.
+
+    Each channel is taken where it was, or will be: on a parabola of positions and heading, on a
+    straight line of the speeds.
+    """
+    lag = channel_latencies(vessel) - moved
+    north, east = to_earth(x[3], x[4], x[2])
+    turn = to_earth(acceleration[0] - x[4] * x[5], acceleration[1] + x[3] * x[5], x[2])
+    rate = jnp.stack([north, east, x[5], *acceleration])
+    change = jnp.stack([*turn, acceleration[2], *jnp.zeros(3)])
+    past = x - lag * rate + 0.5 * lag**2 * change
     return vessel.sensors.shown(dict(zip(MOTION_CHANNELS, past, strict=True)))
-
-
-def correct_with_history(
-    z: Float[Array, "9"],
-    history: StateHistory,
-    correction: Float[Array, "9 6"],
-    innovation: Float[Array, "6"],
-    late: Float[Array, "6"],
-    t: Scalar,
-    dt: Scalar,
-) -> tuple[Float[Array, "9"], StateHistory]:
-    """State and history after an innovation, `late` the `relative_latencies`."""
-    now = z + matrix_vector(correction, innovation)
-    history = history.retrodict(matrix_vector(correction, late * innovation), z[2], t)
-    return now, history.append(now[:6], t, dt)
 
 
 def without_time_errors(vessel: Vessel, dataset: Dataset) -> tuple[Vessel, Dataset]:

@@ -29,7 +29,6 @@ from diffsea.identification.filter.covariance import (
 from diffsea.identification.filter.kalman import FilterRun
 from diffsea.identification.least_squares import value_and_jacobian
 from diffsea.scales import froude_speed, time_scale
-from diffsea.trajectory import MOTION_CHANNELS
 from diffsea.vessel.base import Vessel
 
 
@@ -50,10 +49,9 @@ ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought bef
 
 
 class RowTimes(eqx.Module):
-    """When rows begin and runs start, and how little is known of a run's first state."""
+    """How long rows last, the run of each, and how little is known of a run's first state."""
 
     dt: Float[Array, "row"]  # s
-    starts: Bool[Array, "row"]
     run: Int[Array, "row"]
     first_variance: Float[Array, "6"]
 
@@ -87,8 +85,8 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     sqrt(L / g), give or take a factor of e. Lasting gusts remember five times as long and are
     as strong in the long run, each give or take a factor of e, and at most of e^2: a force that is
     stronger, or lasts longer, has a cause that is to be found. Sensor noise from second
-    differences, which white noise dominates: a rough guess, give or take a factor of e^2. So is that
-    fixes wander by as much within ten sqrt(L / g).
+    differences, which white noise dominates: a rough guess, give or take a factor of e^2. So is
+    that fixes wander by as much within ten sqrt(L / g).
     """
     length = float(vessel.rigid_body.length)
     time = time_scale(length)
@@ -157,17 +155,21 @@ def take_excerpt(run: FilterRun, times: RowTimes) -> Excerpt:
     number = np.where(recorded, np.asarray(times.run), -1)
     begin = _block_starts(number, min(EXCERPT_ROWS, int(np.sum(recorded))))
     chosen = np.minimum(begin[:, None] + np.arange(BLOCK_ROWS), rows - 1)
-    starts, number = np.asarray(times.starts)[chosen], np.asarray(times.run)[chosen]
-    starts[:, 0] = True
+    restarts = np.asarray(run.gains.placement.restarts)[chosen]
+    restarts[:, 0] = True
+    number = np.asarray(times.run)[chosen]
 
     def rows_of(leaf: Array) -> Array:
         return jnp.asarray(np.asarray(leaf)[chosen.ravel()])
 
     part = jax.tree.map(rows_of, run)
     own = (number == number[:, :1]).reshape(-1, 1)
-    part = eqx.tree_at(lambda p: p.gains.used, part, part.gains.used & own)
-    clock = jnp.asarray(starts.ravel()), rows_of(times.run), times.first_variance
-    return part, RowTimes(rows_of(times.dt), *clock)
+    part = eqx.tree_at(
+        lambda p: (p.gains.used, p.gains.placement.restarts),
+        part,
+        (part.gains.used & own, jnp.asarray(restarts.ravel())),
+    )
+    return part, RowTimes(rows_of(times.dt), rows_of(times.run), times.first_variance)
 
 
 def _block_starts(run: Int[np.ndarray, "row"], rows: int) -> Int[np.ndarray, "block"]:
@@ -194,19 +196,20 @@ def rerun_linearised(
     def body(carry: tuple, inputs: tuple) -> tuple:
         # d: how far the vessel's state is from the one of the run; a: lasting accelerations
         d, a, P = carry
-        at, gust, more, start = inputs
+        at, gust, more, before = inputs
+        start = at.gains.placement.restarts
         d, a, P = jnp.where(start, 0.0, d), jnp.where(start, 0.0, a), jnp.where(start, P0, P)
 
         def correct(carry: tuple[Array, Array], channel: tuple[Array, ...]) -> tuple:
             off, P = carry
             h, noise, used, shown, late = channel
-            one = scalar_update(P, h, noise, used, more, late)
+            one = scalar_update(P, h, noise, used, before, late)
             innovation = jnp.where(used, shown - jnp.sum(one.h * off), 0.0)
             white = innovation / jnp.sqrt(one.variance)
             return (off + one.gain * innovation, one.covariance), (white, one.variance)
 
         off = jnp.concatenate([d, a - at.gust_acceleration])
-        channels = at.H, R, at.gains.used, at.innovation, at.rows_late
+        channels = at.H, R, at.gains.used, at.innovation, at.late
         (off, P), found = jax.lax.scan(correct, (off, P), channels)
         d = off[:6] - matrix_vector(at.gains.correction, at.innovation)[:6]
         a = off[6:] + at.gust_acceleration
@@ -216,7 +219,7 @@ def rerun_linearised(
         return (d, gust.decay * a, P), found
 
     start = jnp.zeros(6), jnp.zeros(3), P0
-    return jax.lax.scan(body, start, (run, gusts, Q, times.starts))[1]
+    return jax.lax.scan(body, start, (run, gusts, Q, jnp.roll(Q, 1, axis=0)))[1]
 
 
 def _terms(

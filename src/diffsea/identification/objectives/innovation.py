@@ -108,9 +108,12 @@ class Innovations(AbstractObjective):
 
     def _lone_outliers(self, fitted: Estimate) -> Bool[np.ndarray, "row 6"]:
         """Samples that a gated filter rejects, unless they are many, in a row or in all."""
-        run = self.problem.run_filter(fitted.coordinates, fitted.noise, GATE)
+        gains = self.problem.run_filter(fitted.coordinates, fitted.noise, GATE).gains
         known = np.asarray(self.problem.dataset.known)
-        rejected = known & ~np.asarray(run.gains.used)
+        refused = np.asarray(gains.placement.is_sampled & ~gains.used)
+        rejected, source = np.zeros_like(known), np.asarray(gains.placement.source)
+        for k in range(6):
+            rejected[source[refused[:, k], k], k] = True
         for k in range(6):
             rows = np.flatnonzero(known[:, k])
             for stretch in stretches(rejected[rows, k]):

@@ -40,7 +40,7 @@ from diffsea.identification.filter.kalman import (
     innovation_of,
     propagate,
 )
-from diffsea.identification.filter.latency import without_time_errors
+from diffsea.identification.filter.latency import SamplePlacement, without_time_errors
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.objectives.innovation import Innovations
 from diffsea.identification.problem import Coordinates, FreeIndex, Names, Problem
@@ -75,18 +75,18 @@ class ShootingWindows(eqx.Module):
 def shooting_windows(dataset: Dataset, seconds: float) -> ShootingWindows:
     """Windows of about `seconds`; longer where there would be too many."""
     t, starts = np.asarray(dataset.run_time), np.asarray(dataset.starts)
-    run = np.cumsum(starts) - 1
+    run = np.maximum(np.cumsum(starts) - 1, 0)
     first = t[np.flatnonzero(starts)][run]
     total = sum(np.ptp(t[run == k]) for k in range(dataset.runs))
     seconds = max(seconds, total / WINDOW_LIMIT)
     inside = np.floor((t - first) / seconds + 1e-9).astype(int)
     spare = ~dataset.recorded_rows & (np.asarray(dataset.dt) == 0)
-    inside[spare] = -1  # they stay in the last window
+    inside[spare | dataset.lead_in] = -1  # they stay in the last window
     inside = np.where(inside < 0, np.maximum.accumulate(np.where(inside < 0, 0, inside)), inside)
     begins = starts | (np.diff(inside, prepend=-1) > 0)
     begins &= np.asarray(dataset.dt) > 0
     begins[starts] = True
-    number = np.cumsum(begins) - 1
+    number = np.maximum(np.cumsum(begins) - 1, 0)
     joins = jnp.asarray(np.flatnonzero(begins & ~starts))
     return ShootingWindows(jnp.asarray(number), jnp.asarray(begins), joins, int(number[-1]) + 1)
 
@@ -120,11 +120,12 @@ def simulate_windows(
         row, begin, first = row_inputs
         end = x
         x = jnp.where(begin, first, x)
-        expected = expected_measurements(vessel, jnp.concatenate([x, jnp.zeros(3)]), row)
+        expected = expected_measurements(vessel, x, row)
         return propagate(vessel, x, row, dataset.substeps), (innovation_of(row, expected), end)
 
     windows = inputs.windows
-    rows = filter_rows(vessel, flows, dataset), windows.begins, states[windows.number]
+    as_stamped = SamplePlacement.as_stamped(dataset)
+    rows = filter_rows(vessel, flows, dataset, as_stamped), windows.begins, states[windows.number]
     misfit, end = jax.lax.scan(body, jnp.zeros(6), rows)[1]
     return Shot(jnp.where(jnp.isfinite(misfit), misfit, DIVERGED), end[windows.joins])
 

@@ -87,7 +87,7 @@ def _latency(
 
     @sensor_effect(
         f"sensor-latency:{variant}",
-        Size("delay", "s", vessel_time, positive=True, valid_to=1.0),
+        Size("delay", "s", vessel_time, positive=True, secants=(1.0,), valid_to=3.0),
         phrase=phrase,
         confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
@@ -95,8 +95,8 @@ def _latency(
         read=_read_latency,
     )
     def latency(vessel: Vessel, delay: CoordinateValues) -> Vessel:
-        """measured(t) = true(t - delay), for delays up to the vessel's own response; in fits of
-        free runs as its Taylor polynomial of second order.
+        """measured(t) = true(t - delay); in fits of free runs as its Taylor polynomial of second
+        order, which is good up to the vessel's own response.
         """
         return _add_latency(vessel, delay[0], groups)
 
