@@ -11,6 +11,7 @@ from tests.paths import ORACLE
 from diffsea import Trajectory
 from diffsea.identification.coordinates import vessel_at
 from diffsea.identification.filter.kalman import filter_rows
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.problem import make_problem
 from diffsea.vessel.files import build
 
@@ -39,7 +40,7 @@ def executed(orders: np.ndarray, delay: float = 0.0) -> tuple[np.ndarray, np.nda
     run = recording({"port": orders, "starboard": np.zeros(orders.size)})
     problem = make_problem(build(document), [run], ("X_u",))
     vessel, flows = vessel_at(problem.base, problem.layout, jnp.zeros(problem.layout.size))
-    found = filter_rows(vessel, flows, problem.dataset)
+    found = filter_rows(vessel, flows, problem.dataset, SamplePlacement.as_stamped(problem.dataset))
     rows = np.asarray(problem.dataset.recorded_rows)
     ends = np.asarray(found.run_time + found.dt)[rows]
     return ends[:-1], np.asarray(found.response["port"].final)[rows][:-1]

@@ -25,7 +25,7 @@ def row_of(boat, straight: bool) -> FilterRow:
     dt, t = jnp.array(0.5), jnp.array(3.0)
     known = jnp.zeros(6, bool)
     return FilterRow(
-        WEATHER, dt, t, nothing, known, no, nothing, response, straight=jnp.array(straight)
+        WEATHER, dt, t, nothing, known, no, nothing, nothing, response, straight=jnp.array(straight)
     )
 
 

@@ -43,6 +43,7 @@ FEWEST_VALUES = 5  # of a channel, from which its noise can be guessed
 TIED = 10  # the scale of y is that of x: positions err alike to the north and to the east
 ISOTROPIC = np.insert(np.eye(15), TIED, np.eye(15)[TIED - 1], axis=0)  # all from those that move
 SCALES_AT_ONCE = 4  # that the likelihood is differentiated by: twice as fast as all sixteen
+NO_WALK = 1e-6  # times what is expected
 WALK_TIME = 10.0  # in sqrt(L / g): in it fixes are expected to wander by as much as they scatter
 SMALLEST = float(np.finfo(float).tiny)  # a bound that is no step at all
 ENOUGH_GAIN = 0.1  # of -2 log posterior: after less, nothing more is sought before a fit goes on
@@ -86,7 +87,8 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     as strong in the long run, each give or take a factor of e, and at most of e^2: a force that is
     stronger, or lasts longer, has a cause that is to be found. Sensor noise from second
     differences, which white noise dominates: a rough guess, give or take a factor of e^2. So is
-    that fixes wander by as much within ten sqrt(L / g).
+    that fixes wander by as much within ten sqrt(L / g). Where velocities were recorded they do not:
+    if these err for a while, fixes would seem to, and data do not tell which of the two it is.
     """
     length = float(vessel.rigid_body.length)
     time = time_scale(length)
@@ -96,6 +98,8 @@ def noise_prior(vessel: Vessel, dataset: Dataset) -> NoisePrior:
     slow = gusts / np.sqrt(2 * memory)
     sensor = _sensor_scales(dataset, length)
     walk = sensor[:1] / np.sqrt(WALK_TIME * time)
+    if dataset.recorded_channels[3:5].all():
+        walk = NO_WALK * walk
     scales = np.concatenate([gusts, slow, memory, sensor, walk])
     return NoisePrior(np.log(scales), np.repeat([1.0, 2.0], [9, 7]))
 
