@@ -196,6 +196,26 @@ def test_a_start_is_derived_from_positions_with_noise():
     assert predicted.r[0] == pytest.approx(0.0, abs=np.deg2rad(0.5))
 
 
+def test_velocities_are_derived_from_positions_as_they_truly_were():
+    """On a circle, a quarter of its time late and from an antenna far from amidships."""
+    t, speed, rate, lag = np.arange(0.0, 60.0, 0.1), 1.2, 0.3, 1.4
+    late, x, y = t - lag, 0.8, -0.5
+    psi = 0.4 + rate * t
+    north = speed / rate * np.sin(0.4 + rate * late)
+    east = -speed / rate * np.cos(0.4 + rate * late)
+    c, s = np.cos(0.4 + rate * late), np.sin(0.4 + rate * late)
+    fixes = north + c * x - s * y, east + s * x + c * y
+    known = np.arange(t.size) % 5 == 2
+    shown = [np.where(known, fix, np.nan) for fix in fixes]
+    run = dataclasses.replace(straight(t), x=shown[0], y=shown[1], psi=psi, r=rate + 0 * t)
+    sensors = Sensors(latency_position=lag, lever_x=x, lever_y=y)
+    vessel = dataclasses.replace(boat(), sensors=sensors)
+    predicted = replay(vessel, missing(run, "u", "v"))
+    assert predicted.u[0] == pytest.approx(speed, abs=0.02)
+    assert predicted.v[0] == pytest.approx(0.0, abs=0.02)
+    assert prediction_misses(vessel, missing(run, "u", "v"), [1.0])[1.0]["u"].size > 3
+
+
 def test_late_samples_are_continued_back_to_the_start():
     run = straight(UNEVEN, u0=3.0)
     x = run.x.copy()

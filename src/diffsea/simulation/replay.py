@@ -384,39 +384,64 @@ def _rms_errors(difference: dict[str, Samples]) -> dict[str, float]:
 def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples], tuple[str, ...]]:
     """Motion in every row as the sensors' errors leave it, and notes on what was derived.
 
-    A run in which nothing shows the heading is one straight ahead, to the north.
+    What was not measured is derived from the rest without its errors. A run in which nothing shows
+    the heading is one straight ahead, to the north.
     """
     derived, notes = [c for c in ("psi", "u", "v", "r") if not run.has(c)], ()
+    true = {c: _true_channel(sensors, run, c) for c in MOTION_CHANNELS}
     if not (run.has("psi") or run.has("r")):
-        run = dataclasses.replace(run, psi=np.zeros_like(run.t), r=np.zeros_like(run.t))
+        true |= {c: np.zeros_like(run.t) for c in ("psi", "r")}
         notes = ("neither heading nor yaw rate was recorded: straight ahead is assumed",)
-    whole, derivations = prepare_recording(run) if derived else (run, [])
-    notes += tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
-    shown = {}
-    for channel in MOTION_CHANNELS:
-        source = whole if channel in derived else run
-        values = np.asarray(source.motion[channel])
-        if channel in "xy" and not run.has(channel):
-            values = np.zeros_like(run.t)
-        finite = np.isfinite(values)
-        if not finite.any():
-            raise UserError(
-                f"{run.name}: {channel} was not recorded, nor anything to derive it from, so "
-                "there is no state to start from; map a velocity (u) or positions (x, y)"
-            )
-        times = _times_shown(sensors, run.t, channel)
-        shown[channel] = _extrapolate(times, source.t[finite], values[finite])
-    steps = _sensor_steps(sensors, run.t)
-    psi = measured = shown["psi"] - steps["psi"]
+    if derived:
+        known = {c: _where_sampled(sensors, run, c, true[c]) for c in MOTION_CHANNELS}
+        whole, derivations = prepare_recording(dataclasses.replace(run, **known))
+        notes += tuple(f"initial state: {d.note}" for d in derivations if d.kind == "derived")
+        true |= {c: _extrapolate(run.t, whole.t, whole.motion[c]) for c in derived}
+        for c in derived:
+            if not np.isfinite(true[c]).all():
+                raise UserError(
+                    f"{run.name}: {c} was not recorded, nor anything to derive it from, so "
+                    "there is no state to start from; map a velocity (u) or positions (x, y)"
+                )
+    # Positions, and what was derived from them, are those of the antenna.
+    x, y = float(sensors.lever_x), float(sensors.lever_y)
+    north, east = to_earth(x, y, true["psi"])
+    true |= {"x": true["x"] - np.asarray(north), "y": true["y"] - np.asarray(east)}
+    true |= {"u": true["u"] + y * true["r"]} if "u" in derived else {}
+    true |= {"v": true["v"] - x * true["r"]} if "v" in derived else {}
+    return true, notes
+
+
+def _true_channel(sensors: Sensors, run: Trajectory, channel: str) -> Samples:
+    """A channel in every row without its sensor's errors; NaN, positions zero, if not measured.
+
+    Positions stay those of the antenna.
+    """
+    values = np.asarray(run.motion[channel])
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.zeros_like(run.t) if channel in "xy" else np.full_like(run.t, np.nan)
+    shown = _extrapolate(_times_shown(sensors, run.t, channel), run.t[finite], values[finite])
+    shown = shown - _sensor_steps(sensors, run.t)[channel]
+    if channel != "psi":
+        return shown - float(sensors.gyro_bias) if channel == "r" else shown
+    psi = shown
     for _ in range(_COMPASS_ITERATIONS):  # the compass error depends on the heading itself
-        psi = measured - _compass_error(sensors, psi)
-    north, east = to_earth(sensors.lever_x, sensors.lever_y, psi)
-    return shown | {
-        "psi": psi,
-        "x": shown["x"] - np.asarray(north),
-        "y": shown["y"] - np.asarray(east),
-        "r": shown["r"] - float(sensors.gyro_bias) - steps["r"],
-    }, notes
+        psi = shown - _compass_error(sensors, psi)
+    return psi
+
+
+def _where_sampled(sensors: Sensors, run: Trajectory, channel: str, true: Samples) -> Samples:
+    """A channel's true values in the row nearest to each of its samples, NaN in the others."""
+    if not run.has(channel):
+        return np.full_like(run.t, np.nan) if channel in "xy" else true
+    times = run.t[np.isfinite(run.motion[channel])]
+    of = times - np.asarray(sensors.lags(times)[channel])
+    after = np.searchsorted(run.t, of).clip(1, run.t.size - 1)
+    rows = np.where(of - run.t[after - 1] < run.t[after] - of, after - 1, after)
+    found = np.full_like(run.t, np.nan)
+    found[rows] = true[rows]
+    return found
 
 
 def _compass_error(sensors: Sensors, psi: Samples) -> Samples:

@@ -281,6 +281,9 @@ def _feedback_error(kind: Kind, size: Size, phrase: str) -> Effect:
     return feedback_error
 
 
+RECORD_SCALES = (-0.5, 1.0)  # a record that is off by a factor of two has another unit
+
+
 def _feedback_errors(kind: Kind) -> list[Effect]:
     """All ways of one kind. Sides have offsets alone: a scale of one is `thrust-asymmetry`."""
     place, unit = OrderedChannels(kind), "rad" if kind == "steering" else ORDER_UNIT
@@ -296,7 +299,7 @@ def _feedback_errors(kind: Kind) -> list[Effect]:
             f"{record} reads {{offset:size}} too {{offset:high|low}}",
         ),
         (
-            Size("scale", "1", 0.1, (-0.9, 9.0)),
+            Size("scale", "1", 0.1, RECORD_SCALES),
             f"{record} reads {{scale:%}} too {{scale:high|low}}",
         ),
         (
