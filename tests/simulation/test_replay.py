@@ -211,8 +211,8 @@ def test_velocities_are_derived_from_positions_as_they_truly_were():
     sensors = Sensors(latency_position=lag, lever_x=x, lever_y=y)
     vessel = dataclasses.replace(boat(), sensors=sensors)
     predicted = replay(vessel, missing(run, "u", "v"))
-    assert predicted.u[0] == pytest.approx(speed, abs=0.02)
-    assert predicted.v[0] == pytest.approx(0.0, abs=0.02)
+    assert predicted.u[0] == pytest.approx(speed, abs=0.05)
+    assert predicted.v[0] == pytest.approx(0.0, abs=0.05)
     assert prediction_misses(vessel, missing(run, "u", "v"), [1.0])[1.0]["u"].size > 3
 
 
