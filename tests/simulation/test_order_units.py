@@ -40,8 +40,8 @@ THRUSTERS = {
     "us": {"unit": "us", "max_force": 250.0},
 }
 ORDERS = {
-    "N": 250 * SHARE, "rev/s": 15 * SHARE, "rpm": 900 * SHARE, "percent": 100 * SHARE,
-    "normalised": SHARE, "us": 1500 + 400 * SHARE,
+    "N": np.where(SHARE < 0, 180, 250) * SHARE, "rev/s": 15 * SHARE, "rpm": 900 * SHARE,
+    "percent": 100 * SHARE, "normalised": SHARE, "us": 1500 + 400 * SHARE,
 }  # fmt: skip
 LOOKS = {"rpm": "revolutions per minute", "percent": "per cent", "normalised": "normalised",
          "us": "pulse widths"}  # fmt: skip
@@ -56,8 +56,11 @@ FAINT = {("N", "normalised"), ("rpm", "rev/s"), ("rpm", "normalised"), ("percent
 def test_orders_of_a_thruster_in_another_unit_are_found_and_named(own, given):
     boat = vessel(**THRUSTERS[own])
     found = unit_findings(boat, run(ORDERS[given]))
-    if given == own or (own, given) in NEAR:
+    if given == own:
         assert not found
+        return
+    if (own, given) in NEAR:
+        assert all(one.doubt and "acts as the limit" in one.message for one in found)
         return
     (finding,) = found
     assert finding.kind == "actuation-unit" and finding.kind in KINDS
@@ -76,12 +79,24 @@ def test_orders_of_a_thruster_in_another_unit_are_found_and_named(own, given):
 
 def test_overshoots_and_wild_values_are_no_other_unit():
     boat = vessel(**THRUSTERS["N"])
-    assert not unit_findings(boat, run(2.5 * ORDERS["N"]))
+    assert all(one.doubt for one in unit_findings(boat, run(2.5 * ORDERS["N"])))
     wild = np.where(np.arange(200) == 70, 1e5, ORDERS["N"])
     assert not unit_findings(boat, run(wild))
     assert not unit_findings(boat, run(0 * SHARE))  # adrift
     missing = np.where(np.arange(200) % 3 == 0, ORDERS["us"], np.nan)
     assert unit_findings(boat, run(missing))
+
+
+@pytest.mark.parametrize(("largest", "told"), [(250.0, False), (262.0, False), (400.0, True)])
+def test_orders_beyond_what_the_vessel_takes_are_told_with_their_share(largest, told):
+    orders = np.where(np.arange(200) % 4 == 0, largest, 100.0)
+    found = unit_findings(vessel(max_force=250.0, min_force=-180.0), run(orders))
+    assert len(found) == told
+    if told:
+        (finding,) = found
+        assert finding.doubt and finding.value == pytest.approx(0.25)
+        assert "-180 to 250 N: 25 % of it lies beyond" in finding.message
+    require_order_units(vessel(max_force=250.0, min_force=-180.0), [run(orders)])
 
 
 def test_rudders_and_azimuth_thrusters_in_degrees():

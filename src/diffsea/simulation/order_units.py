@@ -17,6 +17,7 @@ from diffsea.vessel.servo import Servo
 _BEYOND = 3.0
 # A fiftieth of full thrust is a seventh of full speed, by quadratic drag: no run is driven by less.
 _HARDLY_ANY = 0.02
+_OFTEN = 0.05  # of the values beyond a limit: a vessel that takes no more is told of
 _LARGEST_SHARE = 0.99  # of the values is below the largest size: wild values are no unit
 _PULSES = (700.0, 2300.0)  # us: pulse widths of servos and speed controllers, trimmed at will
 _ROUNDING = 1.05  # of full order, that normalised orders and per cents may exceed
@@ -27,8 +28,8 @@ def unit_findings(vessel: Vessel, recording: Trajectory) -> list[Finding]:
 
     Sizes are those of 99 % of the values, from neutral. An order beyond three times the largest
     limit, a steering angle beyond half a turn, and an angle that may go round but jumps by more
-    than a turn are certain (no `doubt`). Propulsion that never exceeds a fiftieth of its limit is a
-    matter of doubt.
+    than a turn are certain (no `doubt`). Propulsion that never exceeds a fiftieth of its limit, and
+    orders of which a twentieth lie beyond theirs, are matters of doubt.
     """
     run, units, found = recording.counted(), vessel.units, []
     for prefix, group in (("cmd_", run.commanded), ("exec_", run.executed)):
@@ -65,7 +66,9 @@ def _finding(channel: str, values: Samples, servo: Servo, unit: str) -> Finding 
         certain = jump > 2 * np.pi and size > np.pi
     else:
         certain = (0 < _BEYOND * limit < size) or (steers and size > np.pi)
-    if not certain and (steers or not 0 < size < _HARDLY_ANY * limit):
+    beyond = 0.0 if certain or servo.endless else _share_beyond(values, servo)
+    hardly = not steers and 0 < size < _HARDLY_ANY * limit
+    if not (certain or hardly or beyond > _OFTEN):
         return None
     low, high = np.quantile(values, (1 - _LARGEST_SHARE, _LARGEST_SHARE))
     words = {"range": f"{low:.4g} to {high:.4g}", "limits": _limits(servo, unit)}
@@ -73,8 +76,22 @@ def _finding(channel: str, values: Samples, servo: Servo, unit: str) -> Finding 
     ratio = size / (limit if limit > 0 else np.pi)
     if certain:
         return finding_of("actuation-unit", (channel,), ratio, 0.0, words)
+    if beyond > _OFTEN:
+        words["share"] = f"{100 * beyond:.0f} %"
+        doubt = "a controller may ask for more than there is"
+        return finding_of("clipped-orders", (channel,), beyond, 0.0, words, doubt=doubt)
     doubt = "the vessel may have been driven at next to nothing"
     return finding_of("hardly-driven", (channel,), ratio, 0.0, words, doubt=doubt)
+
+
+def _share_beyond(values: Samples, servo: Servo) -> float:
+    """Share of the values beyond a channel's limits, by more than rounding."""
+    low, high = (None if end is None else float(end) for end in (servo.lower, servo.upper))
+    span = max(abs(end) for end in (low, high, 0.0) if end is not None)
+    slack = (_ROUNDING - 1) * span
+    above = np.zeros(values.shape, bool) if high is None else values > high + slack
+    below = np.zeros(values.shape, bool) if low is None else values < low - slack
+    return float(np.mean(above | below))
 
 
 def _limits(servo: Servo, unit: str) -> str:
