@@ -16,12 +16,13 @@ from scipy import stats
 from scipy.linalg import expm
 from tests.oracle.simulator import load
 from tests.paths import ORACLE
-from tests.runs import varied
+from tests.runs import random_steps, varied
 
 from diffsea import EFFECTS, Trajectory
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, deviance, measurement_jacobian
 from diffsea.identification.filter.latency import shown_samples
+from diffsea.identification.fit import estimate
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.vessel.files import build
 
@@ -251,3 +252,31 @@ def test_every_sample_has_a_row_near_its_time_and_none_is_lost(vessel, late):
         own = np.flatnonzero(part == k)
         begin = rows[part[rows] == k][0]
         np.testing.assert_array_equal(restarts[own], own <= begin)
+
+
+@pytest.mark.parametrize("late", [0.35, 1.6])
+def test_fixes_without_velocities_are_late_by_the_same_wherever_a_fit_begins(late):
+    """Half and more than twice the time of the vessel; fixes five times a second, with noise."""
+    document, effect = load(str(ORACLE / "usv.toml")), EFFECTS["sensor-latency:position"]
+    rng, runs = np.random.default_rng(5), []
+    for seed in (14, 15):
+        run = random_steps(document, seed, 120.0, 0.1)
+        known, gone = np.arange(run.t.size) % 2 == 1, np.full_like(run.t, np.nan)
+        x, y = (
+            np.where(known, np.interp(run.t - late, run.t, one), np.nan)
+            + rng.normal(0, 0.03, run.t.size)
+            for one in (run.x, run.y)
+        )
+        runs.append(dataclasses.replace(run, x=x, y=y, u=gone, v=gone).rows(run.t >= 3.0))
+    wrong = document["hull"] | {"X_u": -35.0, "N_r": -650.0}
+    free = ("X_u", "X_uu", "Y_v", "N_r", effect.name)
+    problem = make_problem(build(document | {"hull": wrong}), runs, free[:-1], (effect,))
+    size, found = problem.layout.sizes[0][0], []
+    for begin in (0.1, 3.0):
+        start = np.zeros(problem.layout.size)
+        start[-1] = begin / size
+        fitted = estimate(problem, free, start)
+        found.append((fitted.coordinates[-1] * size, fitted.stds[-1] * size))
+    for value, std in found:
+        assert abs(value - late) < 3 * std < 0.15
+    assert found[0][0] == pytest.approx(found[1][0], abs=0.3 * found[0][1])
