@@ -87,7 +87,7 @@ def _latency(
 
     @sensor_effect(
         f"sensor-latency:{variant}",
-        Size("delay", "s", vessel_time, positive=True, secants=(1.0,), valid_to=3.0),
+        Size("delay", "s", vessel_time, positive=True, valid_to=3.0),
         phrase=phrase,
         confusables=_LIKE_LATENCY,
         place=MeasuredChannels(tuple(name for group in groups for name in LATENCY_CHANNELS[group])),
