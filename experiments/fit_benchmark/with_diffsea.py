@@ -28,6 +28,7 @@ from diffsea import Trajectory, read_vessel
 from diffsea.identification.coordinates import CoordinateLayout, vessel_at
 from diffsea.identification.estimates import Estimate, ShootingState
 from diffsea.identification.filter import kalman
+from diffsea.identification.filter.latency import SamplePlacement
 from diffsea.identification.fit import estimate
 from diffsea.identification.least_squares import with_known_jacobian
 from diffsea.identification.objectives import output_error
@@ -122,11 +123,12 @@ def _misfits(at: tuple, given: tuple, layout: CoordinateLayout) -> jax.Array:
     def body(x: jax.Array, inputs: tuple) -> tuple:
         row, first = inputs
         x = jnp.where(row.starts, first, x)
-        shown = kalman.expected_measurements(vessel, jnp.concatenate([x, jnp.zeros(3)]), row)
+        shown = kalman.expected_measurements(vessel, x, row)
         misfit = jnp.where(row.known, (row.measured - shown) / SIGMA, 0.0)
         return kalman.propagate(vessel, x, row, dataset.substeps), misfit
 
-    inputs = kalman.filter_rows(vessel, flows, dataset), at[1][dataset.run]
+    as_stamped = SamplePlacement.as_stamped(dataset)
+    inputs = kalman.filter_rows(vessel, flows, dataset, as_stamped), at[1][dataset.run]
     return jax.lax.scan(body, jnp.zeros(6), inputs)[1]
 
 

@@ -343,7 +343,7 @@ def run_filter(
     inputs = rows, gusts, Q, jnp.roll(Q, 1, axis=0), late
     _, found = jax.lax.scan(body, (jnp.zeros(9), jnp.zeros(3), P0), inputs)
     correction, whitening, used, *rest = found
-    return FilterRun(Gains(correction, whitening, used, gusts, placement), *rest, late)
+    return FilterRun(Gains(correction, whitening, used, gusts, placement), *rest, late=late)
 
 
 def first_variance(vessel: Vessel) -> Float[Array, "6"]:
