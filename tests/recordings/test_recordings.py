@@ -294,11 +294,17 @@ def test_a_data_frame_that_is_no_recording_is_refused(columns, message):
         ("t,x\n0,1\n,2\n2,3\n", "line 3: the time is missing.*time_step"),
         ("t,x,x\n0,1,2\n1,2,3\n", "the column 'x' appears twice"),
         ("t,x\n0,1\n1,2,3,4\n", "cannot be read as a table.*line 3"),
+        ("t,x,psi\n0,1,2,3\n1,2,3,4\n", "line 2: 4 values, and 3 names above"),
     ],
 )
 def test_unreadable_files_are_refused_with_place_and_repair(place, text, message):
     with pytest.raises(UserError, match=message):
         read_recording(place(text))
+
+
+def test_a_delimiter_at_the_end_of_every_row_is_no_value(place):
+    run = read_recording(place("t,x,psi\n0,1,2,\n1,2,3,\n2,3,3,\n"))
+    np.testing.assert_array_equal(run.psi, [2.0, 3.0, 3.0])
 
 
 def test_missing_files_and_folders_are_named(tmp_path, place):

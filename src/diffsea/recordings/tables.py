@@ -273,7 +273,25 @@ def _find_header(path: Path, mapping: Mapping) -> tuple[list[str], int]:
             f"{path}, line {best + 1}: the column {repeated[0]!r} appears twice; rename one, "
             "or list all names under [file] columns of a mapping"
         )
-    return names, max(count, best + 1)
+    skipped = max(count, best + 1)
+    _check_width(path, mapping, names, skipped)
+    return names, skipped
+
+
+def _check_width(path: Path, mapping: Mapping, names: list[str], skipped: int) -> None:
+    """Raises `UserError` where the first row has values beyond the names: which is whose?
+
+    A delimiter at the end of every line is common and harmless.
+    """
+    with path.open(encoding=mapping.encoding) as file:
+        line = next(itertools.islice(file, skipped, None), "")
+    cells = split_cells(line, mapping.delimiter)
+    if any(cells[len(names) :]):
+        raise UserError(
+            f"{path}, line {skipped + 1}: {len(cells)} values, and {len(names)} names above them: "
+            "which value has which name? Complete the names, or list all of them under [file] "
+            "columns of a mapping"
+        )
 
 
 def _ends_within_a_row(path: Path, delimiter: str, encoding: str) -> bool:
