@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
-from tests.diagnosis.small import still_run, usv
+from tests.diagnosis.small import DOCUMENT, still_run, usv
 
 from diffsea.diagnosis.localisation import (
     Bin,
     inclusion_share,
+    motion_quantities,
     regime_within,
     regimes,
     time_windows,
 )
 from diffsea.diagnosis.score import Projection
 from diffsea.identification.problem import make_problem
+from diffsea.vessel.files import build
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,19 @@ def test_a_window_is_in_the_regime_that_half_of_it_lies_in(problem):
     assert within(0, 0.0, 49.0, [turning, speeds[-1], speeds[0]]) == speeds[0]
     assert within(1, 60.0, 99.0, [speeds[0], turning]) == turning
     assert within(0, 0.0, 49.0, [speeds[-1], turning]) is None
+
+
+def test_pulse_widths_are_summed_from_neutral():
+    thrusters = [{**one, "unit": "us"} for one in DOCUMENT["thruster"]]
+    vessel = build({**DOCUMENT, "thruster": thrusters})
+    t = np.arange(0.0, 20.0, 0.5)
+    orders = {"port": 1500.0 + 10 * t, "starboard": 1500.0 - 4 * t}
+    problem = make_problem(vessel, [still_run(vessel, commanded=orders)], ("X_u",))
+    total = motion_quantities(problem)["total order"]
+    assert total.unit == "us"
+    recorded = problem.dataset.recorded_rows
+    found, times = total.values[recorded], np.asarray(problem.dataset.run_time)[recorded]
+    np.testing.assert_allclose(found[:-1], 6 * times[:-1], atol=6 * 0.5)
 
 
 def test_windows_are_eighths_of_each_run(problem):

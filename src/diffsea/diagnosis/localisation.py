@@ -91,7 +91,7 @@ class Quantity(NamedTuple):
 def motion_quantities(problem: Problem) -> dict[str, Quantity]:
     """Drift angle (deg), yaw rate (deg/s), speed ahead (m/s), heading (deg), sum of all orders.
 
-    That has a unit where all orders are in one.
+    That is from neutral, and has a unit where all orders are in one.
     """
     data = problem.dataset
     measured, known, recorded = (
@@ -102,7 +102,11 @@ def motion_quantities(problem: Problem) -> dict[str, Quantity]:
     psi, u, v, r = measured[:, 2:].T
     drift = np.degrees(np.arctan2(np.abs(v), np.maximum(np.abs(u), 1e-3)))
     heading = np.degrees(np.mod(psi, 2 * np.pi))
-    orders = sum((np.asarray(series) for series in data.orders.values()), np.zeros(len(known)))
+    servos = problem.base.servos
+    orders = sum(
+        (np.asarray(one) - float(servos[name].neutral or 0) for name, one in data.orders.items()),
+        np.zeros(len(known)),
+    )
     units = set(problem.base.units.values())
     return {
         "drift angle": Quantity("deg", drift, recorded & known[:, 3] & known[:, 4]),
