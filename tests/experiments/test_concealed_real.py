@@ -92,7 +92,7 @@ def test_what_the_page_says_of_another_revision_is_what_was_found():
     )
     same, apart = sum(one.same_names for one in found), max(one.apart for one in found)
     told = (
-        f"the same names in {same} of {len(found)} sets, sizes within {apart:.1g} standard errors"
+        f"the same names in {same} of {len(found)} sets, sizes within {apart:.2g} standard errors"
     )
     assert told in " ".join(text.split())
 
