@@ -46,6 +46,24 @@ def executed(orders: np.ndarray, delay: float = 0.0) -> tuple[np.ndarray, np.nda
     return ends[:-1], np.asarray(found.response["port"].final)[rows][:-1]
 
 
+def test_a_lead_in_is_at_its_own_first_order_and_not_at_the_last_of_the_run_before():
+    """A slow lag would have kept half of it."""
+    document = copy.deepcopy(load(str(ORACLE / "usv.toml")))
+    for thruster in document["thruster"]:
+        thruster["time_constant"] = 3.0
+    runs = [
+        recording({"port": np.full(500, one), "starboard": np.zeros(500)}) for one in (90.0, 20.0)
+    ]
+    problem = make_problem(build(document), runs, ("X_u",))
+    vessel, flows = vessel_at(problem.base, problem.layout, jnp.zeros(problem.layout.size))
+    data = problem.dataset
+    found = filter_rows(vessel, flows, data, SamplePlacement.as_stamped(data))
+    for number, order in enumerate((90.0, 20.0)):
+        rows = data.lead_in & (np.asarray(data.run) == number)
+        assert rows.sum() > 3
+        np.testing.assert_allclose(np.asarray(found.response["port"].middle)[rows], order)
+
+
 def lagged(orders: np.ndarray) -> np.ndarray:
     """What a lag makes of orders, by its exact solution from sample to sample."""
     out, reached = [], orders[0]

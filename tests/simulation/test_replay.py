@@ -216,6 +216,14 @@ def test_velocities_are_derived_from_positions_as_they_truly_were():
     assert prediction_misses(vessel, missing(run, "u", "v"), [1.0])[1.0]["u"].size > 3
 
 
+def test_an_antenna_says_nothing_of_velocities_where_there_are_no_positions():
+    t = np.arange(0.0, 20.0, 0.1)
+    run = missing(dataclasses.replace(straight(t), r=0.3 + 0 * t), "x", "y", "v")
+    vessel = dataclasses.replace(boat(), sensors=Sensors(lever_x=2.0, lever_y=1.0))
+    predicted = replay(vessel, run)
+    assert predicted.v[0] == 0.0 and predicted.u[0] == run.u[0]
+
+
 def test_late_samples_are_continued_back_to_the_start():
     run = straight(UNEVEN, u0=3.0)
     x = run.x.copy()

@@ -407,8 +407,9 @@ def _true_motion(sensors: Sensors, run: Trajectory) -> tuple[dict[str, Samples],
     x, y = float(sensors.lever_x), float(sensors.lever_y)
     north, east = to_earth(x, y, true["psi"])
     true |= {"x": true["x"] - np.asarray(north), "y": true["y"] - np.asarray(east)}
-    true |= {"u": true["u"] + y * true["r"]} if "u" in derived else {}
-    true |= {"v": true["v"] - x * true["r"]} if "v" in derived else {}
+    if run.has("x") and run.has("y"):
+        at_antenna = {"u": true["u"] + y * true["r"], "v": true["v"] - x * true["r"]}
+        true |= {c: at_antenna[c] for c in derived if c in at_antenna}
     return true, notes
 
 

@@ -145,7 +145,9 @@ def _actuator_response(vessel: Vessel, channel: str, dataset: Dataset) -> Respon
         response = servo.respond_to(executed, breaks, values, dt)
         return response.final, response
 
-    rows = (dataset.starts, orders, dt, given)
+    # Nothing is left of the run before, neither in a lead-in nor after it.
+    begins = dataset.starts | (dataset.part != jnp.roll(dataset.part, 1))
+    rows = (begins, orders, dt, given)
     return batched_scan(body, servo.target(orders[0]), rows, dataset.batches)
 
 
