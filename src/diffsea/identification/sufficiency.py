@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.filter.noise_fit import PLAUSIBLE
+from diffsea.identification.filter.noise_fit import PLAUSIBLE_NOISE
 from diffsea.identification.free_predictions import motion_misfit
 from diffsea.identification.holdout import Split, held_out_coordinates
 from diffsea.statistics import block_sums
@@ -137,7 +137,7 @@ class Sufficiency:
             found.append(Shortfall.MISFIT)
         if not all(ratio < self.motion_limit[horizon] for horizon, ratio in self.motion.items()):
             found.append(Shortfall.MOTION)
-        if self.gusts > PLAUSIBLE - NEAR_BOUND:
+        if self.gusts > PLAUSIBLE_NOISE - NEAR_BOUND:
             found.append(Shortfall.GUSTS)
         return tuple(found)
 
@@ -186,7 +186,7 @@ class Sufficiency:
                 "colour": self.whiteness.colour,
                 "limit": LARGEST_COLOUR,
             },
-            "gusts": {"deviations": self.gusts, "limit": PLAUSIBLE},
+            "gusts": {"deviations": self.gusts, "limit": PLAUSIBLE_NOISE},
         }  # fmt: skip
 
 

@@ -101,8 +101,8 @@ def shown_samples(
 ) -> Float[Array, "6"]:
     """What the sensors should show in a state, of samples with stamps that much later.
 
-    Each channel is taken where it was, or will be: on a parabola of positions and heading, on a
-    straight line of the speeds.
+    Each channel is taken where it was, up to a row ago: on a parabola of positions and heading, on
+    a straight line of the speeds.
     """
     lag = channel_latencies(vessel) - moved
     north, east = to_earth(x[3], x[4], x[2])

@@ -35,7 +35,7 @@ from diffsea.vessel.base import Vessel
 EXCERPT_ROWS = 8192  # from which noise is estimated: a hundredth of each scale is its error
 BLOCK_ROWS = 1024  # of the excerpt that follow one another
 LARGEST_FALL = 4.0  # of a scale's logarithm below its prior's mean: rounding is not noise
-PLAUSIBLE = 2.0  # standard deviations of the prior, above which a gust is a missing force
+PLAUSIBLE_NOISE = 2.0  # standard deviations of the prior, above which a gust is a missing force
 LARGEST_STEP = 1.0  # of a scale's logarithm: a factor of e
 LINE_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step, of which the best is taken
 ENOUGH_OF_PROMISE = 0.5  # of what a whole step should gain: with so much it is taken
@@ -74,7 +74,7 @@ class NoisePrior(NamedTuple):
     @property
     def highest(self) -> Float[np.ndarray, "scale"]:
         """Above which a gust, its memory or a walk of fixes is none, but has a cause."""
-        highest = Noise.of(self.mean + PLAUSIBLE * self.spread)
+        highest = Noise.of(self.mean + PLAUSIBLE_NOISE * self.spread)
         unbounded = jnp.full_like(highest.sensor, jnp.inf)
         return np.asarray(dataclasses.replace(highest, sensor=unbounded).scales)
 
