@@ -11,6 +11,7 @@ import pytest
 
 from diffsea.identification import descent, fit
 from diffsea.identification.descent import (
+    Correction,
     FilteredPoint,
     descend,
     filter_at,
@@ -75,15 +76,15 @@ def test_a_slope_that_misleads_is_found_anew_and_leads_to_where_a_fit_ends(
 
     assert away.deviance - found.deviance > 4
     monkeypatch.setattr(descent, "linearise", reversed_slope)
-    alone = descend(problem, away, found.index, np.zeros(3), False)
+    alone = descend(problem, away, found.index, np.zeros(3), Correction.NEVER)
     assert alone.refused and alone.point is away and not alone.is_last
-    step = descend(problem, away, found.index, np.zeros(3), True)
+    step = descend(problem, away, found.index, np.zeros(3), Correction.WHERE_REFUSED)
     assert step.corrected and step.point.deviance - found.deviance < 0.1
 
 
 def test_at_the_end_no_step_is_taken(problem, found):
     here = filter_at(problem, found.coordinates, found.noise)
-    step = descend(problem, here, found.index, np.zeros(3), True)
+    step = descend(problem, here, found.index, np.zeros(3), Correction.WHERE_REFUSED)
     assert step.promised < 0.5
     assert here.deviance - step.point.deviance < 0.05
 

@@ -5,9 +5,11 @@ parameters nearly undetermined make a valley that is narrow and bent: along its 
 leads far. Steps therefore follow a parabola, whose bow the filter tells on both sides of where it
 stands (geodesic acceleration; Transtrum and Sethna 2012, arXiv:1201.5885). What held gains leave
 out of the slope is found by differences where such a step leads nowhere, and serves the steps that
-follow.
+follow. It vanishes where the model is right; where something is missing from it, the slope of held
+gains may be none where the deviance still falls.
 """
 
+import enum
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -28,6 +30,14 @@ ENOUGH_OF_PROMISE = 0.25  # of what the model promised: a step that gains so muc
 NEGLIGIBLE_PROMISE = 1e-3  # of -2 log posterior: a thirtieth of a standard error
 CORRECTED_PROMISE = 0.05  # that was not kept: from it on the slope is found by differences
 DIFFERENCE = 0.05  # standard errors to both sides, by which slopes are found: valleys are bent
+
+
+class Correction(enum.Enum):
+    """When what held gains leave out of the slope is found anew."""
+
+    NEVER = enum.auto()
+    WHERE_REFUSED = enum.auto()  # a step that promised something
+    AT_ONCE = enum.auto()  # before a fit ends: a slope that is none may be one
 
 
 class FilteredPoint(NamedTuple):
@@ -58,7 +68,7 @@ class Descent(NamedTuple):
     @property
     def is_last(self) -> bool:
         """Whether from where it ended no step would lead on."""
-        return self.refused and (self.corrected or self.promised < CORRECTED_PROMISE)
+        return self.refused and self.corrected
 
 
 def filter_at(problem: Problem, coordinates: Coordinates, noise: Noise) -> FilteredPoint:
@@ -78,21 +88,23 @@ def descend(
     now: FilteredPoint,
     index: FreeIndex,
     left_out: Float[np.ndarray, "free"],
-    corrects: bool,
+    corrects: Correction,
     least: float = NEGLIGIBLE_PROMISE,
 ) -> Descent:
     """One step of the free coordinates; none where nothing that is tried is better.
 
     Arguments:
         left_out: of the gradient by gains held fixed; zeros at first.
-        corrects: whether to find that anew where a step that promised something is refused.
+        corrects: when to find that anew.
         least: of -2 log posterior: where less is promised, no way but the straight one is tried.
     """
     model = linearise(problem, now.run.gains, now.coordinates, index)
-    gradient = model.gradient + left_out
-    there, promised = _along_parabola(problem, now, index, model, gradient, least)
-    failed = not now.deviance - there.deviance > ENOUGH_OF_PROMISE * promised
-    corrected = corrects and failed and promised > CORRECTED_PROMISE
+    there, promised, failed = now, np.inf, corrects is Correction.AT_ONCE
+    if not failed:
+        gradient = model.gradient + left_out
+        there, promised = _along_parabola(problem, now, index, model, gradient, least)
+        failed = not now.deviance - there.deviance > ENOUGH_OF_PROMISE * promised
+    corrected = corrects is not Correction.NEVER and failed and promised > CORRECTED_PROMISE
     if corrected:
         gradient = gradient_by_differences(problem, now, index, model)
         left_out = gradient - model.gradient

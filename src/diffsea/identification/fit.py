@@ -15,7 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffsea.budget import current_budget, on_every_core
-from diffsea.identification.descent import Descent, FilteredPoint, descend, filter_at
+from diffsea.identification.descent import (
+    Correction,
+    Descent,
+    FilteredPoint,
+    descend,
+    filter_at,
+)
 from diffsea.identification.estimates import Estimate, FitOutcome, is_at_bound, posterior_estimate
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.kalman import FilterRun, first_variance
@@ -158,7 +164,10 @@ def _search(
             now = there if there.better_than(now) else now
         by_noise = last - now.deviance
         if not (step.is_last and abs(by_noise) < least):
-            corrects = not fixed_noise and by_noise < SETTLED_NOISE
+            corrects = Correction.NEVER
+            if not fixed_noise and by_noise < SETTLED_NOISE:
+                at_end = number > 0 and taken == FIRST_NOISE_STEPS
+                corrects = Correction.AT_ONCE if at_end else Correction.WHERE_REFUSED
             step = descend(problem, now, index, step.left_out, corrects, least)
             now = step.point
         path.append(now.deviance)
@@ -166,7 +175,7 @@ def _search(
         progress(PartialProgress(message, (number + 1) / rounds))
         gained = last - now.deviance
         settled = abs(gained) < least
-        if settled and (fixed_noise or taken == FIRST_NOISE_STEPS):
+        if settled and (fixed_noise or taken == FIRST_NOISE_STEPS and step.corrected):
             outcome = FitOutcome.CONVERGED
             break
         # Noise creeps along flat directions: a fit is at its end where many steps gain nothing.
