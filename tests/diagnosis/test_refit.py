@@ -207,7 +207,7 @@ def test_a_model_without_an_effect_is_the_better_of_two_fits(monkeypatch, other,
         assert scales is OTHER_NOISE
         return SimpleNamespace(deviance=-9.0 if np.array_equal(coordinates, likeliest) else np.nan)
 
-    def estimated(_, free, start, scales) -> Estimate:
+    def estimated(_, free, start, scales, left_out) -> Estimate:
         assert free == ("X_u", "N_r", "wind")
         asked.append((start, scales))
         return ends[len(asked) - 1]

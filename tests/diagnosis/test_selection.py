@@ -291,8 +291,9 @@ def test_a_cause_that_comes_out_worse_is_begun_again_at_the_model_without_it(
     """Fits that begin with any size of it get stuck."""
     nominal, place = found.nominal, data.train.layout.indices(("gyro-bias",))
 
-    def stuck(problem, free, start, noise, **more):
-        fitted = estimate(problem, free, start, noise, **more)
+    def stuck(problem, free, start, noise, left_out, **more):
+        assert np.array_equal(left_out, nominal.left_out)
+        fitted = estimate(problem, free, start, noise, left_out, **more)
         worse = dataclasses.replace(fitted, deviance=nominal.deviance + 50)
         return worse if np.any(start[place]) else fitted
 

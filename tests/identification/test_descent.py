@@ -8,6 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.oracle.simulator import load
+from tests.paths import ORACLE
+from tests.runs import random_steps
 
 from diffsea.identification import descent, fit
 from diffsea.identification.descent import (
@@ -20,7 +23,9 @@ from diffsea.identification.descent import (
 from diffsea.identification.filter import kalman
 from diffsea.identification.filter.covariance import Noise
 from diffsea.identification.filter.noise_fit import RefinedNoise, refine_noise
+from diffsea.identification.problem import make_problem
 from diffsea.identification.residual import Linearisation, linearise
+from diffsea.vessel.files import build
 
 
 FREE = ("X_u", "Y_v", "N_r")
@@ -87,6 +92,27 @@ def test_at_the_end_no_step_is_taken(problem, found):
     step = descend(problem, here, found.index, np.zeros(3), Correction.WHERE_REFUSED)
     assert step.promised < 0.5
     assert here.deviance - step.point.deviance < 0.05
+
+
+def test_a_fit_ends_only_where_the_filters_own_deviance_has_no_slope():
+    """Though the slope by held gains is another: thrusters lag by two seconds, the model's do not.
+
+    What held gains leave out is kept beside the estimate, so that other fits may begin there.
+    """
+    document = load(str(ORACLE / "usv.toml"))
+    lag = {"thrust-lag": {"time_constant": 2.0, "actuators": ["port", "starboard"]}}
+    runs = [random_steps(document, seed, 60.0, 0.25, lag) for seed in (4, 5)]
+    problem = make_problem(build(document), runs, FREE)
+    found = fit.estimate(problem, FREE)
+    index = np.array(problem.layout.indices(FREE))
+    here = filter_at(problem, found.coordinates, found.noise)
+    held = linearise(problem, here.run.gains, here.coordinates, index)
+    slope = gradient_by_differences(problem, here, index, held)
+    in_errors = lambda gradient: np.abs(np.linalg.solve(held.curvature, gradient) / found.stds)
+    assert found.outcome is fit.FitOutcome.CONVERGED
+    assert in_errors(held.gradient).max() > 0.3
+    assert in_errors(slope).max() < 0.02
+    assert in_errors(held.gradient + found.left_out[index]).max() < 0.02
 
 
 def of_a_valley(problem, monkeypatch, deviance) -> FilteredPoint:

@@ -31,7 +31,7 @@ def restarts(monkeypatch):
     """The starts of fits that are asked for, and how those end."""
     asked, ends = [], []
 
-    def estimate(problem, free, start, noise, progress):
+    def estimate(problem, free, start, noise, left_out, progress):
         asked.append(start)
         return ends[len(asked) - 1]
 

@@ -96,7 +96,7 @@ def judge_audited(
         return None
     start = np.array(current.coordinates, float)
     start[data.train.layout.indices((audited.effect,))] = audited.coordinates
-    asked = Refit(candidate, [Start(start, current.noise)])
+    asked = Refit(candidate, [Start.beside(current, start)])
     (one,) = refit_fully(data, current, [asked])
     listed = ShortList.of(data.train, [one])
     return AcceptedEffect(one, listed) if _is_believed(one, listed.needed) else None

@@ -99,7 +99,7 @@ def refit_candidates(
         return refit_at_fixed_noise(problem, current, screening.candidates[name])
 
     near, rest = near_the_best(on_every_core(refit_first, names))
-    starts = [Start(start_beside(problem, current, one), current.noise) for one in near]
+    starts = [Start.beside(current, start_beside(problem, current, one)) for one in near]
     asked = [Refit(one.candidate, [start]) for one, start in zip(near, starts, strict=True)]
     full = refit_fully(data, current, asked)
     return ShortList.of(problem, [*full, *rest])
@@ -153,7 +153,8 @@ def refit_at_fixed_noise(problem: Problem, current: Estimate, candidate: Candida
 
     def refit(start: np.ndarray) -> Estimate:
         free = (*current.free, name)
-        return estimate(problem, free, start, current.noise, rounds=4, fixed_noise=True)
+        begin = Start.beside(current, start)
+        return estimate(problem, free, *begin, rounds=4, fixed_noise=True)
 
     def cost(one: Estimate) -> float:
         return one.deviance if np.isfinite(one.deviance) else np.inf
@@ -217,8 +218,8 @@ def refit_without(
     free = tuple(name for name in current.free if name not in names)
     bare = np.array(current.coordinates, float)
     bare[problem.layout.indices(tuple(names))] = 0.0
-    others = Start(bare, known.noise), start_with_effects_of(problem, known, current, free)
-    starts = Start(bare, current.noise), likeliest_start(problem, others)
+    others = Start.beside(known, bare), start_with_effects_of(problem, known, current, free)
+    starts = Start.beside(current, bare), likeliest_start(problem, others)
     fits = on_every_core(lambda start: estimate_surely(problem, free, *start), starts)
     return min(fits, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
 

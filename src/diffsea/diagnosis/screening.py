@@ -25,7 +25,7 @@ from diffsea.diagnosis.score import (
 )
 from diffsea.identification.coordinates import ExpansionPoint, expansion_points
 from diffsea.identification.estimates import Estimate
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.problem import Problem
 from diffsea.identification.sufficiency import missing_channel
 from diffsea.trajectory import MOTION_CHANNELS, Trajectory
@@ -194,9 +194,8 @@ def locate_by_noise_of(better: Estimate, problem: Problem, fitted: Estimate) -> 
     out. The better model's innovations also say how they depend on one another in time.
     """
     correlation = linearise_model(problem, better).projection(better.free).correlation
-    fitted = estimate(
-        problem, fitted.free, fitted.coordinates, better.noise, rounds=6, fixed_noise=True
-    )
+    start = Start.beside(better, fitted.coordinates)
+    fitted = estimate(problem, fitted.free, *start, rounds=6, fixed_noise=True)
     model = linearise_model(problem, fitted)
     projection = model.projection(fitted.free, correlation)
     cells, unnamed = locate_forces(model, projection)

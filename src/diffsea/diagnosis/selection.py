@@ -273,7 +273,7 @@ def _refit_with_rivals(
     def refit(one: Hypothesis) -> Refit:
         if one.effect == accepted.name:
             return Refit(one.candidate, [Start.at(current)])
-        beside = Start(start_beside(data.train, bare, one), bare.noise)
+        beside = Start.beside(bare, start_beside(data.train, bare, one))
         free = (*bare.free, one.effect)
         as_it_was = start_with_effects_of(data.train, one.estimate, bare, free)
         return Refit(one.candidate, [beside, as_it_was])

@@ -57,7 +57,7 @@ def start_as_part(problem: Problem, fitted: Estimate, part: str, whole: str) -> 
     out[layout.indices((part,))] = 0.0
     sizes = np.array(EFFECTS[whole].sizes(problem.base))
     out[layout.indices((whole,))] = np.array(EFFECTS[whole].encode(problem.base, numbers)) / sizes
-    return Start(out, fitted.noise)
+    return Start.beside(fitted, out)
 
 
 def start_with_effects_of(
@@ -68,4 +68,4 @@ def start_with_effects_of(
     lacking = problem.layout.indices(tuple(name for name in free if name not in known.free))
     needless = problem.layout.indices(tuple(name for name in known.free if name not in free))
     out[needless], out[lacking] = 0.0, other.coordinates[lacking]
-    return Start(out, known.noise)
+    return Start.beside(known, out)

@@ -25,7 +25,7 @@ from diffsea.identification.coordinates import free_by_default
 from diffsea.identification.data.dataset import DatasetShape
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling
-from diffsea.identification.fit import compile_programs, estimate, estimate_surely
+from diffsea.identification.fit import Start, compile_programs, estimate, estimate_surely
 from diffsea.identification.holdout import Split, split_data
 from diffsea.identification.problem import Problem, make_problem
 from diffsea.identification.sufficiency import Shortfall, shortfalls
@@ -106,7 +106,7 @@ def diagnose(
         often = ", ".join(f"{name} every {number}" for name, number in seldom.items())
         progress(f"neighbouring samples err alike; used are of {often}")
         data = data.thinned(seldom)
-    nominal = estimate_surely(data.train, free, rough.coordinates, rough.noise, progress=progress)
+    nominal = estimate_surely(data.train, free, *Start.at(rough), progress=progress)
     progress("asking which causes could explain what is left")
     screening = screen(data.train, nominal)
     null = bootstrap(data.train, nominal, draws, progress) if draws else NO_BOOTSTRAP

@@ -87,6 +87,7 @@ class Estimate:
     state: Noise | ShootingState | None = None  # what the objective estimated besides
     path: tuple[float, ...] = ()  # the cost after each round
     outcome: FitOutcome = FitOutcome.CONVERGED
+    left_out: Coordinates | None = None  # of the slope by gains held fixed; None: not known
     # Runs of the filter at this estimate, found when asked for; a changed copy has none of them.
     _filter_runs: list[tuple[Problem, FilterRun]] = dataclasses.field(
         init=False, default_factory=list, repr=False, compare=False
@@ -132,6 +133,7 @@ def posterior_estimate(
     state: Noise | ShootingState | None = None,
     path: Sequence[float] = (),
     outcome: FitOutcome = FitOutcome.CONVERGED,
+    left_out: Coordinates | None = None,
 ) -> Estimate:
     """An estimate from the information of the data and the spreads of the priors.
 
@@ -158,6 +160,7 @@ def posterior_estimate(
         state=state,
         path=tuple(path),
         outcome=outcome,
+        left_out=left_out,
     )
 
 

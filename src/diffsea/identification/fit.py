@@ -52,11 +52,17 @@ class Start(NamedTuple):
 
     coordinates: Coordinates
     noise: Noise
+    left_out: Coordinates | None = None  # as of an `Estimate`
 
     @classmethod
     def at(cls, fitted: Estimate) -> "Start":
         """Where another fit ended."""
-        return cls(fitted.coordinates, fitted.noise)
+        return cls(fitted.coordinates, fitted.noise, fitted.left_out)
+
+    @classmethod
+    def beside(cls, fitted: Estimate, coordinates: Coordinates) -> "Start":
+        """At some coordinates, with all else as where another fit ended."""
+        return cls(coordinates, fitted.noise, fitted.left_out)
 
 
 def compile_programs(problem: Problem, screened: bool = False) -> None:
@@ -106,6 +112,7 @@ def estimate(
     free: tuple[str, ...],
     start: Coordinates | None = None,
     noise: Noise | None = None,
+    left_out: Coordinates | None = None,
     rounds: int = ROUNDS,
     fixed_noise: bool = False,
     progress: Progress = no_progress,
@@ -117,12 +124,14 @@ def estimate(
     Arguments:
         start: coordinates to begin at, those that are not free included; the prior mean if None.
         noise: the noise to begin with; as expected beforehand if None.
+        left_out: of the slope there by gains held fixed; nothing if None.
         fixed_noise: whether it stays as it is.
     """
     coordinates, first = problem.start()
     coordinates = coordinates if start is None else np.array(start, float)
     noise, steps = (first, FIRST_NOISE_STEPS) if noise is None else (noise, NOISE_STEPS)
-    settings = free, coordinates, noise, steps, rounds, fixed_noise
+    left_out = np.zeros(len(coordinates)) if left_out is None else left_out
+    settings = free, coordinates, noise, left_out, steps, rounds, fixed_noise
     search = functools.partial(_search, problem, *settings)
     return kept_fit(problem, settings, search, progress)
 
@@ -132,6 +141,7 @@ def _search(
     free: tuple[str, ...],
     coordinates: Coordinates,
     noise: Noise,
+    left_out: Coordinates,
     steps: int,
     rounds: int,
     fixed_noise: bool,
@@ -147,7 +157,7 @@ def _search(
     times = RowTimes(data.dt, data.run, first_variance(problem.base))
     now = filter_at(problem, coordinates, noise)
     path, outcome, curvature = [now.deviance], FitOutcome.STEP_LIMIT, None
-    step = Descent(now, np.zeros(len(index)))
+    step = Descent(now, left_out[index])
     for number in range(rounds):
         if current_budget().skips("rounds of a fit"):
             outcome = FitOutcome.OUT_OF_TIME
@@ -196,7 +206,7 @@ def likeliest_start(problem: Problem, starts: Sequence[Start]) -> Start:
     """The one that is most likely, by the filter's run there."""
     if len(starts) == 1:
         return starts[0]
-    points = [filter_at(problem, *one) for one in starts]
+    points = [filter_at(problem, one.coordinates, one.noise) for one in starts]
     found = np.nan_to_num([one.deviance for one in points], nan=np.inf)
     return starts[int(np.argmin(found))]
 
@@ -206,10 +216,12 @@ def estimate_surely(
     free: tuple[str, ...],
     start: Coordinates | None = None,
     noise: Noise | None = None,
+    left_out: Coordinates | None = None,
     progress: Progress = no_progress,
 ) -> Estimate:
     """`estimate`, `settled`."""
-    return settled(problem, estimate(problem, free, start, noise, progress=progress), (), progress)
+    fitted = estimate(problem, free, start, noise, left_out, progress=progress)
+    return settled(problem, fitted, (), progress)
 
 
 def settled(
@@ -246,7 +258,7 @@ def settled(
         elsewhere = best.coordinates.copy()
         root = np.linalg.cholesky(best.covariance)
         elsewhere[best.index] += RESTART_DISTANCE * root @ rng.standard_normal(len(best.index))
-        other = estimate(problem, free, elsewhere, best.noise, progress=progress)
+        other = estimate(problem, free, *Start.beside(best, elsewhere), progress=progress)
         is_same = abs(other.deviance - best.deviance) < STALLED_GAIN
         best = min(best, other, key=lambda one: np.nan_to_num(one.deviance, nan=np.inf))
         if is_same:
@@ -283,6 +295,8 @@ def _with_covariance(
             outcome = FitOutcome.STALLED
         elif is_at_bound(layout.parameters, coordinates, index):
             outcome = FitOutcome.BOUNDED
+    left_out = np.zeros(layout.size)
+    left_out[index] = step.left_out
     fitted = posterior_estimate(
         free,
         coordinates,
@@ -294,6 +308,7 @@ def _with_covariance(
         found.noise,
         path,
         outcome,
+        left_out,
     )
     fitted.keep_filter_run(problem, found.run)
     return fitted

@@ -33,7 +33,7 @@ from diffsea.progress import PartialProgress, Progress, Remark, no_progress
 _ADDRESS = re.compile(r" at 0x[0-9a-f]+")  # of a function, which differs from run to run
 _NUMBERS = (
     *("coordinates", "deviance", "index", "covariance", "information", "precision"),
-    *("shrinkage", "inflation", "path"),
+    *("shrinkage", "inflation", "path", "left_out"),
 )
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
@@ -207,6 +207,7 @@ def _read(file: Path) -> KeptFit | None:
             state=Noise.of(found["noise"]),
             path=tuple(found["path"].tolist()),
             outcome=FitOutcome(str(found["outcome"])),
+            left_out=found["left_out"],
         )
         told = zip(map(str, found["said"]), map(float, found["shares"]), strict=True)
         said = [text if math.isnan(share) else PartialProgress(text, share) for text, share in told]

@@ -11,7 +11,7 @@ from diffsea.budget import on_every_core
 from diffsea.identification.descent import filter_at
 from diffsea.identification.estimates import Estimate
 from diffsea.identification.filter.correlated_errors import independent_sampling, thin_channels
-from diffsea.identification.fit import estimate
+from diffsea.identification.fit import Start, estimate
 from diffsea.identification.objectives.base import AbstractObjective, Costs, Starts
 from diffsea.identification.problem import Coordinates, Names, Problem
 from diffsea.progress import Progress, no_progress
@@ -58,7 +58,7 @@ class Innovations(AbstractObjective):
         progress(f"neighbouring samples err alike; used are of {often}")
         dataset = thin_channels(self.problem.dataset, self.one_sample_in)
         self.problem = dataclasses.replace(self.problem, dataset=dataset)
-        return estimate(self.problem, free, fitted.coordinates, fitted.noise, progress=progress)
+        return estimate(self.problem, free, *Start.at(fitted), progress=progress)
 
     def _without_outliers(
         self, free: Names, start: Coordinates | None, progress: Progress
@@ -76,14 +76,12 @@ class Innovations(AbstractObjective):
                 if count:
                     self.outliers[name] = self.outliers.get(name, 0) + int(count)
             progress(f"{int(lone.sum())} outliers left out")
-            fitted = estimate(
-                self.problem, free, fitted.coordinates, fitted.noise, progress=progress
-            )
+            fitted = estimate(self.problem, free, *Start.at(fitted), progress=progress)
         return fitted
 
     def refit(self, fitted: Estimate, free: Names, start: Coordinates) -> Estimate:
         """Fit with the noise of an earlier fit."""
-        return estimate(self.problem, free, start, fitted.noise, fixed_noise=True)
+        return estimate(self.problem, free, *Start.beside(fitted, start), fixed_noise=True)
 
     def cost(self, coordinates: Coordinates, fitted: Estimate) -> float:
         """-2 log posterior with the noise of a fit."""
@@ -100,7 +98,7 @@ class Innovations(AbstractObjective):
         _, noise = problem.start()
 
         def one(start: Coordinates) -> tuple[Coordinates, float]:
-            end = estimate(problem, free, start, noise, EXPLORING_ROUNDS, fixed_noise=True)
+            end = estimate(problem, free, start, noise, rounds=EXPLORING_ROUNDS, fixed_noise=True)
             return end.coordinates, end.deviance
 
         ends, costs = zip(*on_every_core(one, starts), strict=True)
